@@ -2,7 +2,7 @@
 
 Its tensors hold their numbers on the processor, so everything runs and gives real numbers: loops that stop by a value, distinct rows, fits.
 torch sees another device though. As on a graphics processor, an operation refuses a tensor of the processor beside them, unless it is a single
-number, and NumPy takes none. `docs/decisions/0048` says why torch's own fake tensors do not serve here.
+number that it does not join to others, and NumPy takes none. `docs/decisions/0048` says why torch's own fake tensors do not serve here.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from torch.utils.backend_registration import _setup_privateuseone_for_python_bac
 _setup_privateuseone_for_python_backend("far")
 FAR = torch.device("far", 0)
 NEAR = torch.device("cpu")
+JOINS = (torch.ops.aten.cat.default, torch.ops.aten.stack.default)
 MOVES = (torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default)
 
 
@@ -59,7 +60,9 @@ def _run(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     tensors = [leaf for leaf in tree_leaves((args, kwargs)) if isinstance(leaf, torch.Tensor)]
     is_far = any(isinstance(tensor, FarTensor) for tensor in tensors)
     if is_far and func not in MOVES:
-        strays = [tuple(t.shape) for t in tensors if not isinstance(t, FarTensor) and t.dim() > 0]
+        strays = [
+            tuple(t.shape) for t in tensors if not isinstance(t, FarTensor) and (t.dim() or func in JOINS)
+        ]
         if strays:
             raise TensorOfTheProcessor(f"{func}: shape {strays[0]}")
     near_args, near_kwargs = tree_map(lambda t: t.near if isinstance(t, FarTensor) else t, (args, kwargs))
@@ -97,17 +100,17 @@ class _FromNumbers(TorchFunctionMode):
                 raise TypeError("can't convert far:0 device type tensor to numpy")
             if func is torch.Tensor.new_tensor:
                 return torch.tensor(args[1], dtype=kwargs.get("dtype", args[0].dtype)).to(FAR)
-            if func is torch.Tensor.__getitem__:  # of lists of rows torch makes tensors where it needs them
-                return func(
-                    args[0], tree_map_only(list, _rows, args[1], is_leaf=lambda i: isinstance(i, list))
-                )
+            if func in (torch.Tensor.__getitem__, torch.Tensor.__setitem__):
+                # Of lists of rows torch makes tensors where it needs them.
+                rows = tree_map_only(list, _rows, args[1], is_leaf=lambda i: isinstance(i, list))
+                return func(args[0], rows, *args[2:])
             if func is torch.bincount:  # which has no implementation for other devices
                 return torch.bincount(args[0].near, *args[1:], **kwargs).to(FAR)
         return func(*args, **kwargs)
 
 
 def _rows(numbers: list[int]) -> torch.Tensor:
-    return torch.tensor(numbers).to(FAR)
+    return torch.tensor(numbers, dtype=None if numbers else torch.int64).to(FAR)
 
 
 @contextmanager

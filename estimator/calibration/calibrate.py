@@ -116,17 +116,16 @@ def calibrate(
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
     if dtype is not torch.float64:
+        if free_amplitudes(rig):  # their columns are differences of predictions
+            raise InvalidInput(
+                f"coils without a winding must be calibrated in double precision; received precision {precision}"
+            )
         check_precision(rig, observations)
     readings = observations.to(place, dtype)
     model = MeasurementModel.build(rig, readings)
     posterior = LogPosterior(Coordinates(rig), model, readings)
-    if free_amplitudes(rig) and computed:
-        raise InvalidInput(
-            "coils without a winding must be calibrated on the processor in double precision; "
-            f"received device {device}, precision {precision}"
-        )
     if is_collapsible(posterior):
-        start = starting_point_collapsed(posterior, observations, seed)
+        start = starting_point_collapsed(posterior, readings, seed)
         tell(Stage("amplitudes in closed form", open_directions=start.undetermined))
     else:
         settings = wanted.for_rig(len(rig.free))
@@ -158,7 +157,7 @@ def calibrate(
     tell(Stage("errors, coverage and summary"))
     draws, log_prob = start.draws(samples.chain, seed), np.ascontiguousarray(samples.log_prob.T)
     calibration = Calibration(rig, session.observations, start.best(), draws, log_prob, {})
-    of_amplitudes = start.summary(observations)
+    of_amplitudes = start.summary(readings)
     summary_json = {
         **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence")),
         "is_converged": samples.is_converged,

@@ -134,6 +134,6 @@ def independent(posterior: CollapsedPosterior, settings: SamplerSettings) -> Sam
     walkers = max(settings.n_walkers, 1)
     steps = int(np.ceil(settings.target_ess / walkers))
     n, none = float(steps * walkers), np.zeros(0)
-    log_prob = np.full((steps, walkers), float(posterior(torch.zeros(1, 0, dtype=torch.float64))[0]))
+    log_prob = np.full((steps, walkers), float(posterior(posterior.coordinates.start()[None])[0]))
     reached = Convergence(np.array([n]), np.array([n]), np.array([1.0]), steps * walkers)
     return Samples(np.zeros((steps, walkers, len(none))), log_prob, reached, True, 1.0, steps)

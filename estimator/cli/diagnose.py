@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     help="Readings that causes are searched with, thinned evenly where there are more.",
 )
 @seed_option
-@prediction_options("readings of fits", REFUSED_SINGLE)
+@prediction_options("readings", REFUSED_SINGLE)
 @overwrite_option
 @json_option
 def diagnose_command(

@@ -69,7 +69,7 @@ def prediction_options(what: str, refused: str = "") -> Decorator:
         default="cpu",
         show_default=True,
         metavar="NAME",
-        help=f"Where {what} are predicted, such as cuda; all else stays on the processor.",
+        help=f"Where {what} are predicted, such as cuda; reports stay on the processor.",
     )
     precision = click.option(
         "--precision",

@@ -11,6 +11,7 @@ import torch
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.choice import best_corrected
+from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
@@ -26,7 +27,7 @@ from estimator.diagnosis.hypotheses.search import Search, search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
-from estimator.diagnosis.next_readings.resolution import indistinguishable, smallest_visible
+from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.result import (
@@ -54,7 +55,7 @@ from estimator.errors import InvalidInput
 from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 
 
@@ -86,8 +87,10 @@ def diagnose(
             current, and a cause or something unexplained, which widens the posterior.
         limits: When the search ends before the evidence does. A diagnosis that was cut short says so; another with the same `out` goes on.
         most_readings: Readings that causes are searched with, thinned evenly where there are more.
-        device: Where fits, and sampling, predict readings, such as `cuda`; columns of causes, evidences and reports stay on the processor.
-        precision: `double`, or `single` for those predictions; the last step of every fit is in double precision.
+        device: Where fits, columns of causes, evidences and corrections are computed, such as `cuda`, and where sampling predicts
+            readings; verdict, validation and reports stay on the processor.
+        precision: `double`, or `single` for predictions of fits and of sampling; the last step of every fit, columns and evidences are in
+            double precision.
         on_stage: Called with a message at the start of each stage.
         on_progress: Called as the search fits hypotheses, with how far it is.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
@@ -114,6 +117,7 @@ def diagnose(
             unseen,
             limits or Limits(),
             most_readings,
+            place,
             tell,
             on_progress,
         )
@@ -144,6 +148,7 @@ def _judged(
     unseen: Observations,
     limits: Limits,
     most_readings: int,
+    place: torch.device,
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> Diagnosis:
@@ -153,7 +158,9 @@ def _judged(
     tell("fitting the rig as described")
     rules, refusal = rules_and_refusal(rig, few)
     plain = fit_rig(rig, few, {}, rules, policy.MORE_STARTS)
-    search_result, mistakes = _searched(plain, refusal, limits, tell, on_progress)
+    search_result, mistakes, visible, twins = computed_on(
+        place, lambda fit: _found(fit, refusal, limits, tell, on_progress), plain
+    )
     named = named_causes(search_result)
     verdict = verdict_of(search_result, named)
     if verdict is Verdict.UNEXPLAINED and named:
@@ -189,7 +196,15 @@ def _judged(
         left = search_result.base_discrepancy if is_base else search_result.steps[-1].discrepancy
         widening = Widening.of(extended, after, left)
         tell("correcting what is left, without a name")
-        correction = best_corrected(extended, search_result.final, after, unseen, tell)
+        correction = computed_on(
+            place,
+            lambda first, last, causes: best_corrected(
+                first, last, causes, unseen.to(causes.observations.device), tell
+            ),
+            extended,
+            search_result.final,
+            after,
+        )
         if correction.is_taken:
             extended, after = correction.fit, correction.final
             widening = widening.carried_to(after).over_blocks(extended)
@@ -215,13 +230,26 @@ def _judged(
             correction=correction,
         ),
         left_open=LeftOpen(
-            visible=tuple(smallest_visible(search_result.base, search_result.pool)),
-            twins=tuple(indistinguishable(search_result.base, search_result.pool)),
+            visible=tuple(visible),
+            twins=tuple(twins),
             next_measurements=tuple(_next_measurements(search_result, named, rig)),
             widening=widening,
         ),
         extended_rig=extended_rig(rig, after),
     )
+
+
+def _found(
+    plain: Fit,
+    refusal: InvalidInput | None,
+    limits: Limits,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
+) -> tuple[Search, Sequence[RecordMistake], list[Visible], list[tuple[Cause, ...]]]:
+    """The search, mistakes of the record, and what the session can show and tell apart of any cause."""
+    result, mistakes = _searched(plain, refusal, limits, tell, on_progress)
+    visible = smallest_visible(result.base, result.pool)
+    return result, mistakes, visible, indistinguishable(result.base, result.pool)
 
 
 def _searched(

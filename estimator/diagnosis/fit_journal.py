@@ -20,6 +20,7 @@ import torch
 from torch import Tensor
 
 from estimator.code_version import code_version
+from estimator.devices import numpy_of
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -49,7 +50,7 @@ class FitJournal:
         return len(self._lines)
 
     def optimum(self, key: str) -> Optimum | None:
-        """The maximum that was found before; None if there was none."""
+        """The maximum that was found before, on the processor; None if there was none."""
         if key not in self._lines:
             return None
         known = json.loads(self._lines[key])
@@ -108,12 +109,12 @@ def key_of(rig: Rig, observations: Observations, start: Tensor, tolerance: float
     """What identifies a fit: code, rig, readings, starts and tolerance."""
     digest = hashlib.sha256(f"{code_version()} {rig.hash} {tolerance!r}".encode())
     for values in (observations.time_s, observations.row, observations.field_sensor_T, start):
-        digest.update(values.detach().contiguous().numpy().tobytes())
+        digest.update(numpy_of(values.contiguous()).tobytes())
     return digest.hexdigest()
 
 
 def _text(values: Tensor) -> tuple[list[int], str]:
-    array = values.detach().to(torch.float64).contiguous().numpy()
+    array = numpy_of(values.to(torch.float64).contiguous())
     return list(array.shape), base64.b64encode(array.tobytes()).decode()
 
 

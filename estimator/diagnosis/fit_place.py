@@ -1,7 +1,8 @@
 """Where the fits of a diagnosis predict readings: on the processor, on another device, or in single precision.
 
-Only the climb to a maximum goes there. Columns of causes are differences over a thousandth of a prior's width, and evidences differ by
-less than single precision tells: both, and the last step of every fit, are made in double precision on the processor.
+Only the climb to a maximum may be in single precision. Columns of causes are differences over a thousandth of a prior's width, and
+evidences differ by less than single precision tells: both, and the last step of every fit, are made in double precision, where the
+readings of the fit are (`elsewhere`).
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ def climbed(
     slopes: Callable[[], FirstOrder | None] = lambda: None,
     to_beat: float = -math.inf,
 ) -> Optimum:
-    """The highest maximum that is reached from some starts, in a race, as `levenberg_marquardt` gives it on the processor.
+    """The highest maximum that is reached from some starts, in a race, as `levenberg_marquardt` gives it where the readings are.
 
     Args:
         posterior: Density to maximise.
@@ -55,7 +56,7 @@ def climbed(
         model = MeasurementModel.unruled(posterior.model.rig, there).with_rules(posterior.model.rules)
         far = LogPosterior(posterior.coordinates, model, there)
         ahead = levenberg_marquardt(far, start.to(there.device), tolerance=tolerance, is_race=True)
-        start = ahead.vector[ahead.log_posterior.argmax()][None].cpu()
+        start = ahead.vector[ahead.log_posterior.argmax()][None].to(start.device)
     if is_worthwhile(posterior, start):
         known = slopes() if there is readings else None
         return climb_with_secants(posterior, start, tolerance, known, to_beat)

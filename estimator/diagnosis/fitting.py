@@ -54,6 +54,16 @@ class Fit:
         """Coordinates of the maximum."""
         return self.optimum.vector[0]
 
+    def to(self, readings: Observations) -> Fit:
+        """The same fit of the same readings on another device, with all that is computed from it.
+
+        Args:
+            readings: The fitted readings there.
+        """
+        model = MeasurementModel.unruled(self.rig, readings).with_rules(self.posterior.model.rules)
+        posterior = LogPosterior(self.posterior.coordinates, model, readings)
+        return Fit(posterior, self.optimum.to(readings.device))
+
     @cached_property
     def log_evidence(self) -> float:
         """Laplace evidence with normalised priors of the effects, up to a constant that rigs share if they differ only in effects."""
@@ -133,7 +143,7 @@ class Fit:
         coordinates = self.posterior.coordinates
         lower, upper = coordinates.bounds()
         value = torch.stack([self.values[name] for name in coordinates.names])
-        near = policy.NEAR_BOUND * torch.tensor([p.prior.sd for p in coordinates.parameters if p.prior])
+        near = policy.NEAR_BOUND * value.new_tensor([p.prior.sd for p in coordinates.parameters if p.prior])
         return (value - lower < near) | (upper - value < near)
 
     @cached_property
@@ -154,8 +164,8 @@ class Fit:
         mine, other = self.posterior.coordinates, posterior.coordinates
         known = dict(zip(zip(mine.names, mine.labels, strict=True), range(mine.n), strict=True))
         keys = list(zip(other.names, other.labels, strict=True))
-        new = torch.tensor([i for i, key in enumerate(keys) if key not in known], dtype=torch.int64)
-        shared = torch.tensor([i for i, key in enumerate(keys) if key in known], dtype=torch.int64)
+        is_new = torch.tensor([key not in known for key in keys], dtype=torch.bool, device=vector.device)
+        new, shared = is_new.nonzero().flatten(), (~is_new).nonzero().flatten()
         source = [known[key] for key in keys if key in known]
         jacobian_T = vector.new_zeros(1, len(self.predicted_T), other.n)
         whitening_per_T = self.whitening_per_T.clamp(min=1e-300)
@@ -181,7 +191,7 @@ class Fit:
     ) -> Float[Tensor, "coordinate coordinate"]:
         """Covariance of the coordinates with a discrepancy fitted as well, given by columns with standard normal coefficients."""
         cross = self.jacobian.T @ columns
-        precision = columns.T @ columns + torch.eye(columns.shape[1], dtype=torch.float64)
+        precision = columns.T @ columns + columns.new_ones(columns.shape[1]).diag()
         lost = cross @ torch.linalg.solve(precision, cross.T)
         return covariance((self.optimum.precision[0] - lost)[None])[0]
 
@@ -218,16 +228,14 @@ class Fit:
         """Values, by parameter, at which one of the rig's causes changes nothing; without its shapes, which keep theirs."""
         quantities = EFFECTS[cause.name].quantities(self.posterior.model.circumstances.extent)
         sizes = [quantity for quantity in quantities if not quantity.is_shape]
-        return {f"{cause.label}.{q.key}": torch.tensor(q.null, dtype=torch.float64) for q in sizes}
+        return {f"{cause.label}.{q.key}": self.vector.new_tensor(q.null) for q in sizes}
 
     def at_null(self, cause: Cause) -> tuple[list[int], Float[Tensor, " coordinate"]]:
         """Which coordinates say how large one of the rig's causes is, and what they are at its null; -inf is the logarithm of 0."""
         coordinates, nulls = self.posterior.coordinates, self.null_values(cause)
         rows = [i for i, name in enumerate(coordinates.names) if name in nulls]
         own = [(coordinates.parameters[i], nulls[coordinates.names[i]]) for i in rows]
-        return rows, torch.tensor(
-            [float(v.log() if p.is_positive else v) for p, v in own], dtype=torch.float64
-        )
+        return rows, self.vector.new_tensor([float(v.log() if p.is_positive else v) for p, v in own])
 
     def log_evidence_for(
         self, cause: Cause, beside: Float[Tensor, "component column"] | None = None
@@ -247,7 +255,7 @@ class Fit:
         vector, covariance = self.vector, self.covariance
         if beside is not None:
             covariance = self.covariance_beside(beside)
-            precision = beside.T @ beside + torch.eye(beside.shape[1], dtype=torch.float64)
+            precision = beside.T @ beside + beside.new_ones(beside.shape[1]).diag()
             pull = self.jacobian.T @ (beside @ torch.linalg.solve(precision, beside.T @ self.residual))
             vector = vector - covariance @ pull
         posterior = torch.distributions.MultivariateNormal(vector[rows], covariance[rows][:, rows])
@@ -337,8 +345,8 @@ def fit_rig(
         to_beat: Log posterior density of a fit that is known: a climb to less ends early.
     """
     model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
-    coordinates = Coordinates(rig)
-    posterior = LogPosterior(coordinates, model, observations)
+    posterior = LogPosterior(Coordinates(rig), model, observations)
+    coordinates = posterior.coordinates
     vector = coordinates.vector({n: v for n, v in start.items() if n in rig.parameters})[None]
     if more_starts:
         vector = torch.cat(
@@ -355,7 +363,7 @@ def fit_rig(
     journal = current_journal()
     key = "" if journal is None else key_of(rig, observations, vector, tolerance)
     if journal is not None and (known := journal.optimum(key)) is not None:
-        return Fit(posterior, known)
+        return Fit(posterior, known.to(observations.device))
     is_near = near is not None and near.observations is observations
     optimum = climbed(
         posterior,

@@ -51,7 +51,7 @@ class Projector:
     def in_single(self) -> Projector:
         """The same in single precision; columns are brought to one size first."""
         n = self.factor.shape[-1]
-        return Projector(self.basis.float(), torch.eye(n))
+        return Projector(self.basis.float(), torch.eye(n, device=self.factor.device))
 
     @cached_property
     def basis(self) -> Float[Tensor, "component parameter"]:
@@ -69,6 +69,8 @@ class Projector:
     def own_gram(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, "column column"]:
         """Inner products of vectors with each other after projection. NumPy computes only half of so symmetric a product."""
         followed = self.factor.T @ (self.jacobian.T @ columns)
+        if columns.device.type != "cpu":
+            return columns.T @ columns - followed.T @ followed
         array = columns.numpy()
         product: Tensor = torch.from_numpy(array.T @ array) - followed.T @ followed
         return product
@@ -249,7 +251,7 @@ def _of_directions(
     square = size * (reached - torch.nn.functional.pad(reached[..., 1:], (0, 1)))
     relieved = 0.5 * noise.tension / most * (square / (1.0 + size)).sum(-1)
     square = square * noise.n / most
-    rise = torch.as_tensor(started, dtype=torch.float64)[..., None]
+    rise = torch.as_tensor(started, dtype=torch.float64, device=size.device)[..., None]
 
     def log_density(shrink: Tensor) -> Tensor:
         # At smaller noise the columns weigh more, and so does their Occam factor.
@@ -264,9 +266,9 @@ def _of_directions(
         return density
 
     # Profile over the logarithm of the noise, on a coarse grid and on a fine one about its best point.
-    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
+    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64, device=size.device)
     best = COARSE * log_density(shrinks[::COARSE]).argmax(-1)
-    near = (best[..., None] + torch.arange(1 - COARSE, COARSE)).clamp(0, N_SHRINKS - 1)
+    near = (best[..., None] + torch.arange(1 - COARSE, COARSE, device=size.device)).clamp(0, N_SHRINKS - 1)
     fitted: Tensor = log_density(shrinks[near]).max(-1).values + relieved
     return fitted
 
@@ -281,7 +283,7 @@ def highest_log_bayes_factor(
     With noise smaller by e^s the columns weigh g = e^(-2s) >= 1 times as much. A direction of size a and score b then explains
     g^2 b^2 / (1 + g a), at most g b^2 / (e + a) where 1 / e is the largest g, and its Occam factor only grows.
     """
-    unit = torch.eye(gram.shape[-1], dtype=gram.dtype)
+    unit = torch.eye(gram.shape[-1], dtype=gram.dtype, device=gram.device)
     factor, failed = torch.linalg.cholesky_ex(gram + unit)
     occam: Tensor = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
     if noise is None:
@@ -290,10 +292,12 @@ def highest_log_bayes_factor(
     most = noise.n + noise.tension
     reached = _square(factor, score).clamp(max=most)
     # What is explained rises with what is reached: a table, read at the next larger value, bounds it.
-    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64)
+    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64, device=gram.device)
     grown = torch.exp(-2.0 * shrinks)
     noisier = noise.n * shrinks + 0.5 * noise.n * (grown - 1.0) + 0.5 * (shrinks / noise.width) ** 2
-    values = torch.logspace(math.log10(SMALLEST_BOUND), math.log10(most), N_BOUNDS, dtype=torch.float64)
+    values = torch.logspace(
+        math.log10(SMALLEST_BOUND), math.log10(most), N_BOUNDS, dtype=torch.float64, device=gram.device
+    )
     values[-1] = most
     table = (0.5 * noise.n / most * values[:, None] * grown - noisier).amax(-1)
     explained = table[torch.searchsorted(values, reached.contiguous()).clamp(max=N_BOUNDS - 1)]

@@ -44,14 +44,14 @@ def extended_posterior(
         rig: The extended rig.
         widening: By how much to widen; None where nothing remains unexplained.
         out, seed, settings: As in `calibrate`; what `out` holds is replaced.
-        device, precision: Likewise, but where amplitudes are integrated out, which is done on the processor.
+        device, precision: Likewise, but where amplitudes are integrated out, which is done in double precision.
     Returns: The calibrated model. Where its draws were widened, `summary()["widening"]` holds the factor by which the standard deviation
         of each parameter grew.
     """
     amplitudes = [] if widening is None else _amplitudes(rig)
     held = rig.with_fixed(amplitudes) if amplitudes else rig
     if free_amplitudes(held):
-        device, precision = "cpu", "double"
+        precision = "double"
     sampled = calibrate(
         session,
         held,

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.use import as_meant
@@ -141,10 +142,10 @@ def validation_scores(
     parameter_variance = ((jacobian @ covariance) * jacobian).sum(-1)
     residual_T = posterior.measured_T - mean_T
     log_density, probability_below = _mixture(posterior, fit, residual_T, noise_T, parameter_variance)
-    reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]
-    by_reading = torch.zeros(len(unseen), dtype=residual_T.dtype).index_add(0, reading, log_density)
+    reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
+    by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
     coverage = {p: float(((probability_below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
-    errors = error_metrics(unseen.field_sensor_T.numpy(), predicted_T.numpy())
+    errors = error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(predicted_T))
     return ValidationScores(errors, float(by_reading.sum()), coverage[0.5], coverage[0.9], by_reading)
 
 

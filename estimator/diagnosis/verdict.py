@@ -219,7 +219,7 @@ def _with_columns(fit: Fit, columns: Tensor) -> Fit:
     jacobian = torch.cat((fit.jacobian, columns), dim=1)
     prior = torch.block_diag(
         (fit.optimum.precision - fit.optimum.information)[0],
-        torch.eye(columns.shape[1], dtype=torch.float64),
+        columns.new_ones(columns.shape[1]).diag(),
     )
     projector = Projector.of(jacobian, prior)
     return fit.to_first_order(projector, projector.rest(fit.residual))

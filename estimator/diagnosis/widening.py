@@ -63,11 +63,11 @@ class Widening:
         shared = [name for name in own if name in names]
         rows, kept = [names.index(name) for name in shared], [own.index(name) for name in shared]
         among = fit.covariance[rows][:, rows]
-        more = stretch(among, self.covariance[kept][:, kept]) - torch.eye(len(rows), dtype=among.dtype)
+        more = stretch(among, self.covariance[kept][:, kept]) - among.new_ones(len(rows)).diag()
         following = torch.linalg.solve(
             among, fit.covariance[rows]
         ).T  # of all that goes along with what both have
-        stretched = torch.eye(len(names), dtype=among.dtype)
+        stretched = among.new_ones(len(names)).diag()
         stretched[:, rows] += following @ more
         return Widening(fit, stretched @ fit.covariance @ stretched.T)
 
@@ -168,7 +168,7 @@ def stretch(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Fl
                 [0., 1.]])
     """
     sd = torch.sqrt(torch.diagonal(covariance))
-    unit = torch.eye(len(covariance), dtype=covariance.dtype)
+    unit = torch.ones_like(sd).diag()
     correlation = covariance / (sd[:, None] * sd) + LEAST_SHARE * unit
     root = sd[:, None] * torch.linalg.cholesky(correlation)
     whitened = torch.linalg.solve_triangular(root, other, upper=False)

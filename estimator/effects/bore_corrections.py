@@ -69,7 +69,7 @@ class _Bore(Correction):
         along = torch.linalg.svd(places_m - places_m.mean(0), full_matrices=False).Vh[0]
         along = along if float(along[2]) >= 0.0 else -along
         x, y = (float(f"{float(c):.6g}") for c in along[:2])
-        turn = _rotation(_tensor(x), _tensor(y))
+        turn = _rotation(*places_m.new_tensor((x, y)))
         local_m = (places_m - middle_m) @ turn
         low_m, high_m = (float(end) for end in (local_m[:, 2].min(), local_m[:, 2].max()))
         middle_m = middle_m + 0.5 * (low_m + high_m) * turn[:, 2]
@@ -90,8 +90,8 @@ class _Bore(Correction):
             return Limit(none)  # rounder: solid harmonics are asked
         steepest = min(self.highest, int(STEEPEST * length_m / (math.pi * radius_m)))
         n_terms = {degree: len(TREND) + degree * len(WAVES) for degree in range(steepest + 1)}
-        scaled = _in_radii(places_m, {key: _tensor(number) for key, number in cylinder.items()})
-        along = torch.tensor([1.0, 1.0, 2.0 * radius_m / length_m], dtype=torch.float64)
+        scaled = _in_radii(places_m, {key: places_m.new_tensor(number) for key, number in cylinder.items()})
+        along = places_m.new_tensor([1.0, 1.0, 2.0 * radius_m / length_m])
         return limit_of_places(scaled * along, n_terms)
 
     def field(
@@ -168,7 +168,3 @@ def _rotation(x: Float[Tensor, ""], y: Float[Tensor, ""]) -> Float[Tensor, "3 3"
         (-x, -y, z),
     )
     return torch.stack([torch.stack(row) for row in rows])
-
-
-def _tensor(number: float) -> Float[Tensor, ""]:
-    return torch.tensor(number, dtype=torch.float64)

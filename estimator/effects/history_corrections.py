@@ -46,7 +46,7 @@ class SidesRemembered(Correction, MotionEffect):
         """One for each way in which the moves of the session can be divided; the first of alike ones."""
         _, first = _distinct_rows(_sides(circumstances, place).T)
         reach_m = float(f"{max(circumstances.reach_m, LEAST_LENGTH_M):.6g}")
-        units = directions()[first].tolist()
+        units = directions()[first.tolist()].tolist()
         return tuple({**dict(zip(UNIT, unit, strict=True)), "reach_m": reach_m} for unit in units)
 
     def factors(

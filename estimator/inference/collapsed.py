@@ -20,6 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
+from estimator.devices import numpy_of
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import uses_of
 from estimator.field.node_sum import SumMode
@@ -92,10 +93,10 @@ class CollapsedPosterior:
         self.full = full
         rig = full.coordinates.rig
         self.amplitudes = free_amplitudes(rig)
-        self.coordinates = Coordinates(rig.with_fixed(self.amplitudes))
+        self.coordinates = Coordinates(rig.with_fixed(self.amplitudes)).on(full.coordinates.device)
         priors = [rig.parameters[name].prior for name in self.amplitudes]
-        self._centre = torch.tensor([p.centre for p in priors if p], dtype=torch.float64)
-        self._sd = torch.tensor([p.sd for p in priors if p], dtype=torch.float64)
+        self._centre = full.measured_T.new_tensor([p.centre for p in priors if p])
+        self._sd = full.measured_T.new_tensor([p.sd for p in priors if p])
         self._following = _following(rig, self.amplitudes)
         noises = {f"{sensor.name}.noise_T" for sensor in rig.sensors}
         has_normal_noise = not uses_of(rig, NoiseEffect)
@@ -204,10 +205,10 @@ class CollapsedPosterior:
             seed: Of the draws.
         """
         steps, walkers = chain.shape[:2]
-        rows = torch.from_numpy(chain.reshape(steps * walkers, -1))
+        rows = torch.from_numpy(chain.reshape(steps * walkers, -1)).to(self._sd)
         n = len(self.amplitudes)
         generator = torch.Generator().manual_seed(seed)
-        normal = torch.randn(len(rows), n, generator=generator, dtype=torch.float64)
+        normal = torch.randn(len(rows), n, generator=generator, dtype=torch.float64).to(self._sd)
         if self._is_only_noise and len(self._sums.n) == 1:
             vectors, size, measured, _ = self._principal
             variance = self._sigma_T(rows) ** 2
@@ -215,18 +216,18 @@ class CollapsedPosterior:
             along = normal @ vectors  # combinations that move no reading keep their prior
             standard = normal + (mean + along / (1.0 + size**2 / variance).sqrt() - along) @ vectors.mT
         else:
-            distinct, row_of = rows[:1], torch.zeros(len(rows), dtype=torch.int64)
+            distinct, row_of = rows[:1], rows.new_zeros(len(rows), dtype=torch.int64)
             if rows.shape[1]:  # walkers stay where they are now and then
                 distinct, row_of = torch.unique(rows, dim=0, return_inverse=True)
             standard = torch.empty_like(normal)
-            for part in torch.arange(len(distinct)).split(self._n_rows_at_once):
+            for part in torch.arange(len(distinct), device=rows.device).split(self._n_rows_at_once):
                 given = self.given(distinct[part])
                 own = ((row_of >= part[0]) & (row_of <= part[-1])).nonzero().flatten()
                 which = row_of[own] - part[0]
                 root = torch.linalg.cholesky(given.precision)[which]
                 off = torch.linalg.solve_triangular(root.mT, normal[own][..., None], upper=True)[..., 0]
                 standard[own] = given.mean[which] + off
-        drawn = (self._centre + self._sd * standard).reshape(steps, walkers, n).numpy()
+        drawn = numpy_of(self._centre + self._sd * standard).reshape(steps, walkers, n)
         return {name: drawn[:, :, i] for i, name in enumerate(self.amplitudes)}
 
     @cached_property
@@ -238,7 +239,8 @@ class CollapsedPosterior:
         values = self.coordinates.values(self.coordinates.start())
         n = len(self.amplitudes)
         steps = torch.randn(2, n, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
-        each = torch.cat((torch.zeros(1, n, dtype=torch.float64), steps, steps.sum(0, keepdim=True)))
+        steps = steps.to(self._sd)
+        each = torch.cat((steps.new_zeros(1, n), steps, steps.sum(0, keepdim=True)))
         with torch.no_grad():
             none_T, one_T, other_T, both_T = self._predicted(
                 values, self._centre + self._sd * each, torch.Size()
@@ -328,11 +330,9 @@ class CollapsedPosterior:
         """Change of the components per prior standard deviation of each amplitude, and the residuals at the centre, in T."""
         values = self.coordinates.values(vector[..., None, :])
         centre_T = self._predicted(values, self._centre[None], vector.shape[:-1])
-        columns, n = [], len(self.amplitudes)
+        columns = []
         n_at_once = max(1, MOST_NUMBERS // (4 * centre_T.numel()))
-        for some in torch.arange(n).split(n_at_once):
-            each = torch.zeros(len(some), n, dtype=torch.float64)
-            each[torch.arange(len(some)), some] = self._sd[some]
+        for each in self._sd.diag().split(n_at_once):
             columns.append(self._predicted(values, self._centre + each, vector.shape[:-1]) - centre_T)
         return torch.cat(columns, dim=-2).mT.contiguous(), self.full.measured_T - centre_T[..., 0, :]
 
@@ -387,7 +387,7 @@ def _following(rig: Rig, amplitudes: tuple[str, ...]) -> dict[str, Tie]:
 
 def _unit_plus(gram: Tensor) -> Tensor:
     """The prior's precision, which is 1 in these units, added."""
-    return gram + torch.eye(gram.shape[-1], dtype=gram.dtype)
+    return gram + torch.eye(gram.shape[-1], dtype=gram.dtype, device=gram.device)
 
 
 def _solved(precision: Tensor, score: Tensor) -> Tensor:

@@ -34,8 +34,9 @@ def collapsed_estimate(posterior: CollapsedPosterior, observations: Observations
     """
     coordinates = posterior.coordinates
     if not coordinates.n:
-        vector, matrix = torch.zeros(1, 0, dtype=torch.float64), torch.zeros(1, 0, 0, dtype=torch.float64)
-        fit = Optimum(vector, posterior(vector), matrix, matrix, torch.ones(1, dtype=torch.bool), 0)
+        vector = coordinates.start()[None]
+        matrix = vector.new_zeros(1, 0, 0)
+        fit = Optimum(vector, posterior(vector), matrix, matrix, vector.new_ones(1, dtype=torch.bool), 0)
         return PointEstimate(fit, 0, 1, 1)
     rng = np.random.default_rng(seed)
     rough = CollapsedPosterior(thinned_posterior(posterior.full, observations, rng))
@@ -71,7 +72,12 @@ def _climbed(posterior: CollapsedPosterior, start: Float[Tensor, " coordinate"])
         else:  # no step raises it any more: the maximum to rounding, or at a bound
             break
     return Optimum(
-        vector[None], value[None], precision[None], information[None], torch.tensor([is_converged]), step
+        vector[None],
+        value[None],
+        precision[None],
+        information[None],
+        torch.tensor([is_converged], device=vector.device),
+        step,
     )
 
 

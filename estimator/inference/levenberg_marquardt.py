@@ -59,6 +59,17 @@ class Optimum:
             self.n_iterations,
         )
 
+    def to(self, device: torch.device) -> Optimum:
+        """The same on another device, without slopes."""
+        return Optimum(
+            self.vector.to(device),
+            self.log_posterior.to(device),
+            self.precision.to(device),
+            self.information.to(device),
+            self.is_converged.to(device),
+            self.n_iterations,
+        )
+
     @staticmethod
     def concatenated(fits: list[Optimum]) -> Optimum:
         """Join several fits along the axis of starts."""

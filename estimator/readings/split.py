@@ -10,6 +10,7 @@ from jaxtyping import Bool, Int
 from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
+from estimator.devices import numpy_of
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 
@@ -47,7 +48,7 @@ def block_split(observations: Observations, share: float, seed: int) -> Bool[Ten
 def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.ndarray, " reading"]:
     """Block number of every reading: k-means of the distinct poses of each sensor, with 20 blocks, or up to 200 for many poses."""
     features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
-    poses = torch.cat(features, dim=1).numpy()
+    poses = numpy_of(torch.cat(features, dim=1))
     spread = poses.std(axis=0)
     distinct, pose_row = np.unique(
         (poses - poses.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0), axis=0, return_inverse=True
@@ -62,7 +63,7 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
 
 def time_blocks(observations: Observations, n_blocks: int = FEWEST_BLOCKS) -> Int[np.ndarray, " reading"]:
     """Block number of every reading, in blocks of readings that were taken one after another."""
-    order = observations.time_s.argsort(stable=True).argsort().numpy()
+    order = numpy_of(observations.time_s.argsort(stable=True).argsort())
     block: Int[np.ndarray, " reading"] = order * n_blocks // len(order)
     return block
 

@@ -23,7 +23,7 @@ from estimator.effects.correction import Limit
 from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.effects.use import Use
 from estimator.geometry.motion import base_from_motion
-from estimator.model.measurement_model import MeasurementModel, gradient_T_per_m
+from estimator.model.measurement_model import MeasurementModel, gradient_T_per_m, nominal_tensors
 from estimator.rig.coordinates import Values
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
@@ -80,7 +80,7 @@ class CorrectionKind:
         if len(starts) > 1:
             factors = self.effect.factors(fit.posterior.model.circumstances, self.cause.place, starts)
             if factors is not None:
-                reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)
+                reading = torch.arange(len(fit.observations), device=factors.device)[:, None].expand(-1, 3)
                 of_component = factors[:, reading[fit.observations.is_measured]]
                 return (of_component[:, None] * self.columns(fit, starts[:1], degree).mT).mT
         step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
@@ -88,12 +88,12 @@ class CorrectionKind:
         n = len(starts) * len(keys)
         rig = self.rig(fit, starts[0], dict.fromkeys(keys, 1.0), is_free=False)
         model = MeasurementModel.unruled(rig, fit.observations).with_rules(fit.posterior.model.rules)
-        each = step * torch.eye(len(keys), dtype=torch.float64).repeat(len(starts), 1)
-        values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
+        each = fit.vector.new_full((len(keys),), step).diag().repeat(len(starts), 1)
+        values = nominal_tensors(rig, fit.vector)
         values |= fit.values | {f"{self.cause.label}.{key}": each[:, i] for i, key in enumerate(keys)}
         if len(starts) > 1:
             for key in starts[0]:
-                shapes = torch.tensor([start[key] for start in starts], dtype=torch.float64)
+                shapes = fit.vector.new_tensor([start[key] for start in starts])
                 values[f"{self.cause.label}.{key}"] = shapes.repeat_interleave(len(keys))
         with torch.no_grad():
             if len(starts) > 1 and isinstance(
@@ -215,7 +215,7 @@ def _best_degree(
     highest = columns.shape[1] // len(kind.effect.terms(1)) if is_all else kind.limit.degree
     for degree in [highest] if is_all else _asked(kind.effect.lowest, highest):
         keys = kind.keys(degree)
-        relative = torch.tensor([kind.effect.relative_width(d) for d, _ in keys], dtype=torch.float64)
+        relative = columns.new_tensor([kind.effect.relative_width(d) for d, _ in keys])
         own = columns[:, : len(keys)] * relative
         scale = float(own.square().sum(1).mean().sqrt())
         families.append(Family.of(kind.cause.label, own))

@@ -64,7 +64,7 @@ def linear_fit(fit: Fit, rig: Rig, columns_T: dict[str, Float[Tensor, " componen
         rig: That of the fit with further parameters, which at their nominal values change nothing.
         columns_T: Change of the measured components per unit of each further parameter; others change nothing to first order.
     """
-    coordinates = Coordinates(rig)
+    coordinates = Coordinates(rig).on(fit.observations.device)
     model = fit.posterior.model.with_effects_of(rig)
     about = coordinates.vector(fit.start_with(rig))
     own = fit.jacobian / fit.whitening_per_T[:, None]

@@ -96,7 +96,7 @@ class Starts:
         """Evidence of each start together with those that were chosen, averaged over amplitudes."""
         n, width = self.score.shape
         n_beside = len(chosen) * width
-        gram = torch.empty(n, n_beside + width, n_beside + width, dtype=torch.float64)
+        gram = self.own.new_empty(n, n_beside + width, n_beside + width)
         gram[:, n_beside:, n_beside:] = self.own
         if chosen:
             beside, followed = (
@@ -108,7 +108,7 @@ class Starts:
             gram[:, n_beside:, :n_beside], gram[:, :n_beside, n_beside:] = cross, cross.mT
         score = torch.cat((self.score[chosen].flatten().expand(n, -1), self.score), dim=1)
         power = self.power[chosen].sum() + self.power
-        sd = torch.tensor(policy.AMPLITUDES, dtype=torch.float64) / power[:, None].clamp(min=TINY).sqrt()
+        sd = power.new_tensor(policy.AMPLITUDES) / power[:, None].clamp(min=TINY).sqrt()
         evidence = log_bayes_factor_by_width(gram, score, sd, self.fit.free_noise)
         mean: Tensor = torch.logsumexp(evidence, 1) - math.log(sd.shape[1])
         return mean

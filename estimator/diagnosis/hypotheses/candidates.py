@@ -20,6 +20,7 @@ from estimator.rig.rig import Cause, Rig
 
 MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
 STEP = 1e-3  # of the prior's width: central differences of smooth effects
+NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of what changes no reading, on any device
 
 
 @dataclass(frozen=True)
@@ -30,7 +31,7 @@ class Candidate:
         cause: Name and place.
         shapes: Start of its shapes.
         keys, units: Quantities that its columns belong to, and their units.
-        shift: Whitened change of the predictions at the start; zero where the start is the null.
+        shift: Whitened change of the predictions at the start; rounding where the start is the null.
         columns: Whitened change of the predictions per unit of each quantity.
         prior_sd: Of the quantities.
     """
@@ -42,6 +43,11 @@ class Candidate:
     shift: Float[Tensor, " component"]
     columns: Float[Tensor, "component column"]
     prior_sd: Float[Tensor, " column"]
+
+    @property
+    def is_at_null(self) -> bool:
+        """Whether it changes no prediction at its start."""
+        return float(self.shift.abs().max()) < NO_CHANGE
 
     def weighed(self, weight: Float[Tensor, " component"]) -> Candidate:
         """The candidate with each component's weight multiplied."""
@@ -114,13 +120,13 @@ def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[C
     rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False, circumstances=circumstances)
     model = fit.posterior.model.with_effects_of(rig)
     quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
-    steps = torch.tensor([STEP * q.prior.sd for q in quantities], dtype=torch.float64)
-    ends = torch.cat((torch.diag(steps), -torch.diag(steps), torch.zeros(1, len(steps), dtype=torch.float64)))
+    steps = fit.vector.new_tensor([STEP * q.prior.sd for q in quantities])
+    ends = torch.cat((torch.diag(steps), -torch.diag(steps), steps.new_zeros(1, len(steps))))
     values = dict(fit.values)
     for name in (name for name in rig.parameters if name.startswith(f"{cause.label}.")):
         key = name.removeprefix(f"{cause.label}.")
         at_starts = [shapes.get(key, rig.parameters[name].value) for shapes in starts]
-        values[name] = torch.tensor(at_starts, dtype=torch.float64)[:, None]
+        values[name] = steps.new_tensor(at_starts)[:, None]
     for i, quantity in enumerate(quantities):
         name = f"{cause.label}.{quantity.key}"
         values[name] = values[name] + ends[:, i]
@@ -133,7 +139,7 @@ def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[C
     up, down = components_T[:, :-1].chunk(2, dim=1)
     whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).mT
     keys, units = tuple(q.key for q in quantities), tuple(q.unit for q in quantities)
-    prior_sd = torch.tensor([q.prior.sd for q in quantities], dtype=torch.float64)
+    prior_sd = steps.new_tensor([q.prior.sd for q in quantities])
     return [
         Candidate(cause, shapes, keys, units, shift, columns, prior_sd)
         for shapes, shift, columns in zip(starts, shifts, whitened, strict=True)

@@ -61,7 +61,8 @@ def starts_between(
     times_h = circumstances.hours.unique()
     between_h = 0.5 * (times_h[1:] + times_h[:-1])
     between_h = between_h[(between_h > begin_h) & (between_h < end_h)]
-    rows = torch.linspace(0, len(between_h) - 1, min(MOST_INSTANTS, len(between_h))).round().long().unique()
+    n = len(between_h)
+    rows = torch.linspace(0, n - 1, min(MOST_INSTANTS, n), device=times_h.device).round().long().unique()
     return [{**start, SINCE: instant_h} for instant_h in between_h[rows].tolist()]
 
 

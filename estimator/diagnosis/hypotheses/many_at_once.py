@@ -31,9 +31,7 @@ def many_at_once(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
         pool: Columns of every cause at the fit.
     """
     asked = [
-        candidate
-        for candidate in pool
-        if candidate.cause not in fit.rig.effects and not bool(candidate.shift.any())
+        candidate for candidate in pool if candidate.cause not in fit.rig.effects and candidate.is_at_null
     ]
     least = least_log_evidence(len({candidate.cause for candidate in pool}))
     chosen = chosen_one_by_one(fit, asked, least, MOST_AT_ONCE)

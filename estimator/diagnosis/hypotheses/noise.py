@@ -65,7 +65,7 @@ def _score(fit: Fit, use: Use[NoiseEffect]) -> float:
         )
     )
     quantities = use.effect.quantities(fit.posterior.model.circumstances.extent)
-    typical = {q.key: torch.tensor(q.prior.centre, dtype=torch.float64) for q in quantities}
+    typical = {q.key: fit.vector.new_tensor(q.prior.centre) for q in quantities}
     added = (use.effect.sigma_T(sigma_T, exposure, typical) ** 2 - sigma_T**2) * whitening_per_T**2
     added = added - added.mean()
     excess = residual**2 - residual.square().mean()

@@ -31,10 +31,11 @@ def pairs(
             they would end beside another cause.
         least: Pairs whose log Bayes factor cannot exceed it are left out.
     """
-    at_null = [candidate for candidate in pool if not bool(candidate.shift.any())]
+    at_null = [candidate for candidate in pool if candidate.is_at_null]
     number_of = {cause: i for i, cause in enumerate(dict.fromkeys(c.cause for c in at_null))}
-    number = torch.tensor([number_of[candidate.cause] for candidate in at_null])
-    first, second = (index for index in torch.triu_indices(len(at_null), len(at_null), offset=1))
+    device = fit.residual.device
+    number = torch.tensor([number_of[candidate.cause] for candidate in at_null], device=device)
+    first, second = torch.triu_indices(len(at_null), len(at_null), offset=1, device=device)
     differ = number[first] != number[second]
     if not bool(differ.any()):
         return []
@@ -43,10 +44,10 @@ def pairs(
     prior_sd = torch.cat([candidate.prior_sd for candidate in at_null])
     gram, score = fit.projector.own_gram(columns), columns.T @ fit.residual
     gram, score = gram * prior_sd[:, None] * prior_sd, score * prior_sd
-    width = torch.tensor([len(candidate.keys) for candidate in at_null])
+    width = torch.tensor([len(candidate.keys) for candidate in at_null], device=device)
     begin = width.cumsum(0) - width
     noise = fit.free_noise
-    evidence = torch.full((len(first),), -math.inf, dtype=torch.float64)
+    evidence = score.new_full((len(first),), -math.inf)
     # Pairs with as many columns are one batch, in parts that bound the memory.
     for widths in torch.unique(torch.stack((width[first], width[second]), dim=1), dim=0):
         alike = ((width[first] == widths[0]) & (width[second] == widths[1])).nonzero().flatten()
@@ -72,6 +73,9 @@ def _columns_of(
 ) -> Int[Tensor, "pair column"]:
     """Numbers of the columns of each pair, of as many of the first and of the second cause as the widths say."""
     return torch.cat(
-        [begin[which, None] + torch.arange(int(n)) for which, n in zip((first, second), widths, strict=True)],
+        [
+            begin[which, None] + torch.arange(int(n), device=begin.device)
+            for which, n in zip((first, second), widths, strict=True)
+        ],
         dim=1,
     )

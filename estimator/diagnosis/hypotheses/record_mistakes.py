@@ -142,7 +142,12 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     circumstances = base.posterior.model.circumstances
     observations = circumstances.observations
     rows = (
-        torch.linspace(0, len(observations) - 1, min(policy.MOST_READINGS_COMPARED, len(observations)))
+        torch.linspace(
+            0,
+            len(observations) - 1,
+            min(policy.MOST_READINGS_COMPARED, len(observations)),
+            device=observations.device,
+        )
         .round()
         .long()
     )
@@ -229,10 +234,8 @@ def _start_log_likelihoods(
         some = starts[first : first + together]
         rig = with_effect(base.rig, cause, base.observations, some[0])
         model = MeasurementModel.unruled(rig, observations).with_rules(base.posterior.model.rules)
-        coordinates = _AtStarts(rig, cause, some)
-        log_likelihoods += _after_linear_step(
-            LogPosterior(coordinates, model, observations), coordinates.start()
-        )
+        posterior = LogPosterior(_AtStarts(rig, cause, some), model, observations)
+        log_likelihoods += _after_linear_step(posterior, posterior.coordinates.start())
     return log_likelihoods
 
 
@@ -242,7 +245,7 @@ def _after_linear_step(posterior: LogPosterior, vector: Float[Tensor, "start coo
         unit = posterior.component_sigma_T(vector).mean(-1) / posterior.sigma_T(vector).mean(-1)
         residual = (posterior.measured_T - posterior.predicted(vector)) / unit[:, None]
         jacobian = posterior.jacobian(vector) / unit[:, None, None] * posterior.coordinates.scale
-    prior = torch.eye(vector.shape[-1], dtype=torch.float64)
+    prior = vector.new_ones(vector.shape[-1]).diag()
     noise_T = residual.square().mean(-1).sqrt()
     step = torch.zeros_like(vector)
     for _ in range(2):  # the first step still has the noise of absurd readings
@@ -271,5 +274,5 @@ class _AtStarts(Coordinates):
 
     def values(self, vector: Float[Tensor, "start coordinate"]) -> dict[str, Tensor]:
         """Every number of the rig."""
-        fixed = {name: value for name, value in self._rows.items() if name not in self.names}
+        fixed = {name: value.to(vector) for name, value in self._rows.items() if name not in self.names}
         return {**super().values(vector), **fixed}

@@ -88,7 +88,7 @@ def _by_subset(
     gram, noise = gram[:, :-1, :-1], fit.free_noise
     values = []
     for _, of_one_size in groupby(sorted(subsets, key=len), key=len):
-        chosen = torch.tensor(list(of_one_size))
+        chosen = torch.tensor(list(of_one_size), device=gram.device)
         values.append(
             log_bayes_factor(
                 gram[:, chosen[:, :, None], chosen[:, None, :]],

@@ -100,15 +100,15 @@ def joint_evidence(
         starts: One of each cause.
         least: Log evidence that each needs beside the others.
     """
-    if any(bool(start.shift.any()) for start in starts):
+    if not all(start.is_at_null for start in starts):
         return -math.inf, []
     columns = torch.cat([start.columns for start in starts], dim=1)
     prior_sd = torch.cat([start.prior_sd for start in starts])
     gram, score = fit.projector.gram(columns, columns), columns.T @ fit.residual
-    start_of_column = torch.repeat_interleave(torch.tensor([start.columns.shape[1] for start in starts]))
+    start_of_column = [i for i, start in enumerate(starts) for _ in start.keys]
 
     def evidence(members: frozenset[int]) -> float:
-        columns = torch.isin(start_of_column, torch.tensor(sorted(members)))
+        columns = [i for i, start in enumerate(start_of_column) if start in members]
         return float(
             log_bayes_factor(gram[columns][:, columns], score[columns], prior_sd[columns], fit.free_noise)
         )

@@ -14,7 +14,7 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.candidates import NO_CHANGE, Candidate
 from estimator.diagnosis.hypotheses.screening import screening
 from estimator.diagnosis.hypotheses.several_places import fit_with_needed, joint_evidence
 from estimator.diagnosis.hypotheses.step import (
@@ -32,7 +32,6 @@ from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
 NEARLY_THE_SAME = 1.0  # in log density: a climb that ends so far below the pile leads to a lower maximum
-NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of a cause without an effect on any reading
 
 
 @dataclass(frozen=True)
@@ -162,7 +161,7 @@ def other_structures(
 def _starts(base: Fit, alone: Fit, pool: Sequence[Candidate], causes: Sequence[Cause]) -> list[Candidate]:
     """The best start of each of some causes in the linear model at a fit; those that start away from their null are left out."""
     weight = alone.weight_over(base)
-    near = [c.weighed(weight) for c in pool if c.cause in causes and not bool(c.shift.any())]
+    near = [c.weighed(weight) for c in pool if c.cause in causes and c.is_at_null]
     return [start for _, _, start in screening(alone, near).values()]
 
 

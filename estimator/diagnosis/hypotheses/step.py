@@ -170,7 +170,7 @@ def _is_linear(start: Candidate, fit: Fit) -> bool:
     """Whether the linear model says of a cause what a full fit would: it starts at its null, and has no shapes."""
     extent = fit.posterior.model.circumstances.extent
     has_shapes = any(quantity.is_shape for quantity in EFFECTS[start.cause.name].quantities(extent))
-    return not has_shapes and not bool(start.shift.any())
+    return not has_shapes and start.is_at_null
 
 
 def least_log_evidence(n_causes: int) -> float:

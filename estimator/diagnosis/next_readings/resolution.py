@@ -108,11 +108,11 @@ def _span(columns: Tensor) -> Tensor:
 
 def _follows(bases: Sequence[Tensor]) -> Bool[Tensor, "basis followed"]:
     """Whether each basis follows a typical direction of each other so closely that the log evidence hardly differs."""
-    width = torch.tensor([basis.shape[1] for basis in bases])
-    if not len(width):
+    if not bases:
         return torch.zeros(0, 0, dtype=torch.bool)
+    width = torch.tensor([basis.shape[1] for basis in bases], device=bases[0].device)
     every, number = torch.cat(list(bases), dim=1), torch.repeat_interleave(width)
     squares = (every.T @ every).square()
-    rows = torch.zeros(len(width), len(number), dtype=squares.dtype).index_add(0, number, squares)
-    share = torch.zeros(len(width), len(width), dtype=squares.dtype).index_add(1, number, rows) / width
+    rows = squares.new_zeros(len(width), len(number)).index_add(0, number, squares)
+    share = squares.new_zeros(len(width), len(width)).index_add(1, number, rows) / width
     return 0.5 * policy.TYPICAL_SIGMA**2 * (1.0 - share) < policy.CONFUSED_WITHIN

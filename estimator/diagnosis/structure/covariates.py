@@ -45,7 +45,7 @@ def sensor_in_room(
 ) -> tuple[Float[Tensor, "reading 3"], Float[Tensor, "reading 3 3"]]:
     """Fitted position of the sensor in the room, for every reading, in metres, and the rotation sensor_from_world."""
     model = fit.posterior.model
-    all_rows = torch.arange(len(model.sensor))
+    all_rows = model.every_row
     with torch.no_grad():
         pose = model.world_from_sensor(all_rows, fit.values)
     position_m = pose.translation_m.expand(len(all_rows), 3)[model.pose_row]

@@ -113,8 +113,8 @@ class _Blocks:
     @classmethod
     def of(cls, fit: Fit, block: Int[np.ndarray, " reading"]) -> _Blocks:
         """The blocks of a fit."""
-        reading = torch.arange(len(fit.observations))[:, None].expand(-1, 3)[fit.observations.is_measured]
-        numbers, number = torch.unique(torch.from_numpy(block)[reading], return_inverse=True)
+        by_axis = torch.from_numpy(block).to(fit.observations.device)[:, None].expand(-1, 3)
+        numbers, number = torch.unique(by_axis[fit.observations.is_measured], return_inverse=True)
         scale = torch.diagonal(fit.covariance).clamp(min=1e-300).sqrt()
         size, turn = torch.linalg.eigh(fit.covariance / (scale[:, None] * scale))
         root = scale[:, None] * turn * size.clamp(min=0.0).sqrt()
@@ -130,5 +130,5 @@ class _Blocks:
 
     def summed(self, by_component: Float[Tensor, " component"]) -> Float[Tensor, " block"]:
         """Sum over the components of each block."""
-        total = torch.zeros(len(self.share), dtype=by_component.dtype)
+        total = by_component.new_zeros(len(self.share))
         return total.index_add(0, self.number, by_component)

@@ -109,8 +109,8 @@ def evidence_by_amplitude(
         amplitudes: Rms of the curves; `policy.AMPLITUDES` by default.
         batches: Products of the families at the fit, where they are known.
     """
-    rms = torch.tensor(policy.AMPLITUDES if amplitudes is None else amplitudes, dtype=torch.float64)
-    result = torch.zeros(len(families), len(rms), dtype=torch.float64)
+    rms = fit.residual.new_tensor(policy.AMPLITUDES if amplitudes is None else amplitudes)
+    result = rms.new_zeros(len(families), len(rms))
     for some, products in products_of(fit, families) if batches is None else batches:
         gram, widths = products.gram(fit.projector), rms.expand(len(some), -1)
         result[some] = log_bayes_factor_by_width(gram, products.score, widths, fit.free_noise)
@@ -121,8 +121,8 @@ def expected_of_noise(
     fit: Fit, families: Sequence[Family], amplitudes: Sequence[float], batches: Batches | None = None
 ) -> Float[Tensor, "family amplitude"]:
     """The same as it is expected where the residual is noise, less what the fit follows."""
-    rms = torch.tensor(amplitudes, dtype=torch.float64)
-    result = torch.zeros(len(families), len(rms), dtype=torch.float64)
+    rms = fit.residual.new_tensor(amplitudes)
+    result = rms.new_zeros(len(families), len(rms))
     for some, products in products_of(fit, families) if batches is None else batches:
         result[some] = log_bayes_factor_of_noise(products.gram(fit.projector), rms.expand(len(some), -1))
     return result
@@ -130,7 +130,7 @@ def expected_of_noise(
 
 def _curve(fit: Fit, columns: Tensor, amplitude: float) -> Tensor:
     """The most probable combination of columns."""
-    prior = torch.eye(columns.shape[1], dtype=torch.float64) / amplitude**2
+    prior = columns.new_ones(columns.shape[1]).diag() / amplitude**2
     precision = fit.projector.gram(columns, columns) + prior
     curve: Tensor = columns @ torch.linalg.solve(precision, columns.T @ fit.residual)
     return curve

@@ -21,7 +21,9 @@ def harmonic_gradients(points: Float[Tensor, "point 3"], degree: int) -> Float[T
         >>> harmonic_gradients(torch.zeros(1, 3, dtype=torch.float64), 1).shape
         torch.Size([1, 3, 3])
     """
-    fields: Tensor = torch.einsum("pti,tu->pui", gradients(points, degree), _orthonormalised(degree))
+    fields: Tensor = torch.einsum(
+        "pti,tu->pui", gradients(points, degree), _orthonormalised(degree).to(points.device)
+    )
     return fields
 
 

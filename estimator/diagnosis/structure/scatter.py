@@ -70,7 +70,7 @@ def _misses(fit: Fit) -> Float[Tensor, "reading 3"]:
 
 def _factors(fit: Fit, sigma_T: Float[Tensor, " component"]) -> Float[Tensor, "reading 3 3"]:
     """Cholesky factors of the correlation of each reading's components, which causes of scatter may move together."""
-    together_T = torch.zeros(len(fit.observations), 3, 0, dtype=torch.float64)
+    together_T = sigma_T.new_zeros(len(fit.observations), 3, 0)
     prediction = NominalPrediction(fit.posterior.model)
     for use in uses_of(fit.rig, NoiseEffect):
         directions_T = use.effect.directions_T(prediction, use.theta(fit.values), use.place)
@@ -86,7 +86,7 @@ def _factors(fit: Fit, sigma_T: Float[Tensor, " component"]) -> Float[Tensor, "r
 def _by_reading(fit: Fit, components: Float[Tensor, " component"], fill: float = 0.0) -> Tensor:
     """Components by reading and axis."""
     is_measured = fit.observations.is_measured
-    values = torch.full(is_measured.shape, fill, dtype=torch.float64)
+    values = components.new_full(is_measured.shape, fill)
     values[is_measured] = components
     return values
 
@@ -99,7 +99,7 @@ def _sizes(fit: Fit, size: Tensor) -> Iterator[tuple[str, str, Tensor]]:
     order = torch.argsort(fit.observations.row)
     edges = torch.linspace(0, len(order), policy.N_INSTANTS_OF_BURSTS + 1).round().int().tolist()
     for begin, end in combinations(sorted(set(edges)), 2):
-        during = torch.zeros(len(order), 1, dtype=torch.float64)
+        during = size.new_zeros(len(order), 1)
         during[order[begin:end]] = 1.0
         yield "time", "in bursts", during
     before = torch.zeros_like(size)

@@ -63,8 +63,8 @@ def leading(evidence: Evidence | None) -> list[str]:
 def _stays_with(fit: Fit) -> Evidence:
     circumstances = fit.posterior.model.circumstances
     field_T = predicted_T(fit)
-    constant = torch.ones(len(circumstances), 1, dtype=torch.float64)
-    axes = torch.eye(3, dtype=torch.float64).expand(len(circumstances), 3, 3)
+    constant = field_T.new_ones(len(circumstances), 1)
+    axes = Collection(fit).axes
     largest_T = field_T.abs().max().clamp(min=1e-12)
     along_field = torch.diag_embed(field_T / largest_T)
     collection = Collection(fit)
@@ -145,7 +145,7 @@ def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:
 
 def _sensor_from_coil(fit: Fit, coil: AnyCoil) -> Float[Tensor, "reading 3 3"]:
     model = fit.posterior.model
-    all_rows = torch.arange(len(model.sensor))
+    all_rows = model.every_row
     with torch.no_grad():
         _, rotation = model.sensor_in_coil(coil, all_rows, fit.values)
     return rotation.expand(len(all_rows), 3, 3)[model.pose_row]

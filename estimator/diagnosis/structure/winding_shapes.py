@@ -29,8 +29,8 @@ def shape_fields(
     References: Jackson, Classical Electrodynamics, 3rd ed., section 5.6 (field of a dipole).
     """
     radius_m = winding.radius_m - 0.5 * winding.radial_pitch_m * winding.radial_loops
-    phi = 2.0 * math.pi * torch.arange(N_AROUND, dtype=torch.float64) / N_AROUND
-    along = torch.linspace(-1.0, 1.0, 2 * N_ALONG + 1, dtype=torch.float64)[1::2]
+    phi = 2.0 * math.pi * torch.arange(N_AROUND, dtype=torch.float64, device=points_coil_m.device) / N_AROUND
+    along = torch.linspace(-1.0, 1.0, 2 * N_ALONG + 1, dtype=torch.float64, device=points_coil_m.device)[1::2]
     phi, along = (grid.flatten() for grid in torch.meshgrid(phi, along, indexing="ij"))
     zeros, ones = torch.zeros_like(phi), torch.ones_like(phi)
     outward = torch.stack((torch.cos(phi), torch.sin(phi), zeros), dim=-1)
@@ -49,6 +49,9 @@ def shape_fields(
     )
     arm = (points_coil_m[:, None, :] - elements_m) / radius_m
     r = arm.norm(dim=-1)[..., None, None]
-    per_moment = 3.0 * arm[..., :, None] * arm[..., None, :] / r**5 - torch.eye(3, dtype=torch.float64) / r**3
+    per_moment = (
+        3.0 * arm[..., :, None] * arm[..., None, :] / r**5
+        - torch.eye(3, dtype=torch.float64, device=points_coil_m.device) / r**3
+    )
     fields: Tensor = moments.flatten(1) @ per_moment.flatten(1, 2)  # one product for all columns
     return fields / len(phi)

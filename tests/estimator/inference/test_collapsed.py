@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from scipy import stats
 
+from estimator.calibration.starting_point import is_collapsible, starting_point_collapsed
 from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.collapsed_estimate import collapsed_estimate
 from estimator.inference.ensemble import SamplerSettings, reported_parameters, sample
@@ -21,6 +23,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from tests.far import far_device
 
 NOISE_T = 5e-6
 SD, FALLOFF = 1e-3, 0.5
@@ -230,3 +233,27 @@ def test_outside_the_prior_there_is_no_density() -> None:
     values = collapsed(torch.stack((inside, outside, inside)))
     assert torch.isfinite(values).tolist() == [True, False, True]
     assert values[0] == values[2]
+
+
+@pytest.mark.parametrize("text", [TEXT, FREE_GAIN, TWO_SENSORS, TIED])
+def test_amplitudes_are_integrated_out_on_another_device_as_on_the_processor(text: str) -> None:
+    """Design matrix, maximum, chain, draws of the amplitudes given it, and the evidence for a degree more."""
+    rig, readings = problem(text)
+    settings = SamplerSettings(n_walkers=16, max_steps=10, check_every=10)
+
+    def results(readings: Observations) -> tuple[dict[str, float], dict[str, np.ndarray], dict[str, Any]]:
+        posterior = full_posterior(rig, readings)
+        assert is_collapsible(posterior)
+        start = starting_point_collapsed(posterior, readings, 0)
+        assert start.estimate.vector.device == readings.device
+        chain = sample(start.posterior, start.mixture, settings).chain
+        return start.best(), start.draws(chain, 1), start.summary(readings)
+
+    best, draws, said = results(readings)
+    with far_device() as far:
+        far_best, far_draws, far_said = results(readings.to(far))
+    assert far_best == pytest.approx(best, rel=1e-6, abs=1e-12)
+    for name, values in draws.items():
+        np.testing.assert_allclose(far_draws[name], values, rtol=1e-6, atol=1e-6 * values.std())
+    assert far_said["amplitudes"] == said["amplitudes"]
+    assert far_said["next_degree_log_evidence"] == pytest.approx(said["next_degree_log_evidence"], abs=1e-6)

@@ -60,7 +60,7 @@ class Collection:
         with torch.no_grad():
             self.predicted_T = fit.posterior.model.predict(fit.values).expand(len(circumstances), 3)
         self.field = self.predicted_T / self.predicted_T.abs().max().clamp(min=1e-12)
-        self.axes = torch.eye(3, dtype=torch.float64).expand(len(circumstances), 3, 3)
+        self.axes = torch.eye(3).to(self.field).expand(len(circumstances), 3, 3)
         self.along_field = torch.diag_embed(self.field)
 
     def add(
@@ -111,5 +111,5 @@ def by_sensor(circumstances: Circumstances) -> list[tuple[str, Float[Tensor, " r
 
 def subsets(circumstances: Circumstances) -> list[tuple[str, Float[Tensor, " reading"]]]:
     """All readings, without a name, and those of each sensor where the rig has several."""
-    everything = ("", torch.ones(len(circumstances), dtype=torch.float64))
+    everything = ("", torch.ones_like(circumstances.hours))
     return [everything, *(by_sensor(circumstances) if len(circumstances.rig.sensors) > 1 else [])]

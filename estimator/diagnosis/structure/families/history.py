@@ -25,7 +25,7 @@ def add_history(collection: Collection) -> None:
 def _add_fields_before(collection: Collection) -> None:
     """The last change of the field, and the exponentially fading sums of all changes."""
     fit, predicted_T = collection.fit, collection.predicted_T
-    constant = torch.ones(len(predicted_T), 1, dtype=torch.float64)
+    constant = predicted_T.new_ones(len(predicted_T), 1)
     lingering = [lingering_T(fit, steps) for steps in policy.DECAY_STEPS]
     last_T = before(predicted_T, fit.observations.row) - predicted_T
     for changes_T in (last_T, *(field_T for field_T in lingering if field_T is not None)):

@@ -28,15 +28,15 @@ def lingering_T(fit: Fit, decay_steps: float) -> Float[Tensor, "reading 3"] | No
     if len(history) * n_sensors > policy.MOST_HISTORY_PREDICTED:
         return None
     step_s = torch.diff(history.time_s, prepend=history.time_s[:1])
-    typical_s = step_s[1:].median().clamp(min=1e-9) if len(history) > 1 else torch.tensor(1.0)
+    typical_s = step_s[1:].median().clamp(min=1e-9) if len(history) > 1 else step_s.new_tensor(1.0)
     decay = torch.exp(-step_s / (decay_steps * typical_s))
-    result = torch.zeros(len(fit.observations), 3, dtype=torch.float64)
+    result = decay.new_zeros(len(fit.observations), 3)
     for sensor in range(n_sensors):
         as_sensor = replace(history, sensor=torch.full_like(history.sensor, sensor))
         model = MeasurementModel.unruled(fit.rig, as_sensor).with_rules(fit.posterior.model.rules)
         with torch.no_grad():
             field_T = model.predict(fit.values).expand(len(history), 3)
-        state, states = torch.zeros(3, dtype=torch.float64), []
+        state, states = decay.new_zeros(3), []
         for k in range(len(history)):
             state = (state + field_T[max(k - 1, 0)] - field_T[k]) * decay[k]
             states.append(state)

@@ -19,7 +19,7 @@ def add_positions(collection: Collection, coil: AnyCoil) -> None:
     """Add fields that move with a coil: arbitrary smooth ones, and those of sources outside the workspace."""
     fit, model = collection.fit, collection.fit.posterior.model
     circumstances = model.circumstances
-    all_rows = torch.arange(len(model.sensor))
+    all_rows = model.every_row
     with torch.no_grad():
         points_m, sensor_from_coil = model.sensor_in_coil(coil, all_rows, fit.values)
     points_m = points_m.expand(len(all_rows), 3)[model.pose_row]
@@ -55,9 +55,9 @@ def dipoles(points: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column
     positions = [(0, 0, -0.3), (1.2, 0, -0.6), (-1.2, 0, -0.6), (0, 1.2, -0.6), (0, -1.2, -0.6), (0, 0, -2.0)]
     columns = []
     for position in positions:
-        arm = points - torch.tensor(position, dtype=points.dtype)
+        arm = points - points.new_tensor(position)
         r2 = (arm**2).sum(-1, keepdim=True)
         for axis in range(3):
-            moment = torch.eye(3, dtype=points.dtype)[axis]
+            moment = torch.eye(3).to(points)[axis]
             columns.append((3.0 * arm[:, axis : axis + 1] * arm - r2 * moment) * r2**-2.5)
     return torch.stack(columns, dim=1)

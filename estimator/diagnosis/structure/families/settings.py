@@ -16,6 +16,9 @@ from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import gradient_T_per_m
 
 RANGES = "the range of a sensor"
+BEYOND = (
+    1.0 + 1e-9
+)  # times the end of a range: fields of opposite currents are as large to rounding, and stay on one side
 
 
 def add_settings(collection: Collection) -> None:
@@ -49,17 +52,17 @@ def _add_ranges(collection: Collection) -> None:
 
     The largest component chooses for all three, or each for itself.
     """
-    shares = torch.arange(1, policy.N_RANGES + 1, dtype=torch.float64) / (policy.N_RANGES + 1)
     sizes = collection.field.abs()
+    shares = torch.arange(1, policy.N_RANGES + 1).to(sizes) / (policy.N_RANGES + 1)
     for sensor, seen in by_sensor(collection.fit.posterior.model.circumstances):
         its = sizes[seen > 0.0]
         ends = torch.quantile(its.amax(1), shares)
-        beyond = ((sizes.amax(1) > ends[:, None]) * seen)[:, :, None]
+        beyond = ((sizes.amax(1) > BEYOND * ends[:, None]) * seen)[:, :, None]
         details = [sensor] * len(shares)
         for vectors in (collection.field[:, :, None], collection.along_field, collection.axes):
             collection.add_alike(RANGES, beyond, vectors, details)
         for its_end in torch.quantile(its, shares, dim=0):
-            larger = torch.diag_embed(collection.field * (sizes > its_end))
+            larger = torch.diag_embed(collection.field * (sizes > BEYOND * its_end))
             collection.add(RANGES, seen[:, None], larger, sensor)
 
 
@@ -89,7 +92,7 @@ def _add_mover_positions(collection: Collection) -> None:
         collection.add(name, polynomials(position, 1, policy.MOVER_DEGREE), slope)
         collection.add(name, legendre(time, policy.TIME_DEGREE)[:, 1:], slope, "moving with time")
         for i, axis in enumerate("xyz"):
-            half_cycles = torch.arange(2, policy.MOST_PERIODS_ALONG_AXIS + 1)
+            half_cycles = torch.arange(2, policy.MOST_PERIODS_ALONG_AXIS + 1, device=position.device)
             phase = 0.5 * math.pi * half_cycles[:, None] * position[:, i]
             waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=-1)
             collection.add_alike(name, waves, slope, [f"periodic along {axis}"] * len(half_cycles))

@@ -9,6 +9,7 @@ import torch
 from scipy.linalg import eigh
 from torch import Tensor
 
+from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.structure.families.collection import Collection, by_sensor, subsets
 from estimator.diagnosis.structure.families.unit_field import unit_field_T
@@ -98,7 +99,7 @@ def _add_periods(collection: Collection, circumstances: Circumstances, seen: Ten
         else math.inf
     )
     n_instants = round(circumstances.duration_h / typical_h)
-    half_cycles = torch.arange(1, min(n_instants, policy.MOST_PERIODS) + 1)
+    half_cycles = torch.arange(1, min(n_instants, policy.MOST_PERIODS) + 1, device=time_s.device)
     for some in half_cycles.split(PERIODS_AT_ONCE) if len(half_cycles) else ():
         phase = math.pi * some[:, None] * circumstances.hours / circumstances.duration_h
         waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=-1) * seen[:, None]
@@ -117,7 +118,9 @@ def _add_wandering(collection: Collection, circumstances: Circumstances, seen: T
         kernel = torch.exp(-apart_h / (share * circumstances.duration_h)) * seen[:, None] * seen[None, :]
         n = len(kernel)
         largest = (max(n - policy.WANDERING_COMPONENTS, 0), n - 1)
-        size, vectors = map(torch.from_numpy, eigh(kernel.numpy(), subset_by_index=largest))
+        # On the processor: SciPy finds the few largest alone.
+        found = eigh(numpy_of(kernel), subset_by_index=largest)
+        size, vectors = (torch.from_numpy(numbers).to(kernel.device) for numbers in found)
         components = vectors * size.clamp(min=0.0).sqrt()
         for directions in (collection.axes, collection.along_field):
             collection.add("wandering in time", components, directions, sensor)

@@ -63,7 +63,7 @@ def test_each_is_weighed_beside_those_before_it(plain: Fit, pool: list[Candidate
 
 
 def test_what_has_its_start_away_from_the_null_is_left_to_other_steps(plain: Fit) -> None:
-    far = [c for c in candidates(plain, causes_of(plain.rig, plain)) if bool(c.shift.any())]
+    far = [c for c in candidates(plain, causes_of(plain.rig, plain)) if not c.is_at_null]
     assert far
     assert many_at_once(plain, far) is None
 
