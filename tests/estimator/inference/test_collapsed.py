@@ -235,7 +235,7 @@ def test_outside_the_prior_there_is_no_density() -> None:
     assert values[0] == values[2]
 
 
-@pytest.mark.parametrize("text", [TEXT, FREE_GAIN, TWO_SENSORS, TIED])
+@pytest.mark.parametrize("text", [TEXT, pytest.param(FREE_GAIN, marks=pytest.mark.slow), TWO_SENSORS, TIED])
 def test_amplitudes_are_integrated_out_on_another_device_as_on_the_processor(text: str) -> None:
     """Design matrix, maximum, chain, draws of the amplitudes given it, and the evidence for a degree more."""
     rig, readings = problem(text)
