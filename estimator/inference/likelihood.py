@@ -148,7 +148,8 @@ class LogPosterior:
         All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
         """
         n, batch = self.coordinates.n_continuous, vector.shape[:-1]
-        directions = self._directions if len(columns) == n else self._directions.only(columns)
+        is_all = torch.equal(columns, torch.arange(n, device=columns.device))
+        directions = self._directions if is_all else self._directions.only(columns)
         n_readings = len(self.model.circumstances)
         at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * len(directions.each) * batch.numel()))
         if n_readings > at_once:
