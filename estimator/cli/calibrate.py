@@ -19,6 +19,8 @@ from estimator.cli.options import (
 )
 from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
 
+MOST_LISTED = 50  # amplitudes on the screen
+
 
 @click.command("calibrate", cls=CoilcalCommand)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
@@ -121,7 +123,8 @@ def _text(summary: Any, out: Path) -> str:
         "",
     ]
     lines += [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
-    for name, show_as in displays(list(summary["parameters"])).items():
+    unlisted = _amplitudes(summary)
+    for name, show_as in displays([n for n in summary["parameters"] if n not in unlisted]).items():
         parameter = summary["parameters"][name]
         middle, low, high = (
             f"{show_as.factor * value:.6g}" for value in (parameter["median"], *parameter["ci90"])
@@ -141,11 +144,20 @@ def _text(summary: Any, out: Path) -> str:
     lines += [
         f"{name} lies {distance:+.1f} prior standard deviations from its prior's centre: narrow prior or missing physics"
         for name, distance in summary["prior_tension"].items()
+        if name not in unlisted
     ]
     lines += [
         f"{coil}: readings determine {told['determined']} of {told['free']} amplitudes"
+        + (", which summary.json lists" if unlisted else "")
         for coil, told in summary.get("amplitudes", {}).items()
     ]
     lines += [f"not determined by the data: {direction['words']}" for direction in summary["undetermined"]]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)
+
+
+def _amplitudes(summary: Any) -> frozenset[str]:
+    """Amplitudes of coils without a winding, where they are too many for a table on a screen."""
+    coils = tuple(f"{coil}." for coil in summary.get("amplitudes", {}))
+    names = [name for name in summary["parameters"] if name.startswith(coils) and name.endswith("_T_per_A")]
+    return frozenset(names if coils and len(names) > MOST_LISTED else ())
