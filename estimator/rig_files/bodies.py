@@ -27,7 +27,7 @@ from estimator.rig.rig import (
 from estimator.rig_files.arm_tables import is_number, read_own_table
 from estimator.rig_files.harmonic import (
     EQUIVALENT_SOURCES,
-    MODEL,
+    HARMONIC,
     read_amplitudes,
     read_box,
     read_harmonic,
@@ -45,7 +45,7 @@ LEADS = ("lead_in", "lead_out")  # in the order in which the current passes them
 SIDES, CORNER = ("inner_side_x", "inner_side_y"), "inner_corner_radius"
 OF_A_WINDING = (*OF_A_ROUND_WINDING, *OF_LOOPS, *SIDES, CORNER, *LEADS)
 WRONG_PLACE: dict[str, tuple[tuple[str, ...], str]] = {  # by model what it may not have, and why
-    MODEL: (OF_A_WINDING, "which has no winding"),
+    HARMONIC: (OF_A_WINDING, "which has no winding"),
     EQUIVALENT_SOURCES: (OF_A_WINDING, "which has no winding"),
     RECTANGULAR: ((*OF_A_ROUND_WINDING, CORNER), "which has straight sides and sharp corners"),
     RACETRACK: (OF_A_ROUND_WINDING, "which has straight sides"),
@@ -104,9 +104,9 @@ def read_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: N
 
 
 def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers: Numbers) -> AnyCoil:
-    model = section.choice("model", (WINDING, RECTANGULAR, RACETRACK, MODEL, EQUIVALENT_SOURCES), WINDING)
+    model = section.choice("model", (WINDING, RECTANGULAR, RACETRACK, HARMONIC, EQUIVALENT_SOURCES), WINDING)
     _refuse_of_others(section, model)
-    if model in (MODEL, EQUIVALENT_SOURCES):
+    if model in (HARMONIC, EQUIVALENT_SOURCES):
         return _unwound_coil(section, name, model, movers, numbers)
     if model != WINDING:
         return _sided_coil(section, SidedCoil(name, None, model == RACETRACK), movers, numbers)
@@ -185,7 +185,7 @@ def _unwound_coil(
     section: Section, name: str, model: str, movers: tuple[Mover, ...], numbers: Numbers
 ) -> UnwoundCoil:
     coil: UnwoundCoil
-    if model == MODEL:
+    if model == HARMONIC:
         coil = HarmonicCoil(name, None, *read_region(section))
         read_harmonic(section, coil, numbers)
     else:

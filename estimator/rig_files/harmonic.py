@@ -14,7 +14,7 @@ from estimator.rig_files.numbers import Numbers, read_number, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
 
-MODEL = "harmonic"
+HARMONIC = "harmonic"
 EQUIVALENT_SOURCES = "equivalent_sources"
 OF_THE_BOX = ("half_x", "half_y", "half_z", "margin", "spacing")
 WIDTH, FALLOFF = "sd_T_per_A", "falloff"

@@ -34,7 +34,7 @@ from estimator.rig.rig import (
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
 from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES
-from estimator.rig_files.harmonic import EQUIVALENT_SOURCES, MODEL, OF_THE_BOX, amplitude_section
+from estimator.rig_files.harmonic import EQUIVALENT_SOURCES, HARMONIC, OF_THE_BOX, amplitude_section
 from estimator.rig_files.numbers import SI_SYMBOL
 from estimator.rig_files.read import SCHEMA_VERSION
 from estimator.units import UNITS
@@ -225,7 +225,7 @@ def _unwound_coil(coil: UnwoundCoil, rig: Rig) -> dict[str, Any]:
             unit = _unit("length", [length_m])
             entry[f"{quantity}_{unit}"] = _in_unit(length_m, UNITS[unit].to_si)
     else:
-        entry |= {"model": MODEL, "region": str(coil.region), "degree": coil.degree}
+        entry |= {"model": HARMONIC, "region": str(coil.region), "degree": coil.degree}
         entry |= _number(f"{coil.name}.reference_radius_m", "length", rig.parameters)
     entries = {name: _entry(rig.parameters[name]) for names in coil.amplitudes.values() for name in names}
     entry["amplitudes"] = amplitude_section(coil, rig.parameters, entries)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from estimator.cli.understood import _coil_words
-from estimator.errors import InvalidInput
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import EquivalentSourceCoil
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
+from tests.estimator.rig_files.test_harmonic import assert_refused
 
 TEXT = """schema_version: 1
 name: box
@@ -95,8 +95,4 @@ REFUSALS = {
 
 @pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
 def test_a_mistake_is_named_by_key_rule_value_and_line(old: str, new: str, message: str, line: int) -> None:
-    assert TEXT.count(old) == 1
-    with pytest.raises(InvalidInput) as caught:
-        rig_from_text(TEXT.replace(old, new), "box.yaml")
-    assert message in str(caught.value)
-    assert f"box.yaml, line {line}" in str(caught.value)
+    assert_refused(TEXT, old, new, message, line)

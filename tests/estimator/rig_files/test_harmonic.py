@@ -154,13 +154,18 @@ REFUSALS = {
 }
 
 
-@pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
-def test_a_mistake_is_named_by_key_rule_value_and_line(old: str, new: str, message: str, line: int) -> None:
-    assert TEXT.count(old) == 1
+def assert_refused(text: str, old: str, new: str, message: str, line: int) -> None:
+    """A rig file with one mistake is refused, and the sentence says where."""
+    assert text.count(old) == 1
     with pytest.raises(InvalidInput) as caught:
-        rig_from_text(TEXT.replace(old, new), "box.yaml")
+        rig_from_text(text.replace(old, new), "box.yaml")
     assert message in str(caught.value)
     assert f"box.yaml, line {line}" in str(caught.value)
+
+
+@pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+def test_a_mistake_is_named_by_key_rule_value_and_line(old: str, new: str, message: str, line: int) -> None:
+    assert_refused(TEXT, old, new, message, line)
 
 
 def test_rigs_of_today_keep_their_hash() -> None:
