@@ -6,7 +6,7 @@ few hundred readings of a session that takes most of the time: two backward pass
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float
@@ -46,17 +46,85 @@ def value_and_jacobian(
     """
     with torch.enable_grad():
         free = point.detach().requires_grad_()
-        each = (
-            torch.eye(len(point), dtype=point.dtype, device=point.device)
-            if directions is None
-            else directions
-        )
+        each = _every(point) if directions is None else directions
         values = function(free)
-        if not (
-            values.requires_grad and len(point) and len(each)
-        ):  # nothing depends on it, or none is asked for
+        if not (values.requires_grad and len(point) and len(each)):
             return values.detach(), values.new_zeros(*values.shape, len(each))
+        return values.detach(), _slopes(values, free, each)
+
+
+def slopes_in(
+    values: Float[Tensor, "*value"], point: Float[Tensor, " coordinate"]
+) -> Float[Tensor, "*value coordinate"]:
+    """Derivatives of values that have a graph in every coordinate of a point that they were computed from, without a graph.
+
+    The graph stays, so that the values can be differentiated by other numbers too.
+    """
+    with torch.enable_grad():
+        return _slopes(values, point, _every(point), keeps_graph=True)
+
+
+def value_and_jacobian_by_paths(
+    function: Callable[[Sequence[Float[Tensor, ""]]], Float[Tensor, "*value"]],
+    point: Float[Tensor, " coordinate"],
+    directions: Float[Tensor, "direction coordinate"],
+    paths: Sequence[Sequence[int]],
+) -> tuple[Float[Tensor, "*value"], Float[Tensor, "*value direction"]]:
+    """Values of a function, and their derivatives along directions, where coordinates act through different parts of it.
+
+    Each path has a second pass of its own, which visits nothing but what its coordinates act through.
+
+    Args:
+        function: Of coordinates that stand apart, so that their graphs do not meet before the function lets them.
+        point: Where the derivatives are taken.
+        directions: Along which.
+        paths: Numbers of the directions that go through the same part; each direction belongs to one path.
+    Returns: Both without a graph.
+
+    Examples:
+        >>> both = torch.eye(2)
+        >>> value_and_jacobian_by_paths(lambda x: torch.stack((x[0] ** 2, x[1])), torch.tensor([3.0, 1.0]), both, [[0], [1]])
+        (tensor([9., 1.]), tensor([[6., 0.],
+                [0., 1.]]))
+    """
+    with torch.enable_grad():
+        free = [coordinate.requires_grad_() for coordinate in point.detach().clone().unbind()]
+        values = function(free)
+        along = values.new_zeros(*values.shape, len(directions))
+        if not (values.requires_grad and len(directions)):
+            return values.detach(), along
         weights = torch.zeros_like(values).requires_grad_()
-        gradient = torch.autograd.grad(values, free, weights, create_graph=True, materialize_grads=True)[0]
-        rows = torch.autograd.grad(gradient, weights, each, is_grads_batched=True, materialize_grads=True)[0]
-    return values.detach(), rows.movedim(0, -1)
+        gradient = torch.autograd.grad(values, free, weights, create_graph=True, materialize_grads=True)
+        for path in paths:
+            each = directions[list(path)]
+            mine = [i for i in each.any(0).nonzero().flatten().tolist() if gradient[i].requires_grad]
+            if not mine:
+                continue
+            (rows,) = torch.autograd.grad(
+                [gradient[i] for i in mine],
+                weights,
+                [each[:, i] for i in mine],
+                retain_graph=True,
+                is_grads_batched=True,
+                allow_unused=True,
+            )
+            if rows is not None:
+                along[..., list(path)] = rows.movedim(0, -1)
+    return values.detach(), along
+
+
+def _every(point: Tensor) -> Tensor:
+    return torch.eye(len(point), dtype=point.dtype, device=point.device)
+
+
+def _slopes(values: Tensor, free: Tensor, each: Tensor, keeps_graph: bool = False) -> Tensor:
+    """Derivatives of values along directions of a point that they were computed from."""
+    weights = torch.zeros_like(values).requires_grad_()
+    gradient = torch.autograd.grad(values, free, weights, create_graph=True, materialize_grads=True)[0]
+    nothing = values.new_zeros(*values.shape, len(each))
+    if not gradient.requires_grad:
+        return nothing
+    (rows,) = torch.autograd.grad(
+        gradient, weights, each, retain_graph=keeps_graph, is_grads_batched=True, allow_unused=True
+    )
+    return nothing if rows is None else rows.movedim(0, -1)  # type: ignore[redundant-expr]

@@ -20,7 +20,6 @@ from estimator.diagnosis.hypotheses.step import (
 )
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
-from estimator.diagnosis.structure.discrepancy import products_of
 from estimator.diagnosis.structure.relatives import unknown_beside
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
@@ -115,11 +114,10 @@ def named_causes(search: Search) -> list[NamedCause]:
     """The causes of the final fit in the order in which they were taken, each with its credible set."""
     final_causes = set(search.final.rig.effects)
     steps = [step for step in search.steps if step.taken in final_causes]
-    batches = products_of(search.final, search.curves) if len(steps) > 1 else None
+    taken = [step.taken for step in steps if step.taken is not None]
     named = []
-    for step in steps:
+    for step, unknown in zip(steps, unknown_beside(search.final, taken, search.curves), strict=True):
         assert step.taken is not None
-        unknown = unknown_beside(search.final, step.taken, search.curves, batches)
         shares = {
             cause: (1.0 - unknown.probability) * share for cause, share in _shares(step.credible).items()
         }

@@ -163,7 +163,8 @@ def poses_of(
 ) -> tuple[Transform, Transform]:
     """`world_from_base` and `flange_from_coil` of a coil, as `PlainCoil` has them, or those of a sensor; differentiable in the values."""
     at_reference, since = (
-        mount_of(rig, body, values, sources.columns, is_first) for is_first in (True, False)
+        mount_of(rig, body, values, sources.columns, is_first) or Transform.identity()
+        for is_first in (True, False)
     )
     if body.carried_by is None:
         return _alone(pose_of(f"{body.name}.world_from_{kind}", values) @ since), Transform.identity()

@@ -149,19 +149,19 @@ def world_from_body(
         mount_since: nominal_from_real of changes since then.
     References: Osinde et al., eq 14-22, with displacements in the end-effector frame.
     """
-    like = next(iter(values.values()))
-    nowhere = Transform.identity(like.dtype, like.device)
-    at_reference, since = mount_at_reference or nowhere, mount_since or nowhere
+    # One row stands for all as long as it can: products of what stands still come before those by row.
     if body.carried_by is None:
-        return pose_of(f"{body.name}.world_from_{kind}", values) @ since
+        own = pose_of(f"{body.name}.world_from_{kind}", values)
+        return own if mount_since is None else own @ mount_since
     mover = rig.mover(body.carried_by)
-    flange_from_body = pose_of(f"{body.name}.flange_from_{kind}", values) @ at_reference
-    base_from_body = flange[mover.name] @ flange_from_body @ since
+    at_reference = pose_of(f"{body.name}.flange_from_{kind}", values)
+    if mount_at_reference is not None:
+        at_reference = at_reference @ mount_at_reference
+    flange_from_body = at_reference if mount_since is None else at_reference @ mount_since
     if mover.motion is MotionKind.DISPLACEMENT:
-        return (
-            pose_of(f"{body.name}.world_from_{kind}0", values) @ flange_from_body.inverse() @ base_from_body
-        )
-    return pose_of(f"{mover.name}.world_from_base", values) @ base_from_body
+        world_from_flange0 = pose_of(f"{body.name}.world_from_{kind}0", values) @ at_reference.inverse()
+        return world_from_flange0 @ (flange[mover.name] @ flange_from_body)
+    return pose_of(f"{mover.name}.world_from_base", values) @ (flange[mover.name] @ flange_from_body)
 
 
 def nominal_positions_m(

@@ -15,12 +15,13 @@ from torch import Tensor
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import Kind
-from estimator.effects.stages import RecordEffect
+from estimator.effects.stages import ElementEffect, MotionEffect, MountEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 
 EVERY = -1  # readings of all sensors
+POSES, SCALES = "poses", "scales"  # paths of what moves sensors, and of their gains and noise
 
 
 @dataclass(frozen=True)
@@ -31,6 +32,7 @@ class Directions:
         each: The directions, rows of zeros and ones.
         of_coordinate: Number of the direction that holds each coordinate that is asked for.
         sensor: Sensor whose readings such a coordinate changes; `EVERY` where it may change all.
+        paths: Numbers of the directions whose coordinates act through the same part of the model.
 
     References: A. Curtis, M. Powell and J. Reid, J. Inst. Math. Appl. 13, 117 (1974).
     """
@@ -38,32 +40,47 @@ class Directions:
     each: Float[Tensor, "direction coordinate"]
     of_coordinate: Int[Tensor, " asked"]
     sensor: Int[Tensor, " asked"]
+    paths: tuple[tuple[int, ...], ...]
 
     @classmethod
     def of(cls, rig: Rig, coordinates: Coordinates) -> Directions:
         """Those of the continuous coordinates of a rig."""
         names = coordinates.names[: coordinates.n_continuous]
         owners = [_owner(rig, name) for name in names]
-        n_own, shared, number = Counter[int](), dict[int, int](), []
+        n_own, shared, number = Counter[tuple[int, str]](), dict[tuple[str, int], int](), []
+        paths = dict[str, list[int]]()
         n_directions = 0
         # Numbered as they come, so that directions that nothing shares are the coordinates.
-        for owner in owners:
-            direction = n_directions if owner == EVERY else shared.setdefault(n_own[owner], n_directions)
-            n_own[owner] += 1
-            n_directions = max(n_directions, direction + 1)
+        for name, owner in zip(names, owners, strict=True):
+            path = _path(rig, name, owner)
+            direction = n_directions
+            if owner != EVERY:
+                direction = shared.setdefault((path, n_own[owner, path]), n_directions)
+                n_own[owner, path] += 1
+            if direction == n_directions:
+                paths.setdefault(path, []).append(direction)
+                n_directions += 1
             number.append(direction)
         device = coordinates.device
         of_coordinate = torch.tensor(number, dtype=torch.int64, device=device)
         each = torch.zeros(n_directions, len(names), dtype=torch.float64, device=device)
         each[of_coordinate, torch.arange(len(names), device=device)] = 1.0
-        return cls(each, of_coordinate, torch.tensor(owners, dtype=torch.int64, device=device))
+        sensor = torch.tensor(owners, dtype=torch.int64, device=device)
+        return cls(each, of_coordinate, sensor, tuple(map(tuple, paths.values())))
 
     def only(self, columns: Int[Tensor, " column"]) -> Directions:
         """Those of some coordinates; derivatives are then by these, in the given order."""
         number, of_column = torch.unique(self.of_coordinate[columns], return_inverse=True)
         is_asked = torch.zeros(len(self.of_coordinate), dtype=self.each.dtype, device=self.each.device)
         is_asked[columns] = 1.0
-        return Directions(self.each[number] * is_asked, of_column, self.sensor[columns])
+        new = {old: i for i, old in enumerate(number.tolist())}
+        paths = [tuple(new[old] for old in path if old in new) for path in self.paths]
+        return Directions(
+            self.each[number] * is_asked,
+            of_column,
+            self.sensor[columns],
+            tuple(path for path in paths if path),
+        )
 
     @property
     def is_compressed(self) -> bool:
@@ -98,3 +115,15 @@ def _owner(rig: Rig, name: str) -> int:
     owners = [sensor.name for sensor in rig.sensors]
     owner = place.rstrip("]") or label
     return owners.index(owner) if owner in owners and name not in ties else EVERY
+
+
+def _path(rig: Rig, name: str, owner: int) -> str:
+    """What a parameter acts through. All that moves sensors shares a path; causes, coils and the scales of sensors have their own."""
+    label, _, key = name.partition(".")
+    cause, _, place = label.partition("[")
+    if place:
+        moves = isinstance(EFFECTS[cause], MotionEffect | MountEffect | ElementEffect)
+        return POSES if moves else label if owner == EVERY else cause
+    if label in {coil.name for coil in rig.coils}:
+        return label
+    return POSES if "_from_" in key else SCALES

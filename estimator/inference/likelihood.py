@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
-from estimator.derivatives import value_and_jacobian
+from estimator.derivatives import value_and_jacobian, value_and_jacobian_by_paths
 from estimator.effects.correction import KEY, Correction
 from estimator.effects.stages import NoiseEffect, ReadingEffect, RecordEffect, RoomEffect, SourceEffect
 from estimator.effects.use import Use, as_meant, uses_of
@@ -90,7 +90,7 @@ class LogPosterior:
         new_entry[entries] = torch.arange(len(entries), device=readings.device)
         mine = (new_entry[self._flat] >= 0).nonzero().flatten()
         other = copy(self)
-        for cached in ("for_jacobian", "_is_of_sensor"):
+        for cached in ("for_jacobian", "_by_points", "_is_of_sensor"):
             other.__dict__.pop(cached, None)
         other.model = self.model.part(readings)
         other._flat = new_entry[self._flat[mine]]
@@ -166,13 +166,17 @@ class LogPosterior:
                 *(torch.cat(each, dim=-2) for each in zip(*(part[jacobians] for part in parts), strict=True)),
             )
 
-        def moved(step: Tensor) -> Tensor:
-            there = torch.cat((vector[..., :n] + step, vector[..., n:]), dim=-1)
-            values = self.coordinates.values(there)
-            predicted_T = self.for_jacobian._predicted_at(values, batch)
+        def moved(steps: Sequence[Tensor]) -> Tensor:
+            each = vector.unbind(-1)
+            values = self.coordinates.values_of_each(
+                [*(x + step for x, step in zip(each, steps, strict=False)), *each[n:]]
+            )
+            predicted_T = self._by_points._predicted_at(values, batch)
             return torch.stack((predicted_T, torch.log(self._component_sigma_T(values, batch))))
 
-        (predicted_T, log_sigma), along = value_and_jacobian(moved, vector.new_zeros(n), directions.each)
+        (predicted_T, log_sigma), along = value_and_jacobian_by_paths(
+            moved, vector.new_zeros(n), directions.each, directions.paths
+        )
         jacobian = directions.jacobian(along, self.sensor)
         return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
 
@@ -268,6 +272,13 @@ class LogPosterior:
         """The same density with predictions that have cheap first derivatives, and no second ones."""
         other = copy(self)
         other.model = self.model.with_mode(SumMode.FIRST_ORDER)
+        return other
+
+    @cached_property
+    def _by_points(self) -> LogPosterior:
+        """The same, with derivatives by poses of sensors taken through those by the points where they stand."""
+        other = copy(self.for_jacobian)
+        other.model = replace(other.model, has_slopes=True)
         return other
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:

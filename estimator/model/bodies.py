@@ -69,13 +69,16 @@ def world_from_body(
 
 def mount_of(
     rig: Rig, body: Body, values: Values, columns: Mapping[str, Tensor], is_at_reference: bool
-) -> Transform:
-    """nominal_from_real of a body on its carrier, by the effects present at the reference pose or by those that came later."""
-    like = next(iter(values.values()))
-    total = Transform.identity(like.dtype, like.device)
+) -> Transform | None:
+    """nominal_from_real of a body on its carrier, by the effects present at the reference pose or by those that came later.
+
+    Returns: None where there is no such effect.
+    """
+    total = None
     for use in uses_of(rig, MountEffect, body.name):
         if use.effect.is_at_reference == is_at_reference:
-            total = total @ use.effect.apply(columns[use.label], use.theta(values))
+            change = use.effect.apply(columns[use.label], use.theta(values))
+            total = change if total is None else total @ change
     return total
 
 

@@ -7,7 +7,7 @@ predicts a whole batch of parameter sets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from estimator.derivatives import jacobian_of
+from estimator.derivatives import jacobian_of, slopes_in
 from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
@@ -45,6 +45,8 @@ from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, Region, Rig, Unwoun
 
 MOST_RADII = 3.0  # farther out a term of degree 8 is beyond 2000 times its amplitude, whose prior then says nothing: likely another unit
 
+MOSTLY_APART = 0.75  # share of readings by sensors with elements apart from which on all are evaluated as such, in one call instead of two
+
 
 @dataclass(frozen=True)
 class MeasurementModel:
@@ -53,10 +55,13 @@ class MeasurementModel:
     Attributes:
         sources: What makes the field, at the distinct poses of the readings.
         sensor: Sensor at each distinct pose.
+        has_slopes: Whether derivatives by the poses of sensors go through those by the points where they stand, which saves time where
+            many numbers move sensors. First derivatives only.
     """
 
     sources: Sources
     sensor: Int[Tensor, " row"]
+    has_slopes: bool = False
 
     @classmethod
     def build(
@@ -179,7 +184,9 @@ class MeasurementModel:
 
     def part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
         """The model of some of the readings."""
-        return MeasurementModel(self.sources.part(readings), self.sensor[self.pose_row[readings].unique()])
+        return replace(
+            self, sources=self.sources.part(readings), sensor=self.sensor[self.pose_row[readings].unique()]
+        )
 
     def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
         """The same model with quadrature rules chosen at these values (no batch)."""
@@ -268,25 +275,27 @@ class MeasurementModel:
 
     def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         """Pose of the sensor in the room at distinct poses."""
+        if len(self.rig.sensors) == 1:
+            return self.sources.world_from_body(self.rig.sensors[0], "sensor", rows, values)
         which = self.sensor[rows]
         for record in uses_of(self.rig, RecordEffect):
             which = record.effect.place_of(which, record.theta(values))
-        poses = [self.sources.world_from_body(s, "sensor", rows, values) for s in self.rig.sensors]
-        if len(poses) == 1:
-            return poses[0]
-        rotation, translation = poses[0].rotation, poses[0].translation_m
-        for i, pose in enumerate(poses[1:], start=1):
-            is_sensor = which == i
-            rotation = torch.where(is_sensor[..., None, None], pose.rotation, rotation)
-            translation = torch.where(is_sensor[..., None], pose.translation_m, translation)
-        return Transform(rotation, translation)
+        if which.dim() > 1:  # sensors may be exchanged in some of a batch
+            poses = [self.sources.world_from_body(s, "sensor", rows, values) for s in self.rig.sensors]
+            return _selected(poses, which)
+        own = [(which == i).nonzero().flatten() for i in range(len(self.rig.sensors))]
+        poses = [
+            self.sources.world_from_body(sensor, "sensor", rows[mine], values)
+            for sensor, mine in zip(self.rig.sensors, own, strict=True)
+        ]
+        return _in_order(poses, own)
 
     def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
         world_from_sensor = self.world_from_sensor(self.every_row, values)
         if not self._has_elements.any():
             return self._field_at(values, world_from_sensor)
-        if self._has_elements.all():
+        if self._has_elements.double().mean() >= MOSTLY_APART:
             return self._at_elements(values, world_from_sensor)
         apart, together = self._parts_by_elements
         apart_T = apart.model._at_elements(values, world_from_sensor.rows(apart.rows))
@@ -325,7 +334,17 @@ class MeasurementModel:
     def _field_at(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
         """Field in the sensor's frame, at its origin."""
         delivered_A = self.sources.delivered_A(self.circumstances.current_A, values)
-        return self.sources.field_T(values, delivered_A, world_from_sensor)
+        where_m = world_from_sensor.translation_m
+        if not (self.has_slopes and where_m.requires_grad):
+            return self.sources.field_T(values, delivered_A, world_from_sensor)
+        here_m, shift_m = where_m.detach(), where_m.new_zeros(3, requires_grad=True)
+        there = Transform(world_from_sensor.rotation, here_m + shift_m)
+        field_T = self.sources.field_T(values, delivered_A, there)
+        if not field_T.requires_grad:
+            return field_T
+        slopes = slopes_in(field_T, shift_m)
+        moved_m = (where_m - here_m).expand(*where_m.shape[:-2], len(self.sensor), 3)[..., self.pose_row, :]
+        return field_T + (slopes @ moved_m[..., None])[..., 0]
 
     def _gain(self, values: Values) -> Float[Tensor, "*batch reading"]:
         gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))
@@ -426,6 +445,30 @@ def nominal_tensors(rig: Rig, like: Tensor | None = None) -> dict[str, Tensor]:
     """Nominal value of every number of a rig, of the kind of another tensor; in double precision on the processor by default."""
     like = torch.empty(0, dtype=torch.float64) if like is None else like
     return {name: like.new_tensor(value) for name, value in rig.nominal_values().items()}
+
+
+def _selected(poses: Sequence[Transform], which: Int[Tensor, "*batch row"]) -> Transform:
+    """The pose of the given number at every row."""
+    rotation, translation_m = poses[0].rotation, poses[0].translation_m
+    for i, pose in enumerate(poses[1:], start=1):
+        is_this = which == i
+        rotation = torch.where(is_this[..., None, None], pose.rotation, rotation)
+        translation_m = torch.where(is_this[..., None], pose.translation_m, translation_m)
+    return Transform(rotation, translation_m)
+
+
+def _in_order(poses: Sequence[Transform], rows: Sequence[Int[Tensor, "..."]]) -> Transform:
+    """Poses at the rows that each belongs to, in the order of the rows, which together are all."""
+    batch = torch.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
+    whole = [
+        (pose.rotation.expand(*batch, len(own), 3, 3), pose.translation_m.expand(*batch, len(own), 3))
+        for pose, own in zip(poses, rows, strict=True)
+    ]
+    order = torch.cat(list(rows)).argsort()
+    rotations, translations_m = zip(*whole, strict=True)
+    return Transform(
+        torch.cat(rotations, dim=-3)[..., order, :, :], torch.cat(translations_m, dim=-2)[..., order, :]
+    )
 
 
 def _shifted(pose: Transform, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:

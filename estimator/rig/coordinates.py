@@ -119,8 +119,24 @@ class Coordinates:
     def values(self, vector: Float[Tensor, "*batch coordinate"]) -> dict[str, Tensor]:
         """Every parameter of the rig; fixed ones have no batch."""
         unmix = torch.as_tensor(self._unmix, dtype=vector.dtype, device=vector.device)
-        elementary = (vector @ unmix.T).unbind(-1) if self.n else ()
-        values = dict(self._fixed(vector.dtype, vector.device))
+        return self._values_of((vector @ unmix.T).unbind(-1) if self.n else (), vector)
+
+    def values_of_each(self, columns: Sequence[Float[Tensor, "*batch"]]) -> dict[str, Tensor]:
+        """Every parameter of the rig, given the coordinates one by one: no value has a graph to coordinates that it does not depend on."""
+        elementary = [
+            columns[terms[0][0]] if terms == [(terms[0][0], 1.0)] else _sum(columns, terms)
+            for terms in self._unmix_terms
+        ]
+        return self._values_of(elementary, columns[0])
+
+    @cached_property
+    def _unmix_terms(self) -> list[list[tuple[int, float]]]:
+        """What each row of the matrix adds up: numbers of coordinates with their factors."""
+        return [[(int(i), float(row[i])) for i in np.flatnonzero(row)] for row in self._unmix]
+
+    def _values_of(self, elementary: Sequence[Tensor], like: Tensor) -> dict[str, Tensor]:
+        """Every parameter, given coordinates in which no number mixes with others."""
+        values = dict(self._fixed(like.dtype, like.device))
 
         def resolve(name: str) -> Tensor:
             if name not in values:
@@ -326,3 +342,8 @@ def _layers(coil: str, resolve: _Resolve) -> tuple[Tensor, Tensor]:
     """Half the thickness of a winding, and the variance of the radii of its loops."""
     pitch_m, loops = resolve(f"{coil}.radial_pitch_m"), resolve(f"{coil}.radial_loops")
     return 0.5 * pitch_m * loops, pitch_m**2 * (loops**2 - 1.0) / 12.0
+
+
+def _sum(columns: Sequence[Tensor], terms: Sequence[tuple[int, float]]) -> Tensor:
+    """Sum of some columns, each times its factor."""
+    return torch.stack([factor * columns[i] for i, factor in terms]).sum(0)

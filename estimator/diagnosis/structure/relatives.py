@@ -26,6 +26,7 @@ from estimator.diagnosis.structure.discrepancy import (
     by_name,
     evidence_by_amplitude,
     expected_of_noise,
+    products_of,
 )
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.diagnosis.structure.scatter import scatter_of
@@ -47,27 +48,43 @@ class Unknown:
     most_beside: float = policy.MOST_BESIDE_A_NAME
 
 
-def unknown_beside(
-    fit: Fit, cause: Cause, families: Sequence[Family], batches: Batches | None = None
-) -> Unknown:
-    """Probability that something outside the library is there instead of a cause that resembles it, and how much of it a name bears.
+def unknown_beside(fit: Fit, causes: Sequence[Cause], families: Sequence[Family]) -> list[Unknown]:
+    """For each cause the probability that something outside the library is there instead of it, and how much of that a name bears.
 
     A credible set of 95 % holds what has more than 5 %. Even a true cause leaves more where it is not large: as much as noise is
     expected to leave to relatives of that size, and a little more by chance.
 
     Args:
-        fit: With the cause.
-        cause: One of its rig.
+        fit: With the causes.
+        causes: Some of its rig.
         families: Curves, weighed as at that fit.
-        batches: Their products there, where several causes are asked.
     """
-    if isinstance(EFFECTS[cause.name], NoiseEffect):
-        return Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
-    rms_sigma = visible_rms_sigma(fit, cause)
-    amplitudes = [share * rms_sigma for share in policy.RELATIVE_SHARES]
-    probability = _probability(_mean(families, evidence_by_amplitude(fit, families, amplitudes, batches)))
+    scattering = [cause for cause in causes if isinstance(EFFECTS[cause.name], NoiseEffect)]
+    rms = {cause: visible_rms_sigma(fit, cause) for cause in causes if cause not in scattering}
+    amplitudes = [share * size for size in rms.values() for share in policy.RELATIVE_SHARES]
+    batches = products_of(fit, families) if amplitudes else []
+    evidence = evidence_by_amplitude(
+        fit, families, amplitudes, batches
+    )  # of all at once: directions are found once
+    each = zip(evidence.split(len(policy.RELATIVE_SHARES), dim=1), rms.items(), strict=True) if rms else ()
+    found = {cause: _beside(fit, families, own, size, batches) for own, (cause, size) in each}
+    for cause in scattering:
+        found[cause] = Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
+    return [found[cause] for cause in causes]
+
+
+def _beside(
+    fit: Fit,
+    families: Sequence[Family],
+    evidence: Float[Tensor, "family share"],
+    rms_sigma: float,
+    batches: Batches,
+) -> Unknown:
+    """The same for one cause, given the evidence for relatives of its size."""
+    probability = _probability(_mean(families, evidence))
     if not policy.LEAST_BESIDE_A_NAME < probability <= policy.MOST_BESIDE_A_NAME:
         return Unknown(probability)  # on the same side of any limit
+    amplitudes = [share * rms_sigma for share in policy.RELATIVE_SHARES]
     of_noise = _mean(families, expected_of_noise(fit, families, amplitudes, batches))
     limit = _probability(of_noise + policy.MORE_THAN_OF_NOISE)
     return Unknown(probability, min(max(limit, policy.LEAST_BESIDE_A_NAME), policy.MOST_BESIDE_A_NAME))

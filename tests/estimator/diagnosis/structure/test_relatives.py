@@ -35,7 +35,7 @@ def fit_with_gain(excess: float, relative: float = 0.0) -> Fit:
 
 
 def unknown(fit: Fit) -> Unknown:
-    return unknown_beside(fit, GAIN, families(fit))
+    return unknown_beside(fit, [GAIN], families(fit))[0]
 
 
 def p_outside(fit: Fit) -> float:

@@ -63,8 +63,8 @@ def test_a_burst_and_growing_noise_are_noticed():
 def test_outliers_stand_only_where_wild_readings_lie_anywhere():
     n = len(plain_fit().observations)
     anywhere, burst = (with_more(widths, OUTLIERS) for widths in (here_and_there(n), in_a_burst(n)))
-    assert unknown_beside(anywhere, OUTLIERS, []).probability == pytest.approx(0.3, abs=0.1)
-    assert unknown_beside(burst, OUTLIERS, []).probability > 0.8
+    assert unknown_beside(anywhere, [OUTLIERS], [])[0].probability == pytest.approx(0.3, abs=0.1)
+    assert unknown_beside(burst, [OUTLIERS], [])[0].probability > 0.8
 
 
 def test_a_session_with_a_burst_is_unexplained():
