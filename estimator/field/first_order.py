@@ -52,7 +52,7 @@ def carrying_slopes(
     value: Float[Tensor, "*batch point component"],
     slopes: Float[Tensor, "*batch point component slope"],
     points_coil_m: Float[Tensor, "*#batch point 3"],
-    numbers: Sequence[Float[Tensor, "*#batch"]],
+    numbers: Sequence[Float[Tensor, "*#batch"]] = (),
 ) -> Float[Tensor, "*batch point component"]:
     """A value that has given derivatives in the coordinates of its point, then in some numbers.
 

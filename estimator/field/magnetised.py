@@ -123,8 +123,7 @@ def field_of_rings_to_first_order(
     points_m = (
         points_coil_m.double().flatten(0, -3) if points_coil_m.ndim > 2 else points_coil_m.double()[None]
     )
-    h, axial = _sums(points_m.detach(), rings, magnetisation_T).unbind(0)
-    field = carrying_first_order(points_m[:, None], h, axial)
+    field = carrying_first_order(points_m[:, None], _sums(points_m.detach(), rings, magnetisation_T))
     return field.transpose(-3, -2).reshape(*points_coil_m.shape[:-1], -1, 3).to(points_coil_m.dtype)
 
 

@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.field.first_order import carrying_slopes
 from estimator.field.kernel import is_plain, slopes_of_loops, sum_of_loops
 from estimator.field.loop import loop_derivatives, loop_terms
 
@@ -74,50 +75,60 @@ def sum_to_first_order(
     Args:
         points_m, nodes, steps: As in `sum_over_nodes`.
     """
-    fixed_points_m = points_m.detach()
     height, radius, weight = nodes.flat()
-    of_h, of_axial = loop_slopes(fixed_points_m, height.detach(), radius.detach(), steps)
+    of_each = loop_slopes(points_m.detach(), height.detach(), radius.detach(), steps)
     fixed_weight = weight.detach()
+    sums = (fixed_weight[:, None, None] @ of_each[:, :, :2])[..., 0, :]  # factor, row, value and slope, point
+    if is_plain(height, radius, weight):  # a winding that nothing changes
+        return carrying_first_order(points_m, sums)
     # Both are zero and carry derivatives.
     drop, growth = fixed_weight * (height.detach() - height), fixed_weight * (radius - radius.detach())
-    by_node = torch.cat((weight, drop, growth), dim=-1)[:, None]
-    h_sum, axial_sum = ((by_node @ each.flatten(1, 2))[:, 0] for each in (of_h, of_axial))
-    (h_value, h_slope), (axial_value, axial_slope) = (
-        (fixed_weight[:, None, None] @ each[:, :2])[..., 0, :].unbind(1) for each in (of_h, of_axial)
-    )
-    of_h, of_axial = torch.stack((h_value, h_slope), 1), torch.stack((axial_value, axial_slope), 1)
-    return carrying_first_order(points_m, of_h, of_axial, h_sum, axial_sum)
+    by_node = torch.cat((weight - fixed_weight, drop, growth), dim=-1)[:, None]
+    return carrying_first_order(points_m, sums, (by_node @ of_each.flatten(2, 3))[..., 0, :])
 
 
 def carrying_first_order(
     points_m: Float[Tensor, "*#batch point 3"],
-    of_h: Float[Tensor, "*#batch 2 point"],
-    of_axial: Float[Tensor, "*#batch 2 point"],
-    h_sum: Float[Tensor, "*#batch point"] | None = None,
-    axial_sum: Float[Tensor, "*#batch point"] | None = None,
+    sums: Float[Tensor, "2 *#batch 2 point"],
+    changes: Float[Tensor, "2 *#batch point"] | None = None,
 ) -> Float[Tensor, "*batch point 3"]:
-    """Field of loops about z from its two factors, with their first derivatives in the points.
+    """Field of loops about z from its two factors, h and axial, with their first derivatives in the points.
 
     Args:
         points_m: Points in the coil frame.
-        of_h, of_axial: The two factors, each with its derivative along z, without derivatives of their own.
-        h_sum, axial_sum: The factors with derivatives in something else; none by default.
+        sums: The factors, each with its derivative along z, without derivatives of their own.
+        changes: Of the factors; zero, and they carry derivatives in something else.
     """
-    fixed_points_m = points_m.detach()
-    (h_value, h_slope), (axial_value, axial_slope) = of_h.unbind(-2), of_axial.unbind(-2)
-    h_sum, axial_sum = (
-        (h_value if h_sum is None else h_sum),
-        (axial_value if axial_sum is None else axial_sum),
-    )
-    rho2 = fixed_points_m[..., :2].square().sum(-1)
+    across_m = points_m.detach()[..., :2]
+    (h, h_slope), (axial, axial_slope) = (factor.unbind(-2) for factor in sums)
     # div B = 0 gives the derivative of h in rho^2, curl B = 0 that of axial.
-    h_rho2 = -(h_value + 0.5 * axial_slope) / rho2.clamp(min=SMALLEST_RHO2_M2)
-    # Steps in z and rho^2; zero, and they carry derivatives.
-    step_m = points_m - fixed_points_m
-    step_z, step_rho2 = step_m[..., 2], 2.0 * (fixed_points_m[..., :2] * step_m[..., :2]).sum(-1)
-    h_sum = h_sum + h_slope * step_z + h_rho2 * step_rho2
-    axial_sum = axial_sum + axial_slope * step_z + 0.5 * h_slope * step_rho2
-    return torch.stack((points_m[..., 0] * h_sum, points_m[..., 1] * h_sum, axial_sum), dim=-1)
+    h_rho2 = -(h + 0.5 * axial_slope) / across_m.square().sum(-1).clamp(min=SMALLEST_RHO2_M2)
+    bent = 2.0 * h_rho2[..., None] * across_m
+    slopes = torch.stack(
+        (
+            bent[..., 0] * across_m[..., 0] + h,
+            bent[..., 0] * across_m[..., 1],
+            h_slope * across_m[..., 0],
+            bent[..., 1] * across_m[..., 0],
+            bent[..., 1] * across_m[..., 1] + h,
+            h_slope * across_m[..., 1],
+            h_slope * across_m[..., 0],
+            h_slope * across_m[..., 1],
+            axial_slope,
+        ),
+        dim=-1,
+    ).unflatten(-1, (3, 3))
+    field = carrying_slopes(_field(across_m, h, axial), slopes, points_m)
+    return field if changes is None else field + _field(across_m, *changes)
+
+
+def _field(
+    across_m: Float[Tensor, "*#batch point 2"],
+    h: Float[Tensor, "*#batch point"],
+    axial: Float[Tensor, "*#batch point"],
+) -> Float[Tensor, "*batch point 3"]:
+    """Field of the two factors at points with such coordinates across the axis."""
+    return torch.cat((across_m * h[..., None], axial[..., None]), dim=-1)
 
 
 def loop_slopes(
