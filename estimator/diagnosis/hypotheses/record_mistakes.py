@@ -274,5 +274,12 @@ class _AtStarts(Coordinates):
 
     def values(self, vector: Float[Tensor, "start coordinate"]) -> dict[str, Tensor]:
         """Every number of the rig."""
-        fixed = {name: value.to(vector) for name, value in self._rows.items() if name not in self.names}
-        return {**super().values(vector), **fixed}
+        return {**super().values(vector), **self._given(vector)}
+
+    def values_of_each(self, columns: Sequence[Float[Tensor, " start"]]) -> dict[str, Tensor]:
+        """The same for coordinates that stand apart."""
+        return {**super().values_of_each(columns), **self._given(columns[0])}
+
+    def _given(self, like: Tensor) -> dict[str, Tensor]:
+        """The fixed numbers of every start."""
+        return {name: value.to(like) for name, value in self._rows.items() if name not in self.names}
