@@ -110,6 +110,7 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
     text = run("live", path, "--no-refresh").stdout
     assert "; 2 readings not fitted (validation, or no field)" in text
     assert "; READINGS LOST BY AN INSTRUMENT 2 times" in text
+    assert "estimate polished: the same as a fit of all readings so far" in text
 
 
 @pytest.mark.slow
@@ -269,8 +270,8 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
     stream = Stream(small_rig)
     readings = simulate(small_rig, small_plan, small_truth, seed=4).calibration
     estimate = replace(stream.update(readings), took_s=0.012)
-    polished = LiveState("s.zarr", (), 0, (), 0, 0.0, replace(estimate, is_polished=True), (), None, False)
-    assert "estimate after 12 ms and polished" in shown(polished)
+    polished = replace(empty, estimate=replace(estimate, is_polished=True))
+    assert "polished: the same as a fit of all readings so far" in shown(polished)
     alarm = Alarm("hall", "x", 21, 27, 2.0)
     known = Refreshed(20, {}, {"coil1.radius_m": (0.0511, 0.0522)}, "named", ("coil_heating[coil1]",), 1.0)
     record = replace(
@@ -305,6 +306,7 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
         " mm   ",
         "90 % of the posterior after 20",
         "51.10 to 52.20",
+        "not polished yet: a fit of all readings so far may differ a little",
         "alarms: 1",
         "hall: x is off by +2.0 sigma since reading 21 (noticed at 27)",
         "diagnosis: named: coil_heating[coil1] (after 20 readings); residuals are off since reading 21 (the next is being made)",
