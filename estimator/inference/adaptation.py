@@ -27,7 +27,7 @@ WIDENED, WIDE_SHARE = 2.0, 0.3  # share of draws from a wider law, which sees ta
 LARGEST = 1e30  # coordinate of a draw that counts: squares of squares must stay numbers
 COMPONENTS, ITERATIONS = 6, 20
 DEFENSIVE = 0.1  # weight of the standard component that always stays, so that no place becomes unreachable
-STRAIGHT_FREEDOM = 50.0  # of what is straightened: nearly normal, and a tail that is still heavier than the posterior's
+STRAIGHT_FREEDOM = 50.0  # of what is straightened: nearly normal, with heavier tails than the posterior's
 OLD_WEIGHT = 0.5  # share of the Laplace weights in those of the tuples of counts
 
 

@@ -24,7 +24,7 @@ from estimator.rig.coordinates import Coordinates
 BURN_IN_SHARE = 0.1
 FEWEST_WALKERS = 32
 GOOD_EFFICIENCY = 0.5  # of a proposal whose fresh draws hardly need the other moves
-# Looks at the diagnostics: at the first checkpoint, from this share of the wanted effective samples on, and when the chain has grown so much.
+# Looks at the diagnostics: at the first checkpoint, from this share of the wanted effective samples on, and when chains have grown so much.
 LOOK_FROM, OLD_LOOK = 0.95, 4.0
 
 
