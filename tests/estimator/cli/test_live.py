@@ -208,6 +208,37 @@ def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_
     assert result.stderr.count("coilcal: it was killed") == 2
 
 
+class Telling(Failing):
+    """A background that has a posterior at every look."""
+
+    def __init__(self, best: dict[str, float]) -> None:
+        super().__init__(0)
+        self.best = best
+
+    def take(self) -> Refreshed:
+        return Refreshed(9, self.best, {}, "nothing_found", (), 1.0)
+
+    def wants(self, n_readings: int) -> bool:
+        return False
+
+
+def test_an_estimate_that_a_diagnosis_has_moved_is_not_called_polished(
+    tmp_path: Path, small_rig: Rig, small_truth: dict[str, float], stops: list[StopReadings]
+) -> None:
+    path = tmp_path / "session.zarr"
+    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+        for one in stops[:9]:
+            journal.append(one.entry())
+        session = live_session.LiveSession(path)
+        session.step(None)
+        deadline_s = time.monotonic() + 60.0
+        while "same as a fit" not in session.state(None).standing and time.monotonic() < deadline_s:
+            session.step(None)
+        assert session.state(None).standing.startswith("polished")
+        session.step(Telling(small_rig.nominal_values() | small_truth))
+    assert session.state(None).standing.startswith("not polished yet")
+
+
 def test_nothing_is_made_of_the_readings_while_none_is_new(
     run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
