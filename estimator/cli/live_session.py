@@ -123,13 +123,15 @@ class LiveSession:
     def text(self) -> str:
         """Result as text, for people."""
         intervals = self._stream.intervals()
-        lines = [self.state(None).progress]
+        state = self.state(None)
+        lines = [state.progress]
         for name, show_as in displays(list(intervals)).items():
             interval, factor = intervals[name], show_as.factor
             value = with_sd(interval.value * factor, interval.sd * factor)
             lines.append(f"  {name:38} {value} {show_as.unit}".rstrip())
+        lines += [f"estimate {state.standing}"] if state.standing else []
         lines += [f"alarm: {alarm.words}" for alarm in self._stream.alarms] or ["no alarms"]
-        lines.append(self.state(None).verdict)
+        lines.append(state.verdict)
         lines += [self._trouble] if self._trouble else []
         return "\n".join(lines)
 
@@ -138,12 +140,19 @@ class LiveSession:
         if refreshed is not None:
             self._refreshed = refreshed
             self._stream.improve(refreshed.best)
+            self._show_again()
             while self._has_ended and self._stream.can_polish:
                 self._polish()
 
     def _polish(self) -> None:
-        if self._stream.polish() and self._stream.is_polished and self._estimate is not None:
-            self._estimate = replace(self._estimate, intervals=self._stream.intervals(), is_polished=True)
+        if self._stream.polish() and self._stream.is_polished:
+            self._show_again()
+
+    def _show_again(self) -> None:
+        """Show the estimate where it has moved to without a new reading."""
+        if self._estimate is not None:
+            intervals, is_polished = self._stream.intervals(), self._stream.is_polished
+            self._estimate = replace(self._estimate, intervals=intervals, is_polished=is_polished)
 
     def _session(self) -> Session:
         return Session(self._rig, observations_of(self._entries, self._rig), self._follower.header["source"])

@@ -71,7 +71,6 @@ class LiveState:
         words = f"stop {len(self.entries)}{of}"
         if self.estimate is not None:
             words += f", estimate after {1e3 * self.estimate.took_s:.0f} ms"
-            words += " and polished" if self.estimate.is_polished else ""
         if self.n_new > 1:
             words += f" for {self.n_new} stops at once"
         if self.n_skipped:
@@ -81,6 +80,15 @@ class LiveState:
         if self.silent_s > SILENT_S:
             words += f"; NO STOP FOR {self.silent_s:.0f} s"
         return words
+
+    @property
+    def standing(self) -> str:
+        """How near the estimate is to what a fit of all readings at once would give."""
+        if self.estimate is None:
+            return ""
+        if self.estimate.is_polished:
+            return "polished: the same as a fit of all readings so far"
+        return "not polished yet: a fit of all readings so far may differ a little"
 
     @property
     def since(self) -> int | None:
@@ -130,7 +138,8 @@ def screen(state: LiveState) -> RenderableType:
             devices.add_row(Text(name), Text(words))
         parts.append(Panel(devices, title="instruments", title_align="left"))
     if state.estimate is not None:
-        parts.append(Panel(_parameters(state), title="estimate", title_align="left"))
+        estimate = Group(_parameters(state), Text(state.standing))
+        parts.append(Panel(estimate, title="estimate", title_align="left"))
     alarms = "\n".join(alarm.words for alarm in state.alarms[-MOST_ALARMS:])
     style = "bold red" if alarms else ""
     parts.append(

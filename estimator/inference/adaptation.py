@@ -1,8 +1,9 @@
 """A proposal fitted to the posterior before sampling: adaptive importance sampling in whitened coordinates.
 
 The Laplace approximation knows the curvature at the maximum and nothing of a long or bent tail. Where its proposal is a thousand times too
-thin, a walker that gets there cannot leave, and the effective sample size collapses. Weighted draws show such a tail. A bend is fitted to
-them by least squares, and to what it straightens a few Student-t laws by expectation maximisation.
+thin, a walker that gets there cannot leave, and the effective sample size collapses. Weighted draws show such a tail. At first their log
+densities are straightened, which is enough for a smooth posterior (`Straightening`). Where that does no better, as at the bound of a prior,
+a bend is fitted to where they lie, and to what it straightens a few Student-t laws by expectation maximisation.
 """
 
 from __future__ import annotations
@@ -14,12 +15,19 @@ from scipy.special import logsumexp
 
 from estimator.inference.bend import Bend
 from estimator.inference.proposal import DEGREES_OF_FREEDOM, MixtureProposal, WhiteShape
+from estimator.inference.straightening import Straightening, n_coefficients
 
-ROUNDS, DRAWS = 8, 2000
-ENOUGH = 0.75  # efficiency at which a proposal is left as it is: to fit on costs more than it brings to 10,000 effective samples
+ROUNDS = 9
+FEWEST_DRAWS, MOST_DRAWS = 1000, 2000  # of a round; between them as many as a map has coefficients
+# Efficiency at which a proposal is left as it is: at once, and where straightening brings no more. To fit on costs more than it brings.
+ENOUGH, FAIR = 0.9, 0.75
+WORTH = 1.1  # a round of straightening is followed by another where it gained as many times the efficiency
+LATE_ROUNDS = 2  # whose draws are straightened; those of earlier rounds lie farther off
 WIDENED, WIDE_SHARE = 2.0, 0.3  # share of draws from a wider law, which sees tails that the proposal misses
+LARGEST = 1e30  # coordinate of a draw that counts: squares of squares must stay numbers
 COMPONENTS, ITERATIONS = 6, 20
 DEFENSIVE = 0.1  # weight of the standard component that always stays, so that no place becomes unreachable
+STRAIGHT_FREEDOM = 50.0  # of what is straightened: nearly normal, with heavier tails than the posterior's
 OLD_WEIGHT = 0.5  # share of the Laplace weights in those of the tuples of counts
 
 
@@ -28,7 +36,7 @@ def adapted(
     log_prob: Callable[[np.ndarray], np.ndarray],
     random: np.random.RandomState,
 ) -> tuple[MixtureProposal, float]:
-    """The proposal, fitted to a density in at most `ROUNDS` rounds of `DRAWS` draws; the best of all rounds, and its efficiency.
+    """The proposal, fitted to a density in at most `ROUNDS` rounds of draws; the best of all rounds, and its efficiency.
 
     Each proposal is judged by fresh draws that took no part in its fit.
 
@@ -40,26 +48,36 @@ def adapted(
         Stat. 17, 295 (2008), truncated weights.
     """
     best, best_efficiency = proposal, 0.0
-    vectors, log_weight = np.empty((0, proposal.n + proposal.counts.shape[1])), np.empty(0)
+    size = int(np.clip(n_coefficients(proposal.n), FEWEST_DRAWS, MOST_DRAWS))
+    vectors, log_targets, log_weight = np.empty((0, proposal.n + proposal.counts.shape[1])), *np.empty((2, 0))
+    is_straightened, straightening = True, None
     for _ in range(ROUNDS):
-        fresh, log_drawn = _draws(proposal, random)
+        fresh, log_drawn = _draws(proposal, size, random)
         log_target = log_prob(fresh)
-        is_there = np.isfinite(log_target)
+        # Heavy tails and a bend throw some draws far out, even to infinity. Where no density has a value, that of the target is zero.
+        is_there = np.isfinite(log_target) & np.isfinite(log_drawn) & (np.abs(fresh) < LARGEST).all(1)
         if not is_there.any():
             break
-        # Heavy tails and a bend throw some draws far out, even to infinity, where no density has a value; that of the target is zero there.
         log_target = np.where(is_there, log_target, -np.inf)
         log_drawn = np.where(is_there, log_drawn, 0.0)
         log_own = np.zeros(len(fresh))
         log_own[is_there] = proposal.log_density(fresh[is_there])
         efficiency = efficiency_of(log_own, log_target, log_drawn)
+        is_straightened = is_straightened and efficiency > WORTH * best_efficiency
         if efficiency > best_efficiency:
             best, best_efficiency = proposal, efficiency
-        if efficiency >= ENOUGH:
+        if best_efficiency >= (ENOUGH if is_straightened else FAIR):
             break
         vectors = np.concatenate((vectors, fresh))
+        log_targets = np.concatenate((log_targets, log_target))
         log_weight = np.concatenate((log_weight, log_target - log_drawn))
-        proposal = _fitted(proposal, vectors, _truncated(log_weight), random)
+        if is_straightened:
+            late = slice(-LATE_ROUNDS * size, None)
+            fresh, weight = vectors[late], _truncated(log_weight[late])
+            straightening = _straightening(proposal, fresh, log_targets[late], weight, straightening)
+            proposal = _straightened(proposal, straightening, fresh, weight)
+        else:
+            proposal = _clustered(proposal, vectors, _truncated(log_weight), random)
     return best, best_efficiency
 
 
@@ -81,13 +99,15 @@ def efficiency_of(log_proposal: np.ndarray, log_target: np.ndarray, log_drawn: n
     return float(np.exp(2.0 * log_evidence - log_integral - np.log(len(log_weight))))
 
 
-def _draws(proposal: MixtureProposal, random: np.random.RandomState) -> tuple[np.ndarray, np.ndarray]:
+def _draws(
+    proposal: MixtureProposal, size: int, random: np.random.RandomState
+) -> tuple[np.ndarray, np.ndarray]:
     """Draws of the proposal and of a wider one, and the log density of both together there."""
     shape = proposal.shape
-    wider = WhiteShape(shape.weight, shape.mean, WIDENED * shape.factor)
+    wider = WhiteShape(shape.weight, shape.mean, WIDENED * shape.factor, shape.freedom)
     wide = MixtureProposal(proposal.mixture, proposal.bend, wider, proposal.weight)
-    n_wide = int(WIDE_SHARE * DRAWS)
-    vectors = np.concatenate((proposal.draw(DRAWS - n_wide, random), wide.draw(n_wide, random)))
+    n_wide = int(WIDE_SHARE * size)
+    vectors = np.concatenate((proposal.draw(size - n_wide, random), wide.draw(n_wide, random)))
     with np.errstate(over="ignore", invalid="ignore"):  # far out; no such draw counts
         log_drawn = np.logaddexp(
             np.log1p(-WIDE_SHARE) + proposal.log_density(vectors),
@@ -103,20 +123,50 @@ def _truncated(log_weight: np.ndarray) -> np.ndarray:
     return np.asarray(weight / weight.sum())
 
 
-def _fitted(
+def _straightening(
+    proposal: MixtureProposal,
+    vectors: np.ndarray,
+    log_target: np.ndarray,
+    weight: np.ndarray,
+    begin: Straightening | None,
+) -> Straightening:
+    counts = weight > 0.0
+    row = proposal.rows(vectors[counts])
+    white = proposal.white(row, vectors[counts])
+    return Straightening.fitted(white, log_target[counts], weight[counts], row, begin)
+
+
+def _straightened(
+    proposal: MixtureProposal, straightening: Straightening, vectors: np.ndarray, weight: np.ndarray
+) -> MixtureProposal:
+    """A law about the origin of straight coordinates, nearly normal, beside one there with heavier tails."""
+    shape = WhiteShape(
+        np.array([1.0 - DEFENSIVE, DEFENSIVE]),
+        np.zeros((2, proposal.n)),
+        np.repeat(np.diag(straightening.spread)[None], 2, axis=0),
+        np.array([STRAIGHT_FREEDOM, DEGREES_OF_FREEDOM]),
+    )
+    tuple_weight = _tuple_weight(proposal, vectors, weight)
+    return MixtureProposal(proposal.mixture, straightening.bend, shape, tuple_weight)
+
+
+def _clustered(
     proposal: MixtureProposal, vectors: np.ndarray, weight: np.ndarray, random: np.random.RandomState
 ) -> MixtureProposal:
+    """Several laws fitted to where weighted draws lie, after a bend that is fitted to that too."""
     counts = weight > 0.0
     vectors, weight = vectors[counts], weight[counts]
-    row = proposal.rows(vectors)
-    white = proposal.white(row, vectors)
+    white = proposal.white(proposal.rows(vectors), vectors)
     bend = Bend.fitted(white, weight)
     shape = fitted_shape(bend.straightened(white), weight, random)
-    tuple_weight = np.bincount(row, weight, minlength=len(proposal.weight))
+    return MixtureProposal(proposal.mixture, bend, shape, _tuple_weight(proposal, vectors, weight))
+
+
+def _tuple_weight(proposal: MixtureProposal, vectors: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Probabilities of the tuples of counts, between those of the Laplace mixture and the weights of draws."""
     laplace = MixtureProposal(proposal.mixture).weight
-    return MixtureProposal(
-        proposal.mixture, bend, shape, OLD_WEIGHT * laplace + (1.0 - OLD_WEIGHT) * tuple_weight
-    )
+    drawn = np.bincount(proposal.rows(vectors), weight, minlength=len(laplace))
+    return np.asarray(OLD_WEIGHT * laplace + (1.0 - OLD_WEIGHT) * drawn)
 
 
 def fitted_shape(white: np.ndarray, weight: np.ndarray, random: np.random.RandomState) -> WhiteShape:

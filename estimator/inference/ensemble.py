@@ -24,8 +24,8 @@ from estimator.rig.coordinates import Coordinates
 BURN_IN_SHARE = 0.1
 FEWEST_WALKERS = 32
 GOOD_EFFICIENCY = 0.5  # of a proposal whose fresh draws hardly need the other moves
-# Looks at the diagnostics: from this share of the wanted effective samples on, and when the chain has grown so much.
-LOOK_FROM, OLD_LOOK = 0.85, 2.0
+# Looks at the diagnostics: at the first checkpoint, from this share of the wanted effective samples on, and when chains have grown so much.
+LOOK_FROM, OLD_LOOK = 0.95, 4.0
 
 
 @dataclass(frozen=True)
@@ -198,7 +198,8 @@ def _initial_state(
     walkers = np.empty((0, proposal.n + proposal.counts.shape[1]))
     for _ in range(100):
         draws = proposal.draw(settings.n_walkers, random)
-        walkers = np.concatenate((walkers, draws[np.isfinite(log_prob(draws))]))
+        is_inside = np.isfinite(log_prob(draws)) & np.isfinite(proposal.log_density(draws))
+        walkers = np.concatenate((walkers, draws[is_inside]))
         if len(walkers) >= settings.n_walkers:
             break
     if not len(walkers):

@@ -69,7 +69,11 @@ class MovesInBlocks(Move):  # type: ignore[misc]  # emcee is untyped
         moves = random.choice(3, size=BLOCK, p=self.shares)
         fresh = self.proposal.draw(int((moves == 0).sum()) * n_walkers, random)
         log_prob = model.compute_log_prob_fn(fresh)[0] if len(fresh) else np.empty(0)
-        return _Block(number, n_walkers, moves, fresh, log_prob, self.proposal.log_density(fresh))
+        log_density = self.proposal.log_density(fresh)
+        # So far out in a bend that rounding leaves no density: accepted, such a draw would stay for ever.
+        is_known = np.isfinite(log_density)
+        log_prob = np.where(is_known, log_prob, -np.inf)
+        return _Block(number, n_walkers, moves, fresh, log_prob, np.where(is_known, log_density, 0.0))
 
 
 @dataclass(frozen=True)

@@ -23,17 +23,19 @@ FLOOR = 0.05  # share of proposals spread evenly over all tuples, so that each i
 
 @dataclass(frozen=True)
 class WhiteShape:
-    """A mixture of Student-t laws with `DEGREES_OF_FREEDOM` in whitened and straightened coordinates.
+    """A mixture of Student-t laws in whitened and straightened coordinates.
 
     Attributes:
         weight: Probability of each component, shape (component,); they add up to 1.
         mean: Middle of each component, shape (component, n).
         factor: Lower triangle of the Cholesky factor of each scale matrix, shape (component, n, n).
+        freedom: Degrees of freedom of each component, shape (component,), or of all.
     """
 
     weight: np.ndarray
     mean: np.ndarray
     factor: np.ndarray
+    freedom: np.ndarray | float = DEGREES_OF_FREEDOM
 
     @classmethod
     def standard(cls, n: int) -> WhiteShape:
@@ -44,7 +46,8 @@ class WhiteShape:
         """Draws, shape (size, n)."""
         component = random.choice(len(self.weight), size=size, p=self.weight)
         normal = random.standard_normal((size, self.mean.shape[1]))
-        stretch = np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size))
+        freedom = np.broadcast_to(self.freedom, len(self.weight))[component]
+        stretch = np.sqrt(freedom / random.chisquare(freedom))
         coloured = np.einsum("wij,wj->wi", self.factor[component], stretch[:, None] * normal)
         return np.asarray(self.mean[component] + coloured)
 
@@ -54,7 +57,7 @@ class WhiteShape:
         Args:
             white: Whitened coordinates, shape (point, n).
         """
-        nu, n = DEGREES_OF_FREEDOM, white.shape[1]
+        nu, n = self.freedom, white.shape[1]
         log_det = np.log(np.diagonal(self.factor, axis1=1, axis2=2)).sum(1)
         constant = gammaln(0.5 * (nu + n)) - gammaln(0.5 * nu) - 0.5 * n * np.log(nu * np.pi)
         squared = self.squared_distances(white)
@@ -63,8 +66,9 @@ class WhiteShape:
     def squared_distances(self, white: np.ndarray) -> np.ndarray:
         """Squared Mahalanobis distance from each component, shape (point, component)."""
         inverse_factor = np.linalg.inv(self.factor)
-        standardised = (white - self.mean[:, None]) @ inverse_factor.swapaxes(1, 2)
-        return np.asarray((standardised**2).sum(-1).T)
+        with np.errstate(over="ignore", invalid="ignore"):  # what a bend throws far out has no density
+            standardised = (white - self.mean[:, None]) @ inverse_factor.swapaxes(1, 2)
+            return np.asarray((standardised**2).sum(-1).T)
 
 
 class MixtureProposal:

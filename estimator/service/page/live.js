@@ -142,6 +142,7 @@ export class LiveView {
   table(state) {
     return html`<div class="card scroll" tabindex="0" role="region" aria-label="Estimate">
       <h3>Estimate</h3>
+      <p class="muted" role="status">${standing(state)}</p>
       <table>
         <thead><tr><th>parameter</th><th class="num">value ± sd</th><th class="num">90 % interval</th><th>unit</th></tr></thead>
         <tbody>
@@ -180,6 +181,13 @@ function verdict({ diagnosis, has_ended: hasEnded }) {
   if (!diagnosis) return ["none yet", hasEnded ? "" : "from 15 readings on, in the background"];
   const after = `after ${diagnosis.n_readings} readings`;
   return [diagnosis.causes.length ? diagnosis.causes.join(", ") : (VERDICTS[diagnosis.verdict] ?? diagnosis.verdict), after];
+}
+
+// How near the estimate is to what a fit of all readings at once would give.
+function standing({ intervals, is_polished: isPolished, has_ended: hasEnded }) {
+  if (!Object.keys(intervals).length) return "";
+  if (isPolished) return "Polished: the same as a fit of all readings so far.";
+  return hasEnded ? "Not polished: a fit of all readings may differ a little." : "Not polished yet: a fit of all readings so far may differ a little.";
 }
 
 const tile = (name, value, more) =>

@@ -69,9 +69,8 @@ def test_density_that_is_zero_everywhere_leaves_the_proposal():
     assert adapted(laplace, lambda v: np.full(len(v), -np.inf), np.random.RandomState(0)) == (laplace, 0.0)
 
 
-def test_draws_that_a_bend_throws_to_infinity_do_not_count():
-    """A chain of squares leaves the range of numbers within its tails."""
-    n = 14
+def chain_of_squares(n: int = 14, correlation: float = 0.0) -> MixtureProposal:
+    """A proposal that leaves the range of numbers within its tails."""
     bend = Bend.none(n)
     for i in range(1, n):
         bend.curvature[i, i - 1, i - 1] = 1.0
@@ -79,9 +78,13 @@ def test_draws_that_a_bend_throws_to_infinity_do_not_count():
         torch.zeros(1, 0).double(),
         torch.ones(1).double(),
         torch.zeros(1, n).double(),
-        torch.eye(n)[None].double(),
+        ((1.0 - correlation) * torch.eye(n) + correlation)[None].double(),
     )
-    begin = MixtureProposal(law, bend)
+    return MixtureProposal(law, bend)
+
+
+def test_draws_that_a_bend_throws_to_infinity_do_not_count():
+    begin = chain_of_squares()
     assert not np.isfinite(begin.draw(2000, np.random.RandomState(0))).all()
 
     def log_normal(vectors: np.ndarray) -> np.ndarray:
@@ -96,6 +99,20 @@ def test_draws_that_a_bend_throws_to_infinity_do_not_count():
 
     found, _ = adapted(begin, log_normal, np.random.RandomState(1))
     assert share_that_counts(found) > 0.01  # a chain of squares is no easy place to begin from
+
+
+def test_draws_whose_own_density_is_rounded_away_do_not_count():
+    """The target has a density wherever there are numbers, as where bounds of a prior hold coordinates back."""
+
+    def log_bounded(vectors: np.ndarray) -> np.ndarray:
+        there = np.isfinite(vectors).all(1)
+        return np.where(there, -0.5 * (np.minimum(np.abs(vectors), 20.0) ** 2).sum(1), -np.inf)
+
+    begin = chain_of_squares(11, correlation=0.5)
+    draws = begin.draw(2000, np.random.RandomState(1))
+    assert (np.isfinite(log_bounded(draws)) & ~np.isfinite(begin.log_density(draws))).any()
+    _, told = adapted(begin, log_bounded, np.random.RandomState(1))
+    assert 0.0 < told <= 1.0
 
 
 def test_efficiency_is_that_of_the_textbook():

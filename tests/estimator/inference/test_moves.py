@@ -52,7 +52,10 @@ BENT = MixtureProposal(
         np.array([0.1, -0.2]),
     ),
     WhiteShape(
-        np.array([0.7, 0.3]), np.array([[0.0, 0.1], [0.5, -0.4]]), np.stack((np.eye(2), 1.5 * np.eye(2)))
+        np.array([0.7, 0.3]),
+        np.array([[0.0, 0.1], [0.5, -0.4]]),
+        np.stack((np.eye(2), 1.5 * np.eye(2))),
+        np.array([30.0, 8.0]),
     ),
 )
 
@@ -169,6 +172,23 @@ def test_fresh_draws_of_a_block_are_evaluated_in_one_call(proposal):
     chain_in_blocks(proposal, BLOCK, Backend(), calls)
     n_fresh = int((np.random.RandomState([3, 0]).choice(3, size=BLOCK, p=POOR_SHARES) == 0).sum())
     assert max(calls) == 20 * n_fresh
+
+
+def test_draws_without_a_density_are_not_accepted(monkeypatch: pytest.MonkeyPatch):
+    """The target has one there, so that the ratio would be infinite."""
+    proposal = MixtureProposal(RIGHT)
+    known = proposal.log_density
+    monkeypatch.setattr(
+        proposal, "log_density", lambda vectors: np.where(vectors[:, 1] > 2.5, -np.inf, known(vectors))
+    )
+    draws = target_draws(200, np.random.RandomState(9))
+    start = draws[draws[:, 1] <= 2.5][:20]
+    moves = MovesInBlocks(proposal, 3, shares=(1.0, 0.0, 0.0))
+    sampler = emcee.EnsembleSampler(20, 4, target_log_prob, moves=moves, vectorize=True)
+    sampler.run_mcmc(start, 2 * BLOCK, skip_initial_state_check=True)
+    chain = sampler.get_chain()
+    assert chain[..., 1].max() <= 2.5
+    assert sampler.acceptance_fraction.mean() > 0.5
 
 
 def test_factor_of_the_autoregressive_move_is_the_ratio_of_normals_in_straightened_coordinates_and_counts_stay(

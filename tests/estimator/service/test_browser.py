@@ -213,6 +213,8 @@ def test_an_open_session_is_watched_by_who_has_logged_in(
         running = page.locator(".tile", has_text="Running diagnosis")
         running.filter(has_text="after ").wait_for(timeout=PATIENCE_MS)
         assert "nothing found" in running.inner_text()
+        estimate = page.get_by_role("region", name="Estimate")
+        estimate.get_by_text("Polished: the same as a fit of all readings so far.").wait_for()
         residuals = page.locator("svg.space").inner_html()
         page.get_by_label("Arrows").select_option("field")
         assert page.locator("svg.space").inner_html() != residuals
