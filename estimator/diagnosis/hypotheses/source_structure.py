@@ -31,6 +31,9 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
+WORTH_A_START = (
+    0.05  # of the log evidence of a pile; what explains less alone is not what the pile stands in for
+)
 NEARLY_THE_SAME = 1.0  # in log density: a climb that ends so far below the pile leads to a lower maximum
 
 
@@ -213,16 +216,24 @@ def _changes_nothing(base: Fit, alone: Fit, cause: Cause) -> bool:
 def _with_needed(base: Fit, trial: Asked, pile: Fit, others: Sequence[Cause], least: float) -> Fit:
     """The fit with those causes of a pile whose evidence suffices beside a hypothesis of structure.
 
-    It starts from the pile, which has moved all numbers to where the readings want them. Where the hypothesis explains something alone, the
-    fit with it alone is another start, for in a pile other causes have already taken its place.
+    It starts from the pile, which has moved all numbers to where the readings want them. Where the hypothesis alone explains part of what
+    the pile does, it starts at what it is alone, and the fit with it alone is another start, for in a pile other causes have already taken
+    its place. Elsewhere it starts at its null; what has no size, and so no null, is not fitted.
     """
     cause, label = trial.cause, f"{trial.cause.label}."
     rig = pile.rig.without_cause(cause) if cause in pile.rig.effects else pile.rig
     rig = rig.with_cause(cause, [p for n, p in trial.alone.rig.parameters.items() if n.startswith(label)])
     own = {name: value for name, value in trial.alone.values.items() if name.startswith(label)}
+    worth = max(least, WORTH_A_START * (pile.log_evidence - base.log_evidence))
+    is_worth = trial.alone.log_evidence - base.log_evidence > worth
+    if not is_worth:
+        null = trial.alone.null_values(cause)
+        if not null:
+            return trial.alone
+        own |= {name: value for name, value in null.items() if not rig.parameters[name].is_positive}
     to_beat = float(pile.optimum.log_posterior) - NEARLY_THE_SAME  # where the hypothesis changes nothing
     tolerance = policy.STRUCTURE_TOLERANCE
     fits = [fit_with_needed(pile, rig, others, least, {**pile.values, **own}, to_beat, tolerance)]
-    if trial.alone.log_evidence - base.log_evidence > least:
+    if is_worth:
         fits.append(fit_with_needed(trial.alone, rig, others, least, to_beat=to_beat, tolerance=tolerance))
     return max((trial.alone if fit is pile else fit for fit in fits), key=lambda fit: fit.log_evidence)
