@@ -29,6 +29,7 @@ from estimator.diagnosis.progress import Pace
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.stages import SourceEffect, WindingEffect
 from estimator.rig.rig import Cause
 
 WORTH_A_START = (
@@ -171,13 +172,24 @@ def _starts(base: Fit, alone: Fit, pool: Sequence[Candidate], causes: Sequence[C
 def structural_causes(base: Fit, limits: Limits) -> list[Cause]:
     """Hypotheses of structure that the rig of a fit does not have, that concern the session and that the limits allow."""
     circumstances = base.posterior.model.circumstances
+    idle = _idle_coils(base)
     return [
         cause
         for name, effect in EFFECTS.items()
         if effect.is_structural and limits.allows(effect)
         for place in effect.places(base.rig)
-        if (cause := Cause(name, place)) not in base.rig.effects and effect.concerns(circumstances, place)
+        if not (isinstance(effect, WindingEffect | SourceEffect) and place in idle)
+        and (cause := Cause(name, place)) not in base.rig.effects
+        and effect.concerns(circumstances, place)
     ]
+
+
+def _idle_coils(fit: Fit) -> set[str]:
+    """Coils that carry no current in any reading, so that it does not matter how they are wound."""
+    model = fit.posterior.model
+    delivered_A = model.sources.delivered_A(model.circumstances.current_A, fit.values)
+    is_idle = (delivered_A == 0.0).flatten(end_dim=-2).all(0)
+    return {coil.name for coil, idle in zip(fit.rig.coils, is_idle.tolist(), strict=True) if idle}
 
 
 def _best_alone(base: Fit, cause: Cause) -> Fit | None:

@@ -18,6 +18,7 @@ from estimator.diagnosis.hypotheses.source_structure import (
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import Pace, unwatched
 from estimator.diagnosis.structure.families import families
+from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -100,23 +101,33 @@ def test_a_pile_stays_where_no_other_structure_is_asked(search_of_imitation, mon
     assert state.additions == [Addition(PILE, pile)]
 
 
-def test_a_coil_without_current_has_no_other_structure() -> None:
-    """It is not fitted with the pile, and not told as one that explains as much."""
+@pytest.fixture(scope="module")
+def one_of_two() -> tuple[Rig, Observations]:
+    """A rig of two coils, and readings with current in the first alone."""
     two = """{c1: {radius_mm: {prior: {normal: {mean: 45, sd: 2}}}, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 4},
       c2: {radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 4, world_from_coil: {z_mm: -50}}}"""
     problem = make_problem(
         two, "{hall: {noise_uT: {prior: {log_normal: {median: 20, relative_sd: 0.5}}}, carried_by: stage}}"
     )
     readings = problem.observations
-    readings = readings.rows(readings.current_A[:, 1] == 0.0)
-    base = fit_of(problem.rig, readings)
-    pile = fit_of(problem.rig, readings, *PILE)
+    return problem.rig, readings.rows(readings.current_A[:, 1] == 0.0)
+
+
+def test_a_coil_without_current_has_no_other_structure(one_of_two) -> None:
+    """It is not fitted, and not told as one that explains as much."""
+    rig, readings = one_of_two
+    base, pile = fit_of(rig, readings), fit_of(rig, readings, *PILE)
     limits = Limits()
     causes = structural_causes(base, limits)
-    assert Cause("hidden_winding", "c2") in causes
     found = other_structures(base, pile, candidates(base, causes), limits, Pace("structures", unwatched))
     asked = {one.cause for one in found.asked}
     assert Cause("hidden_winding", "c1") in asked
     windings = ("hidden_winding", "winding_misstated", "iron_core", "coil_ovality")
-    assert not asked & {Cause(name, "c2") for name in windings}
+    assert not {*causes, *asked} & {Cause(name, "c2") for name in windings}
     assert Cause("cross_magnetisation", "c2") in asked  # a core there answers the other coil
+
+
+def test_a_coil_whose_supply_has_an_offset_may_be_wound_otherwise(one_of_two) -> None:
+    rig, readings = one_of_two
+    leaking = fit_of(rig, readings, Cause("current_offset", "c2"))
+    assert Cause("hidden_winding", "c2") in structural_causes(leaking, Limits())
