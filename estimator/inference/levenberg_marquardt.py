@@ -223,22 +223,32 @@ def gradient_and_information(
 def prior_gradient_and_precision(
     coordinates: Coordinates, vector: Float[Tensor, "start coordinate"]
 ) -> tuple[Float[Tensor, "start continuous"], Float[Tensor, "start continuous continuous"]]:
-    """Gradient of the log prior, and its negative Hessian with curvatures raised to at least `LEAST_CURVATURE`."""
-    n = coordinates.n_continuous
-    point = vector.detach().requires_grad_()
-    directions = torch.eye(coordinates.n, dtype=vector.dtype, device=vector.device)[:n, None, :].expand(
+    """Gradient of the log prior, and its negative Hessian with curvatures raised to at least `LEAST_CURVATURE`.
+
+    Coordinates that the prior does not couple share one direction of the second pass.
+    """
+    n, coupled = coordinates.n_continuous, coordinates.coupled
+    apart = torch.ones(n, dtype=torch.bool, device=vector.device)
+    apart[coupled] = False
+    each = torch.eye(coordinates.n, dtype=vector.dtype, device=vector.device)[:n]
+    directions = torch.cat((each[coupled], each[apart].sum(0, keepdim=True)))[:, None].expand(
         -1, len(vector), -1
     )
+    point = vector.detach().requires_grad_()
     with torch.enable_grad():
         # Starts are independent: the gradient of the sum holds that of each. The second term gives flat priors a (zero) gradient.
         total = coordinates.log_prior(point).sum() + 0.0 * point.square().sum()
         (gradient,) = torch.autograd.grad(total, point, create_graph=True)
         (hessian_rows,) = torch.autograd.grad(gradient, point, directions, is_grads_batched=True)
-    curvature = -hessian_rows[..., :n].transpose(0, 1)
     scale = coordinates.scale[:n]
-    unit = scale[:, None] * scale[None, :]
-    eigenvalues, vectors = torch.linalg.eigh(0.5 * (curvature + curvature.mT) * unit)
-    precision: Tensor = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
+    least = LEAST_CURVATURE / scale**2
+    precision = torch.diag_embed(torch.maximum(-hessian_rows[-1, :, :n], least))
+    if len(coupled):
+        curvature = -hessian_rows[:-1, :, coupled].transpose(0, 1)
+        unit = scale[coupled, None] * scale[coupled]
+        eigenvalues, vectors = torch.linalg.eigh(0.5 * (curvature + curvature.mT) * unit)
+        block = vectors @ (eigenvalues.clamp(min=LEAST_CURVATURE)[..., None] * vectors.mT) / unit
+        precision[:, coupled[:, None], coupled] = block
     return gradient[:, :n].detach(), precision
 
 

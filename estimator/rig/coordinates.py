@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.derivatives import jacobian_of
@@ -72,7 +72,8 @@ class Coordinates:
         if device == self.device:
             return self
         other = copy(self)
-        other.__dict__.pop("scale", None)
+        for made_there in ("scale", "coupled"):
+            other.__dict__.pop(made_there, None)
         other.device = device
         return other
 
@@ -196,6 +197,18 @@ class Coordinates:
         )
         sd = free_values.new_tensor([p.prior.sd for p in self.parameters if p.prior])
         return torch.sqrt(jacobian**2 @ sd**2)
+
+    @cached_property
+    def coupled(self) -> Int[Tensor, " coupled"]:
+        """Continuous columns whose log prior may depend on others too: numbers of windings, and what others are tied to."""
+        wound = {coil.name for coil in self.rig.wound}
+        tied_to = {parameter.tie.to for parameter in self.rig.parameters.values() if parameter.tie}
+        columns = [
+            i
+            for i, name in enumerate(self.names[: self.n_continuous])
+            if name.partition(".")[0] in wound or name in tied_to
+        ]
+        return torch.tensor(columns, dtype=torch.int64, device=self.device)
 
     def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log prior density of the coordinates, including the Jacobian determinant of the transform, up to a constant."""

@@ -9,14 +9,22 @@ import torch
 from torch import Tensor
 
 from estimator import draw_truth, load_plan, load_rig, simulate
-from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
+from estimator.inference.levenberg_marquardt import (
+    LEAST_CURVATURE,
+    Optimum,
+    levenberg_marquardt,
+    prior_gradient,
+    prior_gradient_and_precision,
+)
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import Prior
+from estimator.rig.rig import Cause
 from scripts.benchmarks.diagnose import CONFIGS, PLAN
 from scripts.paper.solvers import Problem as SolverProblem
 from scripts.paper.tables import TRUTH
+from tests.estimator.inference.conftest import posterior_with
 
 pytestmark = pytest.mark.whole
 
@@ -104,6 +112,24 @@ def test_precision_is_the_negative_hessian_where_residuals_are_small(problem):
     ours = fit.precision[0] * sd[:, None] * sd[None, :]
     torch.testing.assert_close(ours, numerical, rtol=1e-3, atol=1e-3 * ours.abs().max().item())
     assert (ours - ours.diagonal().diag()).abs().max() > 0.1
+
+
+@pytest.mark.parametrize("causes", [(), ("axis_gain", "noise_grows", "sensor_offset")])
+def test_curvature_of_the_prior_is_its_hessian_where_only_coordinates_of_windings_are_coupled(
+    winding_problem, causes
+):
+    posterior = posterior_with(winding_problem, *(Cause(name, "hall") for name in causes))
+    coordinates = posterior.coordinates
+    vector = coordinates.start() + 1e-3 * coordinates.scale
+    hessian = torch.autograd.functional.hessian(coordinates.log_prior, vector)
+    unit = coordinates.scale[:, None] * coordinates.scale
+    eigenvalues, vectors = torch.linalg.eigh(-hessian * unit)
+    expected = vectors @ torch.diag(eigenvalues.clamp(min=LEAST_CURVATURE)) @ vectors.mT / unit
+    gradient, precision = prior_gradient_and_precision(coordinates, vector[None])
+    assert torch.allclose(precision[0] * unit, expected * unit, rtol=1e-9, atol=1e-12)
+    assert torch.allclose(gradient[0], prior_gradient(coordinates, vector), rtol=1e-12)
+    assert 0 < len(coordinates.coupled) < coordinates.n
+    assert bool((hessian != 0.0).sum(0)[coordinates.coupled].gt(1).any())  # windings couple theirs
 
 
 def test_noise_is_fitted_with_its_full_curvature(winding_problem, fits):
