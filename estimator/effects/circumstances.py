@@ -79,6 +79,11 @@ class Circumstances:
         """Commanded currents."""
         return self.observations.current_A
 
+    def has_current(self, coil: str) -> bool:
+        """Whether a coil was to carry current at any reading."""
+        number = [each.name for each in self.rig.coils].index(coil)
+        return bool((self.current_A[:, number] != 0.0).any())
+
     @cached_property
     def largest_current_A(self) -> float:
         """Largest commanded current of the session."""

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from estimator.effects.base import WHEN, Effect, Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.stages import OneCoilCurrent
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, world_from_body
 from estimator.rig.rig import Body
@@ -140,6 +141,34 @@ class InTime(Correction):
         if place in sensors:
             time_s = time_s[circumstances.sensor == sensors.index(place)]
         return limit_of_number(self, len(torch.unique(time_s)), "readings one after another")
+
+
+class ShareOfCurrent(InTime, OneCoilCurrent):
+    """A share of the current of a coil, or of the field that an ampere makes, as a function of time."""
+
+    unit: ClassVar[str] = "1"
+
+    @abstractmethod
+    def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
+        """How much more there is than the commanded current, as a share of it."""
+
+    def terms(self, degree: int) -> tuple[str, ...]:
+        """The share."""
+        return ("share",)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """In a session that lasts, where the coil carried current."""
+        return super().concerns(circumstances, place) and circumstances.has_current(place)
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        return current_A * (1.0 + self.share(theta, circumstances)[..., 0])
 
 
 def positions_m(circumstances: Circumstances, coil: Body | None = None) -> Float[Tensor, "reading 3"]:

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import InTime
-from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect, RoomEffect
+from estimator.effects.correction import InTime, ShareOfCurrent
+from estimator.effects.stages import MotionEffect, ReadingEffect, RoomEffect
 from estimator.effects.turning_correction import shown_by_turned
 from estimator.frames import Transform
 
@@ -137,27 +137,16 @@ class TurnsWander(_Drift, ReadingEffect):
         return shown_by_turned(field_sensor_T, self._wandering(theta, circumstances))
 
 
-class CurrentWanders(_Drift, OneCoilCurrent):
+class CurrentWanders(ShareOfCurrent, _Drift):
     """The current of a coil, or how much field an ampere makes, wanders: it warms up, sags, jumps or loosens."""
 
     name: ClassVar[str] = "current_wanders"
     words: ClassVar[str] = "the coil's field per commanded ampere wanders with time"
-    unit: ClassVar[str] = "1"
     highest: ClassVar[int] = 40
 
-    def terms(self, degree: int) -> tuple[str, ...]:
-        """A share of the current."""
-        return ("share",)
-
-    def delivered(
-        self,
-        current_A: Float[Tensor, "*#batch reading"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
-        return current_A * (1.0 + self._wandering(theta, circumstances)[..., 0])
+    def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
+        """Sum of its waves."""
+        return self._wandering(theta, circumstances)
 
 
 class GuidesWander(_Drift, MotionEffect):

@@ -80,7 +80,7 @@ class CoilField(Correction, SourceEffect):
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where the coil carried current."""
-        return bool((circumstances.current_A[:, _index(circumstances, place)] != 0.0).any())
+        return circumstances.has_current(place)
 
     @staticmethod
     def read_at_m(circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
@@ -189,8 +189,7 @@ class RoomAnswers(_Harmonics, RoomEffect):
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Where the coil carried current and was moved; of one that stands still, it is the coil's own field."""
         coil = circumstances.rig.coils[_index(circumstances, place)]
-        has_current = circumstances.current_A[:, _index(circumstances, place)] != 0.0
-        return bool(has_current.any()) and bool(coil.carried_by)
+        return circumstances.has_current(place) and bool(coil.carried_by)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """By the places in the room; the uniform part needs only one, since the coil moved."""

@@ -11,8 +11,8 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import Correction, InTime, Limit, limit_of_number
-from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect
+from estimator.effects.correction import Correction, InTime, Limit, ShareOfCurrent, limit_of_number
+from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 
@@ -64,26 +64,19 @@ class _Swing(InTime, _Periodic):
         return self._swinging(theta, (circumstances.hours * theta["frequency_per_h"][..., None])[..., None])
 
 
-class CurrentSwings(_Swing, OneCoilCurrent):
+class CurrentSwings(ShareOfCurrent, _Swing):
     """The current of a coil swings, as of a regulator that hunts or of ripple that the readings' pace aliases."""
 
     name: ClassVar[str] = "current_swings"
     words: ClassVar[str] = "the coil's field per commanded ampere swings with a period"
-    unit: ClassVar[str] = "1"
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """A share of the current."""
         return ("cos", "sin")
 
-    def delivered(
-        self,
-        current_A: Float[Tensor, "*#batch reading"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
-        return current_A * (1.0 + self._in_time(theta, circumstances)[..., 0])
+    def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
+        """Sum of its waves."""
+        return self._in_time(theta, circumstances)
 
 
 class ZeroSwings(_Swing, ReadingEffect):

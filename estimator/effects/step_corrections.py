@@ -15,8 +15,8 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import InTime
-from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect, RoomEffect
+from estimator.effects.correction import InTime, ShareOfCurrent
+from estimator.effects.stages import MotionEffect, ReadingEffect, RoomEffect
 from estimator.frames import Transform
 
 
@@ -56,27 +56,16 @@ class _Steps(InTime):
         return total
 
 
-class CurrentSteps(_Steps, OneCoilCurrent):
+class CurrentSteps(ShareOfCurrent, _Steps):
     """The current of a coil, or how much field an ampere makes, jumps: contacts, a core, a supply that was set anew."""
 
     name: ClassVar[str] = "current_steps"
     words: ClassVar[str] = "the coil's field per commanded ampere jumps"
-    unit: ClassVar[str] = "1"
     highest: ClassVar[int] = 12
 
-    def terms(self, degree: int) -> tuple[str, ...]:
-        """A share of the current."""
-        return ("share",)
-
-    def delivered(
-        self,
-        current_A: Float[Tensor, "*#batch reading"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
-        return current_A * (1.0 + self._stepped(theta, circumstances)[..., 0])
+    def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
+        """Sum of the steps so far."""
+        return self._stepped(theta, circumstances)
 
 
 class ZeroSteps(_Steps, ReadingEffect):
