@@ -66,10 +66,8 @@ class Straightening:
         if not is_near.any():
             return begin
         weight = weight[is_near] / weight[is_near].sum()
-        problem, coefficients = (
-            _Problem(white[is_near], log_density[is_near], weight, row[is_near]),
-            begin.coefficients,
-        )
+        problem = _Problem(white[is_near], log_density[is_near], weight, row[is_near])
+        coefficients = begin.coefficients
         residual = problem.residual(coefficients)
         for _ in range(ITERATIONS):
             variance = float(weight @ residual**2)
