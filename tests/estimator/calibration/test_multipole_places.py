@@ -17,7 +17,7 @@ from estimator.rig.rig import EquivalentSourceCoil, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.store.session import Session
-from tests.estimator.calibration.test_equivalent_sources import HALF_M, TEXT, in_box
+from tests.estimator.calibration.test_equivalent_sources import TEXT, in_box
 from tests.estimator.calibration.test_unwound import hidden_T, session_at
 
 pytestmark = pytest.mark.whole
@@ -39,7 +39,7 @@ def small_T(places_m: np.ndarray) -> torch.Tensor:
 
 @pytest.fixture(scope="module")
 def places_m() -> np.ndarray:
-    return in_box(400, 3)
+    return in_box(250, 3)
 
 
 @pytest.fixture(scope="module")
@@ -73,8 +73,8 @@ def test_a_dipole_is_found_where_it_is_and_the_field_with_it(rig: Rig, beside: S
         calibration = calibrate(Session(one, beside.observations, ""), one, seed=1, settings=SETTINGS)
         points_m = torch.from_numpy(unseen_m)
         errors.append(float((calibration.field(points_m, {"c1": 1.0}) - true_T).norm() / true_T.norm()))
-        lower, upper = calibration.field_interval(points_m, {"c1": 1.0})
-        assert 0.8 < float(((lower <= true_T) & (true_T <= upper)).double().mean()) <= 1.0
+    lower, upper = calibration.field_interval(points_m, {"c1": 1.0})
+    assert 0.8 < float(((lower <= true_T) & (true_T <= upper)).double().mean()) <= 1.0
     assert errors[1] < 0.3 * errors[0]
 
 
@@ -103,11 +103,3 @@ def test_a_rig_with_more_that_is_free_is_refused(beside: Session) -> None:
         InvalidInput, match="must leave nothing free but amplitudes and the noise of one sensor"
     ):
         with_multipoles(rig_from_text(text), beside.observations)
-
-
-def test_the_box_holds_the_readings() -> None:
-    assert gap_of(PLACE_M) == pytest.approx(6e-3)
-
-
-def gap_of(place_m: tuple[float, float, float]) -> float:
-    return float(np.linalg.norm(np.maximum(0.0, np.abs(place_m) - HALF_M)))
