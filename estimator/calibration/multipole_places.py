@@ -245,7 +245,7 @@ class PlaceSearch:
         precision += np.eye(len(precision))
         score = self._inner(multipoles, measured, noise_T)
         fit = float((score * np.linalg.solve(precision, score)).sum())
-        return 0.5 * (fit - total - float(np.linalg.slogdet(precision)[1]))
+        return 0.5 * (fit - float(total) - float(np.linalg.slogdet(precision)[1]))
 
     def _inner(self, one: _Part, other: _Part, noise_T: float) -> np.ndarray:
         """Inner products of columns over the covariance of noise and charges."""
