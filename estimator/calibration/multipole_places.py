@@ -2,7 +2,8 @@
 
 Charges on a box stand for sources no nearer to it than they are themselves. A small source that is nearer shows at a few places only, and
 the noise takes up what the charges miss there. Each multipole begins at the best place of a grid outside the box and moves to where the
-evidence is largest, all amplitudes integrated out. A place is then held as known, so intervals right beside it are too narrow.
+evidence is largest, all amplitudes integrated out. One that the box comes much nearer to than any reading is left to the charges: where
+the box is nearest its field would be a guess. A place is then held as known, so intervals right beside it are too narrow.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from estimator.rig.parameters import Normal, Parameter
 from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, Rig
 
 LEAST_GAIN = 20.0  # in log evidence, of each multipole: a source that is there gains hundreds
+LEAST_RESOLVED = 0.7  # distance from the box over that from the nearest reading: below, places in the box are much nearer than any reading
 LEAST_GAIN_ON_GRID = 5.0  # before it moves
 MOST_MULTIPOLES = 8
 NEAREST, FARTHEST = (
@@ -78,6 +80,9 @@ def with_multipoles(rig: Rig, observations: Observations) -> tuple[Rig, Found]:
     posterior = CollapsedPosterior(LogPosterior(Coordinates(rig), MeasurementModel.build(rig, seen), seen))
     coil, prior = _searchable(rig, posterior.coordinates.names)
     charges_T, measured_T = posterior.at_start
+    model = posterior.full.model
+    is_on = seen.current_A[:, rig.coils.index(coil)] != 0.0
+    seen_m = model.readings_in_coil(coil, model.nominal)[0][is_on]
 
     sparse = replace(coil, spacing_m=SPARSE_M)
     silent = {name: Parameter(name, "T/A", 0.0) for name in sparse.amplitudes[1]}
@@ -86,11 +91,11 @@ def with_multipoles(rig: Rig, observations: Observations) -> tuple[Rig, Found]:
 
     def columns(place_m: Triple) -> np.ndarray:
         one = _placed(bare, (place_m,), prior)
-        model = MeasurementModel.unruled(one, seen).with_rules(posterior.full.model.rules)
-        own = CollapsedPosterior(LogPosterior(Coordinates(one), model, seen))
+        with_one = MeasurementModel.unruled(one, seen).with_rules(model.rules)
+        own = CollapsedPosterior(LogPosterior(Coordinates(one), with_one, seen))
         return own.at_start[0].numpy()
 
-    found = PlaceSearch(coil, charges_T.numpy(), columns).find(measured_T.numpy())
+    found = PlaceSearch(coil, seen_m.numpy(), charges_T.numpy(), columns).find(measured_T.numpy())
     return _placed(rig, (*coil.multipoles_m, *found.places_m), prior), found
 
 
@@ -138,11 +143,13 @@ class PlaceSearch:
 
     Attributes:
         coil: With the charges.
+        seen_m: Places of the readings in the frame of the coil, of those with current in it.
         charges_T: Components of the readings, one below the other, by prior standard deviation of each amplitude.
         columns: The same of a multipole at a place in the frame of the coil; zeros where none may be.
     """
 
     coil: EquivalentSourceCoil
+    seen_m: np.ndarray
     charges_T: np.ndarray
     columns: Columns
 
@@ -155,6 +162,8 @@ class PlaceSearch:
 
     def find(self, measured_T: np.ndarray) -> Found:
         """Multipoles that readings ask for, one after another while each has clear evidence.
+
+        Those that are not resolved take part, so that no other is drawn to their sources, and are left out in the end.
 
         Args:
             measured_T: Components of the readings, less what the rig predicts without its amplitudes.
@@ -176,7 +185,13 @@ class PlaceSearch:
             places, before, noise_T = trial, after, finer_T
         for i in range(len(places) if len(places) > 1 else 0):  # the first were placed without the others
             places = self._moved(measured, places, i, self._finer(ladder_T, noise_T))
-        return Found(tuple(places), tuple(gains))
+        kept = [i for i, place_m in enumerate(places) if self._is_resolved(place_m)]
+        return Found(tuple(places[i] for i in kept), tuple(gains[i] for i in kept))
+
+    def _is_resolved(self, place_m: Triple) -> bool:
+        """Whether readings are about as near to a place as the box is."""
+        nearest_m = np.linalg.norm(self.seen_m - np.array(place_m), axis=1).min()
+        return gap_m(place_m, self.coil.half_m) >= LEAST_RESOLVED * float(nearest_m)
 
     def _finer(self, ladder_T: np.ndarray, noise_T: float) -> np.ndarray:
         """A noise and a few below it."""

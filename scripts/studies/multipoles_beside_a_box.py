@@ -62,24 +62,34 @@ def main() -> None:
             found[i].show(names[i], fields_T[i])
 
 
-class Judged:
-    """Errors, intervals and multipoles of one field, fold by fold."""
+class Errors:
+    """Squared errors of one field and shares of components in their intervals, by place."""
 
     def __init__(self, n: int) -> None:
         self.square, self.held = np.full(n, np.nan), np.full(n, np.nan)
+
+    def text(self, field_T: np.ndarray) -> str:
+        """Error over the rms field with all places and without the worst, the largest, and coverage."""
+        seen = ~np.isnan(self.square)
+        share = np.sort(self.square[seen]) / (field_T**2).sum(1).mean()
+        return (
+            f"error {share.mean() ** 0.5:.4%}, largest {share[-1] ** 0.5:.2%}, without the worst {N_WORST} "
+            f"{share[:-N_WORST].mean() ** 0.5:.4%}, coverage {self.held[seen].mean():.1%}"
+        )
+
+
+class Judged:
+    """One field, fold by fold, by charges alone and with multipoles beside them."""
+
+    def __init__(self, n: int) -> None:
+        self.alone, self.beside = Errors(n), Errors(n)
         self.places_m: list[tuple[Triple, ...]] = []
 
     def show(self, name: str, field_T: np.ndarray) -> None:
-        """Error over the rms field, with all places and without the worst, and where that is."""
-        seen = ~np.isnan(self.square)
-        mean_square = (field_T**2).sum(1).mean()
-        share = np.sort(self.square[seen]) / mean_square
-        print(
-            f"  {name}: error {share.mean() ** 0.5:.4%}, largest {share[-1] ** 0.5:.2%}, without the worst {N_WORST} "
-            f"{share[:-N_WORST].mean() ** 0.5:.4%}, coverage {self.held[seen].mean():.1%}, "
-            f"multipoles {[len(places) for places in self.places_m]}",
-            flush=True,
-        )
+        """Both in one line each."""
+        print(f"  {name}, charges alone: {self.alone.text(field_T)}")
+        counts = [len(places) for places in self.places_m]
+        print(f"  {name}, with multipoles: {self.beside.text(field_T)}, multipoles {counts}", flush=True)
 
 
 def judge(
@@ -100,15 +110,17 @@ def judge(
     def of_multipole(place_m: Triple) -> np.ndarray:
         return by_multipole(coil, place_m, places_m)[is_seen].reshape(-1, 8)
 
-    search = PlaceSearch(coil, design[is_seen].reshape(-1, design.shape[-1]), of_multipole)
-    without = np.linalg.svd(search.charges_T, full_matrices=False)
+    charges_T = design[is_seen].reshape(-1, design.shape[-1])
+    search = PlaceSearch(coil, places_m.numpy()[is_seen], charges_T, of_multipole)
+    without = np.linalg.svd(charges_T, full_matrices=False)
     for i in wanted:
         places, gains = search.find(fields_T[i][is_seen].ravel())
+        alone = predicted(design, fields_T[i], is_seen, without)
         extra = [by_multipole(coil, place_m, places_m) for place_m in places]
-        square, held = predicted(
-            np.concatenate((design, *extra), 2), fields_T[i], is_seen, None if extra else without
-        )
-        found[i].square[~is_seen], found[i].held[~is_seen] = square, held
+        with_them = np.concatenate((design, *extra), 2)
+        square, held = predicted(with_them, fields_T[i], is_seen, None) if extra else alone
+        found[i].alone.square[~is_seen], found[i].alone.held[~is_seen] = alone
+        found[i].beside.square[~is_seen], found[i].beside.held[~is_seen] = square, held
         found[i].places_m.append(places)
         rms_T = (fields_T[i] ** 2).sum(1).mean() ** 0.5
         worst = square.max() ** 0.5 / rms_T
@@ -118,7 +130,8 @@ def judge(
             for (x, y, z), g in zip(places, gains, strict=True)
         ]
         print(
-            f"    fold {number} field {i + 1}: {(square.mean()) ** 0.5 / rms_T:.4%}, largest {worst:.2%} at {worst_mm}, "
+            f"    fold {number} field {i + 1}: charges alone {alone[0].mean() ** 0.5 / rms_T:.4%}, "
+            f"{square.mean() ** 0.5 / rms_T:.4%}, largest {worst:.2%} at {worst_mm}, "
             f"held {held[square.argmax()]:.0%}; {'; '.join(each) or 'no multipole'}",
             flush=True,
         )
