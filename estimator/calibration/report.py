@@ -12,7 +12,7 @@ from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.rig.rig import HarmonicCoil, Rig
+from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Rig, UnwoundCoil
 from estimator.units import split_quotient
 
 HARDLY_NARROWED = 3.0  # data as wide as three priors narrow the interval by 5 %, which no reader sees
@@ -194,7 +194,7 @@ def _amplitude_table(
             rows.append(
                 [
                     coil.name,
-                    str(degree) if has_degrees else "charges",
+                    str(degree) if has_degrees else _sources_words(coil),
                     str(len(numbers)),
                     *(size_with_unit(s, "T/A", 3) for s in sizes),
                 ]
@@ -202,6 +202,11 @@ def _amplitude_table(
     header = ["coil", "degree", "amplitudes", "rms amplitude", "rms sd", "prior sd"]
     caption = "Each amplitude is in summary.json. Coils that carried no current are left out: of them only the priors are known."
     return Table("Amplitudes of coils without a winding", header, rows, caption)
+
+
+def _sources_words(coil: UnwoundCoil) -> str:
+    has_multipoles = isinstance(coil, EquivalentSourceCoil) and bool(coil.multipoles_m)
+    return "charges and multipoles" if has_multipoles else "charges"
 
 
 def _rms(values: Sequence[float]) -> float:

@@ -105,7 +105,9 @@ def _coil_words(coil: Body, values: Mapping[str, float]) -> str:
     name = coil.name
     if not isinstance(coil, Coil | SidedCoil):
         if isinstance(coil, EquivalentSourceCoil):
-            return f"no winding, {len(coil.amplitudes[1])} magnetic charges on a box"
+            n = len(coil.multipoles_m)
+            beside = f" and {n} multipole{'s' if n > 1 else ''} beside it" if n else ""
+            return f"no winding, {coil.n_charges} magnetic charges on a box{beside}"
         return "no winding, a sum of solid harmonics"
     loops = " x ".join(f"{values[f'{name}.{count}']:g}" for count in ("axial_loops", "radial_loops"))
     if isinstance(coil, SidedCoil):

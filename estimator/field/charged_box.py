@@ -1,5 +1,7 @@
 """Static magnetic field inside a box with sources outside it, as that of magnetic charges on its surface (equivalent sources).
 
+Small sources just beside the box, nearer than charges can be to each other, are multipoles at places of their own.
+
 The field of any charges is free of divergence and curl where there are none. That of sources outside a closed surface is, inside, that of
 a layer of charges on the surface, which fine points stand for. Their sum need not be zero: charges as on a conductor make no field inside,
 so a sum of any size can be added without a change there.
@@ -13,7 +15,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.rig.charged_box import Triple
+from estimator.field.harmonics import exterior_field
+from estimator.rig.charged_box import MULTIPOLE_DEGREE, Triple
+from estimator.rig.harmonic_terms import terms
+
+SIZES = [
+    len(terms(degree)) for degree in range(1, MULTIPOLE_DEGREE + 1)
+]  # amplitudes of a multipole by degree
 
 
 @lru_cache(maxsize=32)
@@ -57,3 +65,27 @@ def charged_box_field(
     from_charge_m = points_m[..., :, :, None] - places_m.to(points_m).mT
     distance_m = from_charge_m.norm(dim=-2, keepdim=True)
     return torch.einsum("...pxc,...c->...px", from_charge_m / distance_m**3, per_amplitude * amplitudes)
+
+
+def multipole_field(
+    points_m: Float[Tensor, "*#batch point 3"],
+    places_m: Float[Tensor, "multipole 3"],
+    gaps_m: Float[Tensor, " multipole"],
+    amplitudes: Float[Tensor, "*#batch amplitude"],
+) -> Float[Tensor, "*batch point 3"]:
+    """Field of dipoles and quadrupoles. Independent amplitudes of rms 1 make a field of rms 1 in each degree, one gap away.
+
+    Args:
+        points_m: Anywhere but at the multipoles, which are singular.
+        places_m: Of the multipoles.
+        gaps_m: Distance from each at which its amplitudes are given, above zero.
+        amplitudes: By multipole, degree and term.
+    References: Jackson, Classical Electrodynamics, 3rd ed., section 4.1.
+    """
+    total = torch.zeros_like(points_m)
+    of_each = amplitudes.unflatten(-1, (len(places_m), sum(SIZES)))
+    for i, (place_m, gap_m) in enumerate(zip(places_m, gaps_m, strict=True)):
+        own = of_each[..., i, :].split(SIZES, dim=-1)
+        shared = {degree: part / len(terms(degree)) ** 0.5 for degree, part in enumerate(own, start=1)}
+        total = total + exterior_field((points_m - place_m) / gap_m, shared)
+    return total

@@ -254,21 +254,22 @@ class CollapsedPosterior:
 
         About zero the squares of readings a million times their noise would leave no digit for differences of log densities.
         """
-        design_T, residual_T = self._at_start
+        design_T, residual_T = self.at_start
         with torch.no_grad():
             sigma_T = self.full.component_sigma_T(self._with_centre(self.coordinates.start()))
         design = design_T / sigma_T[:, None]
         return _solved(_unit_plus(design.mT @ design), design.mT @ (residual_T / sigma_T))
 
     @cached_property
-    def _at_start(self) -> tuple[Tensor, Tensor]:
+    def at_start(self) -> tuple[Tensor, Tensor]:
+        """Design matrix and residuals of `_design`, with all else at the nominal values."""
         with torch.no_grad():
             return self._design(self.coordinates.start())
 
     @cached_property
     def _sums(self) -> _Sums:
         """Sums over the readings, which stay the same where nothing but the noise is free."""
-        design_T, residual_T = self._at_start
+        design_T, residual_T = self.at_start
         residual_T = residual_T - design_T @ self._about
         own = [self.full.sensor == i for i in range(len(self.full.n_by_sensor))]
         return _Sums(
@@ -281,7 +282,7 @@ class CollapsedPosterior:
     @cached_property
     def _principal(self) -> _Principal:
         """Of the readings of a single sensor. Not by the matrix of `_sums`, whose small eigenvalues are rounding."""
-        design_T, residual_T = self._at_start
+        design_T, residual_T = self.at_start
         combinations, size, vectors = torch.linalg.svd(design_T, full_matrices=False)
         measured_T = combinations.mT @ residual_T
         left_T = residual_T - combinations @ measured_T

@@ -38,7 +38,7 @@ from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
 from estimator.model.sources import Sources
-from estimator.model.unwound import CLEAR_SHARE, is_among_sources
+from estimator.model.unwound import CLEAR_SHARE, is_among_sources, is_beyond_box, is_near_multipole
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, Region, Rig, UnwoundCoil, WoundCoil
@@ -361,12 +361,14 @@ class MeasurementModel:
 
     def _refuse_outside(self, coil: UnwoundCoil, rows: Tensor, points_m: Tensor, values: Values) -> None:
         """Refuse readings where the field of a coil has no meaning: among its sources, or far beyond the sphere of reference."""
-        among = is_among_sources(coil, points_m, values)
         if isinstance(coil, EquivalentSourceCoil):
             half = " x ".join(f"{2e3 * half_m:.6g}" for half_m in coil.half_m)
             beyond = f"no more than {CLEAR_SHARE:g} of the margin, {coil.margin_m * 1e3:.6g} mm, beyond"
-            self._refuse(f"{beyond} the box of {coil.name}, {half} mm", rows, among)
+            self._refuse(f"{beyond} the box of {coil.name}, {half} mm", rows, is_beyond_box(coil, points_m))
+            near = is_near_multipole(coil, points_m)
+            self._refuse(f"no nearer to a multipole of {coil.name} than its box does", rows, near)
             return
+        among = is_among_sources(coil, points_m, values)
         radius_m = values[f"{coil.name}.reference_radius_m"]
         where = f"of {coil.name}, {float(radius_m) * 1e3:.6g} mm"
         self._refuse(f"outside the reference_radius {where}, which holds all its sources", rows, among)

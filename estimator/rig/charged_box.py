@@ -1,8 +1,13 @@
-"""How many magnetic charges stand on the surface of a box, and how the amplitudes are called that a rig holds for them."""
+"""How many magnetic charges stand on the surface of a box, and what the amplitudes of charges and of multipoles are called."""
 
 from __future__ import annotations
 
+import math
+
+from estimator.rig.harmonic_terms import amplitude_key
+
 MOST_CHARGES = 3000  # a design matrix of 3000 readings is 200 MB then, and its decomposition takes a minute
+MULTIPOLE_DEGREE = 2  # of multipoles beside the box: dipole and quadrupole
 
 Triple = tuple[float, float, float]
 
@@ -42,3 +47,23 @@ def charge_key(number: int) -> str:
         'charge1_T_per_A'
     """
     return f"charge{number}_T_per_A"
+
+
+def gap_m(place_m: Triple, half_m: Triple) -> float:
+    """Distance of a place from a box about the origin; 0 inside.
+
+    Examples:
+        >>> gap_m((0.0, 0.04, 0.01), (0.01, 0.01, 0.01))
+        0.03
+    """
+    return math.hypot(*(max(0.0, abs(x) - half) for x, half in zip(place_m, half_m, strict=True)))
+
+
+def multipole_key(number: int, degree: int, term: str) -> str:
+    """Key of an amplitude of a multipole, in tesla per ampere.
+
+    Examples:
+        >>> multipole_key(2, 1, "cos0")
+        'multipole2_degree1_cos0_T_per_A'
+    """
+    return f"multipole{number}_{amplitude_key(degree, term)}"

@@ -17,7 +17,15 @@ from typing import Any
 
 from estimator.errors import InvalidInput, closest
 from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
-from estimator.rig.charged_box import Triple, charge_key, intervals, n_charges
+from estimator.rig.charged_box import (
+    MULTIPOLE_DEGREE,
+    Triple,
+    charge_key,
+    gap_m,
+    intervals,
+    multipole_key,
+    n_charges,
+)
 from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
@@ -196,16 +204,19 @@ class EquivalentSourceCoil(Body):
     """A coil whose winding is not known: per ampere its field is that of magnetic charges on a box about the origin of its frame.
 
     Amplitudes are parameters `name.charge1_T_per_A` and so on: were all independent, with rms 1, the field in the middle would have rms 1.
+    Those of a multipole, such as `name.multipole1_degree1_cos0_T_per_A`, would make rms 1 in each degree where its box comes nearest.
 
     Attributes:
         half_m: Half of each edge of a box without sources that holds the readings.
         margin_m: How far outside that box the charges stand, on the surface of another.
         spacing_m: Distance of neighbouring charges, roughly.
+        multipoles_m: Places outside the first box of small sources so close to it that the charges cannot stand for them.
     """
 
     half_m: Triple = (1.0, 1.0, 1.0)
     margin_m: float = 1.0
     spacing_m: float = 1.0
+    multipoles_m: tuple[Triple, ...] = field(default=(), repr=False)  # `Rig.hash` names them where they are
 
     @property
     def charged_half_m(self) -> Triple:
@@ -219,10 +230,26 @@ class EquivalentSourceCoil(Body):
         return intervals(self.half_m, self.margin_m, self.spacing_m)
 
     @property
+    def n_charges(self) -> int:
+        """How many charges stand on the box."""
+        return n_charges(self.intervals)
+
+    @property
+    def multipole_gaps_m(self) -> tuple[float, ...]:
+        """Distance of each multipole from the first box."""
+        return tuple(gap_m(place_m, self.half_m) for place_m in self.multipoles_m)
+
+    @property
     def amplitudes(self) -> dict[int, tuple[str, ...]]:
-        """Names of its amplitudes, which have no degrees: all of them are the first."""
-        numbers = range(1, n_charges(self.intervals) + 1)
-        return {1: tuple(f"{self.name}.{charge_key(number)}" for number in numbers)}
+        """Names of its amplitudes, charges before multipoles. Charges have no degrees, so all stand under the first."""
+        keys = [charge_key(number) for number in range(1, self.n_charges + 1)]
+        keys += [
+            multipole_key(number, degree, term)
+            for number in range(1, len(self.multipoles_m) + 1)
+            for degree in range(1, MULTIPOLE_DEGREE + 1)
+            for term in terms(degree)
+        ]
+        return {1: tuple(f"{self.name}.{key}" for key in keys)}
 
 
 WoundCoil = Coil | SidedCoil
@@ -302,6 +329,11 @@ class Rig:
         lines += [f"{mover.name} {mover.own_table!r}" for mover in self.movers if mover.own_table is not None]
         lines += [f"{mover.name} {mover.own_ends!r}" for mover in self.movers if mover.own_ends is not None]
         lines += [f"{coil.name} {coil.leads!r}" for coil in self.wound if coil.leads is not None]
+        lines += [
+            f"{coil.name} {coil.multipoles_m!r}"
+            for coil in self.unwound
+            if isinstance(coil, EquivalentSourceCoil) and coil.multipoles_m
+        ]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 
     def mover(self, name: str) -> Mover:

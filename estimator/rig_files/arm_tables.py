@@ -113,3 +113,8 @@ def _column(section: Section, quantity: str, dimension: str) -> tuple[float, ...
 def is_number(value: object) -> bool:
     """Whether an entry of a list is a number that a rig file may hold."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
+
+
+def is_point(point: object) -> bool:
+    """Whether an entry is a list of three such numbers."""
+    return isinstance(point, list) and len(point) == 3 and all(map(is_number, point))

@@ -24,7 +24,7 @@ from estimator.rig.rig import (
     SidedCoil,
     UnwoundCoil,
 )
-from estimator.rig_files.arm_tables import is_number, read_own_table
+from estimator.rig_files.arm_tables import is_point, read_own_table
 from estimator.rig_files.harmonic import (
     EQUIVALENT_SOURCES,
     HARMONIC,
@@ -144,14 +144,10 @@ def _read_path(section: Section, lead: str) -> Path:
         return ()
     key, unit = found
     points = section.value(key)
-    is_path = isinstance(points, list) and len(points) >= 2 and all(map(_is_point, points))
+    is_path = isinstance(points, list) and len(points) >= 2 and all(map(is_point, points))
     if not is_path:
         section.refuse(key, "must be a list of two points or more, each of three numbers", repr(points))
     return tuple((float(x) * unit.to_si, float(y) * unit.to_si, float(z) * unit.to_si) for x, y, z in points)
-
-
-def _is_point(point: object) -> bool:
-    return isinstance(point, list) and len(point) == 3 and all(map(is_number, point))
 
 
 def _refuse_of_others(section: Section, model: str) -> None:

@@ -1,15 +1,17 @@
-"""Coils without a winding in rig files: degree and sphere, or a box with charges, and amplitudes with their priors, both ways."""
+"""Coils without a winding in rig files, both ways: degree and sphere, or a box with charges and multipoles; amplitudes with priors."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from statistics import mode
 from typing import Any
 
-from estimator.rig.charged_box import MOST_CHARGES, n_charges
+from estimator.rig.charged_box import MOST_CHARGES, Triple, gap_m, n_charges
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
 from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
+from estimator.rig_files.arm_tables import is_point
 from estimator.rig_files.numbers import Numbers, read_number, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
@@ -17,6 +19,7 @@ from estimator.yaml_section import Section
 HARMONIC = "harmonic"
 EQUIVALENT_SOURCES = "equivalent_sources"
 OF_THE_BOX = ("half_x", "half_y", "half_z", "margin", "spacing")
+MULTIPOLES = "multipoles"
 WIDTH, FALLOFF = "sd_T_per_A", "falloff"
 UNIT = "T/A"
 MOST_DIGITS = 17  # tell any two floats apart
@@ -94,7 +97,29 @@ def read_box(section: Section, name: str) -> EquivalentSourceCoil:
         found = section.key_with_unit("spacing", "length")
         assert found is not None
         section.refuse(found[0], f"must leave at most {MOST_CHARGES} charges on the box", f"{n} charges")
-    return coil
+    return replace(coil, multipoles_m=_read_multipoles(section, coil))
+
+
+def _read_multipoles(section: Section, coil: EquivalentSourceCoil) -> tuple[Triple, ...]:
+    """Places of multipoles beside the box, each of its own."""
+    found = section.key_with_unit(MULTIPOLES, "length")
+    if found is None:
+        return ()
+    key, unit = found
+    given = section.value(key)
+    if not (isinstance(given, list) and all(map(is_point, given))):
+        section.refuse(key, "must be a list of places, each of three numbers", repr(given))
+    places_m: list[Triple] = []
+    for place in given:
+        x, y, z = (float(number) * unit.to_si for number in place)
+        if gap_m((x, y, z), coil.half_m) <= 0.0:
+            section.refuse(
+                key, f"must lie outside the box that holds the readings of {coil.name}", repr(place)
+            )
+        if (x, y, z) in places_m:
+            section.refuse(key, "must be places that differ", f"{place!r} twice")
+        places_m.append((x, y, z))
+    return tuple(places_m)
 
 
 def _length_m(section: Section, quantity: str) -> float:

@@ -47,7 +47,7 @@ coils:
     amplitudes: {{sd_T_per_A: 1e-3, degree1_cos0_T_per_A: 0}}}}
   boxed:
     {{model: equivalent_sources, half_x_m: 0.01, half_y_m: 0.01, half_z_m: 0.01, margin_m: 0.01, spacing_m: 0.04,
-    amplitudes: {{sd_T_per_A: 1e-3}}}}
+    multipoles_m: [[0, 0, 0.02]], amplitudes: {{sd_T_per_A: 1e-3}}}}
 sensors:
   standing_sensor: {{noise_T: {{prior: {{log_normal: {{median: 1e-5, relative_sd: 0.5}}}}}}}}
   shifted_sensor: {{carried_by: shifts, noise_T: 1e-5, gain: 1}}

@@ -25,6 +25,7 @@ from estimator.rig.rig import (
     Leads,
     MotionKind,
     Mover,
+    Path,
     Rig,
     Sensor,
     SidedCoil,
@@ -34,7 +35,13 @@ from estimator.rig.rig import (
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
 from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES
-from estimator.rig_files.harmonic import EQUIVALENT_SOURCES, HARMONIC, OF_THE_BOX, amplitude_section
+from estimator.rig_files.harmonic import (
+    EQUIVALENT_SOURCES,
+    HARMONIC,
+    MULTIPOLES,
+    OF_THE_BOX,
+    amplitude_section,
+)
 from estimator.rig_files.numbers import SI_SYMBOL
 from estimator.rig_files.read import SCHEMA_VERSION
 from estimator.units import UNITS
@@ -197,14 +204,18 @@ def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
 
 def _leads(leads: Leads | None) -> dict[str, Any]:
     """Paths of the current, each in one unit."""
-    entry = {}
+    entry: dict[str, Any] = {}
     for lead, path in zip(LEADS, () if leads is None else (leads.towards, leads.away), strict=False):
-        unit = _unit("length", [number for point in path for number in point])
-        if path:
-            entry[f"{lead}_{unit}"] = [
-                [_in_unit(number, UNITS[unit].to_si) for number in point] for point in path
-            ]
+        entry |= _points(lead, path)
     return entry
+
+
+def _points(quantity: str, points: Path) -> dict[str, Any]:
+    """A list of points in one unit; nothing where there are none."""
+    unit = _unit("length", [number for point in points for number in point])
+    if not points:
+        return {}
+    return {f"{quantity}_{unit}": [[_in_unit(number, UNITS[unit].to_si) for number in p] for p in points]}
 
 
 def _shape(coil: WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
@@ -224,6 +235,7 @@ def _unwound_coil(coil: UnwoundCoil, rig: Rig) -> dict[str, Any]:
         for quantity, length_m in zip(OF_THE_BOX, (*coil.half_m, coil.margin_m, coil.spacing_m), strict=True):
             unit = _unit("length", [length_m])
             entry[f"{quantity}_{unit}"] = _in_unit(length_m, UNITS[unit].to_si)
+        entry |= _points(MULTIPOLES, coil.multipoles_m)
     else:
         entry |= {"model": HARMONIC, "region": str(coil.region), "degree": coil.degree}
         entry |= _number(f"{coil.name}.reference_radius_m", "length", rig.parameters)

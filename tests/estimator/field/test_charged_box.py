@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 
+import magpylib
 import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torch.func import jacrev, vmap
 
-from estimator.field.charged_box import charge_places, charged_box_field
+from estimator.field.charged_box import SIZES, charge_places, charged_box_field, multipole_field
 from estimator.rig.charged_box import intervals, n_charges
 
 HALF_M = (0.02, 0.015, 0.03)
@@ -88,3 +89,37 @@ def test_batches_dtype_and_places_are_kept() -> None:
     one_by_one = torch.stack([charged_box_field(inside(6).float(), HALF_M, N, a) for a in amplitudes])
     torch.testing.assert_close(together, one_by_one)
     assert len(charge_places(HALF_M, N).unique(dim=0)) == n_charges(N)
+
+
+def test_a_multipole_of_the_first_degree_is_a_dipole_and_each_degree_has_rms_1_a_gap_away() -> None:
+    place_m, gap_m = torch.tensor([[0.05, -0.02, 0.01]]).double(), torch.tensor([0.02]).double()
+    generator = torch.Generator().manual_seed(1)
+    direction = torch.randn(4000, 3, generator=generator, dtype=torch.float64)
+    around_m = place_m + gap_m * direction / direction.norm(dim=-1, keepdim=True)
+    each_T = multipole_field(around_m, place_m, gap_m, torch.eye(sum(SIZES), dtype=torch.float64))
+    for part in each_T.square().sum(-1).mean(-1).split(SIZES):
+        assert float(part.sum()) == pytest.approx(1.0, rel=0.05)
+    points_m = inside(30)
+    moments = np.eye(3)
+    dipoles_T = np.stack(
+        [magpylib.misc.Dipole(position=place_m[0].numpy(), moment=m).getB(points_m.numpy()) for m in moments]
+    )
+    own_T = multipole_field(points_m, place_m, gap_m, torch.eye(sum(SIZES), dtype=torch.float64)[:3])
+    columns_T = own_T.flatten(1).T.numpy()
+    left = [np.linalg.lstsq(columns_T, d.ravel(), rcond=None)[1][0] / (d**2).sum() for d in dipoles_T]
+    assert max(left) < 1e-24
+
+
+def test_two_multipoles_add_and_rows_stay_apart() -> None:
+    places_m, gaps_m = (
+        torch.tensor([[0.05, 0.0, 0.0], [0.0, -0.04, 0.0]]).double(),
+        torch.tensor([0.03, 0.025]),
+    )
+    amplitudes = torch.randn(2, 16, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    both_T = multipole_field(inside(5), places_m, gaps_m, amplitudes)
+    one_T, other_T = (
+        multipole_field(inside(5), places_m[i : i + 1], gaps_m[i : i + 1], amplitudes[:, 8 * i : 8 * i + 8])
+        for i in range(2)
+    )
+    torch.testing.assert_close(both_T, one_T + other_T)
+    torch.testing.assert_close(multipole_field(inside(5), places_m, gaps_m, amplitudes[1]), both_T[1])

@@ -69,6 +69,18 @@ def test_the_room_has_no_field_near_the_charges_and_beyond() -> None:
         torch.testing.assert_close(far_T.cpu(), field_T, equal_nan=True)
 
 
+def test_nearer_to_a_multipole_than_the_box_readings_are_refused_and_the_room_has_no_field() -> None:
+    rig = rig_from_text(TEXT.replace("spacing_mm: 1.8", "spacing_mm: 1.8\n    multipoles_mm: [[0, 0, 6]]"))
+    MeasurementModel.build(rig, readings([[0.010, 0.0, 0.005], [0.013, 0.0, 0.0055]], [1.0]))
+    with pytest.raises(InvalidInput, match="no nearer to a multipole of c1 than its box does"):
+        MeasurementModel.build(rig, readings([[0.010, 0.0, 0.0055]], [1.0]))
+    points_m = torch.tensor([[0.010, 0.0, 0.005], [0.010, 0.0, 0.0055]]).double()
+    values = nominal_tensors(rig.with_values({"c1.multipole1_degree1_cos0_T_per_A": 1e-3}))
+    field_T = RoomField(rig, values, points_m).field_T(values, torch.ones(1).double())
+    assert torch.isnan(field_T).all(-1).tolist() == [False, True]
+    assert float(field_T[0].norm()) == pytest.approx(1e-3 * 2.0**0.5 / 3.0**0.5)  # on the axis of a dipole
+
+
 def columns(rig: Rig, points_m: Tensor) -> Tensor:
     """Components of the field at points, by prior standard deviations of each amplitude."""
     names = [name for own in rig.unwound[0].amplitudes.values() for name in own]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from estimator.cli.understood import _coil_words
@@ -61,7 +62,58 @@ def test_it_comes_back_to_the_last_digit(amplitudes: str, written: str) -> None:
     assert other.hash != rig.hash
 
 
+WITH_MULTIPOLES = TEXT.replace(
+    "spacing_mm: 6", "spacing_mm: 6\n    multipoles_mm: [[0, 0, 12], [-6, 5.5, -3]]"
+)
+HASH = (
+    "fb4df752b6bff2b7fe7694d12e7dd1c630715e6f06f360a8c749fc119b9f9bb7"  # of TEXT before there were multipoles
+)
+
+
+def test_multipoles_have_eight_amplitudes_each_and_come_back() -> None:
+    rig = rig_from_text(WITH_MULTIPOLES)
+    (coil,) = rig.coils
+    assert isinstance(coil, EquivalentSourceCoil)
+    np.testing.assert_allclose(coil.multipoles_m, [[0.0, 0.0, 0.012], [-0.006, 0.0055, -0.003]])
+    np.testing.assert_allclose(coil.multipole_gaps_m, [2e-3, 1.118e-3], rtol=1e-3)
+    own = [p for p in rig.free if ".multipole" in p.name]
+    assert [p.name for p in own[:9:4]] == [
+        "c1.multipole1_degree1_cos0_T_per_A",
+        "c1.multipole1_degree2_cos1_T_per_A",
+        "c1.multipole2_degree1_cos0_T_per_A",
+    ]
+    assert (len(own), {p.prior for p in own}) == (16, {Normal(0.0, 8e-3)})
+    assert _coil_words(coil, {}) == "no winding, 80 magnetic charges on a box and 2 multipoles beside it"
+    again = rig_from_text(rig_text(rig))
+    assert (again, again.hash) == (rig, rig.hash)
+
+
+def test_the_places_of_multipoles_are_part_of_what_identifies_a_rig_and_none_leave_it_as_it_was() -> None:
+    assert rig_from_text(TEXT).hash == HASH
+    assert rig_from_text(WITH_MULTIPOLES).hash != rig_from_text(WITH_MULTIPOLES.replace("12]", "13]")).hash
+    none = rig_from_text(WITH_MULTIPOLES.replace("[[0, 0, 12], [-6, 5.5, -3]]", "[]"))
+    assert (none, none.hash) == (rig_from_text(TEXT), HASH)
+
+
 REFUSALS = {
+    "a place of two numbers": (
+        "spacing_mm: 6",
+        "spacing_mm: 6\n    multipoles_mm: [[0, 12]]",
+        "coils.c1.multipoles_mm must be a list of places, each of three numbers; received [[0, 12]]",
+        12,
+    ),
+    "a multipole among the readings": (
+        "spacing_mm: 6",
+        "spacing_mm: 6\n    multipoles_mm: [[0, 0, 9]]",
+        "coils.c1.multipoles_mm must lie outside the box that holds the readings of c1; received [0, 0, 9]",
+        12,
+    ),
+    "a multipole twice": (
+        "spacing_mm: 6",
+        "spacing_mm: 6\n    multipoles_mm: [[0, 0, 12], [0, 0, 12]]",
+        "coils.c1.multipoles_mm must be places that differ; received [0, 0, 12] twice",
+        12,
+    ),
     "no box": ("    half_y_mm: 5\n", "", "coils.c1.half_y_m is missing", 6),
     "no unit": ("margin_mm: 4", "margin: 4", "coils.c1.margin must carry its unit", 10),
     "no margin": ("margin_mm: 4", "margin_mm: 0", "coils.c1.margin_mm must be > 0; received 0", 10),
