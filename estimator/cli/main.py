@@ -22,6 +22,7 @@ from estimator.cli.export import export_command
 from estimator.cli.import_readings import import_command
 from estimator.cli.init import init_command
 from estimator.cli.live import live_command
+from estimator.cli.multipoles import multipoles_command
 from estimator.cli.predict import predict_command
 from estimator.cli.recalibrate import recalibrate_command
 from estimator.cli.report import report_command
@@ -57,6 +58,7 @@ for command in (
     check_command,
     simulate_command,
     import_command,
+    multipoles_command,
     calibrate_command,
     diagnose_command,
     compare_command,

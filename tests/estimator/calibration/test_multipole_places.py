@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import magpylib
 import numpy as np
 import pytest
 import torch
+from click.testing import CliRunner
 
 from estimator import SamplerSettings, calibrate
 from estimator.calibration import multipole_places
 from estimator.calibration.multipole_places import Found, with_multipoles
+from estimator.cli.main import main
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
+from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.store.session import Session
 from tests.estimator.calibration.test_equivalent_sources import TEXT as FINE_TEXT
@@ -86,6 +90,23 @@ def test_a_dipole_is_found_where_it_is_and_the_field_with_it(
     lower, upper = calibration.field_interval(points_m, {"c1": 1.0})
     assert 0.8 < float(((lower <= true_T) & (true_T <= upper)).double().mean()) <= 1.0
     assert errors[1] < 0.3 * errors[0]
+
+
+def test_the_command_writes_the_rig_that_was_found(
+    rig: Rig, observations: Observations, better: tuple[Rig, Found], tmp_path: Path
+) -> None:
+    Session(rig, observations, "").save(tmp_path / "session.zarr")
+    call = ["multipoles", f"{tmp_path}/session.zarr", "--out", f"{tmp_path}/rig.yaml"]
+    result = CliRunner().invoke(main, [*call, "--json"])
+    assert result.exit_code == 0, result.output
+    told = json.loads(result.output)
+    with_it, found = better
+    assert load_rig(tmp_path / "rig.yaml").unwound == with_it.unwound
+    np.testing.assert_allclose(told["places_mm"], 1e3 * np.array(found.places_m), atol=1e-4)
+    assert told["log_evidence_gains"] == pytest.approx(list(found.gains))
+    again = CliRunner().invoke(main, call)
+    assert again.exit_code == 2
+    assert "--overwrite" in again.output
 
 
 def test_none_is_taken_where_none_is(rig: Rig, plain: Session) -> None:
