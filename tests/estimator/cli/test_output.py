@@ -122,14 +122,14 @@ def test_the_time_left_follows_from_what_was_done_since_the_beginning(
     now_s = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
     left = TimeLeft()
-    assert left.words(50, 250) == ""
+    assert left.words(50.0, 250.0) == ""
     now_s[0] += 10.0
-    assert left.words(100, 250) == ", about 30 s left"
-    assert left.words(250, 250) == ""
-    assert left.words(0, 100) == ""  # something new
+    assert left.words(100.0, 250.0) == ", about 30 s left"
+    assert left.words(250.0, 250.0) == ""
+    assert left.words(0.0, 100.0) == ""  # something new
     now_s[0] += 1.0
-    assert left.words(1, 100) == ", about 1 min 39 s left"
-    assert left.words(99.9, 100) == ""
+    assert left.words(1.0, 100.0) == ", about 1 min 39 s left"
+    assert left.words(99.9, 100.0) == ""
 
 
 def test_quiet_keeps_progress_back_and_verbose_logs(run: Callable[..., Result], tmp_path: Path) -> None:
