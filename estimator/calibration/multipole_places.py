@@ -30,10 +30,8 @@ LEAST_GAIN = 20.0  # in log evidence, of each multipole: a source that is there 
 LEAST_RESOLVED = 0.7  # distance from the box over that from the nearest reading: below, places in the box are much nearer than any reading
 LEAST_GAIN_ON_GRID = 5.0  # before it moves
 MOST_MULTIPOLES = 8
-NEAREST, FARTHEST = (
-    0.1,
-    2.0,
-)  # distances from the box, over the margin; from the margin on charges can stand for the source
+# Distances from the box, over the margin; from the margin on charges can stand for the source.
+NEAREST, FARTHEST = 0.1, 2.0
 GRID_GAPS = (0.2, 0.5)  # distances of the grid's layers, over the margin; its places are twice as far apart
 MOST_ITERATIONS = 50
 SPARSE_M = 1e3  # leaves charges at corners only, where none is needed
@@ -41,9 +39,8 @@ PLACED_TO = 1e-3  # of the margin
 TRIED_NOISE = 10.0 ** np.arange(-8.0, 0.0, 0.2)  # over the rms of the readings
 N_FINER = 4  # noises below the last that are tried while a place moves
 
-Columns = Callable[
-    [Triple], np.ndarray
-]  # components of readings by prior standard deviation of each amplitude of a multipole
+# Components of readings by prior standard deviation of each amplitude of a multipole at a place.
+Columns = Callable[[Triple], np.ndarray]
 
 
 class Found(NamedTuple):

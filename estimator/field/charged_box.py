@@ -19,9 +19,8 @@ from estimator.field.harmonics import exterior_field
 from estimator.rig.charged_box import MULTIPOLE_DEGREE, Triple
 from estimator.rig.harmonic_terms import terms
 
-SIZES = [
-    len(terms(degree)) for degree in range(1, MULTIPOLE_DEGREE + 1)
-]  # amplitudes of a multipole by degree
+# Amplitudes of a multipole by degree.
+SIZES = [len(terms(degree)) for degree in range(1, MULTIPOLE_DEGREE + 1)]
 
 
 @lru_cache(maxsize=32)

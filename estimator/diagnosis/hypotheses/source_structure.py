@@ -32,9 +32,8 @@ from estimator.effects.attach import with_effect
 from estimator.effects.stages import SourceEffect, WindingEffect
 from estimator.rig.rig import Cause
 
-WORTH_A_START = (
-    0.05  # of the log evidence of a pile; what explains less alone is not what the pile stands in for
-)
+# Of the log evidence of a pile; what explains less alone is not what the pile stands in for.
+WORTH_A_START = 0.05
 NEARLY_THE_SAME = 1.0  # in log density: a climb that ends so far below the pile leads to a lower maximum
 
 

@@ -63,9 +63,8 @@ def unknown_beside(fit: Fit, causes: Sequence[Cause], families: Sequence[Family]
     rms = {cause: visible_rms_sigma(fit, cause) for cause in causes if cause not in scattering}
     amplitudes = [share * size for size in rms.values() for share in policy.RELATIVE_SHARES]
     batches = products_of(fit, families) if amplitudes else []
-    evidence = evidence_by_amplitude(
-        fit, families, amplitudes, batches
-    )  # of all at once: directions are found once
+    # Of all causes at once, so that the directions of each family are found once.
+    evidence = evidence_by_amplitude(fit, families, amplitudes, batches)
     each = zip(evidence.split(len(policy.RELATIVE_SHARES), dim=1), rms.items(), strict=True) if rms else ()
     found = {cause: _beside(fit, families, own, size, batches) for own, (cause, size) in each}
     for cause in scattering:
