@@ -8,7 +8,10 @@ SERVICE_INSTALLED := .venv/.service_installed
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
-.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
+ON_DEVICES = tests/estimator/test_devices.py tests/contract/test_devices_of_effects.py tests/estimator/field/test_fused.py \
+	tests/estimator/diagnosis/test_elsewhere.py tests/estimator/inference/test_collapsed.py tests/estimator/model/test_equivalent_sources.py
+
+.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device test-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -125,6 +128,9 @@ bench-diagnose: $(INSTALLED)  # time to name a cause in 512 readings
 
 bench-device: $(INSTALLED) # fields and fits on each device, in double and single precision; share of peak
 	$(RUN) scripts.benchmarks.device
+
+test-device: $(INSTALLED)  # what other tests run on a made-up device, on a graphics processor
+	COILCAL_FAR_DEVICE=cuda $(RUN) pytest $(ON_DEVICES) --jaxtyping-packages=
 
 bench-batch: $(INSTALLED) # fits per second: stacked, one by one, and over workers
 	$(RUN) scripts.benchmarks.batch

@@ -3,10 +3,13 @@
 Its tensors hold their numbers on the processor, so everything runs and gives real numbers: loops that stop by a value, distinct rows, fits.
 torch sees another device though. As on a graphics processor, an operation refuses a tensor of the processor beside them, unless it is a single
 number that it does not join to others, and NumPy takes none. `docs/decisions/0048` says why torch's own fake tensors do not serve here.
+
+Where COILCAL_FAR_DEVICE names a real one, such as cuda, the tests take that instead (`make test-device`).
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -17,8 +20,10 @@ from torch.utils._python_dispatch import TorchDispatchMode, return_and_correct_a
 from torch.utils._pytree import tree_leaves, tree_map, tree_map_only
 from torch.utils.backend_registration import _setup_privateuseone_for_python_backend
 
-_setup_privateuseone_for_python_backend("far")
-FAR = torch.device("far", 0)
+REAL = os.environ.get("COILCAL_FAR_DEVICE")
+if not REAL:  # once a device is made up, torch takes no derivatives on a real one
+    _setup_privateuseone_for_python_backend("far")
+FAR = torch.device(REAL or "far", 0)
 NEAR = torch.device("cpu")
 JOINS = (torch.ops.aten.cat.default, torch.ops.aten.stack.default)
 MOVES = (torch.ops.aten._to_copy.default, torch.ops.aten.copy_.default)
@@ -52,7 +57,7 @@ class FarTensor(torch.Tensor):
         return f"far {self.near!r}"
 
 
-class TensorOfTheProcessor(Exception):
+class TensorOfTheProcessor(RuntimeError):
     """An operation among far tensors was given one of the processor."""
 
 
@@ -116,5 +121,8 @@ def _rows(numbers: list[int]) -> torch.Tensor:
 @contextmanager
 def far_device() -> Iterator[torch.device]:
     """The device, on which tensors can be made inside."""
+    if REAL:
+        yield FAR
+        return
     with _Factories(), _FromNumbers():
         yield FAR

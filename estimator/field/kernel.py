@@ -44,12 +44,17 @@ def is_plain(*tensors: Tensor) -> bool:
         (True, False, False)
     """
     return all(
-        tensor.device.type == "cpu"
-        and tensor.dtype == torch.float64
-        and not (tensor.requires_grad and torch.is_grad_enabled())
-        and not torch._C._functorch.is_functorch_wrapped_tensor(tensor)
-        and forward_ad.unpack_dual(tensor).tangent is None
+        tensor.device.type == "cpu" and tensor.dtype == torch.float64 and not has_derivatives(tensor)
         for tensor in tensors
+    )
+
+
+def has_derivatives(tensor: Tensor) -> bool:
+    """Whether a tensor carries derivatives of any kind, which kernels do not."""
+    return (
+        (tensor.requires_grad and torch.is_grad_enabled())
+        or torch._C._functorch.is_functorch_wrapped_tensor(tensor)
+        or forward_ad.unpack_dual(tensor).tangent is not None
     )
 
 

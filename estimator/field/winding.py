@@ -16,13 +16,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.field.fused import fused_sum_of_loops, is_fusable
 from estimator.field.kernel import POINTS_AT_ONCE, is_plain, sum_of_loops
 from estimator.field.loop import steps_for_ratio
 from estimator.field.node_sum import Nodes, SumMode, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
 
-# Keeps what torch and the slopes of loops need in between in the second-level cache.
+# Keeps what torch and the slopes of loops need in between in the second-level cache of a processor.
 ELEMENTS_PER_CHUNK = 32_768
+# A graphics processor wants many at once; what is needed in between takes some 2 GB.
+ELEMENTS_PER_CHUNK_ELSEWHERE = 2**24
 DEFAULT_TOLERANCE = 1e-6
 NODE_LADDER = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 
@@ -141,8 +144,10 @@ def field_of_loops(
     rows = Nodes(*(v.expand(*batch, *v.shape[-2:]).reshape(-1, *v.shape[-2:]) for v in loops))
     if mode is SumMode.PLAIN and is_plain(points, *rows):
         return sum_of_loops(points, *rows.flat(), steps).reshape(*batch, n_points, 3)
+    if mode is SumMode.PLAIN and is_fusable(points, *rows):
+        return fused_sum_of_loops(points, *rows.flat(), steps).reshape(*batch, n_points, 3)
     node_sum = sum_to_first_order if mode is SumMode.FIRST_ORDER else sum_over_nodes
-    chunk = ELEMENTS_PER_CHUNK
+    chunk = ELEMENTS_PER_CHUNK if points.device.type == "cpu" else ELEMENTS_PER_CHUNK_ELSEWHERE
     n_row_parts = math.ceil(len(points) / max(1, chunk // (n_points * n_nodes)))
     n_point_parts = math.ceil(n_points / max(POINTS_AT_ONCE, chunk // n_nodes))
     field = []

@@ -28,7 +28,7 @@ COMPONENTS_AT_ONCE, DERIVATIVES_AT_ONCE = 2**20, 2**22
 AMPLITUDE_STEP = 1e-3  # of the prior's width: predictions are nearly linear in amplitudes
 DERIVATIVES_IN_A_PASS = (
     2**19
-)  # of one part of the readings; larger parts fall out of the cache and take half as long again
+)  # of one part of the readings; larger parts fall out of a processor's cache and take half as long again
 
 
 class FirstOrder(NamedTuple):
@@ -151,7 +151,8 @@ class LogPosterior:
         is_all = torch.equal(columns, torch.arange(n, device=columns.device))
         directions = self._directions if is_all else self._directions.only(columns)
         n_readings = len(self.model.circumstances)
-        at_once = max(1, DERIVATIVES_IN_A_PASS // max(1, 3 * len(directions.each) * batch.numel()))
+        in_a_pass = DERIVATIVES_IN_A_PASS if vector.device.type == "cpu" else DERIVATIVES_AT_ONCE
+        at_once = max(1, in_a_pass // max(1, 3 * len(directions.each) * batch.numel()))
         if n_readings > at_once:
             parts = [
                 self.part(part)._by_two_passes(vector, columns)

@@ -86,4 +86,5 @@ def test_density_and_its_derivatives_on_another_device(rig, observations, name, 
     with far_device() as far:
         for here, there in zip(near, results(observations.to(far)), strict=True):
             assert there.device == far
-            torch.testing.assert_close(there.cpu(), here, rtol=1e-9, atol=1e-11 * float(here.abs().max()))
+            # A graphics processor rounds otherwise, and derivatives in amplitudes are differences over a thousandth.
+            torch.testing.assert_close(there.cpu(), here, rtol=1e-9, atol=1e-9 * float(here.abs().max()))

@@ -26,16 +26,16 @@ from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.store.session import Session
-from tests.far import TensorOfTheProcessor, far_device
+from tests.far import far_device
 
 
 def test_far_device_refuses_what_a_graphics_processor_refuses():
     with far_device() as far:
         x = torch.ones(3, dtype=torch.float64, device=far)
         assert (x + torch.tensor(1.0)).device == far
-        with pytest.raises(TensorOfTheProcessor):
+        with pytest.raises(RuntimeError):
             x + torch.ones(3, dtype=torch.float64)
-        with pytest.raises(TensorOfTheProcessor):
+        with pytest.raises(RuntimeError):
             torch.stack((x, torch.arange(3.0)))
         with pytest.raises(TypeError, match="numpy"):
             x.numpy()
