@@ -28,7 +28,7 @@ else:
 
 
 def is_fusable(*tensors: Tensor) -> bool:
-    """Whether tensors are numbers that the kernel takes: on a graphics processor of NVIDIA or AMD and without derivatives.
+    """Whether tensors are numbers that the kernel takes: on a graphics processor and without derivatives.
 
     Examples:
         >>> is_fusable(torch.ones(3))
