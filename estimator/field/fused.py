@@ -2,14 +2,16 @@
 
 The formulas are those of `field.loop`. There each of some sixty operations writes its numbers to memory; here they stay in registers, which
 takes a twentieth of the time. Triton, which comes with torch's builds for graphics processors, translates the kernel when it is first
-called and keeps it on disk; without it, operations of torch do the same (`docs/decisions/0071`).
+called and keeps it on disk, for which it needs a C compiler. Without both, operations of torch do the same (`docs/decisions/0071`).
 """
 
 from __future__ import annotations
 
 import inspect
+import os
 from functools import cache
 from importlib.util import find_spec
+from shutil import which
 from typing import Any
 
 import torch
@@ -20,7 +22,7 @@ from estimator.field.kernel import QUARTER_MU0, has_derivatives
 
 POINTS_IN_A_BLOCK = 128
 
-if find_spec("triton"):
+if find_spec("triton") and (os.environ.get("CC") or which("gcc") or which("clang")):
     import triton
     import triton.language as tl
 else:
