@@ -88,13 +88,18 @@ def value_and_jacobian_by_paths(
                 [0., 1.]]))
     """
     with torch.enable_grad():
-        free = [coordinate.requires_grad_() for coordinate in point.detach().clone().unbind()]
-        values = function(free)
+        asked = directions.any(0).nonzero().flatten().tolist()  # only these have graphs
+        each_one = list(point.detach().clone().unbind())
+        free = {i: each_one[i].requires_grad_() for i in asked}
+        values = function(each_one)
         along = values.new_zeros(*values.shape, len(directions))
-        if not (values.requires_grad and len(directions)):
+        if not (values.requires_grad and asked):
             return values.detach(), along
         weights = torch.zeros_like(values).requires_grad_()
-        gradient = torch.autograd.grad(values, free, weights, create_graph=True, materialize_grads=True)
+        gradients = torch.autograd.grad(
+            values, list(free.values()), weights, create_graph=True, materialize_grads=True
+        )
+        gradient = dict(zip(free, gradients, strict=True))
         for path in paths:
             each = directions[list(path)]
             mine = [i for i in each.any(0).nonzero().flatten().tolist() if gradient[i].requires_grad]

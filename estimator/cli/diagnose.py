@@ -191,7 +191,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             f"  {EXTENDED_RIG} also has {names}: needed here, but something unknown may look like them"
         )
     if diagnosis.verdict is Verdict.UNEXPLAINED:
-        remainder = diagnosis.findings.search.steps[-1].discrepancy
+        remainder = diagnosis.findings.search.remainder
         lines.append(
             f"  {odds(remainder.log_bayes_factor)} that something is left, {remainder.rms_sigma:.2g} of the noise rms, which depends on "
             f"{remainder.family}"

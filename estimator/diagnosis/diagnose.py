@@ -44,11 +44,9 @@ from estimator.diagnosis.validation import improvement_of, is_refuted
 from estimator.diagnosis.verdict import (
     NamedCause,
     Verdict,
-    beside_discrepancy,
     extended_fit,
-    named_causes,
+    judged,
     stand_ins,
-    verdict_of,
 )
 from estimator.diagnosis.widening import Widening
 from estimator.errors import InvalidInput
@@ -161,10 +159,7 @@ def _judged(
     search_result, mistakes, visible, twins = computed_on(
         place, lambda fit: _found(fit, refusal, limits, tell, on_progress), plain
     )
-    named = named_causes(search_result)
-    verdict = verdict_of(search_result, named)
-    if verdict is Verdict.UNEXPLAINED and named:
-        named = beside_discrepancy(search_result, named)
+    verdict, named = judged(search_result)
     extended = extended_fit(search_result, named)
     if verdict is Verdict.NOTHING_FOUND and mistakes:
         verdict = Verdict.INDISTINGUISHABLE if any(mistake.twins for mistake in mistakes) else Verdict.NAMED
@@ -193,7 +188,7 @@ def _judged(
     correction, widening = None, None
     if verdict is Verdict.UNEXPLAINED:
         is_base = extended is search_result.base
-        left = search_result.base_discrepancy if is_base else search_result.steps[-1].discrepancy
+        left = search_result.base_discrepancy if is_base else search_result.remainder
         widening = Widening.of(extended, after, left)
         tell("correcting what is left, without a name")
         correction = computed_on(
@@ -283,7 +278,7 @@ def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> b
     It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left
     more of the field than causes do. It also may if the causes that were found explain the unchanged record better.
     """
-    remainder, final = search_result.steps[-1].discrepancy, search_result.final
+    remainder, final = search_result.remainder, search_result.final
     least = min(mistake.log_bayes_factor for mistake in mistakes)
     is_little = least < remainder.log_bayes_factor or leaves_much_of_the_field(search_result.base)
     if leaves_structure(remainder) and is_little:

@@ -20,8 +20,9 @@ from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
 from estimator.field.winding import Rule
+from estimator.inference.bounds import solve
 from estimator.inference.laplace import covariance, log_evidence
-from estimator.inference.levenberg_marquardt import Optimum, solve
+from estimator.inference.levenberg_marquardt import Optimum
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations

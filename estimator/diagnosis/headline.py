@@ -79,7 +79,7 @@ def _what(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is not Verdict.UNEXPLAINED:
         return f"{_capital('; '.join(found))}."
     search = diagnosis.findings.search
-    remainder = search.steps[-1].discrepancy
+    remainder = search.remainder
     if _is_pulled(diagnosis):
         name, widths = _pulled(diagnosis)
         dependence = f"the readings alone would put {name} {widths:.2g} widths of its prior from what the rig file states"
@@ -98,7 +98,7 @@ def _what(diagnosis: Diagnosis) -> str:
 def _is_pulled(diagnosis: Diagnosis) -> bool:
     """Whether all that is left unexplained is that a number lies far outside its prior."""
     search = diagnosis.findings.search
-    return leaves_structure(search.pull) and not leaves_structure(search.steps[-1].discrepancy)
+    return leaves_structure(search.pull) and not leaves_structure(search.remainder)
 
 
 def _pulled(diagnosis: Diagnosis) -> tuple[str, float]:
@@ -132,7 +132,7 @@ def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
     assert others is not None
     search = diagnosis.findings.search
     n_kinds = len({cause.name for cause in search.added})
-    left = search.steps[-1].discrepancy
+    left = search.remainder
     leaving = f" and leave structure with a log evidence of {left.log_bayes_factor:.0f}"
     reached = "".join(
         f"; {diagnosis.label(one.cause)} {one.log_bayes_factor:.0f} beside {len(one.needed)} of them"

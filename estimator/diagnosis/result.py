@@ -196,7 +196,7 @@ class Diagnosis:
     def p_not_in_library(self) -> float:
         """Probability that something is there which no list holds: beside the named causes, or instead of one."""
         search = self.findings.search
-        left = max(p_of_structure(one) for one in (search.steps[-1].discrepancy, search.scatter, search.pull))
+        left = max(p_of_structure(one) for one in (search.remainder, search.scatter, search.pull))
         return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
 
     def evidence(self) -> dict[str, float]:
@@ -230,7 +230,7 @@ class Diagnosis:
     def to_json(self) -> dict[str, Any]:
         """As `diagnosis.json` holds it."""
         search, left_open, improvement = self.findings.search, self.left_open, self.improvement
-        remainder = search.steps[-1].discrepancy
+        remainder = search.remainder
         result: dict[str, Any] = {
             "verdict": str(self.verdict),
             "p_not_in_library": self.p_not_in_library,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -14,6 +15,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.screening import linear_evidence
 from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.standing import explains_more_than_is_left, standing
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
     shares_of,
@@ -82,6 +84,24 @@ class NamedCause:
         return not (self.alternatives or self.may_be_unknown)
 
 
+def judged(search: Search) -> tuple[Verdict, list[NamedCause]]:
+    """The outcome of a search, and the causes that are named with it.
+
+    Where causes of many kinds pile up, something is unexplained whatever they are called. Few then stand beside it, and only of these it is
+    asked how probable their names are.
+    """
+    if search.source_seems_wrong:
+        before = search.base_discrepancy.weighed(search.final.weight_over(search.base))
+        stand = standing(search.final, search.added, before, search.remainder)
+        named = named_causes(search, stand)
+        return Verdict.UNEXPLAINED, [cause for cause in named if not only_resembles(cause)]
+    named = named_causes(search, search.added)
+    verdict = verdict_of(search, named)
+    if verdict is Verdict.UNEXPLAINED and named:
+        named = beside_discrepancy(search, named)
+    return verdict, named
+
+
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
     """The outcome. `unexplained` where structure remains, or where a flexible curve does better than several causes together."""
     prior = policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
@@ -92,8 +112,7 @@ def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
         return Verdict.UNEXPLAINED
     if not named:
         return Verdict.NOTHING_FOUND
-    is_doubtful = _idealise_the_same(named) or any(only_resembles(cause) for cause in named)
-    if is_doubtful or search.source_seems_wrong:
+    if _idealise_the_same(named) or any(only_resembles(cause) for cause in named):
         return Verdict.UNEXPLAINED
     return Verdict.NAMED if all(cause.is_alone for cause in named) else Verdict.INDISTINGUISHABLE
 
@@ -110,10 +129,9 @@ def _idealise_the_same(named: list[NamedCause]) -> bool:
     return len(objects) > len(set(objects))
 
 
-def named_causes(search: Search) -> list[NamedCause]:
-    """The causes of the final fit in the order in which they were taken, each with its credible set."""
-    final_causes = set(search.final.rig.effects)
-    steps = [step for step in search.steps if step.taken in final_causes]
+def named_causes(search: Search, causes: Sequence[Cause]) -> list[NamedCause]:
+    """Some causes of the final fit in the order in which they were taken, each with its credible set."""
+    steps = [step for step in search.steps if step.taken in causes]
     taken = [step.taken for step in steps if step.taken is not None]
     named = []
     for step, unknown in zip(steps, unknown_beside(search.final, taken, search.curves), strict=True):
@@ -156,22 +174,16 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     others a few are each judged by a fit without it, many to first order about the last fit.
     """
     final = search.final
-    left = search.steps[-1].discrepancy.log_bayes_factor
     named = [
         cause
         for cause in named
-        if not only_resembles(cause)
-        and is_plausible(final, cause.cause)
-        and final.log_evidence_for(cause.cause) > left
+        if not only_resembles(cause) and explains_more_than_is_left(final, cause.cause, search.remainder)
     ]
-    of_base = search.base_discrepancy.weighed(final.weight_over(search.base))
-    columns = torch.cat((of_base.columns, search.steps[-1].discrepancy.columns), dim=1)
+    before = search.base_discrepancy.weighed(final.weight_over(search.base))
     if len(named) > policy.MOST_CAUSES_REFITTED:
-        return [
-            c
-            for c in named
-            if final.log_evidence_for(c.cause, columns) > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES
-        ]
+        stand = standing(final, [one.cause for one in named], before, search.remainder)
+        return [one for one in named if one.cause in stand]
+    columns = torch.cat((before.columns, search.remainder.columns), dim=1)
     still_named = []
     for cause in named:
         without = fit_rig(
@@ -185,17 +197,6 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
         if evidence > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES:
             still_named.append(cause)
     return still_named
-
-
-def is_plausible(fit: Fit, cause: Cause) -> bool:
-    """Whether the fitted quantities of a cause lie within a few widths of their priors, which its source states."""
-    quantities = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
-    free = set(fit.posterior.coordinates.names)
-    return all(
-        abs(q.prior.distance(float(fit.values[name]))) <= policy.PLAUSIBLE_SD
-        for q in quantities
-        if not q.is_shape and (name := f"{cause.label}.{q.key}") in free
-    )
 
 
 def extended_fit(search: Search, named: list[NamedCause]) -> Fit:

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.inference.bounds import solve
 from estimator.inference.collapsed import CollapsedPosterior
-from estimator.inference.levenberg_marquardt import Optimum, solve
+from estimator.inference.levenberg_marquardt import Optimum
 from estimator.inference.point_estimate import (
     PointEstimate,
     basins,

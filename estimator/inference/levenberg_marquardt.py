@@ -9,14 +9,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from estimator.derivatives import value_and_jacobian
+from estimator.inference.bounds import along_bounds, diagonal_of, solve
 from estimator.inference.likelihood import DERIVATIVES_AT_ONCE, FirstOrder, LogPosterior
 from estimator.rig.coordinates import Coordinates
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 NEARLY_UNDAMPED = 1e-2
-APPROACH = 0.9  # of the way to a bound in one step
-MOST_CORRECTIONS = 5
 STALLED_AFTER = (
     8  # iterations in which a start that still climbs is expected to rise by more than 50 times the tolerance
 )
@@ -178,7 +176,7 @@ def _trial(
     trial_value = posterior(trial)
     is_bounded = torch.isinf(trial_value)
     for i in is_bounded.nonzero().flatten():
-        step[i] = along_bounds(posterior, vector[i], damped[i], step[i])
+        step[i] = along_bounds(posterior.coordinates, vector[i], damped[i], step[i])
         trial[i, :n] = vector[i, :n] + step[i]
         trial_value[i] = posterior.at(i)(trial[i])
     return step, trial, trial_value, is_bounded
@@ -262,60 +260,6 @@ def prior_gradient(
         total = coordinates.log_prior(point) + 0.0 * point.square().sum()
         gradient: Tensor = torch.autograd.grad(total, point)[0]
     return gradient
-
-
-def along_bounds(posterior: LogPosterior, vector: Tensor, damped: Tensor, step: Tensor) -> Tensor:
-    """The best damped step inside the prior: it approaches the bounds that it would overstep, and slides along them.
-
-    References: Nocedal and Wright, Numerical Optimization, 2nd ed., section 16.1 (equality-constrained quadratic programs).
-    """
-    coordinates = posterior.coordinates
-    n = coordinates.n_continuous
-
-    def free_values(continuous: Tensor) -> Tensor:
-        values = coordinates.values(torch.cat((continuous, vector[n:])))
-        return torch.stack([values[name] for name in coordinates.names])
-
-    lower, upper = coordinates.bounds()
-    values, jacobian = value_and_jacobian(free_values, vector[:n])
-    is_held, target = torch.zeros_like(values, dtype=torch.bool), values.clone()
-    bounded_step = step
-    # Bounds are curved in these coordinates: solve to first order, then correct with the exact values.
-    first_order = (lambda move: values + jacobian @ move, coordinates.n)
-    exact = (lambda move: free_values(vector[:n] + move), MOST_CORRECTIONS)
-    for values_after, rounds in (first_order, exact):
-        for _ in range(rounds):
-            new_values = values_after(bounded_step)
-            is_outside = (new_values < lower) | (new_values > upper)
-            if not is_outside.any():
-                break
-            ahead = values + APPROACH * (torch.where(new_values < lower, lower, upper) - values)
-            target = torch.where(is_outside & ~is_held, ahead, target)
-            is_held |= is_outside
-            constraints = jacobian[is_held]
-            directions = torch.stack([solve(damped, row) for row in constraints], dim=-1)
-            violation = (new_values - target)[is_held]
-            system = constraints @ directions
-            if not (torch.isfinite(system).all() and torch.isfinite(violation).all()):
-                return step  # no first-order model of the bounds so far out: the step is refused and the damping grows
-            multipliers = torch.linalg.lstsq(system, violation[:, None]).solution[:, 0]
-            bounded_step = bounded_step - directions @ multipliers
-    return bounded_step
-
-
-def solve(matrix: Tensor, right: Tensor) -> Tensor:
-    """Solve a positive definite system, scaled to a unit diagonal first: coordinates differ by many powers of ten."""
-    scale = diagonal_of(matrix).clamp(min=1e-300).rsqrt()
-    scaled = matrix * scale[..., :, None] * scale[..., None, :] + 1e-14 * torch.eye(
-        matrix.shape[-1], dtype=matrix.dtype, device=matrix.device
-    )
-    solution: Tensor = torch.linalg.solve(scaled, scale * right)
-    return scale * solution
-
-
-def diagonal_of(matrix: Tensor) -> Tensor:
-    """Diagonal of each matrix."""
-    return torch.diagonal(matrix, dim1=-2, dim2=-1)
 
 
 def _diagonal(matrix: Tensor) -> Tensor:

@@ -14,12 +14,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
+from estimator.inference.bounds import solve
 from estimator.inference.laplace import covariance
 from estimator.inference.levenberg_marquardt import (
     levenberg_marquardt,
     prior_gradient,
     prior_gradient_and_precision,
-    solve,
 )
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.linearisation import Innovation, Linearisation

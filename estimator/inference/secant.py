@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.inference.bounds import along_bounds, diagonal_of, solve, step_of_the_free
 from estimator.inference.levenberg_marquardt import (
     BEHIND,
     LARGEST_DAMPING,
@@ -23,12 +24,9 @@ from estimator.inference.levenberg_marquardt import (
     STALLED_AFTER,
     STALLED_BELOW,
     Optimum,
-    along_bounds,
-    diagonal_of,
     gradient_and_information,
     levenberg_marquardt,
     prior_gradient_and_precision,
-    solve,
 )
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 
@@ -77,8 +75,8 @@ def climb_with_secants(
     is_at_bound = False  # the density rises beyond a bound, but no step inside increases it
     is_stalled, before, at_stall = False, [at.value], -math.inf
     while True:
-        newton = solve(model.precision, gradient)
-        promised = float((gradient * newton).sum())
+        newton = step_of_the_free(posterior.coordinates, at.vector[0], model.precision[0], gradient[0])
+        promised = float(gradient[0] @ newton)
         if at.value + BEHIND * 0.5 * promised < to_beat or _is_behind(before, to_beat):
             is_exact = False
             break
@@ -242,6 +240,6 @@ def _trial(
     there = after(step)
     is_bounded = there.is_outside
     if is_bounded:
-        step = along_bounds(posterior, at.vector[0], damped[0], step[0])[None]
+        step = along_bounds(posterior.coordinates, at.vector[0], damped[0], step[0])[None]
         there = after(step)
     return step, there, is_bounded

@@ -135,6 +135,25 @@ class Coordinates:
         """What each row of the matrix adds up: numbers of coordinates with their factors."""
         return [[(int(i), float(row[i])) for i in np.flatnonzero(row)] for row in self._unmix]
 
+    def slopes_of_values(
+        self, vector: Float[Tensor, " coordinate"]
+    ) -> Float[Tensor, "coordinate continuous"]:
+        """Derivatives of the value of every free parameter in the continuous coordinates."""
+        with torch.no_grad():
+            values = self.values(vector)
+        each = zip(self.names, self._is_log, strict=True)
+        own = [values[name] if is_log else vector.new_ones(()) for name, is_log in each]
+        slopes = torch.diag(torch.stack(own)) if own else vector.new_zeros(0, 0)
+        if len(coupled := self.coupled):
+            names = [self.names[i] for i in coupled.tolist()]
+
+            def of_coupled(some: Tensor) -> Tensor:
+                values = self.values(vector.index_copy(0, coupled, some))
+                return torch.stack([values[name] for name in names])
+
+            slopes[coupled[:, None], coupled] = jacobian_of(of_coupled, vector[coupled])
+        return slopes[:, : self.n_continuous]
+
     def _values_of(self, elementary: Sequence[Tensor], like: Tensor) -> dict[str, Tensor]:
         """Every parameter, given coordinates in which no number mixes with others."""
         values = dict(self._fixed(like.dtype, like.device))

@@ -104,7 +104,7 @@ def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
     for picture in pictures(diagnosis):
         name = picture.title.lower().replace(",", "").replace(" ", "_")
         picture.figure.savefig(out / data_set.name / f"{name}.png", dpi=90, bbox_inches="tight")
-    left = diagnosis.findings.search.steps[-1].discrepancy
+    left = diagnosis.findings.search.remainder
     print(
         f"  verdict: {diagnosis.verdict}; left: {left.rms_sigma:.2g} of the noise rms along {left.family}, "
         f"log evidence {left.log_bayes_factor:.3g}"

@@ -31,6 +31,16 @@ def test_coordinates_may_share_a_direction() -> None:
     assert torch.allclose(along, jacobian_of(lambda x: entangled(x.unbind()), POINT) @ shared.T, atol=1e-14)
 
 
+def test_coordinates_that_are_not_asked_have_no_graph() -> None:
+    def function(x: Sequence[Tensor]) -> Tensor:
+        assert [coordinate.requires_grad for coordinate in x] == [True, False, False, True]
+        return entangled(x)
+
+    _, along = value_and_jacobian_by_paths(function, POINT, EVERY[[0, 3]], [[0], [1]])
+    _, whole = value_and_jacobian_by_paths(entangled, POINT, EVERY, [[0, 1, 2, 3]])
+    assert torch.equal(along, whole[:, [0, 3]])
+
+
 def test_a_path_visits_nothing_that_only_others_act_through() -> None:
     visited: list[str] = []
 

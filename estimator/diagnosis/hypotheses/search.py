@@ -8,7 +8,7 @@ kinds pile up, another structure of the source may do for all of them (`source_s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,6 +28,7 @@ from estimator.diagnosis.hypotheses.several_places import (
     without_idle,
 )
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_pile, other_structures
+from estimator.diagnosis.hypotheses.standing import standing
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
     Step,
@@ -92,6 +93,11 @@ class Search:
         return next(step for step in self.steps if step.taken == cause)
 
     @property
+    def remainder(self) -> Discrepancy:
+        """Structure in the residual of the final fit."""
+        return self.steps[-1].remainder
+
+    @property
     def added(self) -> list[Cause]:
         """Causes of the final fit beyond the base."""
         return [cause for cause in self.final.rig.effects if cause not in self.base.rig.effects]
@@ -109,7 +115,7 @@ class Search:
     @property
     def leaves_structure(self) -> bool:
         """Whether the posterior odds favour something unexplained: in the residual, in how readings scatter, or in a number of the rig."""
-        return any(leaves_structure(one) for one in (self.steps[-1].discrepancy, self.scatter, self.pull))
+        return any(leaves_structure(one) for one in (self.remainder, self.scatter, self.pull))
 
     @property
     def source_seems_wrong(self) -> bool:
@@ -144,12 +150,15 @@ def search(
     if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
         fit = state.forward(state.revisited(fit))
     elif not state.is_piled(fit):
-        state.compare_again(fit)
+        state.compare_again(fit, state.added(fit))
     is_alone = len(state.added(fit)) == 1
-    if is_alone and leaves_structure(state.steps[-1].discrepancy) and not limits.is_over:
+    if is_alone and leaves_structure(state.steps[-1].remainder) and not limits.is_over:
         fit = state.with_alternative(fit)
     if state.added(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
+    if state.is_piled(fit):
+        before = state.base_discrepancy.weighed(fit.weight_over(base))
+        state.compare_again(fit, standing(fit, state.added(fit), before, state.steps[-1].remainder))
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
         base,
@@ -252,11 +261,10 @@ class _SearchState:
         additions = [replace(a, causes=tuple(c for c in a.causes if c in added)) for a in self.additions]
         return tuple(addition for addition in additions if addition.causes)
 
-    def compare_again(self, fit: Fit) -> None:
-        """Compare causes that were taken together with every other hypothesis, now beside all others; exchange nothing."""
-        together = [
-            c for addition in self.additions_in(fit) if len(addition.causes) > 1 for c in addition.causes
-        ]
+    def compare_again(self, fit: Fit, causes: Sequence[Cause]) -> None:
+        """Compare those of some causes that were taken together with every other hypothesis, now beside all others; exchange nothing."""
+        taken_together = [a.causes for a in self.additions_in(fit) if len(a.causes) > 1]
+        together = [cause for each in taken_together for cause in each if cause in causes]
         if not together:
             return
         self.tell(f"comparing {len(together)} causes that were taken together again, beside all others")
@@ -360,15 +368,15 @@ class _SearchState:
         if wider is None or len(self.added(wider)) > self.limits.most_causes:
             return None
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
-        steps = [
-            _alone_in_step(cause, fit, wider) for cause in new
-        ]  # `revisited` compares them, where there are several
+        gain = wider.log_evidence - fit.log_evidence
+        # `revisited` compares them, where there are several.
+        steps = [_alone_in_step(cause, gain, wider) for cause in new]
         if len(new) == 1:
             steps = [self.step(fit)]
             if steps[0].taken != new[0]:
                 return None
             wider = steps[0].taken_fit
-        gain = wider.log_evidence - fit.log_evidence
+            gain = wider.log_evidence - fit.log_evidence
         self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(gain)} for them)")
         causes = causes_of(wider.rig, wider, self.limits)
         self.screened_at, self.pool = wider, candidates(wider, causes)
@@ -396,7 +404,12 @@ class _SearchState:
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
         log_bayes_factor = wider.log_evidence - fit.log_evidence
         self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(log_bayes_factor)} for them)")
-        self.steps += comparison_steps(wider, new, self._pool(wider), self.curves(wider))
+        if self.is_piled(wider):
+            # Few of a pile keep their names: those are compared with their rivals at the end (`verdict`).
+            each = [min(wider.log_evidence_for(cause), log_bayes_factor) for cause in new]
+            self.steps += [_alone_in_step(c, value, wider) for c, value in zip(new, each, strict=True)]
+        else:
+            self.steps += comparison_steps(wider, new, self._pool(wider), self.curves(wider))
         self.additions.append(Addition(tuple(new), wider))
         return wider
 
@@ -408,7 +421,7 @@ class _SearchState:
         if n < 2 or len(self.added(fit)) + 2 > self.limits.most_causes:
             return None
         nothing = policy.LOG_PRIOR_NOTHING + policy.LEAST_LOG_ODDS
-        unexplained = policy.LOG_PRIOR_UNEXPLAINED + last.discrepancy.log_bayes_factor
+        unexplained = policy.LOG_PRIOR_UNEXPLAINED + last.remainder.log_bayes_factor
         least = max(nothing, unexplained) - 2.0 * policy.LOG_PRIOR_CAUSE + math.log(0.5 * n * (n - 1))
         ranked = pairs(fit, pool, least)
         if not ranked:
@@ -492,8 +505,8 @@ class _SearchState:
         return [family.weighed(weight) for family in self.smooth]
 
 
-def _alone_in_step(cause: Cause, before: Fit, after: Fit) -> Step:
-    """A step that compared one of several causes with nothing."""
-    gain = Hypothesis(cause, cause.label, after.log_evidence - before.log_evidence, fit=after)
+def _alone_in_step(cause: Cause, log_bayes_factor: float, after: Fit) -> Step:
+    """A step that compared one of several causes with nothing else than nothing."""
+    gain = Hypothesis(cause, cause.label, log_bayes_factor, fit=after)
     hypotheses = with_probabilities([Hypothesis(None, "nothing", 0.0), gain], 1)
-    return Step(tuple(hypotheses), cause, (hypotheses[0],), discrepancy(after, families(after)))
+    return Step(tuple(hypotheses), cause, credible_set([gain], cause), None)

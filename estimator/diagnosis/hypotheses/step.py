@@ -63,13 +63,19 @@ class Step:
         hypotheses: Most probable first.
         taken: The cause that was added; None at the end of the search.
         credible: Credible set: the smallest that holds 95 % of the probability of all causes.
-        discrepancy: Structure in the residual before the cause was added.
+        discrepancy: Structure in the residual before the cause was added; None where it was not asked.
     """
 
     hypotheses: tuple[Hypothesis, ...]
     taken: Cause | None
     credible: tuple[Hypothesis, ...]
-    discrepancy: Discrepancy
+    discrepancy: Discrepancy | None
+
+    @property
+    def remainder(self) -> Discrepancy:
+        """That structure, in a step that asked for it: one that compared all hypotheses."""
+        assert self.discrepancy is not None
+        return self.discrepancy
 
     @property
     def taken_fit(self) -> Fit:

@@ -16,12 +16,14 @@ from estimator.diagnosis.hypotheses.search import Search
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, credible_set
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.diagnosis.structure.families import families
+from estimator.diagnosis.structure.relatives import Unknown
 from estimator.diagnosis.verdict import (
     Alternative,
     NamedCause,
     Verdict,
     beside_discrepancy,
     extended_fit,
+    judged,
     named_causes,
     stand_ins,
     verdict_of,
@@ -34,6 +36,7 @@ from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 pytestmark = pytest.mark.whole
 
 OFFSET, GAIN, TILT = Cause("sensor_offset", "hall"), Cause("axis_gain", "hall"), Cause("mount_tilt", "coil1")
+BOTH = [OFFSET, GAIN]
 CLEAR = 1000.0  # in log evidence: beyond every threshold
 
 
@@ -135,7 +138,7 @@ def test_what_explains_no_more_than_nothing_is_no_alternative_however_many_such_
 def test_probabilities_of_a_step_are_shares_of_evidence_among_its_credible_set(base, both):
     evidence = {OFFSET: 31.0, TILT: 30.2, Cause("background_field", "room"): 28.5}
     search = search_with(base, both, step(OFFSET, evidence), step(GAIN, {GAIN: 12.0}), LAST)
-    first, second = named_causes(search)
+    first, second = named_causes(search, BOTH)
     shares = (1.0 - first.p_not_in_library) * softmax(list(evidence.values()))
     assert (first.cause, first.log_bayes_factor) == (OFFSET, 31.0)
     assert first.probability == pytest.approx(shares[0], rel=1e-12)
@@ -153,7 +156,7 @@ def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, small_s
     fits = {cause: fit_of(small_rig, wrong, cause) for cause in (OFFSET, room, GAIN)}
     hypotheses = tuple(Hypothesis(cause, cause.label, 9.0, fit=fit) for cause, fit in fits.items())
     taken = Step(hypotheses, OFFSET, hypotheses, left(-3.0))
-    (named_cause,) = named_causes(search_with(base, fits[OFFSET], taken, LAST))
+    (named_cause,) = named_causes(search_with(base, fits[OFFSET], taken, LAST), BOTH)
     twin, other = named_cause.alternatives
     assert (twin.cause, other.cause) == (room, GAIN)
     assert twin.expected_log_evidence == pytest.approx(0.0, abs=1e-3)
@@ -167,7 +170,7 @@ def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, small_s
 
 def test_cause_that_was_dropped_later_is_not_named(base, both):
     search = search_with(base, both, step(TILT, {TILT: 40.0}), step(OFFSET, {OFFSET: 50.0}), LAST)
-    assert [named_cause.cause for named_cause in named_causes(search)] == [OFFSET]
+    assert [named_cause.cause for named_cause in named_causes(search, BOTH)] == [OFFSET]
 
 
 def test_all_log_odds_charge_every_cause_its_prior(base, both):
@@ -214,6 +217,31 @@ def test_the_extended_fit_has_all_that_was_taken_where_something_was_named_and_n
     assert extended_fit(search, [named(OFFSET), named(GAIN)]) is both
     assert extended_fit(search, [named(GAIN)]) is both
     assert extended_fit(search, []) is base
+
+
+def test_in_a_pile_only_causes_that_stand_are_asked_what_else_they_could_be(
+    small_rig, small_session, small_truth, monkeypatch
+):
+    rig = small_rig.with_values(small_truth)
+    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
+    final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)  # whose gain nothing needs
+    steps = (step(OFFSET, {OFFSET: CLEAR}), step(GAIN, {GAIN: CLEAR}), LAST)
+    empty = replace(left(-3.0), columns=torch.zeros(len(final.residual), 1).double())
+    search = search_with(
+        fit_of(small_rig, readings.calibration), final, *steps[:2], replace(LAST, discrepancy=empty)
+    )
+    search = replace(search, base_discrepancy=empty)
+    asked: list[Cause] = []
+
+    def beside(_fit: Fit, causes: list[Cause], _families: object) -> list[Unknown]:
+        asked.extend(causes)
+        return [Unknown(0.1) for _ in causes]
+
+    monkeypatch.setattr(Search, "source_seems_wrong", True)
+    monkeypatch.setattr("estimator.diagnosis.verdict.unknown_beside", beside)
+    verdict, causes = judged(search)
+    assert verdict is Verdict.UNEXPLAINED
+    assert [one.cause for one in causes] == asked == [OFFSET]
 
 
 def test_what_was_taken_and_is_not_named_stands_in(base, both):

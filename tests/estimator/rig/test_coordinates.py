@@ -250,3 +250,21 @@ def test_values_are_differentiable_in_the_vector():
     assert by_label["coil1 rms radius"] == pytest.approx(
         math.sqrt(np.mean(loop_m**2)) / loop_m.mean(), rel=1e-9
     )
+
+
+@EVERY_RIG
+@BOTH_KINDS
+def test_slopes_of_values_are_those_of_the_whole_transform(text, integer_counts):
+    coordinates = Coordinates(rig(text), integer_counts)
+    vector = coordinates.sample_prior(np.random.default_rng(3), 1)[0]
+
+    def values(point: Tensor) -> Tensor:
+        by_name = coordinates.values(point)
+        return torch.stack([by_name[name] for name in coordinates.names])
+
+    torch.testing.assert_close(
+        coordinates.slopes_of_values(vector),
+        jacfwd(values)(vector)[:, : coordinates.n_continuous],
+        rtol=1e-12,
+        atol=1e-15,
+    )

@@ -91,7 +91,7 @@ def test_a_search_without_time_takes_nothing_and_says_why(small_rig, small_sessi
     assert result.final.rig.effects == ()
     assert all(hypothesis.fit is None for hypothesis in result.steps[-1].hypotheses if hypothesis.cause)
     assert result.ended_early == "its time of 0 min was over"
-    assert result.steps[-1].discrepancy.log_bayes_factor > 10.0
+    assert result.remainder.log_bayes_factor > 10.0
 
 
 def test_a_step_counts_its_fits_and_never_promises_too_few(small_rig, small_session, small_truth):

@@ -181,7 +181,7 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
     early = [c for c in state.pool if c.cause != misplaced]
     state.steps += comparison_steps(fit, apart, early, state.smooth)
     assert [step.credible[0].cause for step in state.steps] == apart
-    state.compare_again(fit)
+    state.compare_again(fit, apart)
     assert [step.taken for step in state.steps] == apart
     assert [step.credible[0].cause for step in state.steps] == [*apart[:2], misplaced]
 

@@ -70,4 +70,4 @@ def test_outliers_stand_only_where_wild_readings_lie_anywhere():
 def test_a_session_with_a_burst_is_unexplained():
     n = len(plain_fit().observations)
     found = search(with_more(in_a_burst(n)), lambda words: None, Limits())
-    assert verdict_of(found, named_causes(found)) is Verdict.UNEXPLAINED
+    assert verdict_of(found, named_causes(found, found.added)) is Verdict.UNEXPLAINED
