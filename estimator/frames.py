@@ -20,7 +20,12 @@ from torch.autograd import forward_ad
 # Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
 # digits there and are 0/0 at zero. The series stop at the first term below rounding.
 _SMALL_SQUARE = 1e-3
-_FEW = 4  # rotations that cost less as plain numbers than as tensors
+_FEW = 4  # rotations that cost less as plain numbers, or as exponentials of matrices, than by the formula in tensors
+# A vector times this are the entries, row by row, of the matrix that takes its vector product with another.
+_CROSS = torch.tensor(
+    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]],
+    dtype=torch.float64,
+)
 
 
 @dataclass(frozen=True)
@@ -122,6 +127,11 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
     if rotation_vector_rad.numel() <= 3 * _FEW and _is_plain(rotation_vector_rad):
         entries = [_rotation_entries(*vector) for vector in rotation_vector_rad.reshape(-1, 3).tolist()]
         return torch.tensor(entries, dtype=torch.float64).reshape(*rotation_vector_rad.shape, 3)
+    if rotation_vector_rad.numel() <= 3 * _FEW and _is_on_processor(rotation_vector_rad):
+        # Forty operations of Rodrigues' formula cost more than the exponential of a few matrices.
+        product = rotation_vector_rad @ _CROSS.to(rotation_vector_rad.dtype)
+        exponential: Tensor = torch.linalg.matrix_exp(product.unflatten(-1, (3, 3)))
+        return exponential
     # The coefficients are smooth in t^2, whereas t has a kink at 0.
     square = rotation_vector_rad.square().sum(-1)
     small = square < _SMALL_SQUARE
@@ -144,13 +154,20 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
 def _is_plain(tensor: Tensor) -> bool:
     """Whether a tensor is numbers on the processor, in double precision, which nothing differentiates or traces."""
     return (
-        type(tensor) is Tensor
+        _is_on_processor(tensor)
         and tensor.dtype == torch.float64
-        and tensor.device.type == "cpu"
         and not tensor.requires_grad
+        and forward_ad.unpack_dual(tensor).tangent is None
+    )
+
+
+def _is_on_processor(tensor: Tensor) -> bool:
+    """Whether a tensor is numbers on the processor that nothing traces or maps over."""
+    return (
+        type(tensor) is Tensor
+        and tensor.device.type == "cpu"
         and not torch.compiler.is_compiling()
         and not torch._C._functorch.is_functorch_wrapped_tensor(tensor)
-        and forward_ad.unpack_dual(tensor).tangent is None
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Generic, TypeVar
 
@@ -24,10 +24,15 @@ E_co = TypeVar("E_co", bound=Effect, covariant=True)
 
 @dataclass(frozen=True)
 class Use(Generic[E_co]):
-    """One effect at one place of a rig."""
+    """One effect at one place of a rig.
+
+    Attributes:
+        own_keys: Keys of its quantities; None where only the numbers of the rig tell.
+    """
 
     effect: E_co
     place: str
+    own_keys: tuple[str, ...] | None = field(default=None, compare=False)
 
     @property
     def cause(self) -> Cause:
@@ -41,13 +46,17 @@ class Use(Generic[E_co]):
 
     def keys(self, rig: Rig) -> tuple[str, ...]:
         """Keys of its quantities in that rig."""
-        prefix = f"{self.label}."
-        return tuple(name[len(prefix) :] for name in rig.parameters if name.startswith(prefix))
+        return rig.keys_by_label.get(self.label, ())
 
     def theta(self, values: Mapping[str, Tensor]) -> Theta:
         """Its quantities among all numbers of the rig, broadcast to one batch."""
         prefix = f"{self.label}."
-        theta = {name[len(prefix) :]: value for name, value in values.items() if name.startswith(prefix)}
+        keys = self.own_keys
+        if keys is None:
+            keys = tuple(name[len(prefix) :] for name in values if name.startswith(prefix))
+        theta = {key: values[prefix + key] for key in keys}
+        if not any(value.dim() for value in theta.values()):
+            return theta
         return dict(zip(theta, torch.broadcast_tensors(*theta.values()), strict=True))
 
     def concerned(self, circumstances: Circumstances) -> Bool[Tensor, " reading"] | None:
@@ -63,11 +72,15 @@ class Use(Generic[E_co]):
 
 def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[E_co], ...]:
     """Effects of a stage (and place), in the order in which they act."""
-    return tuple(
-        Use(use.effect, use.place)
-        for use in _uses(rig.acting)
-        if isinstance(use.effect, stage) and (place is None or use.place == place)
-    )
+    asked = (uses_of, stage, place)
+    if asked not in rig.found:
+        rig.found[asked] = tuple(
+            Use(use.effect, use.place, rig.keys_by_label.get(use.label, ()))
+            for use in _uses(rig.acting)
+            if isinstance(use.effect, stage) and (place is None or use.place == place)
+        )
+    uses: tuple[Use[E_co], ...] = rig.found[asked]
+    return uses
 
 
 def as_meant(rig: Rig, observations: Observations) -> Observations:

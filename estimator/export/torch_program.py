@@ -11,8 +11,8 @@ from torch import Tensor, nn
 from estimator.export.magnet import Magnet
 from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover
 from estimator.export.torch_wires import of_leads, sided_per_ampere
+from estimator.field.kernel import SMALLEST_RHO2_M2
 from estimator.field.loop import loop_derivatives
-from estimator.field.node_sum import SMALLEST_RHO2_M2
 from estimator.field.sided import SidedWinding, distance_to_sided
 from estimator.field.winding import Winding
 from estimator.field.zones import ZONES_PER_OCTAVE

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -21,7 +24,8 @@ from estimator.field.winding import (
     Winding,
     choose_rule,
     distance_to_winding,
-    winding_field_per_ampere,
+    field_of_loops,
+    loops_of,
 )
 from estimator.rig.rig import Coil, FieldSum, Leads, WoundCoil
 
@@ -44,13 +48,26 @@ def coil_field_per_ampere(
         rule: Quadrature rule that stands for the loops.
         mode: How loops are summed. The paper's sum ignores it: it always has all derivatives.
     """
+    return field_of_coil(coil, winding, rule, mode)(points_coil_m)
+
+
+def field_of_coil(
+    coil: WoundCoil, winding: AnyWinding, rule: Rule, mode: SumMode = SumMode.PLAIN
+) -> Callable[[Tensor], Tensor]:
+    """The same as a function of points, which finds the loops that stand for the winding once.
+
+    Args:
+        coil, winding, rule, mode: As in `coil_field_per_ampere`.
+    """
+    field: Callable[[Tensor], Tensor]
     if isinstance(winding, SidedWinding):
-        field = sided_field_per_ampere(points_coil_m, winding, rule, mode)
+        field = partial(sided_field_per_ampere, winding=winding, rule=rule, mode=mode)
     elif isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
-        field = literal_field_per_ampere(points_coil_m, winding, rule)
+        field = partial(literal_field_per_ampere, winding=winding, rule=rule)
     else:
-        field = winding_field_per_ampere(points_coil_m, winding, rule, mode)
-    return field if coil.leads is None else field + field_of_leads(points_coil_m, coil.leads)
+        field = partial(field_of_loops, loops=loops_of(winding, rule), steps=rule.steps, mode=mode)
+    leads = coil.leads
+    return field if leads is None else lambda points_m: field(points_m) + field_of_leads(points_m, leads)
 
 
 def field_of_leads(

@@ -32,6 +32,9 @@ X, Y, Z, Y2, RHO2, U, S, P2, MEAN, T, PRODUCT, SQUARE, H_SUM, AXIAL_SUM = (
 )
 H, H_Z, H_A, AXIAL, AXIAL_Z, AXIAL_A = (POINTS_AT_ONCE * k for k in range(14, 20))  # of one loop, for slopes
 ROWS = 20
+# After these, for rings of dipoles: four factors of the ring itself, then four of each pattern.
+RING, PATTERNS = POINTS_AT_ONCE * ROWS, POINTS_AT_ONCE * (ROWS + 4)
+SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
 
 
@@ -94,6 +97,43 @@ def slopes_of_loops(
     factors = np.empty((2, n_rows, 3, n_nodes, points_m.shape[1]))
     _slopes(*arrays, steps, factors)
     return torch.from_numpy(factors)
+
+
+def field_and_slopes(
+    points_m: Float[Tensor, "rows point 3"], sums: Float[Tensor, "2 rows 2 point"]
+) -> tuple[Float[Tensor, "rows point 3"], Float[Tensor, "rows point 3 3"]]:
+    """Field of loops about z and its derivatives in the points, of the factors h and axial and their derivatives along z.
+
+    Args:
+        points_m: Points in the coil frame.
+        sums: The factors at each point, summed over loops, each with its derivative along z.
+    """
+    field, slopes = np.empty(points_m.shape), np.empty((*points_m.shape, 3))
+    _field_and_slopes(_array(points_m), _array(sums), field, slopes)
+    return torch.from_numpy(field), torch.from_numpy(slopes)
+
+
+def sums_of_rings(
+    points_m: Float[Tensor, "rows point 3"],
+    height_m: Float[Tensor, " ring"],
+    radius_m: Float[Tensor, " ring"],
+    step_m: Float[Tensor, " ring"],
+    axial_A: Float[Tensor, "pattern ring"],
+    radial_A: Float[Tensor, "pattern ring"],
+    steps: int,
+) -> Float[Tensor, "2 rows pattern 2 point"]:
+    """The factors h and axial of rings of dipoles, summed for each pattern, each with its derivative along z.
+
+    Args:
+        points_m: Points in the coil frame.
+        height_m, radius_m, step_m: Of each ring, and how far the loops lie apart whose difference stands for it.
+        axial_A, radial_A: Currents in these loops for a ring magnetised along the axis and outwards.
+        steps: AGM steps of each loop.
+    """
+    arrays = [_array(tensor) for tensor in (points_m, height_m, radius_m, step_m, axial_A, radial_A)]
+    sums = np.empty((2, len(points_m), len(axial_A), 2, points_m.shape[1]))
+    _rings(*arrays, steps, sums)
+    return torch.from_numpy(sums)
 
 
 def _array(tensor: Tensor) -> np.ndarray:
@@ -233,3 +273,70 @@ def _slopes_of_one(block, height, radius):  # type: ignore[no-untyped-def]
         # h and axial are homogeneous of degree -2 and -1 in all lengths, and obey the field laws.
         block[H_A + i] = (axial_z - above * h_z) / radius
         block[AXIAL_A + i] = -(axial + q * h_z + above * axial_z) / radius
+
+
+@machine_code
+def _field_and_slopes(points, sums, field, slopes):  # type: ignore[no-untyped-def]
+    """Fill `field` and `slopes`."""
+    for row in range(points.shape[0]):
+        for i in range(points.shape[1]):
+            x, y = points[row, i, 0], points[row, i, 1]
+            h, h_z = sums[0, row, 0, i], sums[0, row, 1, i]
+            axial, axial_z = sums[1, row, 0, i], sums[1, row, 1, i]
+            # div B = 0 gives the derivative of h in rho^2, curl B = 0 that of axial.
+            bent = -2.0 * (h + 0.5 * axial_z) / max(x * x + y * y, SMALLEST_RHO2_M2)
+            field[row, i, 0], field[row, i, 1], field[row, i, 2] = x * h, y * h, axial
+            slopes[row, i, 0, 0], slopes[row, i, 1, 1] = bent * x * x + h, bent * y * y + h
+            slopes[row, i, 0, 1] = slopes[row, i, 1, 0] = bent * x * y
+            slopes[row, i, 0, 2] = slopes[row, i, 2, 0] = h_z * x
+            slopes[row, i, 1, 2] = slopes[row, i, 2, 1] = h_z * y
+            slopes[row, i, 2, 2] = axial_z
+
+
+@machine_code
+def _rings(points, heights, radii, moves, axial, radial, steps, sums):  # type: ignore[no-untyped-def]
+    """Fill `sums`. Differences come first: sums of many loops would round by as much as their difference is worth."""
+    n_points, n_patterns = points.shape[1], len(axial)
+    block = np.empty((ROWS + 4 + 4 * n_patterns) * POINTS_AT_ONCE)
+    for row in range(len(points)):
+        for start in range(0, n_points, POINTS_AT_ONCE):
+            size = min(POINTS_AT_ONCE, n_points - start)
+            _fill(block, points[row], start, size)
+            block[PATTERNS:] = 0.0
+            for k in range(len(heights)):
+                height, radius, step = heights[k], radii[k], moves[k]
+                _means(block, height, radius, steps)
+                _slopes_of_one(block, height, radius)
+                for i in range(POINTS_AT_ONCE):
+                    block[RING + i], block[RING + POINTS_AT_ONCE + i] = block[H + i], block[H_Z + i]
+                    block[RING + 2 * POINTS_AT_ONCE + i] = block[AXIAL + i]
+                    block[RING + 3 * POINTS_AT_ONCE + i] = block[AXIAL_Z + i]
+                _means(block, height, radius + step, steps)
+                _slopes_of_one(block, height, radius + step)
+                for pattern in range(n_patterns):
+                    _add_difference(block, axial[pattern, k], PATTERNS + 4 * POINTS_AT_ONCE * pattern)
+                _means(block, height + step, radius, steps)
+                _slopes_of_one(block, height + step, radius)
+                for pattern in range(n_patterns):
+                    _add_difference(block, -radial[pattern, k], PATTERNS + 4 * POINTS_AT_ONCE * pattern)
+            for pattern in range(n_patterns):
+                first = PATTERNS + 4 * POINTS_AT_ONCE * pattern
+                for i in range(size):
+                    sums[0, row, pattern, 0, start + i] = block[first + i]
+                    sums[0, row, pattern, 1, start + i] = block[first + POINTS_AT_ONCE + i]
+                    sums[1, row, pattern, 0, start + i] = block[first + 2 * POINTS_AT_ONCE + i]
+                    sums[1, row, pattern, 1, start + i] = block[first + 3 * POINTS_AT_ONCE + i]
+
+
+@machine_code
+def _add_difference(block, current, first):  # type: ignore[no-untyped-def]
+    """Add a loop's factors less those of its ring, times a current, to those of a pattern."""
+    for i in range(POINTS_AT_ONCE):
+        block[first + i] += current * (block[H + i] - block[RING + i])
+        block[first + POINTS_AT_ONCE + i] += current * (block[H_Z + i] - block[RING + POINTS_AT_ONCE + i])
+        block[first + 2 * POINTS_AT_ONCE + i] += current * (
+            block[AXIAL + i] - block[RING + 2 * POINTS_AT_ONCE + i]
+        )
+        block[first + 3 * POINTS_AT_ONCE + i] += current * (
+            block[AXIAL_Z + i] - block[RING + 3 * POINTS_AT_ONCE + i]
+        )

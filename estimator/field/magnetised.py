@@ -10,7 +10,7 @@ from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
 from torch import Tensor
 
-from estimator.field.kernel import is_plain
+from estimator.field.kernel import is_plain, sums_of_rings
 from estimator.field.loop import loop_terms
 from estimator.field.node_sum import carrying_first_order, loop_slopes
 from estimator.field.winding import Winding
@@ -67,6 +67,7 @@ def field_of_rings(
     points_coil_m: Float[Tensor, "*batch point 3"],
     rings: Rings,
     magnetisation_T: Float[Tensor, "pattern ring 2"],
+    steps: int = AGM_STEPS,
 ) -> Float[Tensor, "*batch point pattern 3"]:
     """Field of a magnetised winding, for several patterns of magnetisation at once.
 
@@ -77,6 +78,7 @@ def field_of_rings(
         points_coil_m: Points in the coil frame, outside the winding.
         rings: Rings of the winding.
         magnetisation_T: mu0 M of each ring, outwards and along the axis.
+        steps: AGM steps of each loop, as a rule of the winding for the same points has them.
     Returns: Flux density in the coil frame, in tesla.
     References: Jackson, Classical Electrodynamics, 3rd ed., section 5.8 (magnetisation and its currents).
 
@@ -90,13 +92,13 @@ def field_of_rings(
     True
     """
     if is_plain(points_coil_m):
-        return _in_machine_code(points_coil_m, rings, magnetisation_T)
+        return _in_machine_code(points_coil_m, rings, magnetisation_T, steps)
     # The two loops differ by less than single precision shows.
     x, y, z = points_coil_m.double()[..., None].unbind(-2)
     step_m = DIFFERENCE_STEP * rings.radius_m
     radial_A, axial_A = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
     ring, wider, higher = (
-        loop_terms(x, y, z - height, radius, AGM_STEPS)
+        loop_terms(x, y, z - height, radius, steps)
         for height, radius in (
             (rings.height_m, rings.radius_m),
             (rings.height_m, rings.radius_m + step_m),
@@ -114,38 +116,41 @@ def field_of_rings_to_first_order(
     points_coil_m: Float[Tensor, "*batch point 3"],
     rings: Rings,
     magnetisation_T: Float[Tensor, "pattern ring 2"],
+    steps: int = AGM_STEPS,
 ) -> Float[Tensor, "*batch point pattern 3"]:
     """The same field with exact value and first derivatives in the points, but without second ones.
 
     Args:
-        points_coil_m, rings, magnetisation_T: As in `field_of_rings`.
+        points_coil_m, rings, magnetisation_T, steps: As in `field_of_rings`.
     """
     points_m = (
         points_coil_m.double().flatten(0, -3) if points_coil_m.ndim > 2 else points_coil_m.double()[None]
     )
-    field = carrying_first_order(points_m[:, None], _sums(points_m.detach(), rings, magnetisation_T))
+    field = carrying_first_order(points_m[:, None], _sums(points_m.detach(), rings, magnetisation_T, steps))
     return field.transpose(-3, -2).reshape(*points_coil_m.shape[:-1], -1, 3).to(points_coil_m.dtype)
 
 
-def _in_machine_code(points_coil_m: Tensor, rings: Rings, magnetisation_T: Tensor) -> Tensor:
+def _in_machine_code(points_coil_m: Tensor, rings: Rings, magnetisation_T: Tensor, steps: int) -> Tensor:
     """Values of the field to first order: differences of loops magnify rounding, and both are to be the same."""
     parts = []
     for points_m in points_coil_m.reshape(1, -1, 3).split(POINTS_AT_ONCE, dim=-2):
-        h, axial = _sums(points_m, rings, magnetisation_T)[..., 0, :].unbind(0)
+        h, axial = _sums(points_m, rings, magnetisation_T, steps)[..., 0, :].unbind(0)
         x, y = points_m[:, None, :, 0], points_m[:, None, :, 1]
         parts.append(torch.stack((x * h, y * h, axial), dim=-1))  # row, pattern, point, axis
     field = torch.cat(parts, dim=-2)[0].transpose(0, 1)
     return field.reshape(*points_coil_m.shape[:-1], -1, 3)
 
 
-def _sums(points_m: Tensor, rings: Rings, magnetisation_T: Tensor) -> Tensor:
+def _sums(points_m: Tensor, rings: Rings, magnetisation_T: Tensor, steps: int) -> Tensor:
     """The two factors of the field of each pattern, and their slopes along z: by factor, row, pattern, value and slope, point."""
     step_m = DIFFERENCE_STEP * rings.radius_m
     radial_A, axial_A = (magnetisation_T * (rings.area_m2 / step_m)[:, None] / MU0_T_M_PER_A).unbind(-1)
+    if is_plain(points_m):
+        return sums_of_rings(points_m, rings.height_m, rings.radius_m, step_m, axial_A, radial_A, steps)
     height_m = torch.cat((rings.height_m, rings.height_m, rings.height_m + step_m))
     radius_m = torch.cat((rings.radius_m, rings.radius_m + step_m, rings.radius_m))
     rows = (len(points_m), len(height_m))
-    of_each = loop_slopes(points_m, height_m.expand(rows), radius_m.expand(rows), AGM_STEPS)[:, :, :2]
+    of_each = loop_slopes(points_m, height_m.expand(rows), radius_m.expand(rows), steps)[:, :, :2]
     # Differences first: sums of many loops would round by as much as their difference is worth.
     ring, wider, higher = of_each.chunk(3, dim=-2)
     total: Tensor = axial_A @ (wider - ring) - radial_A @ (higher - ring)

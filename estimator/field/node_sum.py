@@ -13,10 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.field.first_order import carrying_slopes
-from estimator.field.kernel import is_plain, slopes_of_loops, sum_of_loops
+from estimator.field.kernel import SMALLEST_RHO2_M2, field_and_slopes, is_plain, slopes_of_loops, sum_of_loops
 from estimator.field.loop import loop_derivatives, loop_terms
-
-SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
 
 
 class Nodes(NamedTuple):
@@ -99,7 +97,24 @@ def carrying_first_order(
         sums: The factors, each with its derivative along z, without derivatives of their own.
         changes: Of the factors; zero, and they carry derivatives in something else.
     """
-    across_m = points_m.detach()[..., :2]
+    fixed_m = points_m.detach()
+    if is_plain(fixed_m, sums):
+        batch = torch.broadcast_shapes(fixed_m.shape[:-2], sums.shape[1:-2])
+        fixed = fixed_m.expand(*batch, *fixed_m.shape[-2:]).reshape(-1, *fixed_m.shape[-2:])
+        value, slopes = field_and_slopes(
+            fixed, sums.expand(2, *batch, *sums.shape[-2:]).reshape(2, -1, *sums.shape[-2:])
+        )
+        value, slopes = value.reshape(*batch, *value.shape[1:]), slopes.reshape(*batch, *slopes.shape[1:])
+    else:
+        value, slopes = _field_and_slopes(fixed_m[..., :2], sums)
+    field = carrying_slopes(value, slopes, points_m)
+    return field if changes is None else field + _field(fixed_m[..., :2], *changes)
+
+
+def _field_and_slopes(
+    across_m: Float[Tensor, "*#batch point 2"], sums: Float[Tensor, "2 *#batch 2 point"]
+) -> tuple[Float[Tensor, "*batch point 3"], Float[Tensor, "*batch point 3 3"]]:
+    """`field.kernel.field_and_slopes`, for numbers of any kind."""
     (h, h_slope), (axial, axial_slope) = (factor.unbind(-2) for factor in sums)
     # div B = 0 gives the derivative of h in rho^2, curl B = 0 that of axial.
     h_rho2 = -(h + 0.5 * axial_slope) / across_m.square().sum(-1).clamp(min=SMALLEST_RHO2_M2)
@@ -118,8 +133,7 @@ def carrying_first_order(
         ),
         dim=-1,
     ).unflatten(-1, (3, 3))
-    field = carrying_slopes(_field(across_m, h, axial), slopes, points_m)
-    return field if changes is None else field + _field(across_m, *changes)
+    return _field(across_m, h, axial), slopes
 
 
 def _field(

@@ -29,10 +29,10 @@ from estimator.effects.stages import (
     WindingMagnetisation,
 )
 from estimator.effects.use import Use, uses_of
-from estimator.field.coil import coil_field_per_ampere
+from estimator.field.coil import coil_field_per_ampere, field_of_coil
 from estimator.field.first_order import first_order_field
 from estimator.field.grid_map import GridMap
-from estimator.field.magnetised import field_of_rings, field_of_rings_to_first_order
+from estimator.field.magnetised import AGM_STEPS, field_of_rings, field_of_rings_to_first_order
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
 from estimator.field.zones import Zone
@@ -210,7 +210,8 @@ class Sources:
         idle = [i for i, source in enumerate(self.rig.coils) if not len(self.powered[source.name])]
         there = [i for i in range(len(patterns)) if i not in idle]
         field = field_of_rings_to_first_order if self._is_first_order else field_of_rings
-        flat = field(points_m, rings, patterns[there]).flatten(-2)
+        steps = self.rules[coil.name].steps if coil.name in self.rules else AGM_STEPS
+        flat = field(points_m, rings, patterns[there], steps).flatten(-2)
         flat = flat.expand(*flat.shape[:-2], self.n_rows, -1)
         flat = flat if self.pose_row is None else flat[..., self.pose_row, :]
         total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
@@ -271,7 +272,7 @@ class Sources:
         if isinstance(coil, UnwoundCoil):
             return lambda points_m: unwound_field_per_ampere(coil, points_m, values)
         winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
-        return lambda points_m: coil_field_per_ampere(coil, points_m, winding, rule, self.mode)
+        return field_of_coil(coil, winding, rule, self.mode)
 
     def _zoned(
         self, coil: AnyCoil, points_coil_m: Float[Tensor, "*#batch row 3"], values: Values

@@ -8,6 +8,7 @@ counts. With `integer_counts` the free loop counts are whole numbers, unchanged 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
@@ -19,7 +20,7 @@ from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.frames import rotation_from_vector
-from estimator.rig.parameters import Normal, Parameter, normal_log_density
+from estimator.rig.parameters import LogNormal, Normal, Parameter, Uniform, normal_log_density
 from estimator.rig.rig import Rig
 
 # Of the winding's thickness, by which the mean loop is larger than the bore.
@@ -233,10 +234,11 @@ class Coordinates:
         """Log prior density of the coordinates, including the Jacobian determinant of the transform, up to a constant."""
         values = self.values(vector)
         total = torch.zeros(vector.shape[:-1], dtype=vector.dtype, device=vector.device)
-        normals, numbers = self._normals
-        if normals:
-            together = torch.stack(torch.broadcast_tensors(*(values[name] for name in normals)), dim=-1)
-            total = total + normal_log_density(together, *numbers.to(vector)).sum(-1)
+        for names, numbers, is_log in self._bell_shaped:
+            if names:
+                together = torch.stack(torch.broadcast_tensors(*(values[name] for name in names)), dim=-1)
+                together = torch.log(together) if is_log else together
+                total = total + normal_log_density(together, *numbers.to(vector)).sum(-1)
         for parameter, is_log in self._priors_of_their_own:
             value = values[parameter.name]
             assert parameter.prior is not None
@@ -249,21 +251,34 @@ class Coordinates:
         return total
 
     @cached_property
-    def _normals(self) -> tuple[list[str], Float[Tensor, "4 parameter"]]:
-        """Free parameters with normal priors that are coordinates themselves, and the numbers of these priors: there may be hundreds."""
-        alike = {
-            p.name: (p.prior.mean, p.prior.standard_deviation, p.prior.lower, p.prior.upper)
-            for p, is_log in zip(self.parameters, self._is_log, strict=True)
-            if isinstance(p.prior, Normal) and not is_log and not self._is_radius(p)
-        }
-        return list(alike), torch.tensor(list(alike.values()), dtype=torch.float64).reshape(-1, 4).T
+    def _bell_shaped(self) -> list[tuple[list[str], Float[Tensor, "4 parameter"], bool]]:
+        """Free parameters whose priors are evaluated together, for there may be hundreds, with the numbers of these priors.
+
+        First those with normal or uniform priors that are coordinates themselves, then those with log-normal priors whose logarithms are.
+        """
+        own, of_logarithm = {}, {}
+        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
+            prior, name = parameter.prior, parameter.name
+            if self._is_radius(parameter):
+                continue
+            if isinstance(prior, Normal) and not is_log:
+                own[name] = (prior.mean, prior.standard_deviation, prior.lower, prior.upper)
+            elif isinstance(prior, Uniform) and not is_log:
+                own[name] = (0.0, math.inf, prior.lower, prior.upper)
+            elif isinstance(prior, LogNormal) and is_log:
+                lower = math.log(prior.lower) if prior.lower > 0.0 else -math.inf
+                of_logarithm[name] = (math.log(prior.median), prior.relative_sd, lower, math.log(prior.upper))
+        return [
+            (list(of), torch.tensor(list(of.values()), dtype=torch.float64).reshape(-1, 4).T, is_log)
+            for of, is_log in ((own, False), (of_logarithm, True))
+        ]
 
     @cached_property
     def _priors_of_their_own(self) -> list[tuple[Parameter, bool]]:
         """All other free parameters, and whether each is fitted as a logarithm."""
-        normals = set(self._normals[0])
+        together = {name for names, _, _ in self._bell_shaped for name in names}
         each = zip(self.parameters, self._is_log, strict=True)
-        return [(parameter, is_log) for parameter, is_log in each if parameter.name not in normals]
+        return [(parameter, is_log) for parameter, is_log in each if parameter.name not in together]
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
         """Draws from the prior, as coordinates; loop counts are rounded to whole numbers."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
@@ -320,6 +320,24 @@ class Rig:
     def acting(self) -> tuple[Cause, ...]:
         """Effects and corrections: all that changes what the bodies alone would do."""
         return (*self.effects, *self.corrections)
+
+    @cached_property
+    def found(self) -> dict[Hashable, Any]:
+        """What others have found out about this rig and ask again and again, by their own keys. It is not stored."""
+        return {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in vars(self).items() if name != "found"}
+
+    @cached_property
+    def keys_by_label(self) -> Mapping[str, tuple[str, ...]]:
+        """Keys of the quantities of each effect and correction that has any, by its label."""
+        keys: dict[str, list[str]] = {}
+        for name in self.parameters:
+            place, is_of_cause, key = name.partition("].")
+            if is_of_cause:
+                keys.setdefault(f"{place}]", []).append(key)
+        return {label: tuple(own) for label, own in keys.items()}
 
     @property
     def hash(self) -> str:

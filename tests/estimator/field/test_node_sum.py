@@ -11,7 +11,14 @@ from torch.func import jacfwd
 from estimator.field import kernel
 from estimator.field.kernel import is_plain, slopes_of_loops
 from estimator.field.loop import loop_field
-from estimator.field.node_sum import Nodes, loop_slopes, sum_over_nodes, sum_to_first_order
+from estimator.field.node_sum import (
+    Nodes,
+    _field_and_slopes,
+    carrying_first_order,
+    loop_slopes,
+    sum_over_nodes,
+    sum_to_first_order,
+)
 
 
 def random(*shape: int, seed: int = 0) -> Tensor:
@@ -96,3 +103,16 @@ def test_where_no_folder_can_be_written_the_kernels_are_translated_in_every_proc
 
     monkeypatch.setattr(kernel.numba, "njit", refuses_a_cache)
     assert kernel.machine_code(lambda x: x + 1.0)(2.0) == 3.0
+
+
+def test_machine_code_and_torch_give_the_same_field_and_slopes_of_summed_factors():
+    points_m, sums = random(2, 1, 40, 3) - 0.5, random(2, 2, 3, 2, 40, seed=1) - 0.5
+    points_m[0, 0, 0, :2] = 0.0  # on the axis
+    free_m = points_m.clone().requires_grad_()
+    field = carrying_first_order(free_m, sums)
+    value, slopes = _field_and_slopes(points_m[..., :2], sums)
+    assert torch.allclose(field.detach(), value, rtol=1e-15, atol=0.0)
+    weight = random(*field.shape, seed=2) - 0.5
+    (gradient,) = torch.autograd.grad(field, free_m, weight)
+    of_slopes = (weight[..., None] * slopes).sum(-2).sum(1, keepdim=True)
+    assert torch.allclose(gradient, of_slopes, rtol=1e-12, atol=1e-12 * float(of_slopes.abs().max()))
