@@ -10,6 +10,9 @@ usual axis-angle formulas give NaN.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 
 import torch
@@ -20,12 +23,22 @@ from torch.autograd import forward_ad
 # Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
 # digits there and are 0/0 at zero. The series stop at the first term below rounding.
 _SMALL_SQUARE = 1e-3
-_FEW = 4  # rotations that cost less as plain numbers, or as exponentials of matrices, than by the formula in tensors
-# A vector times this are the entries, row by row, of the matrix that takes its vector product with another.
-_CROSS = torch.tensor(
-    [[0, 0, 0, 0, 0, -1, 0, 1, 0], [0, 0, 1, 0, 0, 0, -1, 0, 0], [0, -1, 0, 1, 0, 0, 0, 0, 0]],
-    dtype=torch.float64,
-)
+_FEW = 4  # rotations that cost less as plain numbers than as tensors
+_is_first_order: ContextVar[bool] = ContextVar("is_first_order", default=False)
+
+
+@contextmanager
+def to_first_order(is_first_order: bool = True) -> Iterator[None]:
+    """While it lasts, a few rotations at a time have first derivatives only, at a fifth of the cost: forty operations less for each.
+
+    Args:
+        is_first_order: Whether nothing needs second derivatives; else nothing changes.
+    """
+    token = _is_first_order.set(is_first_order)
+    try:
+        yield
+    finally:
+        _is_first_order.reset(token)
 
 
 @dataclass(frozen=True)
@@ -127,11 +140,12 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
     if rotation_vector_rad.numel() <= 3 * _FEW and _is_plain(rotation_vector_rad):
         entries = [_rotation_entries(*vector) for vector in rotation_vector_rad.reshape(-1, 3).tolist()]
         return torch.tensor(entries, dtype=torch.float64).reshape(*rotation_vector_rad.shape, 3)
-    if rotation_vector_rad.numel() <= 3 * _FEW and _is_on_processor(rotation_vector_rad):
-        # Forty operations of Rodrigues' formula cost more than the exponential of a few matrices.
-        product = rotation_vector_rad @ _CROSS.to(rotation_vector_rad.dtype)
-        exponential: Tensor = torch.linalg.matrix_exp(product.unflatten(-1, (3, 3)))
-        return exponential
+    if (
+        _is_first_order.get()
+        and rotation_vector_rad.numel() <= 3 * _FEW
+        and _may_be_numbers(rotation_vector_rad)
+    ):
+        return _to_first_order(rotation_vector_rad)
     # The coefficients are smooth in t^2, whereas t has a kink at 0.
     square = rotation_vector_rad.square().sum(-1)
     small = square < _SMALL_SQUARE
@@ -153,22 +167,32 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
 
 def _is_plain(tensor: Tensor) -> bool:
     """Whether a tensor is numbers on the processor, in double precision, which nothing differentiates or traces."""
+    return _may_be_numbers(tensor) and not tensor.requires_grad
+
+
+def _may_be_numbers(tensor: Tensor) -> bool:
+    """Whether a tensor is numbers on the processor, in double precision, that nothing but a backward pass differentiates or traces."""
     return (
-        _is_on_processor(tensor)
+        type(tensor) is Tensor
         and tensor.dtype == torch.float64
-        and not tensor.requires_grad
+        and tensor.device.type == "cpu"
+        and not torch.compiler.is_compiling()
+        and not torch._C._functorch.is_functorch_wrapped_tensor(tensor)
         and forward_ad.unpack_dual(tensor).tangent is None
     )
 
 
-def _is_on_processor(tensor: Tensor) -> bool:
-    """Whether a tensor is numbers on the processor that nothing traces or maps over."""
-    return (
-        type(tensor) is Tensor
-        and tensor.device.type == "cpu"
-        and not torch.compiler.is_compiling()
-        and not torch._C._functorch.is_functorch_wrapped_tensor(tensor)
+def _to_first_order(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The rotation matrices with exact values and first derivatives, but without second ones."""
+    shape, vectors = rotation_vector_rad.shape, rotation_vector_rad.detach().reshape(-1, 3).tolist()
+    value = rotation_vector_rad.new_tensor([_rotation_entries(*vector) for vector in vectors])
+    slopes = rotation_vector_rad.new_tensor([_rotation_slopes(*vector) for vector in vectors])
+    # The difference is zero and carries the derivative.
+    change = (
+        slopes.reshape(*shape[:-1], 9, 3) @ (rotation_vector_rad - rotation_vector_rad.detach())[..., None]
     )
+    result: Tensor = (value.reshape(*shape[:-1], 9) + change[..., 0]).unflatten(-1, (3, 3))
+    return result
 
 
 def _rotation_entries(x: float, y: float, z: float) -> tuple[float, ...]:
@@ -188,6 +212,33 @@ def _rotation_entries(x: float, y: float, z: float) -> tuple[float, ...]:
         *(xy + c, cosine + versine * y * y, yz - a),
         *(xz - b, yz + a, cosine + versine * z * z),
     )
+
+
+def _rotation_slopes(x: float, y: float, z: float) -> list[tuple[float, float, float]]:
+    """Derivatives of these entries in x, y and z, entry by entry."""
+    v = (x, y, z)
+    square = x * x + y * y + z * z
+    if square < _SMALL_SQUARE:
+        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
+        versine = (1 - square / 12 * (1 - square / 30 * (1 - square / 56))) / 2
+        of_sinc = -(1 - square / 10 * (1 - square / 28)) / 6  # by the square
+        of_versine = -(1 - square / 15 * (1 - 3 * square / 112)) / 24
+    else:
+        angle = math.sqrt(square)
+        sinc, versine = math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2
+        of_sinc = (math.cos(angle) - sinc) / (2 * square)
+        of_versine = (sinc - 2 * versine) / (2 * square)
+    cross = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
+    slopes = []
+    for i in range(3):
+        for j in range(3):
+            by = 2 * (of_sinc * cross[i][j] + of_versine * v[i] * v[j]) - (sinc if i == j else 0.0)
+            own = [by * v[k] + versine * ((i == k) * v[j] + (j == k) * v[i]) for k in range(3)]
+            if i != j:
+                k = 3 - i - j
+                own[k] += sinc * (-1.0 if (j - i) % 3 == 1 else 1.0)
+            slopes.append((own[0], own[1], own[2]))
+    return slopes
 
 
 def vector_from_rotation(rotation: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3"]:

@@ -34,7 +34,7 @@ from estimator.field.coil import AnyWinding, distance_to_coil, rule_of_coil
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
-from estimator.frames import Transform
+from estimator.frames import Transform, to_first_order
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
 from estimator.model.sources import Sources
@@ -292,6 +292,10 @@ class MeasurementModel:
 
     def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
+        with to_first_order(self.sources.mode is SumMode.FIRST_ORDER):
+            return self._at_sensor_T(values)
+
+    def _at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         world_from_sensor = self.world_from_sensor(self.every_row, values)
         if not self._has_elements.any():
             return self._field_at(values, world_from_sensor)
