@@ -87,14 +87,10 @@ class NamedCause:
 def judged(search: Search) -> tuple[Verdict, list[NamedCause]]:
     """The outcome of a search, and the causes that are named with it.
 
-    Where causes of many kinds pile up, something is unexplained whatever they are called. Few then stand beside it, and only of these it is
-    asked how probable their names are.
+    Where causes of many kinds pile up, something is unexplained whatever they are called.
     """
     if search.source_seems_wrong:
-        before = search.base_discrepancy.weighed(search.final.weight_over(search.base))
-        stand = standing(search.final, search.added, before, search.remainder)
-        named = named_causes(search, stand)
-        return Verdict.UNEXPLAINED, [cause for cause in named if not only_resembles(cause)]
+        return Verdict.UNEXPLAINED, named_causes(search, search.kept)
     named = named_causes(search, search.added)
     verdict = verdict_of(search, named)
     if verdict is Verdict.UNEXPLAINED and named:

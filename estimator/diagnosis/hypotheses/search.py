@@ -28,7 +28,7 @@ from estimator.diagnosis.hypotheses.several_places import (
     without_idle,
 )
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_pile, other_structures
-from estimator.diagnosis.hypotheses.standing import standing
+from estimator.diagnosis.hypotheses.standing import keeping_their_names
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
     Step,
@@ -75,6 +75,7 @@ class Search:
         curves: Flexible curves, weighed as the readings are at the final fit.
         ended_early: Why it ended before the evidence did; empty where it did not.
         other_structures: Other structures of the source, where causes of many kinds had piled up; else None.
+        kept: Causes of a pile that keep their names; elsewhere that is not asked here.
     """
 
     base: Fit
@@ -87,6 +88,7 @@ class Search:
     curves: tuple[Family, ...]
     ended_early: str = ""
     other_structures: OtherStructures | None = None
+    kept: tuple[Cause, ...] = ()
 
     def step_of(self, cause: Cause) -> Step:
         """The step that took a cause."""
@@ -156,9 +158,12 @@ def search(
         fit = state.with_alternative(fit)
     if state.added(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
+    kept: list[Cause] = []
     if state.is_piled(fit):
         before = state.base_discrepancy.weighed(fit.weight_over(base))
-        state.compare_again(fit, standing(fit, state.added(fit), before, state.steps[-1].remainder))
+        remainder, curves = state.steps[-1].remainder, state.curves(fit)
+        kept = keeping_their_names(fit, state.added(fit), before, remainder, curves)
+        state.compare_again(fit, kept)
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
         base,
@@ -171,6 +176,7 @@ def search(
         tuple(state.curves(fit)),
         limits.words if limits.is_over else state.ended_early,
         state.other_structures,
+        tuple(kept),
     )
 
 

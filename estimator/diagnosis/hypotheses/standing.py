@@ -9,6 +9,8 @@ import torch
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.discrepancy import Discrepancy
+from estimator.diagnosis.structure.families.collection import Family
+from estimator.diagnosis.structure.relatives import unknown_beside
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
@@ -28,6 +30,28 @@ def standing(fit: Fit, causes: Sequence[Cause], before: Discrepancy, remainder: 
         for cause in causes
         if explains_more_than_is_left(fit, cause, remainder)
         and fit.log_evidence_for(cause, columns) > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES
+    ]
+
+
+def keeping_their_names(
+    fit: Fit,
+    causes: Sequence[Cause],
+    before: Discrepancy,
+    remainder: Discrepancy,
+    families: Sequence[Family],
+) -> list[Cause]:
+    """Those that stand and are rather themselves than something that no list holds; only of those that stand the latter is asked.
+
+    Args:
+        fit, causes, before, remainder: As in `standing`.
+        families: Flexible curves, weighed as the readings are at the fit.
+    """
+    stand = standing(fit, causes, before, remainder)
+    unknown = unknown_beside(fit, stand, families)
+    return [
+        c
+        for c, beside in zip(stand, unknown, strict=True)
+        if beside.probability <= policy.MOST_NOT_IN_LIBRARY
     ]
 
 

@@ -13,6 +13,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.standing import keeping_their_names
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, credible_set
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.diagnosis.structure.families import families
@@ -219,29 +220,33 @@ def test_the_extended_fit_has_all_that_was_taken_where_something_was_named_and_n
     assert extended_fit(search, []) is base
 
 
-def test_in_a_pile_only_causes_that_stand_are_asked_what_else_they_could_be(
+def test_of_a_pile_those_keep_their_names_that_stand_and_are_in_the_library(
     small_rig, small_session, small_truth, monkeypatch
 ):
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)  # whose gain nothing needs
-    steps = (step(OFFSET, {OFFSET: CLEAR}), step(GAIN, {GAIN: CLEAR}), LAST)
     empty = replace(left(-3.0), columns=torch.zeros(len(final.residual), 1).double())
-    search = search_with(
-        fit_of(small_rig, readings.calibration), final, *steps[:2], replace(LAST, discrepancy=empty)
-    )
-    search = replace(search, base_discrepancy=empty)
     asked: list[Cause] = []
+    p_unknown = 0.1
 
     def beside(_fit: Fit, causes: list[Cause], _families: object) -> list[Unknown]:
         asked.extend(causes)
-        return [Unknown(0.1) for _ in causes]
+        return [Unknown(p_unknown) for _ in causes]
 
+    monkeypatch.setattr("estimator.diagnosis.hypotheses.standing.unknown_beside", beside)
+    assert keeping_their_names(final, BOTH, empty, empty, []) == asked == [OFFSET]
+    p_unknown = 0.9
+    assert keeping_their_names(final, BOTH, empty, empty, []) == []
+
+
+def test_of_a_pile_only_those_are_named_that_keep_their_names(base, both, monkeypatch):
+    search = search_with(base, both, step(OFFSET, {OFFSET: CLEAR}), step(GAIN, {GAIN: CLEAR}), LAST)
     monkeypatch.setattr(Search, "source_seems_wrong", True)
-    monkeypatch.setattr("estimator.diagnosis.verdict.unknown_beside", beside)
-    verdict, causes = judged(search)
-    assert verdict is Verdict.UNEXPLAINED
-    assert [one.cause for one in causes] == asked == [OFFSET]
+    for kept in ((), (GAIN,)):
+        verdict, causes = judged(replace(search, kept=kept))
+        assert verdict is Verdict.UNEXPLAINED
+        assert tuple(one.cause for one in causes) == kept
 
 
 def test_what_was_taken_and_is_not_named_stands_in(base, both):
