@@ -82,8 +82,11 @@ diagnose-real: $(INSTALLED)   # what the simulation gets wrong on them
 	$(RUN) scripts.studies.diagnose_real mice-run07 mice-run05 --carry 'out/diagnosis/mice-run03/pierced_plate[room]' --out out/diagnosis_with_plate
 	$(RUN) scripts.studies.compare_diagnoses out/diagnosis/mice-run03 out/diagnosis_with_plate/mice-run05 out/diagnosis_with_plate/mice-run07
 
-mice-floor: $(INSTALLED)  # what a diagnosis left of these maps beside their repeats and smooth functions in hindsight; after diagnose-real
+RUN01_SEEDS = 1 2 3 4 5 6 7 8 9 10
+mice-floor: $(INSTALLED)  # what a diagnosis left of these maps beside their repeats and smooth functions in hindsight, run01 at ten seeds, for it has few; half an hour, after diagnose-real
 	$(RUN) scripts.studies.mice_floor mice-run07 mice-run05 mice-run03 --out out/diagnosis
+	for seed in $(RUN01_SEEDS); do $(RUN) scripts.studies.diagnose_real mice-run01 --seed $$seed --out out/diagnosis/seed$$seed; done
+	$(RUN) scripts.studies.mice_floor mice-run01 --seeds $(RUN01_SEEDS) --out out/diagnosis
 
 mice-filaments: $(INSTALLED)  # what the filaments of a superconducting magnet do to its maps, everything fitted at once
 	$(RUN) scripts.studies.mice_filaments

@@ -8,7 +8,7 @@ the box is nearest its field would be a guess. A place is then held as known, so
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -158,15 +158,16 @@ class PlaceSearch:
         self._candidates = _Part(*(part.reshape(len(part), *stacked.shape[1:]) for part in flat))
 
     def find(self, measured_T: np.ndarray) -> Found:
-        """Multipoles that readings ask for, one after another while each has clear evidence.
-
-        Those that are not resolved take part, so that no other is drawn to their sources, and are left out in the end.
+        """Multipoles that readings ask for, one after another while each has clear evidence, but for those that are not resolved.
 
         Args:
             measured_T: Components of the readings, less what the rig predicts without its amplitudes.
         """
-        measured = self._part(measured_T[:, None])
-        ladder_T = TRIED_NOISE * np.sqrt(np.mean(measured_T**2))
+        return self.resolved(self.find_any(measured_T))
+
+    def find_any(self, measured_T: np.ndarray) -> Found:
+        """The same with those that are not resolved, which take part so that no other is drawn to their sources."""
+        measured, ladder_T = self._part(measured_T[:, None]), _ladder_T(measured_T)
         places: list[Triple] = []
         gains: list[float] = []
         before, noise_T = self._best(measured, [], ladder_T)
@@ -180,10 +181,24 @@ class PlaceSearch:
                 break
             gains.append(after - before)
             places, before, noise_T = trial, after, finer_T
-        for i in range(len(places) if len(places) > 1 else 0):  # the first were placed without the others
-            places = self._moved(measured, places, i, self._finer(ladder_T, noise_T))
-        kept = [i for i, place_m in enumerate(places) if self._is_resolved(place_m)]
-        return Found(tuple(places[i] for i in kept), tuple(gains[i] for i in kept))
+        if len(places) > 1:  # the first were placed without the others
+            places = self._each_moved(measured, places, self._finer(ladder_T, noise_T))
+        return Found(tuple(places), tuple(gains))
+
+    def resolved(self, found: Found) -> Found:
+        """Those that readings resolve."""
+        kept = [i for i, place_m in enumerate(found.places_m) if self._is_resolved(place_m)]
+        return Found(tuple(found.places_m[i] for i in kept), tuple(found.gains[i] for i in kept))
+
+    def log_evidence(self, measured_T: np.ndarray, places_m: Sequence[Triple]) -> float:
+        """Of readings with multipoles at places, up to a constant, with the noise that has most."""
+        return self._best(self._part(measured_T[:, None]), list(places_m), _ladder_T(measured_T))[0]
+
+    def moved(self, measured_T: np.ndarray, places_m: Sequence[Triple]) -> tuple[Triple, ...]:
+        """The places, each moved once to where the evidence is largest beside the others."""
+        measured, ladder_T = self._part(measured_T[:, None]), _ladder_T(measured_T)
+        _, noise_T = self._best(measured, list(places_m), ladder_T)
+        return tuple(self._each_moved(measured, list(places_m), self._finer(ladder_T, noise_T)))
 
     def _is_resolved(self, place_m: Triple) -> bool:
         """Whether readings are about as near to a place as the box is."""
@@ -200,6 +215,12 @@ class PlaceSearch:
         joined = self._joined(places)
         each = [self._log_evidence(measured, joined, noise_T) for noise_T in noises_T]
         return max(each), float(noises_T[int(np.argmax(each))])
+
+    def _each_moved(self, measured: _Part, places: list[Triple], noises_T: np.ndarray) -> list[Triple]:
+        """The places, each moved once beside the others."""
+        for i in range(len(places)):
+            places = self._moved(measured, places, i, noises_T)
+        return places
 
     def _moved(self, measured: _Part, places: list[Triple], i: int, noises_T: np.ndarray) -> list[Triple]:
         """The places with one of them moved to where the evidence is largest."""
@@ -276,6 +297,11 @@ class PlaceSearch:
         for place_m in places:
             joined = joined.beside(self._part(self.columns(place_m)))
         return joined
+
+
+def _ladder_T(measured_T: np.ndarray) -> np.ndarray:
+    ladder_T: np.ndarray = TRIED_NOISE * np.sqrt(np.mean(measured_T**2))
+    return ladder_T
 
 
 def _grid_m(coil: EquivalentSourceCoil) -> list[Triple]:

@@ -1,6 +1,8 @@
 """Coils without a winding: maps of eight coils with iron cores and of three gradient coils, judged on blocks of places held out.
 
-With `--box` charges on a box stand for harmonics, on the whole cube. `--floor` fits them to all places, none held out: what is left then,
+With `--box` charges on a box stand for harmonics, on the whole cube. `--together` calibrates all eight boxes at once, from one in so many
+places, and compares the field of each coil with that of its own calibration, once with a noise that is known and once with a
+free one, which all eight then share; it tells time and memory. `--floor` fits them to all places, none held out: what is left then,
 no choice of readings could avoid.
 
 `make harmonic-coils` runs it; it needs the folder named by COILCAL_DATA. Each map is calibrated five times without a fifth of its places,
@@ -13,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import resource
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -37,6 +40,7 @@ GRADIENT_FILES = "mri4all-gradient-coils/*_{}.csv"
 N_FOLDS = 5
 TARGET = 3e-3  # of the rms field
 N_WORST = 10  # places
+Z90 = 1.645
 HARMONICS = (
     "{model: harmonic, region: interior, degree: 12, reference_radius_mm: 8.66, "
     "amplitudes: {sd_T_per_A: 2e-3, falloff: 0.7}}"
@@ -66,13 +70,21 @@ def main() -> None:
         action="store_true",
         help="what such charges leave when fitted to all places, and nothing else",
     )
+    parser.add_argument(
+        "--together",
+        type=int,
+        metavar="N",
+        help="all eight with charges on a box in one calibration, from one in N places, and nothing else",
+    )
+    parser.add_argument("--coils", type=int, default=8, help="how many of them are taken together")
     options = parser.parse_args()
     data = os.environ.get("COILCAL_DATA")
     if not data or not (Path(data) / FOLDER).is_dir():
         print(f"harmonic_coils: skipped, for COILCAL_DATA must name a folder that holds {FOLDER}")
         return
     torch.set_num_threads(1)
-    rig = eight_coils(options.degree, BOX if options.box or options.floor else HARMONICS)
+    has_box = options.box or options.floor or options.together
+    rig = eight_coils(options.degree, BOX if has_box else HARMONICS)
     files = sorted((Path(data) / FOLDER).glob("vfield_*.txt"))
     maps = [read_grid_maps([path], rig) for path in files]
     settings = SamplerSettings(target_ess=options.ess)
@@ -82,6 +94,11 @@ def main() -> None:
     if options.floor:
         for coil, whole in zip(rig.coils, maps, strict=True):
             print_floor(rig, coil.name, whole, settings, options.seed)
+        return
+    if options.together:
+        some = with_coils(rig, [coil.name for coil in rig.coils[: options.coils]])
+        for noise in ("known", "free"):
+            judge_together(some, maps[: options.coils], settings, options.seed, options.together, noise)
         return
     only = "cube" if options.box else options.only
     for region in [only] if only else REGIONS:
@@ -119,9 +136,14 @@ def load_gradient(data: Path, axis: str) -> Session:
 
 def one_coil(rig: Rig, name: str) -> Rig:
     """The rig with a single coil."""
-    others = tuple(f"{coil.name}." for coil in rig.coils if coil.name != name)
+    return with_coils(rig, [name])
+
+
+def with_coils(rig: Rig, names: list[str]) -> Rig:
+    """The rig with some of its coils."""
+    others = tuple(f"{coil.name}." for coil in rig.coils if coil.name not in names)
     parameters = {key: p for key, p in rig.parameters.items() if not key.startswith(others)}
-    return replace(rig, coils=tuple(c for c in rig.coils if c.name == name), parameters=parameters)
+    return replace(rig, coils=tuple(c for c in rig.coils if c.name in names), parameters=parameters)
 
 
 def within(session: Session, farthest_m: float, rig: Rig, coil: int | None) -> Session:
@@ -265,6 +287,55 @@ def judge_all(rig: Rig, maps: list[Session], settings: SamplerSettings, seed: in
         f"  one calibration of {len(rig.free)} parameters from {len(together.observations)} readings: {seconds:.0f} s"
     )
     print_amplitudes(one)
+
+
+def judge_together(
+    rig: Rig, maps: list[Session], settings: SamplerSettings, seed: int, one_in: int, noise: str
+) -> None:
+    """All coils in one calibration, beside one calibration of each, from one in so many places, in slanted planes."""
+    if noise == "known":
+        rig = rig.with_fixed(["probe.noise_T"])
+    points_m = maps[0].observations.motion["stage"][:, :3]
+    is_used = (1e3 * (points_m - points_m.amin(0))).round().sum(-1) % one_in == 0
+    parts = []
+    for i, (coil, whole) in enumerate(zip(rig.coils, maps, strict=True)):
+        single = within(whole, np.inf, one_coil(rig, coil.name), i)
+        parts.append(
+            replace(single, observations=replace(single.observations.rows(is_used), whole=None, chosen=None))
+        )
+    begin_s = time.process_time()
+    singles = [calibrate(part, part.rig, seed=seed, settings=settings) for part in parts]
+    apart_s, apart_GiB = time.process_time() - begin_s, peak_GiB()
+    together = joined(rig, parts)
+    begin_s = time.process_time()
+    one = calibrate(together, rig, seed=seed, settings=settings)
+    one_s = time.process_time() - begin_s
+    print(
+        f"noise {noise}: {len(together.observations)} readings, {len(rig.free)} free numbers in one calibration: {one_s:.0f} s of a "
+        f"processor, at most {peak_GiB():.1f} GiB; {len(singles)} by themselves {apart_s:.0f} s, {apart_GiB:.1f} GiB",
+        flush=True,
+    )
+    for coil, alone in zip(rig.coils, singles, strict=True):
+        current_A = {coil.name: 1.0}
+        (lower, upper), (lower_one, upper_one) = (c.field_interval(points_m, current_A) for c in (alone, one))
+        off = (one.field(points_m, current_A) - alone.field(points_m, current_A)) / (
+            0.5 * (upper - lower) / Z90
+        )
+        ratio = (upper_one - lower_one) / (upper - lower)
+        print(
+            f"  {coil.name}: off by {rms(off) / 3**0.5:.1e} standard deviations rms, {float(off.abs().max()):.1e} at most, intervals "
+            f"{float(ratio.median()):.3f} times as wide; noise {noise_nT(alone):.3g} and {noise_nT(one):.3g} nT",
+            flush=True,
+        )
+
+
+def noise_nT(calibration: Calibration) -> float:
+    return 1e9 * calibration.best["probe.noise_T"]
+
+
+def peak_GiB() -> float:
+    """Most memory that this process has held so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def joined(rig: Rig, singles: list[Session]) -> Session:

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+import torch
 
 from scripts.studies import mice_floor
-from scripts.studies.mice_floor import Rest, best_smooth, rms_mT, scatter_T
+from scripts.studies.mice_floor import Rest, best_smooth, repeats_T2, rms_mT, weighed_T
 
 NOISE_T = (30e-6, 60e-6)  # of two probes, for each component
 
@@ -25,6 +28,10 @@ def rest(structure_T: float, seed: int) -> Rest:
     return Rest(rest_T, np.ones((len(z), 3)), z, angle, sensor.astype(int), is_unseen)
 
 
+def scatter_T(left: Rest) -> float:
+    return weighed_T(left, repeats_T2("made up", left))
+
+
 def test_scatter_is_that_of_repeats_and_not_of_structure() -> None:
     expected_T = np.sqrt(3.0 * np.mean(np.square(NOISE_T)))
     for structure_T in (0.0, 500e-6):
@@ -37,6 +44,29 @@ def test_probes_count_as_often_as_they_are_unseen() -> None:
         *(getattr(plain, name) for name in list(plain.__dict__)[:-1]), plain.is_unseen & (plain.sensor == 1)
     )
     assert scatter_T(one) == pytest.approx(np.sqrt(3.0) * NOISE_T[1], rel=0.05)
+
+
+def test_a_map_without_repeats_has_the_scatter_of_full_maps_where_their_field_is_as_weak(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    full = rest(0.0, 4)
+    strong = full.along_m > 0.5
+    rng = np.random.default_rng(5)
+    field_T = full.rest_T + np.where(
+        strong[:, None], [2.0, 0.0, 0.0] + 1e-3 * rng.normal(size=(len(strong), 3)), 0.0
+    )
+    motion = np.zeros((len(strong), 6))
+    motion[:, 2], motion[:, 5] = full.along_m, full.angle_rad
+    readings = SimpleNamespace(
+        field_sensor_T=torch.from_numpy(field_T),
+        motion={"mapper": torch.from_numpy(motion)},
+        sensor=torch.from_numpy(full.sensor),
+    )
+    monkeypatch.setattr(mice_floor, "readings_of", lambda name: readings)
+    once = np.unique(np.stack((full.along_m, full.angle_rad, full.sensor)), axis=1, return_index=True)[1]
+    each = {name: value[once] for name, value in full.__dict__.items()}
+    expected_T = np.sqrt(3.0) * np.array(NOISE_T)
+    assert np.sqrt(repeats_T2("made up", Rest(**each))) == pytest.approx(expected_T, rel=0.1)
 
 
 def test_smooth_structure_is_taken_down_to_the_scatter(monkeypatch: pytest.MonkeyPatch) -> None:

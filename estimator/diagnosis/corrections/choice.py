@@ -38,6 +38,7 @@ def best_corrected(
     """
     standing_in = [cause for cause in searched.rig.effects if cause not in extended.rig.effects]
     is_piled = is_pile(standing_in, policy.MOST_KINDS)
+    corrects_already = is_piled
     first = searched if is_piled else extended  # what the bare rig leaves says nothing of what a pile leaves
     kinds = kinds_of(first)
     if is_piled:
@@ -51,9 +52,11 @@ def best_corrected(
         asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]
         other = _linear_trial(searched, asked, tell)
         lead = other.fit.log_evidence - trial.fit.log_evidence
-        if other.parts and (lead > policy.LEAST_LOG_EVIDENCE_CORRECTED or not trial.parts):
+        if trial.parts and lead > policy.LEAST_LOG_EVIDENCE_CORRECTED:
+            trial, corrects_already = other, True  # with or without a correction beside them
+        elif other.parts and not trial.parts:
             trial = other
-    best = trial.in_full(limits, corrects_already=is_piled)
+    best = trial.in_full(limits, corrects_already)
     if not best.is_taken:
         return best
     if causes.observations is not best.fit.observations:

@@ -174,6 +174,21 @@ def test_a_pile_that_leaves_nothing_corrects_by_itself(
     assert not alone.is_taken  # nothing beyond what is named already
 
 
+def test_few_causes_that_stand_in_correct_where_they_do_better_than_what_corrects_the_bare_rig(
+    small_rig: Rig, small_session: Session
+):
+    """Nothing is left beside them, while the bare rig asks for corrections that make up for less."""
+    observations, offset = small_session.observations, Cause("sensor_offset", "hall")
+    observations = with_wrong(small_rig, observations, GAIN, {"x": 0.05})
+    observations = with_wrong(small_rig, observations, offset, {"z_T": 100e-6})
+    bare, few = (fit_of(small_rig, observations.calibration, *causes) for causes in ((), (GAIN, offset)))
+    assert corrected(bare).parts
+    correction = best_corrected(bare, few, bare, observations.validation, unheard)
+    assert correction.is_taken
+    assert correction.parts == ()
+    assert correction.fit is few
+
+
 def test_a_current_that_swings_is_followed_at_its_own_frequency(small_rig: Rig, small_session: Session):
     """A fit moves the frequency from the grid, so that what swings is gone where nothing was fitted too."""
     observations = small_session.observations
