@@ -126,8 +126,6 @@ class LogPosterior:
             vector: The coordinates.
             columns: Numbers of those that derivatives are taken in; all by default.
         """
-        if self._is_alone(vector):
-            return FirstOrder(*(each[None] for each in self.to_first_order(vector[0], columns)))
         if columns is None:
             columns = torch.arange(self.coordinates.n_continuous, device=vector.device)
         is_amplitude = torch.isin(columns, self._amplitudes)
@@ -313,8 +311,6 @@ class LogPosterior:
 
     def log_likelihood(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log probability density of the measured components, some rows at a time where they would fill the memory."""
-        if self._is_alone(vector):
-            return self.log_likelihood(vector[0])[None]
         at_once = max(1, COMPONENTS_AT_ONCE // max(1, len(self._flat)))
         if vector.dim() > 1 and len(vector) > at_once:
             parts = torch.arange(len(vector), device=vector.device).split(at_once)
@@ -326,10 +322,6 @@ class LogPosterior:
         sigma_T = self.sigma_T(vector)
         log_density = -0.5 * squares_T2 / sigma_T**2 - self.n_by_sensor * torch.log(sigma_T)
         return log_density.sum(-1) - 0.5 * math.log(2.0 * math.pi) * len(self._flat)
-
-    def _is_alone(self, vector: Float[Tensor, "*batch coordinate"]) -> bool:
-        """Whether a batch has one row: without it fewer operations are needed, for numbers have no axis to be aligned."""
-        return vector.dim() == 2 and len(vector) == 1 and self.measured_T.dim() == 1
 
     @cached_property
     def _is_of_sensor(self) -> Float[Tensor, "component sensor"]:

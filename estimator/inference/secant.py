@@ -146,8 +146,7 @@ class _Point:
 
     def __init__(self, vector: Tensor, log_density: Tensor, predicted_T: Tensor, sigma_T: Tensor) -> None:
         self._log_density, self._free = log_density, vector
-        self.vector = vector.detach()[None]
-        self.predicted_T, self.sigma_T = predicted_T.detach()[None], sigma_T.detach()[None]
+        self.vector, self.predicted_T, self.sigma_T = vector.detach(), predicted_T.detach(), sigma_T.detach()
         value = float(log_density.detach())
         self.is_outside = not math.isfinite(value)
         self.value = -math.inf if self.is_outside else value
@@ -156,7 +155,7 @@ class _Point:
     def of(cls, posterior: LogPosterior, vector: Tensor) -> _Point:
         """The density at a vector."""
         coordinates, nothing = posterior.coordinates, vector.new_empty(0)
-        free = vector[0].detach().requires_grad_()
+        free = vector.detach().requires_grad_()
         with torch.enable_grad():
             log_prior = coordinates.log_prior(free)
             if not math.isfinite(float(log_prior.detach())):
@@ -168,9 +167,9 @@ class _Point:
 
     def gradient(self) -> Tensor:
         """Exact gradient of the density. Its graph is used up."""
-        (gradient,) = torch.autograd.grad(self._log_density, self._free)
+        (gradient,) = torch.autograd.grad(self._log_density.sum(), self._free)
         del self._log_density
-        return gradient[None]
+        return gradient
 
 
 @dataclass(frozen=True)
