@@ -24,21 +24,21 @@ from torch.autograd import forward_ad
 # digits there and are 0/0 at zero. The series stop at the first term below rounding.
 _SMALL_SQUARE = 1e-3
 _FEW = 4  # rotations that cost less as plain numbers than as tensors
-_is_first_order: ContextVar[bool] = ContextVar("is_first_order", default=False)
+_has_first_only: ContextVar[bool] = ContextVar("has_first_only", default=False)
 
 
 @contextmanager
-def to_first_order(is_first_order: bool = True) -> Iterator[None]:
+def first_derivatives_only(is_enough: bool = True) -> Iterator[None]:
     """While it lasts, a few rotations at a time have first derivatives only, at a fifth of the cost: forty operations less for each.
 
     Args:
-        is_first_order: Whether nothing needs second derivatives; else nothing changes.
+        is_enough: Whether nothing needs second derivatives; else nothing changes.
     """
-    token = _is_first_order.set(is_first_order)
+    token = _has_first_only.set(is_enough)
     try:
         yield
     finally:
-        _is_first_order.reset(token)
+        _has_first_only.reset(token)
 
 
 @dataclass(frozen=True)
@@ -141,11 +141,11 @@ def rotation_from_vector(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Floa
         entries = [_rotation_entries(*vector) for vector in rotation_vector_rad.reshape(-1, 3).tolist()]
         return torch.tensor(entries, dtype=torch.float64).reshape(*rotation_vector_rad.shape, 3)
     if (
-        _is_first_order.get()
+        _has_first_only.get()
         and rotation_vector_rad.numel() <= 3 * _FEW
         and _may_be_numbers(rotation_vector_rad)
     ):
-        return _to_first_order(rotation_vector_rad)
+        return _with_first_derivatives(rotation_vector_rad)
     # The coefficients are smooth in t^2, whereas t has a kink at 0.
     square = rotation_vector_rad.square().sum(-1)
     small = square < _SMALL_SQUARE
@@ -182,7 +182,7 @@ def _may_be_numbers(tensor: Tensor) -> bool:
     )
 
 
-def _to_first_order(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+def _with_first_derivatives(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     """The rotation matrices with exact values and first derivatives, but without second ones."""
     shape, vectors = rotation_vector_rad.shape, rotation_vector_rad.detach().reshape(-1, 3).tolist()
     value = rotation_vector_rad.new_tensor([_rotation_entries(*vector) for vector in vectors])
@@ -198,12 +198,7 @@ def _to_first_order(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> Float[Ten
 def _rotation_entries(x: float, y: float, z: float) -> tuple[float, ...]:
     """Entries of one rotation matrix, row by row, by the same formula."""
     square = x * x + y * y + z * z
-    if square < _SMALL_SQUARE:
-        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
-        versine = (1 - square / 12 * (1 - square / 30 * (1 - square / 56))) / 2
-    else:
-        angle = math.sqrt(square)
-        sinc, versine = math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2
+    sinc, versine, _, _ = _coefficients(square)
     cosine = 1 - versine * square
     a, b, c = sinc * x, sinc * y, sinc * z
     xy, xz, yz = versine * x * y, versine * x * z, versine * y * z
@@ -214,20 +209,24 @@ def _rotation_entries(x: float, y: float, z: float) -> tuple[float, ...]:
     )
 
 
+def _coefficients(square: float) -> tuple[float, float, float, float]:
+    """sin(t)/t and (1 - cos(t))/t^2 of the square of an angle, and their derivatives in that square."""
+    if square < _SMALL_SQUARE:
+        return (
+            1 - square / 6 * (1 - square / 20 * (1 - square / 42)),
+            (1 - square / 12 * (1 - square / 30 * (1 - square / 56))) / 2,
+            -(1 - square / 10 * (1 - square / 28)) / 6,
+            -(1 - square / 15 * (1 - 3 * square / 112)) / 24,
+        )
+    angle = math.sqrt(square)
+    sinc, versine = math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2
+    return sinc, versine, (math.cos(angle) - sinc) / (2 * square), (sinc - 2 * versine) / (2 * square)
+
+
 def _rotation_slopes(x: float, y: float, z: float) -> list[tuple[float, float, float]]:
     """Derivatives of these entries in x, y and z, entry by entry."""
     v = (x, y, z)
-    square = x * x + y * y + z * z
-    if square < _SMALL_SQUARE:
-        sinc = 1 - square / 6 * (1 - square / 20 * (1 - square / 42))
-        versine = (1 - square / 12 * (1 - square / 30 * (1 - square / 56))) / 2
-        of_sinc = -(1 - square / 10 * (1 - square / 28)) / 6  # by the square
-        of_versine = -(1 - square / 15 * (1 - 3 * square / 112)) / 24
-    else:
-        angle = math.sqrt(square)
-        sinc, versine = math.sin(angle) / angle, 2 * (math.sin(angle / 2) / angle) ** 2
-        of_sinc = (math.cos(angle) - sinc) / (2 * square)
-        of_versine = (sinc - 2 * versine) / (2 * square)
+    sinc, versine, of_sinc, of_versine = _coefficients(x * x + y * y + z * z)
     cross = ((0.0, -z, y), (z, 0.0, -x), (-y, x, 0.0))
     slopes = []
     for i in range(3):

@@ -23,7 +23,8 @@ from estimator.diagnosis.hypotheses.record_mistakes import (
     rules_and_refusal,
     without_record_mistakes,
 )
-from estimator.diagnosis.hypotheses.search import Search, search
+from estimator.diagnosis.hypotheses.search import search
+from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals

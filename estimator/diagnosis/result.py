@@ -16,7 +16,7 @@ from estimator.diagnosis.differences import clearest_difference
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
-from estimator.diagnosis.hypotheses.search import Addition, Search
+from estimator.diagnosis.hypotheses.search_record import Addition, Search
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, p_of_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible

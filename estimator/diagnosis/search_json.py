@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step
 from estimator.rig.rig import Cause
 

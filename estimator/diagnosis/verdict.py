@@ -14,7 +14,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.screening import linear_evidence
-from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.standing import explains_more_than_is_left, standing
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,

@@ -34,7 +34,7 @@ from estimator.field.coil import AnyWinding, distance_to_coil, rule_of_coil
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
-from estimator.frames import Transform, to_first_order
+from estimator.frames import Transform, first_derivatives_only
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
 from estimator.model.sources import Sources
@@ -292,7 +292,7 @@ class MeasurementModel:
 
     def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
-        with to_first_order(self.sources.mode is SumMode.FIRST_ORDER):
+        with first_derivatives_only(self.sources.mode is SumMode.FIRST_ORDER):
             return self._at_sensor_T(values)
 
     def _at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:

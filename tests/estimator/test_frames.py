@@ -9,7 +9,13 @@ from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 from estimator.derivatives import jacobian_of
-from estimator.frames import Transform, rotation_from_vector, to_first_order, turned, vector_from_rotation
+from estimator.frames import (
+    Transform,
+    first_derivatives_only,
+    rotation_from_vector,
+    turned,
+    vector_from_rotation,
+)
 
 # Skew matrices of x, y, z: the derivatives of a rotation matrix at zero rotation, last axis the component.
 GENERATORS = torch.tensor(
@@ -81,19 +87,19 @@ def test_rotation_and_its_derivatives_agree_with_the_matrix_exponential(angle_ra
 
 
 @pytest.mark.parametrize("angle_rad", ANGLES_RAD)
-def test_to_first_order_values_and_derivatives_are_the_same(angle_rad: float) -> None:
+def test_where_first_derivatives_are_enough_they_and_the_values_are_the_same(angle_rad: float) -> None:
     direction = random_vectors(2, seed=5)
     some = angle_rad * direction / direction.norm(dim=-1, keepdim=True)
 
     def rotations(vectors: Tensor) -> Tensor:
         return rotation_from_vector(vectors.unflatten(0, (2, 3)))
 
-    with to_first_order():
+    with first_derivatives_only():
         free = some.flatten().requires_grad_()
         value, jacobian = rotations(free).detach(), jacobian_of(rotations, free)
     torch.testing.assert_close(value, rotation_from_vector(some.detach()), rtol=0.0, atol=1e-15)
     torch.testing.assert_close(jacobian, jacfwd(rotations)(free.detach()), rtol=0.0, atol=2e-14)
-    with to_first_order(is_first_order=False):
+    with first_derivatives_only(is_enough=False):
         twice = torch.func.hessian(lambda v: rotations(v).sum())(free.detach())
     assert twice.abs().max() > 0.0
 

@@ -19,7 +19,7 @@ from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.headline import headline, held_back
-from estimator.diagnosis.hypotheses.search import Addition
+from estimator.diagnosis.hypotheses.search_record import Addition
 from estimator.diagnosis.hypotheses.source_structure import Asked, OtherStructures
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.limits import Limits

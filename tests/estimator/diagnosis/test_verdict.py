@@ -12,7 +12,7 @@ from scipy.special import softmax
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.standing import keeping_their_names
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, credible_set
 from estimator.diagnosis.structure.discrepancy import Discrepancy

@@ -12,7 +12,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.diagnose import _are_doubtful
 from estimator.diagnosis.hypotheses import record_mistakes
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
-from estimator.diagnosis.hypotheses.search import Search
+from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.step import Step
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.effects import EFFECTS

@@ -15,7 +15,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses import several_places
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.hypotheses.screening import in_full, screening
-from estimator.diagnosis.hypotheses.search import Addition, _SearchState, search
+from estimator.diagnosis.hypotheses.search import _SearchState, search
+from estimator.diagnosis.hypotheses.search_record import Addition
 from estimator.diagnosis.hypotheses.several_places import (
     at_several_places,
     comparison_steps,

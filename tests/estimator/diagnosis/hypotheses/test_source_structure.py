@@ -7,7 +7,8 @@ import pytest
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses import source_structure
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.hypotheses.search import Addition, _SearchState
+from estimator.diagnosis.hypotheses.search import _SearchState
+from estimator.diagnosis.hypotheses.search_record import Addition
 from estimator.diagnosis.hypotheses.source_structure import (
     Asked,
     OtherStructures,
