@@ -170,7 +170,7 @@ def _judged(
         fitted = thinned(seen, policy.MOST_READINGS_FITTED, seed)
         rules = search_result.base.posterior.model.rules
         before, after = (fit_rig(fit.rig, fitted, fit.values, rules) for fit in (plain, extended))
-    improvement = None
+    improvement, searched = None, search_result.final
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
         improvement = improvement_of(before, after, unseen)
@@ -182,7 +182,7 @@ def _judged(
         if (
             improvement.is_loss and not named
         ):  # a rig that predicts worse than the one described does not replace it
-            extended = after = search_result.base
+            extended = after = searched = search_result.base
             if before is not plain:
                 after = fit_rig(extended.rig, before.observations, extended.values, rules)
             improvement = improvement_of(before, after, unseen)
@@ -198,7 +198,7 @@ def _judged(
                 first, last, causes, unseen.to(causes.observations.device), tell
             ),
             extended,
-            search_result.final,
+            searched,
             after,
         )
         if correction.is_taken:

@@ -31,7 +31,7 @@ def best_corrected(
 
     Args:
         extended: With the named causes, fitted to the readings of the search.
-        searched: With all causes that were taken, named or not, fitted to the same.
+        searched: With all causes that were taken, named or not, and that unseen readings have not refuted, fitted to the same.
         causes: The extended rig, fitted to the readings that count.
         unseen: Readings that no fit has seen; may be empty.
         tell: Called with a message for each correction that is taken.
