@@ -73,6 +73,12 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--ess", type=float, default=GOAL_ESS, help="effective samples of every parameter")
     parser.add_argument("--stretch-steps", type=int, default=3000, help="steps on the real-valued counts")
     parser.add_argument("--numpyro", action="store_true", help="NUTS as well (pip install '.[bench]')")
+    parser.add_argument(
+        "--sides", type=int, nargs="*", default=(5, 8), help="places along each axis of a grid to sample"
+    )
+    parser.add_argument(
+        "--free", nargs="*", default=("nothing", "axis_gain"), help="effects to sample, one at a time"
+    )
     parser.add_argument("--only", choices=("fields", "latency", "sampling"))
     parser.add_argument(
         "--tiny",
@@ -82,7 +88,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     if options.tiny:
-        options.repeats, options.ess, options.stretch_steps = 1, 200.0, 60
+        options.repeats, options.ess, options.stretch_steps, options.sides = 1, 200.0, 60, (5,)
     return options
 
 

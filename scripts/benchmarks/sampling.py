@@ -41,11 +41,11 @@ def sampling(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """A table for each number of readings, without and with a free gain of each axis of the sensor."""
     paper = CONFIGS / "plans" / "paper_grid.yaml"
     with tempfile.TemporaryDirectory() as folder:
-        eight = Path(folder) / "eight.yaml"
-        eight.write_text(paper.read_text().replace("count: 5}", "count: 8}"))
-        for plan in (paper,) if options.tiny else (paper, eight):
-            for effect in (None, "axis_gain"):
-                yield case(options, plan, effect)
+        for side in options.sides:
+            plan = Path(folder) / "plan.yaml"
+            plan.write_text(paper.read_text().replace("count: 5}", f"count: {side}}}"))
+            for effect in options.free:
+                yield case(options, plan, None if effect == "nothing" else effect)
 
 
 def case(options: argparse.Namespace, plan_path: Path, effect: str | None) -> dict[str, Any]:
