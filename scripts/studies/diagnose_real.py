@@ -66,11 +66,13 @@ def main() -> None:
         help="FOLDER/CAUSE: take a cause as known, with the values that an earlier run in FOLDER gave it; only the step of the "
         "room's field across a plate stays free",
     )
+    parser.add_argument("--device", default="cpu", help="where it searches and corrects, such as cuda")
+    parser.add_argument("--threads", type=int, default=1)
     options = parser.parse_args()
     data = os.environ.get("COILCAL_DATA")
     if not data:
         sys.exit("diagnose_real: COILCAL_DATA must name the folder with the measured maps; it is not set")
-    torch.set_num_threads(1)
+    torch.set_num_threads(options.threads)
     data_sets = (*(data_set for data_set in DATA_SETS if data_set.importer != "mice"), *MORE, *MICE)
     for name in set(options.names) - {data_set.name for data_set in data_sets}:
         sys.exit(f"diagnose_real: names must be data sets of this study; received {name}")
@@ -95,6 +97,7 @@ def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
         out=out / data_set.name,
         limits=Limits(options.most_causes),
         most_readings=options.thin,
+        device=options.device,
         on_stage=tell,
     )
     write_text(
