@@ -2,16 +2,16 @@
 
 The formulas are those of `field.loop`. There each of some sixty operations writes its numbers to memory; here they stay in registers, which
 takes a twentieth of the time. Triton, which comes with torch's builds for graphics processors, translates the kernel when it is first
-called and keeps it on disk, for which it needs a C compiler. Without both, operations of torch do the same (`docs/decisions/0071`).
+called and keeps it on disk, for which it needs a C compiler, a linker and Python's headers. Where it cannot, operations of torch do the
+same (`docs/decisions/0071`).
 """
 
 from __future__ import annotations
 
 import inspect
-import os
+import logging
 from functools import cache
 from importlib.util import find_spec
-from shutil import which
 from typing import Any
 
 import torch
@@ -22,7 +22,7 @@ from estimator.field.kernel import QUARTER_MU0, has_derivatives
 
 POINTS_IN_A_BLOCK = 128
 
-if find_spec("triton") and (os.environ.get("CC") or which("gcc") or which("clang")):
+if find_spec("triton"):
     import triton
     import triton.language as tl
 else:
@@ -40,6 +40,7 @@ def is_fusable(*tensors: Tensor) -> bool:
         triton is not None
         and all(tensor.device.type == "cuda" for tensor in tensors)
         and not any(has_derivatives(tensor) for tensor in tensors)
+        and _is_translated(tensors[0].device)
     )
 
 
@@ -121,6 +122,21 @@ def _sum(  # type: ignore[no-untyped-def]
     tl.store(field + at, x * h_sum, mask=is_inside)
     tl.store(field + at + 1, y * h_sum, mask=is_inside)
     tl.store(field + at + 2, axial_sum, mask=is_inside)
+
+
+@cache
+def _is_translated(device: torch.device) -> bool:
+    """Whether the kernel runs there: a first sum tries it."""
+    one = torch.ones(1, 3, device=device)
+    try:
+        fused_sum_of_loops(one[None], *(3 * [one[:, :1]]), steps=3)
+    except Exception as error:  # of Triton, of the compiler that it calls, or of the driver
+        logging.getLogger(__name__).warning(
+            "fields are computed by operations of torch, which takes twenty times as long: Triton cannot translate its kernel (%s)",
+            error,
+        )
+        return False
+    return True
 
 
 @cache
