@@ -14,11 +14,11 @@ from estimator.benchmarks.rows import Row, by_turns, with_ratios
 from estimator.benchmarks.sessions import grid_readings
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.ensemble import BURN_IN_SHARE, SamplerSettings, reported_parameters, sample
-from estimator.inference.laplace import covariance
 from estimator.inference.lattice import CountMixture, count_mixture
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.point_estimate import point_estimate
+from estimator.inference.positive_definite import inverse
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates
 
@@ -99,7 +99,7 @@ def stretch(
             return posterior(torch.from_numpy(vectors)).numpy()
 
     random = np.random.RandomState(seed)
-    start = random.multivariate_normal(fit.vector[0].numpy(), covariance(fit.precision)[0].numpy(), n_walkers)
+    start = random.multivariate_normal(fit.vector[0].numpy(), inverse(fit.precision)[0].numpy(), n_walkers)
     sampler = emcee.EnsembleSampler(n_walkers, start.shape[1], log_prob, vectorize=True)
     state = emcee.State(start, random_state=random.get_state())
     sampler.run_mcmc(state, steps, skip_initial_state_check=True)

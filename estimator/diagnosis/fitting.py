@@ -20,10 +20,10 @@ from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
 from estimator.field.winding import Rule
-from estimator.inference.bounds import solve
-from estimator.inference.laplace import covariance, log_evidence
+from estimator.inference.laplace import log_evidence
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.inference.likelihood import FirstOrder, LogPosterior
+from estimator.inference.positive_definite import inverse, solve
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -185,7 +185,7 @@ class Fit:
     @cached_property
     def covariance(self) -> Float[Tensor, "coordinate coordinate"]:
         """Laplace covariance of the coordinates."""
-        return covariance(self.optimum.precision)[0]
+        return inverse(self.optimum.precision)[0]
 
     def covariance_beside(
         self, columns: Float[Tensor, "component column"]
@@ -194,7 +194,7 @@ class Fit:
         cross = self.jacobian.T @ columns
         precision = columns.T @ columns + columns.new_ones(columns.shape[1]).diag()
         lost = cross @ torch.linalg.solve(precision, cross.T)
-        return covariance((self.optimum.precision[0] - lost)[None])[0]
+        return inverse((self.optimum.precision[0] - lost)[None])[0]
 
     def value_sd(self, name: str, covariance: Tensor | None = None) -> float:
         """Standard deviation of a parameter in its own unit, to first order; 0 where it is fixed.

@@ -129,7 +129,8 @@ def _is_translated(device: torch.device) -> bool:
     """Whether the kernel runs there: a first sum tries it."""
     one = torch.ones(1, 3, device=device)
     try:
-        fused_sum_of_loops(one[None], *(3 * [one[:, :1]]), steps=3)
+        loop = one[:, :1]
+        fused_sum_of_loops(one[None], loop, loop, loop, steps=3)
     except Exception as error:  # of Triton, of the compiler that it calls, or of the driver
         logging.getLogger(__name__).warning(
             "fields are computed by operations of torch, which takes twenty times as long: Triton cannot translate its kernel (%s)",

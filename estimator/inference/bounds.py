@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.inference.positive_definite import solve, solve_each
 from estimator.rig.coordinates import Coordinates
 
 APPROACH = 0.9  # of the way to a bound in one step
@@ -49,7 +50,7 @@ def step_of_the_free(
             return free
         is_held |= pushes
         constraints = slopes[is_held]
-        directions = _solved_each(precision, constraints)
+        directions = solve_each(precision, constraints.mT)
         free = step - directions @ torch.linalg.lstsq(constraints @ directions, constraints @ step).solution
 
 
@@ -81,7 +82,7 @@ def along_bounds(coordinates: Coordinates, vector: Tensor, damped: Tensor, step:
             target = torch.where(is_outside & ~is_held, ahead, target)
             is_held |= is_outside
             constraints = jacobian[is_held]
-            directions = _solved_each(damped, constraints)
+            directions = solve_each(damped, constraints.mT)
             violation = (new_values - target)[is_held]
             system = constraints @ directions
             if not (torch.isfinite(system).all() and torch.isfinite(violation).all()):
@@ -89,25 +90,3 @@ def along_bounds(coordinates: Coordinates, vector: Tensor, damped: Tensor, step:
             multipliers = torch.linalg.lstsq(system, violation[:, None]).solution[:, 0]
             bounded_step = bounded_step - directions @ multipliers
     return bounded_step
-
-
-def _solved_each(
-    matrix: Float[Tensor, "row row"], rows: Float[Tensor, "constraint row"]
-) -> Float[Tensor, "row constraint"]:
-    """Solution for each of some right sides, as columns."""
-    return solve(matrix.expand(len(rows), -1, -1), rows).mT
-
-
-def solve(matrix: Tensor, right: Tensor) -> Tensor:
-    """Solve a positive definite system, scaled to a unit diagonal first: coordinates differ by many powers of ten."""
-    scale = diagonal_of(matrix).clamp(min=1e-300).rsqrt()
-    scaled = matrix * scale[..., :, None] * scale[..., None, :] + 1e-14 * torch.eye(
-        matrix.shape[-1], dtype=matrix.dtype, device=matrix.device
-    )
-    solution: Tensor = torch.linalg.solve(scaled, scale * right)
-    return scale * solution
-
-
-def diagonal_of(matrix: Tensor) -> Tensor:
-    """Diagonal of each matrix."""
-    return torch.diagonal(matrix, dim1=-2, dim2=-1)

@@ -24,9 +24,9 @@ from estimator.devices import numpy_of
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import uses_of
 from estimator.field.node_sum import SumMode
-from estimator.inference.laplace import covariance
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.positive_definite import inverse
 from estimator.rig.coordinates import Coordinates, Values
 from estimator.rig.parameters import Normal, Tie
 from estimator.rig.rig import Rig
@@ -392,5 +392,5 @@ def _unit_plus(gram: Tensor) -> Tensor:
 
 
 def _solved(precision: Tensor, score: Tensor) -> Tensor:
-    solution: Tensor = (covariance(precision) @ score[..., None])[..., 0]
+    solution: Tensor = (inverse(precision) @ score[..., None])[..., 0]
     return solution

@@ -7,7 +7,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.inference.bounds import solve
 from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.inference.point_estimate import (
@@ -16,6 +15,7 @@ from estimator.inference.point_estimate import (
     distinct,
     thinned_posterior,
 )
+from estimator.inference.positive_definite import solve
 from estimator.readings.observations import Observations
 
 MOST_STEPS = 40

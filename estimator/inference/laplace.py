@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.levenberg_marquardt import Optimum
+from estimator.inference.positive_definite import log_determinant
 from estimator.rig.coordinates import Coordinates
 
 UNDETERMINED_RATIO = 1.0  # of data to prior standard deviation
@@ -31,25 +32,10 @@ class OpenDirection:
     shares: dict[str, float]
 
 
-def covariance(precision: Float[Tensor, "*batch n n"]) -> Float[Tensor, "*batch n n"]:
-    """Inverse of a precision matrix, scaled to a unit diagonal first, so that units do not cost digits.
-
-    Examples:
-        >>> covariance(torch.diag(torch.tensor([4.0, 1e12], dtype=torch.float64))).diagonal().tolist()
-        [0.25, 1e-12]
-    """
-    scale = torch.diagonal(precision, dim1=-2, dim2=-1).clamp(min=1e-300).rsqrt()
-    scaled = precision * scale[..., :, None] * scale[..., None, :]
-    inverse = torch.linalg.inv(scaled) * scale[..., :, None] * scale[..., None, :]
-    symmetric: Tensor = 0.5 * (inverse + inverse.mT)
-    return symmetric
-
-
 def log_evidence(fit: Optimum) -> Float[Tensor, " start"]:
     """Laplace approximation of the log evidence, up to the constant of the log posterior."""
     n = fit.precision.shape[-1]
-    log_det: Tensor = torch.linalg.slogdet(fit.precision).logabsdet
-    return fit.log_posterior + 0.5 * n * math.log(2.0 * math.pi) - 0.5 * log_det
+    return fit.log_posterior + 0.5 * n * math.log(2.0 * math.pi) - 0.5 * log_determinant(fit.precision)
 
 
 def open_directions(coordinates: Coordinates, fit: Optimum) -> list[OpenDirection]:

@@ -13,9 +13,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.inference.laplace import covariance, log_evidence
+from estimator.inference.laplace import log_evidence
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.positive_definite import inverse
 
 NEGLIGIBLE = 1e-5
 MOST_TUPLES, MOST_EFFECTIVE = 600, 200.0
@@ -58,7 +59,7 @@ def count_mixture(
         return laplace_mixture(levenberg_marquardt(integer, fit.vector[:1]), 0)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     normal = torch.randn(DRAWS, fit.vector.shape[1], generator=generator, dtype=fit.vector.dtype)
-    sample = fit.vector[0] + normal.to(fit.vector) @ torch.linalg.cholesky(covariance(fit.precision)[0]).T
+    sample = fit.vector[0] + normal.to(fit.vector) @ torch.linalg.cholesky(inverse(fit.precision)[0]).T
     start_of = _starts(continuous, integer, torch.cat((fit.vector[:1], sample)), n_counts)
     if not start_of:
         return None
@@ -138,4 +139,4 @@ def laplace_mixture(fit: Optimum, n_counts: int) -> CountMixture:
     """One normal component for each maximum, weighted by its evidence; the last coordinates are counts."""
     n = fit.vector.shape[1] - n_counts
     weight = torch.softmax(log_evidence(fit), dim=0)
-    return CountMixture(fit.vector[:, n:], weight, fit.vector[:, :n], covariance(fit.precision))
+    return CountMixture(fit.vector[:, n:], weight, fit.vector[:, :n], inverse(fit.precision))

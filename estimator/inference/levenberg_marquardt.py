@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from estimator.inference.bounds import along_bounds, diagonal_of, solve
+from estimator.inference.bounds import along_bounds
 from estimator.inference.likelihood import DERIVATIVES_AT_ONCE, FirstOrder, LogPosterior
+from estimator.inference.positive_definite import diagonal_of, solve
 from estimator.rig.coordinates import Coordinates
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12

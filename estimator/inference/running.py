@@ -14,8 +14,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
-from estimator.inference.bounds import solve
-from estimator.inference.laplace import covariance
 from estimator.inference.levenberg_marquardt import (
     levenberg_marquardt,
     prior_gradient,
@@ -23,6 +21,7 @@ from estimator.inference.levenberg_marquardt import (
 )
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.linearisation import Innovation, Linearisation
+from estimator.inference.positive_definite import inverse, solve
 from estimator.inference.sweep import Sweep
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.readings.observations import Observations
@@ -81,7 +80,7 @@ class RunningFit:
     @property
     def covariance(self) -> Float[Tensor, "coordinate coordinate"]:
         """Laplace covariance of the coordinates."""
-        return covariance(self.precision)
+        return inverse(self.precision)
 
     def update(self, observations: Observations, n_new: int) -> Innovation:
         """Update the maximum with new readings.

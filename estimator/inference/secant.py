@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.inference.bounds import along_bounds, diagonal_of, solve, step_of_the_free
+from estimator.inference.bounds import along_bounds, step_of_the_free
 from estimator.inference.levenberg_marquardt import (
     BEHIND,
     LARGEST_DAMPING,
@@ -29,6 +29,7 @@ from estimator.inference.levenberg_marquardt import (
     prior_gradient_and_precision,
 )
 from estimator.inference.likelihood import FirstOrder, LogPosterior
+from estimator.inference.positive_definite import diagonal_of, solve
 
 MANY_DIRECTIONS = 24  # of derivatives, from which on a Jacobian costs much more than a gradient
 PATIENCE = 3.0  # times the steps of `STALLED_AFTER` in which a climb must reach what is known at the pace of the last ones

@@ -23,8 +23,8 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.limits import Limits
-from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.positive_definite import inverse
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.recalibration import policy
@@ -142,7 +142,7 @@ class _Predictive:
         """The same noise, with parameters that vary within the prior of a fit to these readings, to first order about the fit."""
         to_noise = 1.0 / (refit.whitening_per_T * self.sigma_T)
         jacobian = refit.jacobian * to_noise[:, None]
-        prior_covariance = covariance(refit.optimum.precision - refit.optimum.information)[0]
+        prior_covariance = inverse(refit.optimum.precision - refit.optimum.information)[0]
         from_prior = jacobian @ (refit.vector - refit.posterior.coordinates.start())
         directions, spread, _ = torch.linalg.svd(
             jacobian @ torch.linalg.cholesky(prior_covariance), full_matrices=False

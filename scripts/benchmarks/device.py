@@ -20,7 +20,7 @@ from estimator import draw_truth, load_plan, load_rig, simulate
 from estimator.batching.stacked import stacked_fits
 from estimator.benchmarks.machine import processor
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
-from estimator.inference.laplace import covariance
+from estimator.inference.positive_definite import inverse
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PRECISIONS = {"double": torch.float64, "single": torch.float32}
@@ -126,7 +126,7 @@ def show_fits(devices: list[str], options: argparse.Namespace) -> None:
                 end="",
             )
             if reference is None:
-                reference = vectors, torch.cat([covariance(fit.precision) for _, fit in fits]).cpu()
+                reference = vectors, torch.cat([inverse(fit.precision) for _, fit in fits]).cpu()
                 print()
                 continue
             sd = reference[1].diagonal(dim1=-2, dim2=-1).sqrt()

@@ -26,13 +26,13 @@ from torch import Tensor
 from estimator import Observations, draw_truth, load_plan, load_rig, simulate
 from estimator.benchmarks.sessions import entry_of, grid_readings
 from estimator.cli.live_session import POLL_S
-from estimator.inference.laplace import covariance
 from estimator.inference.levenberg_marquardt import (
     gradient_and_information,
     levenberg_marquardt,
     prior_gradient_and_precision,
 )
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.positive_definite import inverse
 from estimator.live.spare import SpareTime
 from estimator.live.stream import Stream
 from estimator.model.measurement_model import MeasurementModel
@@ -215,7 +215,7 @@ def batch_fit(readings: Observations) -> tuple[Tensor, Tensor, Coordinates]:
         gradient, _ = gradient_and_information(posterior, vector, posterior.to_first_order(vector))
         gradient = gradient + prior_gradient_and_precision(coordinates, vector)[0]
         vector = vector + torch.linalg.solve(fit.precision, gradient)
-    return vector[0], covariance(fit.precision[0]).diagonal().sqrt(), coordinates
+    return vector[0], inverse(fit.precision[0]).diagonal().sqrt(), coordinates
 
 
 if __name__ == "__main__":

@@ -18,8 +18,8 @@ from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import fit_rig
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings, sample
-from estimator.inference.laplace import covariance
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.positive_definite import inverse
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.model.preflight import check_precision
 from estimator.model.room_field import RoomField
@@ -54,7 +54,7 @@ def test_fits_of_stacked_sessions_on_another_device(small_session: Session) -> N
         for (_, here), (_, fit) in zip(near, there, strict=True):
             assert fit.vector.device == far
             assert_close(fit.vector.cpu(), here.vector, rtol=1e-9, atol=1e-12)
-            assert_close(covariance(fit.precision).cpu(), covariance(here.precision), rtol=1e-7, atol=0.0)
+            assert_close(inverse(fit.precision).cpu(), inverse(here.precision), rtol=1e-7, atol=0.0)
 
 
 @pytest.mark.whole
@@ -67,7 +67,7 @@ def test_stacked_fits_climb_elsewhere_and_take_their_last_step_at_home(small_ses
             there = stacked_fits(rig, sessions, [0, 1], 2, str(far), precision)
             for (_, here), (_, fit) in zip(near, there, strict=True):
                 assert fit.vector.device.type == "cpu"
-                sd = covariance(here.precision)[0].diagonal().sqrt()
+                sd = inverse(here.precision)[0].diagonal().sqrt()
                 assert float(((fit.vector - here.vector)[0] / sd).abs().max()) < 0.01
                 assert float((fit.log_posterior - here.log_posterior).abs()) < 1e-3
 
@@ -120,7 +120,7 @@ def test_single_precision_finds_the_maximum_within_a_hundredth_of_its_standard_d
     (_, double), (_, single) = (
         stacked_fits(rig, [each], [0], 2)[0] for each in (readings, readings.to(dtype=torch.float32))
     )
-    sd = covariance(double.precision)[0].diagonal().sqrt()
+    sd = inverse(double.precision)[0].diagonal().sqrt()
     assert single.vector.dtype == torch.float64
     assert bool(single.is_converged.all())
     assert float(((single.vector - double.vector).abs()[0] / sd).max()) < 0.01

@@ -7,7 +7,8 @@ import pytest
 import scipy.optimize
 import torch
 
-from estimator.inference.bounds import AT_A_BOUND, solve, step_of_the_free
+from estimator.inference.bounds import AT_A_BOUND, step_of_the_free
+from estimator.inference.positive_definite import solve
 from estimator.rig.coordinates import Coordinates
 from estimator.rig_files.read import rig_from_text
 

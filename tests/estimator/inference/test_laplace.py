@@ -9,8 +9,9 @@ import pytest
 import torch
 from scipy import stats
 
-from estimator.inference.laplace import covariance, log_evidence, open_directions
+from estimator.inference.laplace import log_evidence, open_directions
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
+from estimator.inference.positive_definite import inverse
 from estimator.rig.coordinates import Coordinates
 
 pytestmark = pytest.mark.whole
@@ -31,7 +32,7 @@ def test_covariance_is_the_inverse_whatever_the_units():
     expected = np.linalg.inv(precision)
     for exponents in (np.zeros(6), np.array([0.0, 3.0, -3.0, 8.0, -8.0, 1.0])):
         unit = 10.0**exponents
-        ours = covariance(torch.from_numpy(precision / np.outer(unit, unit))).numpy()
+        ours = inverse(torch.from_numpy(precision / np.outer(unit, unit))).numpy()
         np.testing.assert_allclose(ours / np.outer(unit, unit), expected, rtol=1e-9, atol=1e-11)
         np.testing.assert_array_equal(ours, ours.transpose(0, 2, 1))
 
@@ -55,7 +56,7 @@ def test_covariance_of_a_linear_problem_is_that_of_its_posterior(linear_problem)
     fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
     design = torch.stack([posterior.predicted(row) for row in torch.eye(2).double()], -1)
     expected = torch.linalg.inv(design.T @ design / 0.2e-6**2 + torch.eye(2) / 0.05**2)
-    torch.testing.assert_close(covariance(fit.precision)[0], expected, rtol=1e-8, atol=1e-15)
+    torch.testing.assert_close(inverse(fit.precision)[0], expected, rtol=1e-8, atol=1e-15)
 
 
 def test_well_measured_rig_has_no_open_direction(linear_problem):

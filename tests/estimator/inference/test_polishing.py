@@ -10,13 +10,13 @@ from torch import Tensor
 
 from estimator.effects.attach import with_effect
 from estimator.inference import sweep
-from estimator.inference.laplace import covariance
 from estimator.inference.levenberg_marquardt import (
     gradient_and_information,
     levenberg_marquardt,
     prior_gradient_and_precision,
 )
 from estimator.inference.likelihood import LogPosterior
+from estimator.inference.positive_definite import inverse
 from estimator.inference.running import MOST_SWEEPS, RunningFit
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
@@ -43,7 +43,7 @@ def batch_maximum(rig: Rig, observations: Observations) -> tuple[Tensor, Tensor]
     coordinates = RunningFit(rig).coordinates
     posterior = LogPosterior(coordinates, model, observations)
     fit = levenberg_marquardt(posterior, coordinates.start()[None])
-    sd = covariance(fit.precision[0]).diagonal().sqrt()
+    sd = inverse(fit.precision[0]).diagonal().sqrt()
 
     def gradient(vectors: Tensor) -> Tensor:
         data, _ = gradient_and_information(posterior, vectors, posterior.to_first_order(vectors))
@@ -155,7 +155,7 @@ def test_information_is_that_of_the_place_where_the_maximum_is(
         LogPosterior(running.coordinates, MeasurementModel.build(rig, readings), readings),
         running.coordinates.start()[None],
     )
-    sd, batch_sd = (covariance(each).diagonal().sqrt() for each in (running.precision, fit.precision[0]))
+    sd, batch_sd = (inverse(each).diagonal().sqrt() for each in (running.precision, fit.precision[0]))
     # That of the noise depends on how it scattered in the batch fit, on what is expected in the running one.
     assert torch.allclose(sd, batch_sd, rtol=0.05)
 

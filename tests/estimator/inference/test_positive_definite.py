@@ -1,0 +1,70 @@
+"""Systems of positive definite matrices, also of many rows with several threads."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import mpmath
+import torch
+from torch.testing import assert_close
+
+from estimator.inference.positive_definite import inverse, log_determinant, solve, solve_each
+
+SEVERAL_THREADS = """
+import torch
+from estimator.inference.positive_definite import inverse, log_determinant, solve
+
+torch.set_num_threads(2)
+random = torch.Generator().manual_seed(0)
+root = torch.randn(60, 200, 200, generator=random, dtype=torch.float64)
+matrix, right = root @ root.mT / 200.0 + torch.eye(200), torch.ones(60, 200, dtype=torch.float64)
+missed = (matrix @ solve(matrix, right)[..., None])[..., 0] - right
+assert missed.abs().max() < 1e-10, missed.abs().max()
+assert (matrix @ inverse(matrix) - torch.eye(200)).abs().max() < 1e-10
+assert torch.isfinite(log_determinant(matrix)).all()
+"""
+
+
+def matrices() -> torch.Tensor:
+    """Three, whose units differ by twelve powers of ten."""
+    random = torch.Generator().manual_seed(2)
+    root = torch.randn(3, 5, 9, generator=random, dtype=torch.float64)
+    unit = torch.tensor([1e-6, 1.0, 3.0, 1e3, 1e6], dtype=torch.float64)
+    return root @ root.mT * unit[:, None] * unit
+
+
+def test_solutions_inverses_and_determinants_are_those_of_sixty_digits() -> None:
+    matrix, right = matrices(), torch.arange(1.0, 16.0, dtype=torch.float64).reshape(3, 5)
+    with mpmath.workdps(60):
+        exact = [mpmath.matrix(each.tolist()) for each in matrix]
+        inverses = torch.tensor([(each**-1).tolist() for each in exact], dtype=torch.float64)
+        log_determinants = [float(mpmath.log(mpmath.det(each))) for each in exact]
+    ours = inverse(matrix)
+    assert_close(ours, inverses, rtol=1e-11, atol=0.0)
+    assert torch.equal(ours, ours.mT)
+    assert_close(solve_each(matrix, torch.eye(5).to(matrix).expand(3, 5, 5)), inverses, rtol=1e-9, atol=0.0)
+    assert_close(solve(matrix, right), (inverses @ right[..., None])[..., 0], rtol=1e-9, atol=0.0)
+    assert_close(log_determinant(matrix), matrix.new_tensor(log_determinants), rtol=1e-12, atol=0.0)
+
+
+def test_what_rounding_has_made_indefinite_is_solved_all_the_same() -> None:
+    angle = torch.tensor([0.3, 0.3, 1.1], dtype=torch.float64)
+    column = torch.stack((angle.cos(), angle.sin()), dim=-1)
+    matrix = column @ column.mT - 1e-9 * torch.eye(3, dtype=torch.float64)  # of rank two, less a little
+    right = torch.ones(3, dtype=torch.float64)
+    both = torch.stack((matrix, torch.eye(3, dtype=torch.float64)))
+    assert_close(both[0] @ solve(both, right.expand(2, 3))[0], right, rtol=0.0, atol=1e-4)
+    assert_close(inverse(both)[0] @ matrix, torch.eye(3, dtype=torch.float64), rtol=0.0, atol=1e-4)
+    assert_close(
+        log_determinant(both)[0], torch.linalg.slogdet(matrix).logabsdet.clone(), rtol=1e-5, atol=0.0
+    )
+
+
+def test_batches_of_many_rows_are_solved_with_several_threads() -> None:
+    """The LU of torch fails here, or never ends (pytorch issue 141358)."""
+    ended = subprocess.run(
+        [sys.executable, "-c", SEVERAL_THREADS], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert ended.returncode == 0, ended.stderr[-500:]
+    assert "MKL" not in ended.stdout + ended.stderr
