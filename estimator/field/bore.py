@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.field.harmonics import interior_field
+from estimator.field.kernel import has_derivatives
 
 SOURCES = 2.0  # radii from the axis, where sources are expected to begin
 MOST_TURNS = 6  # around the axis: fields with m turns fall as the power m - 1 of the distance from the wall
@@ -51,15 +52,30 @@ def bore_field(
     amplitude = torch.stack([waves[n] for n in waves], dim=-2)  # half waves, wave
     wavenumber = math.pi / length * points.new_tensor(list(waves))
     amplitude = amplitude / _rms_at_sources(wavenumber)
-    # Points last: numbers of a wave are then alike along a whole row, which takes half the time.
-    x, y, z = (points[..., None, :, i] * wavenumber[:, None] for i in range(3))
-    s = x.square() + y.square()
-    bessel = _reduced_bessel(s)
-    phase = z + 0.5 * length * wavenumber[:, None]
-    none = torch.zeros_like(s)
+    if not _share_points(amplitude, points):
+        return total + _sum_of_waves(points, length, wavenumber, amplitude)
+    each = _each_wave(points.reshape(-1, 3), length, wavenumber)
+    rows = amplitude.reshape(-1, len(each)) @ each.flatten(1)
+    return total + rows.reshape(*amplitude.shape[: -points.dim()], *points.shape)
+
+
+def _share_points(amplitude: Tensor, points: Tensor) -> bool:
+    """Whether many amplitudes meet the same points, so that waves there are computed once; their graphs would be larger."""
+    n_alike = points.dim() - 2
+    rows, alike = amplitude.shape[: -2 - n_alike], amplitude.shape[-2 - n_alike : -2]
+    return (
+        rows.numel() > 1
+        and alike.numel() == 1
+        and not (has_derivatives(points) or has_derivatives(amplitude))
+    )
+
+
+def _sum_of_waves(points: Tensor, length: float | Tensor, wavenumber: Tensor, amplitude: Tensor) -> Tensor:
+    x, y, along, rising, bessel = _factors(points, length, wavenumber)
+    none = torch.zeros_like(x)
     # Of all turns: slopes of the angular factors, the factors times I'(x) / x, and times I(x).
     slope_x, slope_y, outwards, upwards = none, none, none, none
-    real, imaginary = torch.ones_like(s), none  # (x + i y)^m
+    real, imaginary = torch.ones_like(x), none  # (x + i y)^m
     below = (none, none)
     for m in range(MOST_TURNS + 1):
         c = amplitude[..., 2 * m - 1 if m else 0, None]
@@ -78,9 +94,41 @@ def bore_field(
             torch.addcmul(x * real, y, imaginary, value=-1.0),
             torch.addcmul(x * imaginary, y, real),
         )
-    along, rising = torch.sin(phase), torch.cos(phase)
     fields = (along * (slope_x + x * outwards), along * (slope_y + y * outwards), rising * upwards)
-    return total + torch.stack([field.sum(-2) for field in fields], dim=-1)
+    return torch.stack([field.sum(-2) for field in fields], dim=-1)
+
+
+def _each_wave(
+    points: Float[Tensor, "point 3"], length: float | Tensor, wavenumber: Tensor
+) -> Float[Tensor, "each point 3"]:
+    """Fields of all waves, each of amplitude one."""
+    x, y, along, rising, bessel = _factors(points, length, wavenumber)
+    fields = []
+    none = torch.zeros_like(x)
+    real, imaginary, below = torch.ones_like(x), none, (none, none)
+    for m in range(MOST_TURNS + 1):
+        steep = m * bessel[m]
+        cosine = (real, steep * below[0], -steep * below[1])
+        sine = (imaginary, steep * below[1], steep * below[0])
+        for angular, slope_x, slope_y in (cosine, sine) if m else (cosine,):
+            outwards = angular * bessel[m + 1]
+            across = (along * (slope_x + x * outwards), along * (slope_y + y * outwards))
+            fields.append(torch.stack((*across, rising * angular * bessel[m]), dim=-1))
+        below = (real, imaginary)
+        real, imaginary = x * real - y * imaginary, x * imaginary + y * real
+    return torch.stack(fields, dim=1).flatten(0, 1)
+
+
+def _factors(
+    points: Tensor, length: float | Tensor, wavenumber: Tensor
+) -> tuple[Tensor, Tensor, Tensor, Tensor, list[Tensor]]:
+    """Of every half wave: x and y times its wavenumber, its sine and cosine along the bore, and its reduced Bessel functions.
+
+    Points come last: numbers of a wave are then alike along a whole row, which takes half the time.
+    """
+    x, y, z = (points[..., None, :, i] * wavenumber[:, None] for i in range(3))
+    phase = z + 0.5 * length * wavenumber[:, None]
+    return x, y, torch.sin(phase), torch.cos(phase), _reduced_bessel(x.square() + y.square())
 
 
 def _reduced_bessel(s: Float[Tensor, "*shape"]) -> list[Float[Tensor, "*shape"]]:

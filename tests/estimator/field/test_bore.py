@@ -83,3 +83,20 @@ def test_loops_outside_are_followed_where_a_ball_would_hold_them() -> None:
         held_out.append(float(error.norm() / field.flatten()[~is_fitted].norm()))
     assert held_out[0] > 3e-2
     assert held_out[1] < 1e-3
+
+
+@pytest.mark.parametrize("batch", [(), (2,), (2, 3)])
+def test_many_amplitudes_at_the_same_points_have_the_fields_of_each_alone(batch: tuple[int, ...]) -> None:
+    rng = np.random.default_rng(150_000)
+    points = cylinder(12, 7).reshape(*batch, -1, 3)
+    ones = (1,) * len(batch)
+    trend, first, second = (torch.from_numpy(rng.normal(size=(5, *ones, n))) for n in (8, 13, 13))
+    together = bore_field(points, LENGTH, trend, {1: first, 4: second})
+    alone = [
+        bore_field(points, LENGTH, a.flatten(), {1: b.flatten(), 4: c.flatten()})
+        for a, b, c in zip(trend, first, second, strict=True)
+    ]
+    assert together.shape == (5, *points.shape)
+    torch.testing.assert_close(
+        together, torch.stack(alone), rtol=0.0, atol=1e-14 * float(together.abs().max())
+    )
