@@ -279,10 +279,12 @@ class Circumstances:
         bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
         held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1
         step_h = self.duration_h / (len(edges) - 1)
-        middle = 0.5 * (edges[1:] + edges[:-1])
-        age_h = middle[:, None] - middle[None, :]
-        decay = torch.exp(-age_h.clamp(min=0.0) / tau_h[..., None, None]) * (age_h >= 0.0)
-        passed = (decay @ values[held, None])[..., 0] * (1.0 - torch.exp(-step_h / tau_h))[..., None]
+        kept = torch.exp(-step_h / tau_h)[..., None]  # of what there was, after one step
+        passed, reach = (1.0 - kept) * values[held], 1
+        while reach < len(held):  # of so many steps; twice as many each time
+            earlier = kept * passed[..., :-reach]
+            passed = torch.cat((passed[..., :reach], passed[..., reach:] + earlier), dim=-1)
+            kept, reach = kept.square(), 2 * reach
         return passed[..., bin_of[self.observations.row]]
 
     def _poses(self, mover: str) -> Transform:
