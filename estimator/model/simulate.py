@@ -10,10 +10,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.effects import effect_of
 from estimator.effects.stages import NoiseEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
-from estimator.model.hide import with_hidden
+from estimator.model.hide import cause_of, full_names, with_hidden
 from estimator.model.measurement_model import MeasurementModel, NominalPrediction, nominal_tensors
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
@@ -66,7 +67,8 @@ def simulate(
         hidden: Causes that the rig knows nothing of, such as `{"axis_gain[hall].x": 0.01}` (see `with_hidden`).
         n_segments: Parts of the session, one after the other, before each of which things were set up anew.
     Raises:
-        InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding.
+        InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding; or a hidden cause
+            would change no reading, such as a coil's loss per kelvin where no thermometer is read.
     """
     real = rig.with_values(truth)
     broken = real.broken_rule()
@@ -79,9 +81,24 @@ def simulate(
         observations = replace(
             observations, recorded_segment=segments_in_turn(observations.time_s, n_segments)
         )
+    _refuse_idle(real, observations, hidden or {})
     real = with_hidden(real, observations, hidden or {})
     model = MeasurementModel.build(real, observations, tolerance=TOLERANCE)
     return observations.with_field(model.predict(nominal_tensors(real)) + _errors_T(model, rng))
+
+
+def _refuse_idle(rig: Rig, observations: Observations, hidden: Mapping[str, float]) -> None:
+    """Refuse a cause that would hide nothing, unless it has no size, or lies in the noise."""
+    for cause in dict.fromkeys(cause_of(text, rig) for text in hidden):
+        sizes = {text: value for text, value in hidden.items() if cause_of(text, rig) == cause}
+        if isinstance(effect_of(cause.name), NoiseEffect) or not any(sizes.values()):
+            continue
+        plain_T, changed_T = (
+            perfect_readings(each, observations) for each in (rig, with_hidden(rig, observations, sizes))
+        )
+        if torch.equal(plain_T, changed_T):
+            given = ", ".join(f"{name} = {value:g}" for name, value in full_names(rig, sizes).items())
+            raise InvalidInput(f"a hidden cause must change a reading of the session; {given} changes none")
 
 
 def perfect_readings(

@@ -15,7 +15,13 @@ from estimator.benchmarks.sessions import grid_plan
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PLAN = grid_plan(8)
-HIDDEN = ({}, {"axis_gain.x": 0.01}, {"cross_axis.xy": 0.01}, {"coil_heating": 0.02}, {"iron_plate": 0.5})
+HIDDEN = (
+    {},
+    {"axis_gain.x": 0.01},
+    {"cross_axis.xy": 0.01},
+    {"coil_heating.loss_per_A2": 0.002},
+    {"iron_plate": 0.5},
+)
 
 
 def main() -> None:

@@ -37,6 +37,14 @@ def test_a_cause_at_its_null_hides_nothing() -> None:
     assert torch.equal(readings({"axis_gain": 0.0, "current_offset": 0.0}), readings({}))
 
 
+def test_a_cause_that_would_change_no_reading_is_refused() -> None:
+    with pytest.raises(InvalidInput, match=r"changes none") as refused:
+        readings({"axis_gain": 0.01, "temperature_drift": 0.001})
+    assert str(refused.value) == (
+        "a hidden cause must change a reading of the session; temperature_drift[hall].gain_per_K = 0.001 changes none"
+    )
+
+
 def test_the_noise_is_the_same_whatever_is_hidden() -> None:
     noise = readings({}, TRUTH) - readings({})
     with_offset = readings({"sensor_offset.z_T": 1e-4}, TRUTH) - readings({"sensor_offset.z_T": 1e-4})
