@@ -2,8 +2,9 @@
 
 Charges on a box stand for sources no nearer to it than they are themselves. A small source that is nearer shows at a few places only, and
 the noise takes up what the charges miss there. Each multipole begins at the best place of a grid outside the box and moves to where the
-evidence is largest, all amplitudes integrated out. One that the box comes much nearer to than any reading is left to the charges: where
-the box is nearest its field would be a guess. A place is then held as known, so intervals right beside it are too narrow.
+evidence is largest, all amplitudes integrated out; then all move once more, each beside the others. One that the box comes much nearer to
+than any reading is left to the charges: where the box is nearest its field would be a guess. A place is then held as known, so intervals
+right beside it are too narrow.
 """
 
 from __future__ import annotations
@@ -179,10 +180,11 @@ class PlaceSearch:
             after, finer_T = self._best(measured, trial, ladder_T)
             if after - before < LEAST_GAIN:
                 break
+            if places:  # the others were placed without it; what they still miss would draw the next one
+                trial = self._each_moved(measured, trial, self._finer(ladder_T, finer_T))
+                after, finer_T = self._best(measured, trial, ladder_T)
             gains.append(after - before)
             places, before, noise_T = trial, after, finer_T
-        if len(places) > 1:  # the first were placed without the others
-            places = self._each_moved(measured, places, self._finer(ladder_T, noise_T))
         return Found(tuple(places), tuple(gains))
 
     def resolved(self, found: Found) -> Found:

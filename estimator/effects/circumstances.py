@@ -79,6 +79,10 @@ class Circumstances:
         """Commanded currents."""
         return self.observations.current_A
 
+    def is_of(self, sensor: str) -> Bool[Tensor, " reading"]:
+        """Readings of one sensor."""
+        return self.sensor == [each.name for each in self.rig.sensors].index(sensor)
+
     def has_current(self, coil: str) -> bool:
         """Whether a coil was to carry current at any reading."""
         number = [each.name for each in self.rig.coils].index(coil)

@@ -188,7 +188,7 @@ class FieldRemembered(Correction, ReadingEffect):
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """By the number of the sensor's readings."""
-        own = circumstances.sensor == [s.name for s in circumstances.rig.sensors].index(place)
+        own = circumstances.is_of(place)
         return limit_of_number(self, int(own.sum()), "readings one after another")
 
     def apply(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape, switch
@@ -28,7 +28,7 @@ class _AboveLevel(Correction, ReadingEffect):
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """By the number of different readings of the sensor."""
-        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
+        shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
@@ -53,7 +53,7 @@ class AxisSteps(_AboveLevel):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Between any two readings of each axis."""
-        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
+        shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return tuple(
             {"axis": float(axis), "above_T": level_T}
             for axis in range(3)
@@ -90,7 +90,7 @@ class GainSteps(_AboveLevel):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """None, then between any two readings."""
-        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
+        shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return tuple({"above_T": level_T} for level_T in (0.0, *_levels(shown_T.abs().amax(-1))))
 
     def factors(
@@ -123,7 +123,3 @@ def _levels(shown_T: Float[Tensor, " reading"]) -> list[float]:
     rows = rows.round().long().unique()
     levels_T: list[float] = between_T[rows].tolist()
     return levels_T
-
-
-def _is_own(circumstances: Circumstances, sensor: str) -> Bool[Tensor, " reading"]:
-    return circumstances.sensor == [s.name for s in circumstances.rig.sensors].index(sensor)

@@ -131,7 +131,7 @@ class ReadingRipples(_Periodic, ReadingEffect):
 
     @staticmethod
     def _n_readings(circumstances: Circumstances, place: str) -> int:
-        is_own = circumstances.sensor == [s.name for s in circumstances.rig.sensors].index(place)
+        is_own = circumstances.is_of(place)
         return len(torch.unique(circumstances.observations.field_sensor_T[is_own], dim=0))
 
 

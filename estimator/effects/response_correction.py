@@ -29,7 +29,7 @@ class _OverRange(Correction, ReadingEffect):
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """By the number of different readings of the sensor."""
-        shown_T = circumstances.observations.field_sensor_T[_is_own(circumstances, place)]
+        shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
 
@@ -141,7 +141,7 @@ class CurrentPickup(Correction, ReadingEffect):
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """By the number of different currents besides 0, while the sensor was read."""
-        total_A = circumstances.current_A[_is_own(circumstances, place)].sum(-1)
+        total_A = circumstances.current_A[circumstances.is_of(place)].sum(-1)
         n = len(
             torch.unique((total_A[total_A != 0.0] / (LEAST_STEP * circumstances.largest_current_A)).round())
         )
@@ -161,7 +161,3 @@ class CurrentPickup(Correction, ReadingEffect):
         for degree, amplitude in self.amplitudes(theta).items():
             field_sensor_T = field_sensor_T + amplitude[..., None, :] * share[:, None] ** degree
         return field_sensor_T
-
-
-def _is_own(circumstances: Circumstances, sensor: str) -> Tensor:
-    return circumstances.sensor == [s.name for s in circumstances.rig.sensors].index(sensor)

@@ -175,8 +175,7 @@ class SensorExchanged(ReadingEffect):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Instants with enough readings of either sensor to tell its constants: fewer readings follow any twelve numbers."""
-        own = [s.name for s in circumstances.rig.sensors].index(place)
-        hours = circumstances.hours[circumstances.sensor == own]
+        hours = circumstances.hours[circumstances.is_of(place)]
         shares = [(t, float((hours >= t).to(torch.float64).mean())) for t in circumstances.instants_h]
         return tuple({"since_h": t} for t, share in shares if LEAST_SHARE <= share <= 1.0 - LEAST_SHARE)
 

@@ -41,13 +41,13 @@ class SensorContact(ReadingEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where a mover moved."""
-        at_m = circumstances.mover_of_sensor_m(place)
-        return at_m is not None and bool((at_m != at_m[0]).any())
+        """Where a mover moved from one reading of the sensor to another."""
+        at_m = _own_m(circumstances, place)
+        return at_m is not None and bool((at_m != at_m[:1]).any())
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Either side of places that part the readings evenly, along each axis along which the mover went."""
-        at_m = circumstances.mover_of_sensor_m(place)
+        """Either side of places that part the sensor's own readings evenly, along each axis along which the mover went between them."""
+        at_m = _own_m(circumstances, place)
         assert at_m is not None  # see `concerns`
         way_m = at_m.max(0).values - at_m.min(0).values
         starts = []
@@ -79,3 +79,9 @@ class SensorContact(ReadingEffect):
         along_m = at_m.T[theta["along"].long()]
         is_there = theta["side"][..., None] * (along_m - theta["beyond_m"][..., None]) > 0.0
         return torch.where(is_there[..., None], changed_T, field_sensor_T)
+
+
+def _own_m(circumstances: Circumstances, sensor: str) -> Float[Tensor, "own 3"] | None:
+    """Where the mover stood at the sensor's own readings: with all of these on one side, a contact would be a gain and a zero."""
+    at_m = circumstances.mover_of_sensor_m(sensor)
+    return None if at_m is None else at_m[circumstances.is_of(sensor)]

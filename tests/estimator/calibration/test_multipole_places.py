@@ -109,6 +109,22 @@ def test_the_command_writes_the_rig_that_was_found(
     assert "--overwrite" in again.output
 
 
+def test_two_dipoles_are_two_multipoles_where_they_are(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first begins as a mean of both; kept there, it would draw more beside it: seven, with less evidence."""
+    monkeypatch.setattr(multipole_places, "LEAST_RESOLVED", 0.0)
+    seen_m = in_box(400, 3)
+    plain = session_at(rig, seen_m).observations
+    dipoles_m = ((0.012, -0.004, 0.027), (0.027, -0.004, 0.01))
+    moments_A_m2 = ((2e-3, 4e-3, -4e-3), (-3e-3, 2e-3, 4e-3))
+    each_T = [
+        magpylib.misc.Dipole(position=at_m, moment=moment).getB(seen_m)
+        for at_m, moment in zip(dipoles_m, moments_A_m2, strict=True)
+    ]
+    shown_T = plain.field_sensor_T + plain.current_A[:, :1] * torch.from_numpy(sum(each_T))
+    _, found = with_multipoles(rig, replace(plain, field_sensor_T=shown_T))
+    np.testing.assert_allclose(sorted(found.places_m), dipoles_m, atol=1e-3)
+
+
 def test_none_is_taken_where_none_is(rig: Rig, plain: Session) -> None:
     same, found = with_multipoles(rig, plain.observations)
     assert found.places_m == ()

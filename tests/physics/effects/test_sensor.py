@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
@@ -175,3 +178,33 @@ def test_contact_begins_between_places_along_axes_along_which_the_mover_went():
     places = {(start["along"], round(start["beyond_m"], 6), start["side"]) for start in starts}
     expected = {(0.0, at, side) for at in (0.005, 0.015) for side in (1.0, -1.0)}
     assert places == expected | {(1.0, 0.015, side) for side in (1.0, -1.0)}
+
+
+WAY_M = np.stack((np.linspace(0.0, 0.32, 33), np.full(33, 0.02), np.full(33, 0.05)), axis=1)
+
+
+def of_two_probes(n_own: int) -> Circumstances:
+    """Readings along one way, the first by the probe and all others by another one."""
+    along = readings(WAY_M, (CURRENT_A, 0.0))
+    sensor = (torch.arange(len(along)) >= n_own).long()
+    rig = rig_from_text(RIG + "  second: {carried_by: mapper, noise_uT: 5}\n")
+    return Circumstances(rig, replace(along, sensor=sensor))
+
+
+def test_contact_begins_between_readings_of_its_own_sensor_whatever_others_read_elsewhere():
+    starts = EFFECTS["sensor_contact"].starts(of_two_probes(3), "probe")
+    assert {round(start["beyond_m"], 6) for start in starts} == {0.005, 0.015}
+    others = EFFECTS["sensor_contact"].starts(of_two_probes(3), "second")
+    assert min(start["beyond_m"] for start in others) > WAY_M[3, 0]
+
+
+@pytest.mark.parametrize("name", ["sensor_contact", "response_by_place"])
+def test_what_depends_on_the_place_is_not_asked_of_a_sensor_that_was_read_at_one_place(name):
+    asked = [EFFECTS[name].concerns(of_two_probes(1), sensor) for sensor in ("probe", "second")]
+    assert asked == [False, True]
+
+
+def test_degree_of_a_response_by_place_is_limited_by_the_places_of_the_sensors_own_readings():
+    limits = [EFFECTS["response_by_place"].limit(of_two_probes(3), sensor) for sensor in ("probe", "second")]
+    assert limits[0].words.startswith("there are 3 different places")
+    assert limits[0].degree < limits[1].degree
