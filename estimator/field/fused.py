@@ -133,7 +133,7 @@ def _is_translated(device: torch.device) -> bool:
         fused_sum_of_loops(one[None], loop, loop, loop, steps=3)
     except Exception as error:  # of Triton, of the compiler that it calls, or of the driver
         logging.getLogger(__name__).warning(
-            "fields are computed by operations of torch, which takes twenty times as long: Triton cannot translate its kernel (%s)",
+            "fields are computed by operations of torch, which takes ten times as long: Triton cannot translate its kernel (%s)",
             error,
         )
         return False
