@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
@@ -135,6 +136,22 @@ def test_coil_heating_follows_the_equation_of_one_thermal_mass(tau_share):
         tau_share * n
     )  # what a step warms the cold coil: the code takes its heat at the end of each
     assert np.abs(loss / loss_per_A2 - heat).max() < 1.5 * one_step < 0.1 * heat.max()
+
+
+def test_heat_is_a_recursive_filter_of_the_squared_current_for_every_time_constant_of_a_batch():
+    """By SciPy's filter: each step keeps exp(-step / tau) of what there was."""
+    n = 77
+    current_A = np.stack((np.random.default_rng(2).choice([0.0, 2.0, -3.0], n), np.zeros(n)), axis=1)
+    observations = readings(np.repeat(POINTS_M[:1], n, axis=0), current_A, time_s=10.0 * np.arange(n))
+    circumstances = Circumstances(rig_from_text(RIG), observations)
+    step_h = circumstances.duration_h / n  # the session is cut into as many steps as there are readings
+    held_A = current_A[[0, *range(n - 1)], 0]  # at the beginning of a step: a little before the next reading
+    tau_h = torch.tensor([1e-4, 0.01, 0.2, 30.0], dtype=torch.float64)
+    for tau, heat in zip(tau_h.tolist(), circumstances.heat_A2(0, tau_h), strict=True):
+        kept = np.exp(-step_h / tau)
+        filtered = lfilter([1.0 - kept], [1.0, -kept], held_A**2)
+        assert heat.numpy() == pytest.approx(filtered, rel=1e-12, abs=1e-14)
+    assert torch.autograd.gradcheck(lambda tau: circumstances.heat_A2(0, tau), tau_h[1:3].requires_grad_())
 
 
 def test_coil_that_is_on_for_long_has_lost_its_share_per_square_ampere():
