@@ -63,7 +63,7 @@ def simulate_command(
 ) -> None:
     """Simulate a session whose true parameters are known."""
     from estimator.model.hide import full_names
-    from estimator.model.simulate import simulate
+    from estimator.model.simulate import idle_causes, simulate
     from estimator.readings.plan import load_plan
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.readings_csv import write_readings_csv
@@ -77,6 +77,10 @@ def simulate_command(
     plan = load_plan(plan_path, rig)
     causes = full_names(rig, named_number(hidden, "--hide"))
     readings = simulate(rig, plan, values, seed, causes, n_segments)
+    for idle in idle_causes(rig.with_values(values), readings, causes):
+        click.echo(
+            f"coilcal: warning: {idle} = {causes[idle]:g} changes no reading of this session", err=True
+        )
     values |= causes
     session = Session(rig, readings, f"simulated with plan {plan.name!r}, seed {seed}", truth=values)
     if csv_path is not None:

@@ -67,8 +67,7 @@ def simulate(
         hidden: Causes that the rig knows nothing of, such as `{"axis_gain[hall].x": 0.01}` (see `with_hidden`).
         n_segments: Parts of the session, one after the other, before each of which things were set up anew.
     Raises:
-        InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding; or a hidden cause
-            would change no reading, such as a coil's loss per kelvin where no thermometer is read.
+        InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding.
     """
     real = rig.with_values(truth)
     broken = real.broken_rule()
@@ -81,14 +80,22 @@ def simulate(
         observations = replace(
             observations, recorded_segment=segments_in_turn(observations.time_s, n_segments)
         )
-    _refuse_idle(real, observations, hidden or {})
     real = with_hidden(real, observations, hidden or {})
     model = MeasurementModel.build(real, observations, tolerance=TOLERANCE)
     return observations.with_field(model.predict(nominal_tensors(real)) + _errors_T(model, rng))
 
 
-def _refuse_idle(rig: Rig, observations: Observations, hidden: Mapping[str, float]) -> None:
-    """Refuse a cause that would hide nothing, unless it has no size, or lies in the noise."""
+def idle_causes(rig: Rig, observations: Observations, hidden: Mapping[str, float]) -> list[str]:
+    """Hidden causes that change no reading of a session, such as a coil's loss per kelvin where no thermometer is read.
+
+    Those without size, and those that lie in the noise, do not count.
+
+    Args:
+        rig: The true rig without them.
+        observations: Poses, currents and times of the session.
+        hidden: See `with_hidden`.
+    """
+    idle = []
     for cause in dict.fromkeys(cause_of(text, rig) for text in hidden):
         sizes = {text: value for text, value in hidden.items() if cause_of(text, rig) == cause}
         if isinstance(effect_of(cause.name), NoiseEffect) or not any(sizes.values()):
@@ -97,8 +104,8 @@ def _refuse_idle(rig: Rig, observations: Observations, hidden: Mapping[str, floa
             perfect_readings(each, observations) for each in (rig, with_hidden(rig, observations, sizes))
         )
         if torch.equal(plain_T, changed_T):
-            given = ", ".join(f"{name} = {value:g}" for name, value in full_names(rig, sizes).items())
-            raise InvalidInput(f"a hidden cause must change a reading of the session; {given} changes none")
+            idle += list(full_names(rig, sizes))
+    return idle
 
 
 def perfect_readings(
