@@ -29,6 +29,19 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+def test_simulate_warns_of_a_hidden_cause_that_changes_no_reading(
+    run: Run, workspace: Path, tmp_path: Path
+) -> None:
+    files = ("--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml", "--truth", "nominal")
+    result = run("simulate", *files, "--hide", "coil_heating=0.02", "--out", tmp_path / "hidden.zarr")
+    assert (result.exit_code, result.stderr) == (
+        0,
+        "coilcal: warning: coil_heating[coil1].loss_per_K = 0.02 changes no reading of this session\n",
+    )
+    result = run("simulate", *files, "--hide", "axis_gain=0.02", "--out", tmp_path / "seen.zarr")
+    assert (result.exit_code, result.stderr) == (0, "")
+
+
 def test_simulate_draws_a_truth_and_writes_session_and_csv(
     workspace: Path, results: dict[str, Result]
 ) -> None:
