@@ -30,7 +30,7 @@ def device_named(name: str) -> torch.device:
     try:
         device = torch.device(name)
         torch.ones(1, dtype=torch.float64, device=device).sum().item()
-    except (RuntimeError, AssertionError, NotImplementedError, TypeError) as error:
+    except (RuntimeError, AssertionError, TypeError) as error:
         raise InvalidInput(
             f"device must be one that torch can compute on here, such as cpu; received {name!r}"
         ) from error

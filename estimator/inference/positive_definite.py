@@ -7,6 +7,8 @@ Besides, the LU of a batch of more than some 150 rows fails or never ends where 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -34,8 +36,9 @@ def solve_each(
     scaled = scaled + JITTER * torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
     right = scale[..., None] * columns
     factor, failed = torch.linalg.cholesky_ex(scaled)
-    solution = _by_lu(scaled, right) if failed.any() else torch.cholesky_solve(right, factor)
-    return scale[..., None] * solution
+    if failed.any():
+        return scale[..., None] * _one_by_one(torch.linalg.solve, scaled, right)
+    return scale[..., None] * torch.cholesky_solve(right, factor)
 
 
 def inverse(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*batch row row"]:
@@ -47,11 +50,7 @@ def inverse(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*batch ro
     """
     scaled, scale = _scaled(matrix)
     factor, failed = torch.linalg.cholesky_ex(scaled)
-    if failed.any():
-        unit = torch.eye(matrix.shape[-1], dtype=matrix.dtype, device=matrix.device)
-        unscaled = _by_lu(scaled, unit.expand_as(scaled))
-    else:
-        unscaled = torch.cholesky_inverse(factor)
+    unscaled = _one_by_one(torch.linalg.inv, scaled) if failed.any() else torch.cholesky_inverse(factor)
     result = unscaled * scale[..., :, None] * scale[..., None, :]
     symmetric: Tensor = 0.5 * (result + result.mT)
     return symmetric
@@ -66,11 +65,10 @@ def log_determinant(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*
     """
     scaled, scale = _scaled(matrix)
     factor, failed = torch.linalg.cholesky_ex(scaled)
-    of_scaled = (
-        torch.linalg.eigvalsh(scaled).abs().log().sum(-1)
-        if failed.any()
-        else 2.0 * diagonal_of(factor).log().sum(-1)
-    )
+    if failed.any():
+        of_scaled = _one_by_one(lambda one: torch.linalg.slogdet(one).logabsdet, scaled)
+    else:
+        of_scaled = 2.0 * diagonal_of(factor).log().sum(-1)
     log_det: Tensor = of_scaled - 2.0 * scale.log().sum(-1)
     return log_det
 
@@ -86,14 +84,9 @@ def _scaled(matrix: Tensor) -> tuple[Tensor, Tensor]:
     return matrix * scale[..., :, None] * scale[..., None, :], scale
 
 
-def _by_lu(matrix: Tensor, columns: Tensor) -> Tensor:
-    """Solutions where rounding has made a matrix indefinite, one matrix after another."""
-    batch = matrix.shape[:-2]
-    pairs = zip(
-        matrix.reshape(-1, *matrix.shape[-2:]),
-        columns.expand(*batch, *columns.shape[-2:]).reshape(-1, *columns.shape[-2:]),
-        strict=True,
-    )
-    return torch.stack([torch.linalg.solve(one, right) for one, right in pairs]).reshape(
-        *batch, *columns.shape[-2:]
-    )
+def _one_by_one(function: Callable[..., Tensor], *stacks: Float[Tensor, "*batch _ _"]) -> Tensor:
+    """A function by LU of one matrix after another, where rounding has made some indefinite, or they have no value."""
+    batch = stacks[0].shape[:-2]
+    rows = zip(*(stack.reshape(-1, *stack.shape[-2:]) for stack in stacks), strict=True)
+    results = torch.stack([function(*row) for row in rows])
+    return results.reshape(*batch, *results.shape[1:])

@@ -109,8 +109,7 @@ def _unpack(body: bytes, folder: Path, most_bytes: int) -> None:
         zipfile.BadZipFile,
         zlib.error,
         EOFError,
-        NotImplementedError,
-        RuntimeError,
+        RuntimeError,  # encrypted, or compressed in a way that zipfile does not know
         ValueError,
         OSError,
     ) as error:

@@ -1,8 +1,9 @@
 """Effective samples per second of the slowest parameter on the paper's simulated coil.
 
-125 and 512 readings, without and with a free gain of each axis of the sensor. coilcal samples whole loop counts. emcee's stretch move and
-NUTS cannot: they sample the same readings and priors with real-valued counts, as does coilcal a second time for comparison. All call the
-same density, NUTS its own in jax. A call for few points is mostly overhead, so plain emcee runs a second time with many walkers.
+By default 125 and 512 readings, without and with a free gain of each axis of the sensor. coilcal samples whole loop counts. emcee's
+stretch move and NUTS cannot: they sample the same readings and priors with real-valued counts, as does coilcal a second time for
+comparison. All call the same density, NUTS its own in jax. A call for few points is mostly overhead, so plain emcee runs a second time
+with many walkers.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ MANY_WALKERS, MANY_SHARE = 512, 0.4  # of plain emcee, and its share of the step
 
 
 def sampling(options: argparse.Namespace) -> Iterator[dict[str, Any]]:
-    """A table for each number of readings, without and with a free gain of each axis of the sensor."""
+    """A table for each grid and each effect that is free."""
     paper = CONFIGS / "plans" / "paper_grid.yaml"
     with tempfile.TemporaryDirectory() as folder:
         for side in options.sides:

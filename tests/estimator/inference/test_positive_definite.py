@@ -61,6 +61,19 @@ def test_what_rounding_has_made_indefinite_is_solved_all_the_same() -> None:
     )
 
 
+def test_a_matrix_without_values_has_none_and_leaves_the_others_theirs() -> None:
+    """Weights of tuples of counts give such a fit none (`lattice`)."""
+    unit = torch.eye(3, dtype=torch.float64)
+    both = torch.stack((torch.full((3, 3), torch.nan, dtype=torch.float64), 4.0 * unit))
+    assert log_determinant(both).isnan().tolist() == [True, False]
+    assert_close(log_determinant(both)[1], log_determinant(4.0 * unit), rtol=1e-15, atol=0.0)
+    assert inverse(both)[0].isnan().all()
+    assert_close(inverse(both)[1], 0.25 * unit, rtol=0.0, atol=1e-15)
+    solution = solve(both, torch.ones(2, 3, dtype=torch.float64))
+    assert solution[0].isnan().all()
+    assert_close(solution[1], torch.full_like(solution[1], 0.25), rtol=1e-12, atol=0.0)
+
+
 def test_batches_of_many_rows_are_solved_with_several_threads() -> None:
     """The LU of torch fails here, or never ends (pytorch issue 141358)."""
     ended = subprocess.run(
