@@ -68,8 +68,14 @@ corrections:
     {middle_x_m: 0, middle_y_m: 0, middle_z_m: 0.04, reach_m: 0.06, degree1_cos0_T_per_A: 0, degree1_cos1_T_per_A: 0,
      degree1_sin1_T_per_A: 0}
 """
+CORE = """
+effects:
+  cross_magnetisation[coil1]: {strength: 0.9, radius_m: 0.02, length_m: 0.03, front_m: 0, saturation_T: 2}
+"""
 AMPLITUDE_WIDTH_T_PER_A = 2e-5
 SIDEWAYS = "coil_harmonics[coil1].degree1_cos1_T_per_A"
+STRENGTH = "cross_magnetisation[coil1].strength"
+CORED_SIZES = {SIDEWAYS: 15e-6, STRENGTH: 0.93}
 
 PLAN = """\
 schema_version: 1
@@ -119,6 +125,28 @@ def corrected_rig() -> Rig:
     amplitudes = [p for p in rig.parameters.values() if p.name.endswith("_T_per_A")]
     prior = Normal(0.0, AMPLITUDE_WIDTH_T_PER_A)
     return rig.with_parameters(replace(amplitude, prior=prior) for amplitude in amplitudes)
+
+
+@pytest.fixture(scope="session")
+def cored_rig() -> Rig:
+    """The small rig with an iron core of free strength, and a field across the coil that corrects it, whose amplitude is free."""
+    rig = rig_from_text(RIG + CORRECTION + CORE)
+    priors = {
+        SIDEWAYS: Normal(0.0, AMPLITUDE_WIDTH_T_PER_A),
+        STRENGTH: Normal(0.9, 0.05, lower=0.0, upper=1.0),
+    }
+    return rig.with_parameters(replace(rig.parameters[name], prior=prior) for name, prior in priors.items())
+
+
+@pytest.fixture(scope="session")
+def cored_session(cored_rig: Rig, small_plan: Plan) -> Session:
+    readings = simulate(cored_rig, small_plan, {**TRUTH, **CORED_SIZES}, seed=150_201)
+    return Session(cored_rig, readings, "simulated")
+
+
+@pytest.fixture(scope="session")
+def cored_calibration(cored_session: Session) -> Calibration:
+    return calibrate(cored_session, settings=SamplerSettings(20, target_ess=200.0, largest_rhat=1.05), seed=1)
 
 
 @pytest.fixture(scope="session")

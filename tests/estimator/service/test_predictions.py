@@ -29,6 +29,7 @@ from estimator.service.predictions import Predictor
 from estimator.service.problems import Problem
 from estimator.service.schema import CalibrationRow, Job, SessionRow
 from estimator.service.work import CALIBRATION
+from tests.estimator.conftest import CORED_SIZES, SIDEWAYS
 from tests.estimator.service.conftest import import_csv, refusal, upload_rig
 
 POINTS_M = [[0.0, 0.0, 0.01], [0.01, -0.02, 0.0], [0.0, 0.049, -0.052]]  # the last one lies in the winding
@@ -42,9 +43,15 @@ def client(
 ) -> TestClient:
     """A service that has a calibration, without a job having made it."""
     client = idle(most_predictions=3, most_grid_points=1000)
+    keep(client, small_calibration, rig_text, readings_csv)
+    return client
+
+
+def keep(client: TestClient, calibration: Calibration, rig_text: str, readings_csv: bytes) -> None:
+    """Give a service a calibration."""
     session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
     core: Core = client.app.state.core
-    small_calibration.save(core.jobs.folder(ID) / CALIBRATION)
+    calibration.save(core.jobs.folder(ID) / CALIBRATION)
     times = {"created": "2026-01-01", "started": "2026-01-01", "ended": "2026-01-01"}
     with core.database.writing() as db:
         made = {"id": ID, "user": "local", "kind": "calibrate", "state": "done", "session_id": session_id}
@@ -53,7 +60,6 @@ def client(
         made = {"id": ID, "job_id": ID, "session_id": session_id, "rig_name": "small", "user": "local"}
         db.add(CalibrationRow(**made, created="2026-01-01"))
         assert db.get(SessionRow, session_id)
-    return client
 
 
 ID = "c" * 32
@@ -83,6 +89,29 @@ def test_a_prediction_has_the_numbers_of_the_python_api(
     assert table.column("By_lower_T").to_pylist() == [row[1] for row in received["field_lower_T"]]
     plain = client.post(f"{PATH}/predict", json={**body, "has_gradient": False, "has_intervals": False})
     assert plain.json() == {"field_T": received["field_T"]}
+
+
+@pytest.mark.whole
+def test_a_correction_and_an_iron_core_are_in_predictions(
+    idle: Callable[..., TestClient], cored_calibration: Calibration, rig_text: str, readings_csv: bytes
+) -> None:
+    client, points_m = idle(), POINTS_M[:2]
+    keep(client, cored_calibration, rig_text, readings_csv)
+    received = client.post(
+        f"{PATH}/predict", json={"points_m": points_m, "currents_A": CURRENTS_A, "level": 0.9}
+    )
+    at_m = torch.tensor(points_m, dtype=torch.float64)
+    lower_T, upper_T = cored_calibration.field_interval(at_m, CURRENTS_A, 0.9)
+    expected = {
+        "field_T": cored_calibration.field(at_m, CURRENTS_A),
+        "field_lower_T": lower_T,
+        "field_upper_T": upper_T,
+    }
+    for name, field_T in expected.items():
+        assert torch.equal(torch.tensor(received.json()[name], dtype=torch.float64), field_T), name
+    # On its axis only the correction, 15 uT/A, has a field across the coil.
+    across_T = expected["field_T"][0, :2].norm() / CURRENTS_A["coil1"]
+    assert float(across_T) == pytest.approx(CORED_SIZES[SIDEWAYS], rel=0.5)
 
 
 def arrow(answer: Any) -> pa.Table:
