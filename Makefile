@@ -8,6 +8,9 @@ SERVICE_INSTALLED := .venv/.service_installed
 INSTALLED := .venv/.installed
 DOCS_INSTALLED := .venv/.docs_installed
 
+# Some images of Python keep no bytecode: every process that a test starts would compile the whole project first.
+unexport PYTHONDONTWRITEBYTECODE
+
 ON_DEVICES = tests/estimator/test_devices.py tests/contract/test_devices_of_effects.py tests/estimator/field/test_fused.py \
 	tests/estimator/diagnosis/test_elsewhere.py tests/estimator/inference/test_collapsed.py tests/estimator/model/test_equivalent_sources.py
 

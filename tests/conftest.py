@@ -27,7 +27,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 
 # Where simulated instruments, watchdogs and clusters run in processes of their own, a busy computer can miss a deadline.
 HERE = Path(__file__).parent
-REAL_TIME = (
+REAL_TIME = {
     *(HERE / f"contract/test_{name}.py" for name in ("arms", "drivers", "replays")),
     HERE / "drivers",
     *(
@@ -44,11 +44,11 @@ REAL_TIME = (
     ),
     HERE / "estimator/batching/test_engine.py",
     HERE / "estimator/live/test_refresh.py",
-)
+}
 
 # Whole fits, chains and diagnoses: a check of the shapes in every call makes them take two to three times as long. The writer of rigs
 # among them, since beartype draws at random what it checks, and Hypothesis refuses that inside a strategy.
-WHOLE = (
+WHOLE = {
     HERE / "hidden",
     *(HERE / f"estimator/{name}" for name in ("batching", "cli", "live", "recalibration", "service")),
     *(
@@ -73,17 +73,14 @@ WHOLE = (
             "system/test_superposition",
         )
     ),
-)
+}
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Tests against real time fail where they fail three times; `make test` runs whole fits without checks of shapes."""
     for item in items:
-        if lies_in(item, REAL_TIME):
+        above = (item.path, *item.path.parents)
+        if not REAL_TIME.isdisjoint(above):
             item.add_marker(pytest.mark.flaky(reruns=2, reruns_delay=2))
-        if lies_in(item, WHOLE):
+        if not WHOLE.isdisjoint(above):
             item.add_marker(pytest.mark.whole)
-
-
-def lies_in(item: pytest.Item, places: tuple[Path, ...]) -> bool:
-    return any(item.path == place or place in item.path.parents for place in places)

@@ -40,6 +40,8 @@ from estimator.client.connection import AsyncConnection, Connection
 from estimator.errors import InvalidInput
 from estimator.export.request import Grid
 from estimator.inference.ensemble import SamplerSettings
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
 from estimator.service.core import Core
 from estimator.service.work import PROGRESS
@@ -82,14 +84,21 @@ def interrupted(api: TestClient) -> Iterator[str]:
     service.join(60)
 
 
+@pytest.fixture
+def unsent_session(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]) -> Session:
+    """Readings that no other test sends: with equal readings, the service keeps the session that came first."""
+    readings = simulate(small_rig, small_plan, small_truth, seed=31)
+    return Session(small_rig, readings, "simulated", truth=small_truth)
+
+
 def test_a_calibration_there_is_read_as_one_here(
-    interrupted: str, small_session: Session, tmp_path: Path
+    interrupted: str, unsent_session: Session, tmp_path: Path
 ) -> None:
     """The script does not notice that the service was gone."""
     told: list[Any] = []
     with Client(interrupted) as client:
-        there = client.calibrate(small_session, seed=2, settings=SETTINGS, on_progress=told.append)
-        here = calibrate(small_session, seed=2, settings=SETTINGS)
+        there = client.calibrate(unsent_session, seed=2, settings=SETTINGS, on_progress=told.append)
+        here = calibrate(unsent_session, seed=2, settings=SETTINGS)
         assert there.summary() == json.loads(json.dumps(here.summary()))
         assert there.best == dict(here.best)
         assert there.rig == here.rig
@@ -119,8 +128,8 @@ def test_a_calibration_there_is_read_as_one_here(
         assert client.calibration(there.id).summary() == there.summary()
         with pytest.raises(InvalidInput, match="coil9"):
             there.field(points_m, {"coil9": 1.0})
-        first = client.upload(small_session)
-        assert client.upload(small_session) == first
+        first = client.upload(unsent_session)
+        assert client.upload(unsent_session) == first
 
 
 @pytest.mark.slow
