@@ -139,7 +139,11 @@ class AsyncClient:
         return await self._connection.run(uploads.upload_rig(rig))
 
     async def upload(self, session: Session) -> str:
-        """Give the service a session; its id. One that it has already is not sent again."""
+        """Give the service a session; its id.
+
+        Where the service has the same readings of the same rig already, nothing is sent: the id is that session's, and so are the
+        source and truth in what follows from it.
+        """
         return await self._connection.run(uploads.upload(session))
 
     async def begin(self, rig: Rig, source: str, key: str | None = None) -> AsyncRemoteSession:

@@ -181,7 +181,11 @@ class Client:
         return self._connection.run(uploads.upload_rig(rig))
 
     def upload(self, session: Session) -> str:
-        """Give the service a session; its id. One that it has already is not sent again."""
+        """Give the service a session; its id.
+
+        Where the service has the same readings of the same rig already, nothing is sent: the id is that session's, and so are the
+        source and truth in what follows from it.
+        """
         return self._connection.run(uploads.upload(session))
 
     def begin(self, rig: Rig, source: str, key: str | None = None) -> RemoteSession:

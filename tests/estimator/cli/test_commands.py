@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -368,7 +369,7 @@ def test_the_program_prints_json_alone_in_a_pipe_even_where_colours_are_forced(
         "--json",
     ]
     program = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')", *call]
-    environment = {"FORCE_COLOR": "1", "TTY_COMPATIBLE": "1", "PATH": "/usr/bin:/bin", "HOME": str(tmp_path)}
+    environment = {**os.environ, "FORCE_COLOR": "1", "TTY_COMPATIBLE": "1"}
     result = subprocess.run(
         program, capture_output=True, env=environment, cwd=Path(__file__).parents[3], check=False
     )

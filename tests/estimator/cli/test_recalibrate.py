@@ -204,7 +204,7 @@ def test_rollback_by_command(small_calibration: Calibration, tmp_path: Path) -> 
     assert registry.current == 1
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
 def test_the_running_service_looks_again_and_ends_cleanly(
     number: signal.Signals, rig_file: Path, tmp_path: Path
 ) -> None:

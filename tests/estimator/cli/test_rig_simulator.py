@@ -63,7 +63,9 @@ def program(rig_path: Path) -> Iterator[subprocess.Popen[str]]:
     running.communicate()
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL]
+)
 def test_its_instruments_end_with_it(
     program: subprocess.Popen[str], rig_path: Path, how: signal.Signals
 ) -> None:

@@ -33,7 +33,9 @@ class Killed(BaseException):
     """Stands for a signal that cannot be caught."""
 
 
-@pytest.mark.parametrize("many_directions", [secant.MANY_DIRECTIONS, 1])  # without and with secants
+@pytest.mark.parametrize(
+    "many_directions", [secant.MANY_DIRECTIONS, pytest.param(1, marks=pytest.mark.slow)]
+)  # without and with secants
 def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
     session, tmp_path, monkeypatch, many_directions
 ):
