@@ -77,16 +77,19 @@ def observations(rig) -> Observations:
 CASES = [(name, place) for name, effect in EFFECTS.items() for place in effect.places(rig_from_text(RIG))]
 
 
-def model_with(
-    rig: Rig, observations: Observations, cause: Cause
-) -> tuple[MeasurementModel, dict[str, torch.Tensor]]:
-    shapes = EFFECTS[cause.name].starts(
-        MeasurementModel.unruled(rig, observations).circumstances, cause.place
-    )[0]
-    rig_with_cause = with_effect(rig, cause, observations, shapes)
-    rules = MeasurementModel.build(rig, observations).rules
+@pytest.fixture(scope="module")
+def plain(rig, observations) -> MeasurementModel:
+    """The model without a cause."""
+    return MeasurementModel.build(rig, observations)
+
+
+def model_with(plain: MeasurementModel, cause: Cause) -> tuple[MeasurementModel, dict[str, torch.Tensor]]:
+    """The model with a cause, by the quadrature rules of the one without, and nominal values."""
+    readings = plain.circumstances.observations
+    shapes = EFFECTS[cause.name].starts(plain.circumstances, cause.place)[0]
+    rig_with_cause = with_effect(plain.rig, cause, readings, shapes)
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig_with_cause.nominal_values().items()}
-    return MeasurementModel.unruled(rig_with_cause, observations).with_rules(rules), values
+    return MeasurementModel.unruled(rig_with_cause, readings).with_rules(plain.rules), values
 
 
 def free_quantities(name: str) -> list[Quantity]:
@@ -94,8 +97,8 @@ def free_quantities(name: str) -> list[Quantity]:
 
 
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if not EFFECTS[c[0]].is_record_mistake])
-def test_null_is_identity(rig, observations, name, place):
-    model, values = model_with(rig, observations, Cause(name, place))
+def test_null_is_identity(plain, observations, name, place):
+    model, values = model_with(plain, Cause(name, place))
     for quantity in EFFECTS[name].quantities(model.circumstances.extent):
         if not quantity.is_shape:  # some fits start away from the null
             values[f"{name}[{place}].{quantity.key}"] = torch.tensor(quantity.null, dtype=torch.float64)
@@ -106,8 +109,8 @@ def test_null_is_identity(rig, observations, name, place):
 
 @pytest.mark.whole
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
-def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, name, place):
-    model, values = model_with(rig, observations, Cause(name, place))
+def test_batch_equals_loop_and_derivative_equals_difference(plain, name, place):
+    model, values = model_with(plain, Cause(name, place))
     extent = model.circumstances.extent
     for quantity in EFFECTS[name].quantities(extent):
         if quantity.is_shape or quantity.is_fixed:
@@ -133,9 +136,9 @@ def test_batch_equals_loop_and_derivative_equals_difference(rig, observations, n
 
 
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
-def test_some_readings_are_predicted_as_among_all_others(rig, observations, name, place):
+def test_some_readings_are_predicted_as_among_all_others(plain, name, place):
     """Large sessions are evaluated part by part; an effect that looks back has the whole session to look at."""
-    model, values = model_with(rig, observations, Cause(name, place))
+    model, values = model_with(plain, Cause(name, place))
     for quantity in EFFECTS[name].quantities(model.circumstances.extent):
         if not (quantity.is_shape or quantity.is_fixed):
             values[f"{name}[{place}].{quantity.key}"] += 0.5 * quantity.prior.sd
@@ -149,8 +152,8 @@ def test_some_readings_are_predicted_as_among_all_others(rig, observations, name
 
 
 @pytest.mark.parametrize(("name", "place"), CASES)
-def test_fits_start_within_the_priors(rig, observations, name, place):
-    circumstances = MeasurementModel.unruled(rig, observations).circumstances
+def test_fits_start_within_the_priors(plain, name, place):
+    circumstances = plain.circumstances
     priors = {q.key: q.prior for q in EFFECTS[name].quantities(circumstances.extent)}
     for shapes in EFFECTS[name].starts(circumstances, place):
         for key, value in shapes.items():
@@ -216,11 +219,11 @@ def test_names_are_those_that_other_scripts_rely_on():
         "outliers",
     ],
 )
-def test_rig_file_with_the_effect_predicts_the_same(rig, observations, name):
-    cause = Cause(name, EFFECTS[name].places(rig)[0])
-    model, values = model_with(rig, observations, cause)
+def test_rig_file_with_the_effect_predicts_the_same(plain, observations, name):
+    cause = Cause(name, EFFECTS[name].places(plain.rig)[0])
+    model, values = model_with(plain, cause)
     fit = fit_rig(model.rig, observations, values, model.rules)
-    again = rig_from_text(rig_text(extended_rig(rig, fit)))
+    again = rig_from_text(rig_text(extended_rig(plain.rig, fit)))
     assert again.effects == (cause,)
     for parameter in (p for p in again.parameters.values() if p.name.startswith(cause.label)):
         known = model.rig.parameters[parameter.name]
