@@ -55,6 +55,7 @@ WHOLE = {
         HERE / f"estimator/{name}.py"
         for name in (
             "calibration/test_calibrate",
+            "calibration/test_predictions",
             "diagnosis/hypotheses/test_several_places",
             "diagnosis/hypotheses/test_search",
             "diagnosis/next_readings/test_design",
@@ -66,6 +67,7 @@ WHOLE = {
             "diagnosis/test_stated",
             "diagnosis/test_verdict",
             "diagnosis/test_widening",
+            "inference/test_collapsed",
             "inference/test_ensemble",
             "inference/test_lattice",
             "inference/test_point_estimate",
