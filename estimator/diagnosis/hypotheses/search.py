@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import torch
@@ -67,10 +68,9 @@ def search(
     fit = state.forward(base)
     if len(state.added(fit)) == 1 and not limits.is_over:
         fit = state.with_two(fit)
-    if 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over:
+    is_revisited = 1 < len(state.added(fit)) <= policy.MOST_CAUSES_REFITTED and not limits.is_over
+    if is_revisited:
         fit = state.forward(state.revisited(fit))
-    elif not state.is_piled(fit):
-        state.compare_again(fit, state.added(fit))
     is_alone = len(state.added(fit)) == 1
     if is_alone and leaves_structure(state.steps[-1].remainder) and not limits.is_over:
         fit = state.with_alternative(fit)
@@ -84,6 +84,8 @@ def search(
             kept = keeping_their_names(fit, state.added(fit), before, remainder, curves)
         # Without that question each may still be named.
         state.compare_again(fit, state.added(fit) if state.other_structures is None else kept)
+    else:
+        state.compare_again(fit, state.not_compared(fit) if is_revisited else state.added(fit))
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
         base,
@@ -139,6 +141,10 @@ class _SearchState:
         """Whether causes of many kinds have piled up in a fit."""
         return is_pile(self.added(fit), policy.MOST_KINDS)
 
+    def is_settled(self, fit: Fit) -> bool:
+        """Whether noise was taken last in a pile, which is asked where no other cause suffices: with more noise fewer do."""
+        return self.is_piled(fit) and bool(self.steps) and is_noise(self.steps[-1].taken)
+
     def forward(self, fit: Fit) -> Fit:
         """Take causes until the evidence for none suffices."""
         self.steps = [step for step in self.steps if step.taken in self.added(fit)]
@@ -151,6 +157,7 @@ class _SearchState:
             ):
                 fit = self._with_other_structure(fit)
                 continue
+            is_over |= self.is_settled(fit)
             if not is_over and (straight := self._with_far_off(fit)) is not None:
                 fit = straight
                 continue
@@ -187,10 +194,14 @@ class _SearchState:
         additions = [replace(a, causes=tuple(c for c in a.causes if c in added)) for a in self.additions]
         return tuple(addition for addition in additions if addition.causes)
 
+    def not_compared(self, fit: Fit) -> list[Cause]:
+        """Causes of a fit that no step has compared with all hypotheses."""
+        return [cause for cause in self.added(fit) if self.steps[self._at(cause)].discrepancy is None]
+
     def compare_again(self, fit: Fit, causes: Sequence[Cause]) -> None:
         """Compare those of some causes that were taken together with every other hypothesis, now beside all others; exchange nothing."""
-        taken_together = [a.causes for a in self.additions_in(fit) if len(a.causes) > 1]
-        together = [cause for each in taken_together for cause in each if cause in causes]
+        taken_together = [a.causes for a in self.additions if len(a.causes) > 1]
+        together = [cause for cause in dict.fromkeys(chain(*taken_together)) if cause in causes]
         if not together:
             return
         self.tell(f"comparing {len(together)} causes that were taken together again, beside all others")
@@ -226,7 +237,7 @@ class _SearchState:
         """
         step = self.steps[0]
         alone = [h for h in step.hypotheses if h.fit is not None and len(self.added(h.fit)) == 1]
-        fitted = [h for h in alone if not is_noise(h)]
+        fitted = [h for h in alone if not is_noise(h.cause)]
         one = next((h for h in fitted if h.cause == step.taken), None)
         if one is None:
             return fit
@@ -330,12 +341,15 @@ class _SearchState:
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
         log_bayes_factor = wider.log_evidence - fit.log_evidence
         self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(log_bayes_factor)} for them)")
-        if self.is_piled(wider):
-            # Few of a pile keep their names: those are compared with their rivals at the end.
-            each = [min(wider.log_evidence_for(cause), log_bayes_factor) for cause in new]
-            self.steps += [_alone_in_step(c, value, wider) for c, value in zip(new, each, strict=True)]
-        else:
-            self.steps += comparison_steps(wider, new, self._pool(wider), self.curves(wider))
+        each = [min(wider.log_evidence_for(cause), log_bayes_factor) for cause in new]
+        steps = [_alone_in_step(c, value, wider) for c, value in zip(new, each, strict=True)]
+        if not self.is_piled(wider):
+            # One of each kind is shown, should a pile arise; those that may be named are compared with their rivals at the end.
+            shown = list({cause.name: cause for cause in reversed(new)}.values())
+            compared = comparison_steps(wider, shown, self._pool(wider), self.curves(wider))
+            for cause, step in zip(shown, compared, strict=True):
+                steps[new.index(cause)] = step
+        self.steps += steps
         self.additions.append(Addition(tuple(new), wider))
         return wider
 
@@ -384,7 +398,7 @@ class _SearchState:
             self._asked_again(fit),
             self.curves(fit),
             self.block,
-            self.limits,
+            replace(self.limits, minutes=0.0) if self.is_settled(fit) else self.limits,
             pace,
             is_piled,
             remainder,

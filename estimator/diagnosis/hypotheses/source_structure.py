@@ -122,6 +122,7 @@ def other_structures(
     n_causes = len({candidate.cause for candidate in pool})
     prior_cost = math.log(max(n_causes, 1)) + policy.LOG_PRIOR_NOTHING - policy.LOG_PRIOR_CAUSE
     least = least_log_evidence(n_causes)
+    worth = _worth_a_start(base, pile, least)
     piled = tuple(cause for cause in pile.rig.effects if cause not in base.rig.effects)
 
     def log_bayes_factor(log_evidence: float, n_added: int) -> float:
@@ -133,7 +134,7 @@ def other_structures(
         if limits.is_over:
             break
         pace.tell(i, 2 * len(causes))
-        alone = _best_alone(base, cause)
+        alone = _best_alone(base, cause, worth)
         if alone is None or _changes_nothing(base, alone, cause):
             continue
         starts = _starts(base, alone, pool, [c for c in piled if c != cause])
@@ -191,10 +192,18 @@ def _idle_coils(fit: Fit) -> set[str]:
     return {coil.name for coil, idle in zip(fit.rig.coils, is_idle.tolist(), strict=True) if idle}
 
 
-def _best_alone(base: Fit, cause: Cause) -> Fit | None:
-    """The fit with a cause from the best of its starts; None where it is no longer itself from any."""
+def _worth_a_start(base: Fit, pile: Fit, least: float) -> float:
+    """Log evidence from which on a hypothesis of structure alone explains part of what a pile does."""
+    return max(least, WORTH_A_START * (pile.log_evidence - base.log_evidence))
+
+
+def _best_alone(base: Fit, cause: Cause, worth: float) -> Fit | None:
+    """The fit with a cause from the best of its starts; None where it is no longer itself from any.
+
+    Climbs that cannot rise by what is worth a start end early.
+    """
     fits = []
-    to_beat = float(base.optimum.log_posterior)  # where it changes nothing
+    to_beat = float(base.optimum.log_posterior) + worth
     for shapes in EFFECTS[cause.name].starts(base.posterior.model.circumstances, cause.place):
         rig = with_effect(base.rig, cause, base.observations, shapes)
         rules = base.posterior.model.rules
@@ -235,8 +244,7 @@ def _with_needed(base: Fit, trial: Asked, pile: Fit, others: Sequence[Cause], le
     rig = pile.rig.without_cause(cause) if cause in pile.rig.effects else pile.rig
     rig = rig.with_cause(cause, [p for n, p in trial.alone.rig.parameters.items() if n.startswith(label)])
     own = {name: value for name, value in trial.alone.values.items() if name.startswith(label)}
-    worth = max(least, WORTH_A_START * (pile.log_evidence - base.log_evidence))
-    is_worth = trial.alone.log_evidence - base.log_evidence > worth
+    is_worth = trial.alone.log_evidence - base.log_evidence > _worth_a_start(base, pile, least)
     if not is_worth:
         null = trial.alone.null_values(cause)
         if not null:

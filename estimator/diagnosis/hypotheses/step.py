@@ -160,7 +160,9 @@ def take_step(
     earning = [hypothesis for hypothesis in causes if _earns(hypothesis, least)]
     choice = _choice(earning, remainder, lambda one, beside: _earns_beside(one, beside, screened, least))
     if choice and choice.name != next(hypothesis.name for hypothesis in causes):
-        causes = [hypothesis for hypothesis in causes if not is_noise(hypothesis) or hypothesis == choice]
+        causes = [
+            hypothesis for hypothesis in causes if not is_noise(hypothesis.cause) or hypothesis == choice
+        ]
     taken = None if choice is None else choice.cause
     return Step(tuple(hypotheses), taken, credible_set(causes, taken), remainder)
 
@@ -221,7 +223,7 @@ def _choice(
         remainder: Structure in the residual.
         stands: Whether the first cause has sufficient evidence beside the second.
     """
-    structured = next((hypothesis for hypothesis in earning if not is_noise(hypothesis)), None)
+    structured = next((hypothesis for hypothesis in earning if not is_noise(hypothesis.cause)), None)
     leader = next(iter(earning), None)
     effect = None if leader is None or leader.cause is None else EFFECTS[leader.cause.name]
     is_last = isinstance(effect, NoiseEffect) and effect.imitates_structure
@@ -251,9 +253,9 @@ def _earns(hypothesis: Hypothesis, least: float) -> bool:
     return hypothesis.fit is not None and hypothesis.log_bayes_factor > least and not is_loss
 
 
-def is_noise(hypothesis: Hypothesis) -> bool:
-    """Whether its cause changes no prediction, only how readings scatter."""
-    return hypothesis.cause is not None and isinstance(EFFECTS[hypothesis.cause.name], NoiseEffect)
+def is_noise(cause: Cause | None) -> bool:
+    """Whether a cause changes no prediction, only how readings scatter."""
+    return cause is not None and isinstance(EFFECTS[cause.name], NoiseEffect)
 
 
 def with_probabilities(hypotheses: Sequence[Hypothesis], n_causes: int) -> list[Hypothesis]:

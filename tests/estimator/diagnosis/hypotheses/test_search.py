@@ -94,6 +94,24 @@ def test_a_search_without_time_takes_nothing_and_says_why(small_rig, small_sessi
     assert result.remainder.log_bayes_factor > 10.0
 
 
+def test_noise_ends_the_search_of_a_pile(small_rig, small_session, small_truth, monkeypatch):
+    """It is asked where no other cause suffices, and with more noise fewer do: the last step fits nothing, and says what is left."""
+    rig = small_rig.with_values(small_truth)
+    fit = fit_of(small_rig, with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration)
+    pool = candidates(fit, [OFFSET, GAIN])
+    state = search._SearchState(fit, pool, families(fit), lambda words: None, Limits())
+    noise = search._alone_in_step(Cause("outliers", "hall"), 20.0, fit)
+    state.steps = [noise]
+    assert state.step(fit).taken == OFFSET
+    monkeypatch.setattr(state, "is_piled", lambda fit: True)
+    last = state.step(fit)
+    assert last.taken is None
+    assert not any(one.fit for one in last.hypotheses)
+    assert last.remainder.log_bayes_factor > 10.0
+    state.steps = [search._alone_in_step(GAIN, 20.0, fit)]
+    assert state.step(fit).taken == OFFSET
+
+
 def test_a_step_counts_its_fits_and_never_promises_too_few(small_rig, small_session, small_truth):
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration

@@ -161,6 +161,22 @@ def test_a_search_takes_them_in_one_go(base, monkeypatch):
     assert any(words.startswith("taking ") and "," in words for words in told)
 
 
+def test_those_taken_together_are_all_compared_at_the_end_and_one_of_them_before(base, monkeypatch):
+    """Only a pile, which compares them no more, shows what was compared when they were taken."""
+    monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", 0)
+    compared = []
+
+    def spy(fit, causes, *others):
+        compared.append(list(causes))
+        return comparison_steps(fit, causes, *others)
+
+    monkeypatch.setattr("estimator.diagnosis.hypotheses.search.comparison_steps", spy)
+    result = search(base, lambda words: None, Limits())
+    first = result.final.rig.effects[0]
+    assert compared == [[first], list(result.final.rig.effects)]
+    assert all(step.discrepancy is not None for step in result.steps)
+
+
 def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_the_end(rig, small_session):
     """A displaced sensor was taken for displaced elements, which the other sensors have."""
     apart = [Cause("element_displacement", name) for name in ("one", "two", "three")]

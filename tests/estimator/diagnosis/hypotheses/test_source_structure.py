@@ -102,6 +102,13 @@ def test_a_pile_stays_where_no_other_structure_is_asked(search_of_imitation, mon
     assert state.additions == [Addition(PILE, pile)]
 
 
+def test_a_structure_that_cannot_explain_what_is_worth_a_start_is_not_followed(plain: Fit) -> None:
+    """Nothing is hidden here, so it gains little; a climb that is to reach more ends at its first step."""
+    followed, given_up = (source_structure._best_alone(plain, OVAL, worth) for worth in (0.0, 1e6))
+    assert followed.optimum.n_iterations > given_up.optimum.n_iterations == 1
+    assert float(given_up.optimum.log_posterior) < float(followed.optimum.log_posterior)
+
+
 @pytest.fixture(scope="module")
 def one_of_two() -> tuple[Rig, Observations]:
     """A rig of two coils, and readings with current in the first alone."""

@@ -98,9 +98,9 @@ def test_no_more_causes_are_fitted_than_a_comparison_allows(
         return take_step(fit, pool, [], block, Limits(), pace, is_piled, quiet)
 
     def n_fitted(step: Step) -> int:
-        return sum(one.fit is not None and not is_noise(one) for one in step.hypotheses)
+        return sum(one.fit is not None and not is_noise(one.cause) for one in step.hypotheses)
 
     few, many = step_of(is_piled=True), step_of(is_piled=False)
     assert n_fitted(few) == 1 < n_fitted(many)
-    assert not any(one.fit for one in few.hypotheses if is_noise(one))
+    assert not any(one.fit for one in few.hypotheses if is_noise(one.cause))
     assert few.taken is not None
