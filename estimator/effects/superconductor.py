@@ -6,6 +6,7 @@ from dataclasses import fields
 from functools import lru_cache
 from typing import ClassVar
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -78,7 +79,7 @@ class FilamentMagnetisation(WindingMagnetisation):
         """How strongly each pattern is there."""
         screened = theta["susceptibility"][..., None, None] * current_A
         left = torch.stack([theta[f"{key}_T"] for key in LEFT], dim=-1)[..., None, :]
-        batch = torch.broadcast_shapes(screened.shape[:-1], left.shape[:-1])
+        batch = np.broadcast_shapes(screened.shape[:-1], left.shape[:-1])
         return torch.cat((screened.expand(*batch, -1), left.expand(*batch, -1)), dim=-1)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from enum import Enum, auto
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -99,7 +100,7 @@ def carrying_first_order(
     """
     fixed_m = points_m.detach()
     if is_plain(fixed_m, sums):
-        batch = torch.broadcast_shapes(fixed_m.shape[:-2], sums.shape[1:-2])
+        batch = np.broadcast_shapes(fixed_m.shape[:-2], sums.shape[1:-2])
         fixed = fixed_m.expand(*batch, *fixed_m.shape[-2:]).reshape(-1, *fixed_m.shape[-2:])
         value, slopes = field_and_slopes(
             fixed, sums.expand(2, *batch, *sums.shape[-2:]).reshape(2, -1, *sums.shape[-2:])

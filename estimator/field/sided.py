@@ -223,7 +223,7 @@ def _in_machine_code(
     points_m: Float[Tensor, "*#batch point 3"], loops: SidedLoops, arc_points: int
 ) -> Float[Tensor, "*batch point 3"]:
     each = torch.stack(torch.broadcast_tensors(*loops), dim=-1).flatten(-3, -2)
-    batch = torch.broadcast_shapes(points_m.shape[:-2], each.shape[:-2])
+    batch = np.broadcast_shapes(points_m.shape[:-2], each.shape[:-2])
     points, rows = (_in_rows(value, batch, 2) for value in (points_m, each))
     return sum_of_sided_loops(points, rows, arc_points).reshape(*batch, *points_m.shape[-2:])
 
@@ -249,7 +249,7 @@ def _to_first_order(
         return torch.stack(torch.broadcast_tensors(*moved), dim=-1).flatten(-3, -2)
 
     loops, changes = value_and_jacobian(loops_at_step, points_m.new_zeros(len(fixed)))
-    batch = torch.broadcast_shapes(points_m.shape[:-2], loops.shape[:-2])
+    batch = np.broadcast_shapes(points_m.shape[:-2], loops.shape[:-2])
     points, loops, changes = (
         _in_rows(part, batch, n) for part, n in ((points_m.detach(), 2), (loops, 2), (changes, 3))
     )
@@ -258,7 +258,7 @@ def _to_first_order(
     return carrying_slopes(value, slopes, points_m, winding.numbers)
 
 
-def _in_rows(value: Tensor, batch: torch.Size, n_own: int) -> Tensor:
+def _in_rows(value: Tensor, batch: tuple[int, ...], n_own: int) -> Tensor:
     """A tensor with its batch along one axis, before axes of its own."""
     return value.expand(*batch, *value.shape[-n_own:]).reshape(-1, *value.shape[-n_own:])
 
@@ -267,8 +267,8 @@ def _by_torch(
     points_m: Float[Tensor, "*#batch point 3"], loops: SidedLoops, arc_points: int
 ) -> Float[Tensor, "*batch point 3"]:
     """The same sum with derivatives of any order, a part of the points at a time."""
-    batch = torch.broadcast_shapes(points_m.shape[:-2], loops.weight.shape[:-2])
-    at_once = batch.numel() * loops.weight.shape[-2:].numel() * 4 * max(arc_points, 1)
+    batch = np.broadcast_shapes(points_m.shape[:-2], loops.weight.shape[:-2])
+    at_once = math.prod(batch) * loops.weight.shape[-2:].numel() * 4 * max(arc_points, 1)
     n_parts = math.ceil(points_m.shape[-2] * at_once / ELEMENTS_PER_CHUNK)
     parts = points_m.tensor_split(max(1, min(n_parts, points_m.shape[-2])), dim=-2)
     return torch.cat([_sum(part, loops, arc_points) for part in parts], dim=-2)

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -138,7 +139,7 @@ def field_of_loops(
         steps: AGM steps of each loop.
         mode: How loops are summed.
     """
-    batch = torch.broadcast_shapes(points_coil_m.shape[:-2], *(value.shape[:-2] for value in loops))
+    batch = np.broadcast_shapes(points_coil_m.shape[:-2], *(value.shape[:-2] for value in loops))
     n_points, n_nodes = points_coil_m.shape[-2], loops.weight.shape[-2:].numel()
     points = points_coil_m.expand(*batch, n_points, 3).reshape(-1, n_points, 3)
     rows = Nodes(*(v.expand(*batch, *v.shape[-2:]).reshape(-1, *v.shape[-2:]) for v in loops))

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -243,7 +244,7 @@ def _with_points(pose: Transform) -> Transform:
 
 def _joined(values: Sequence[Tensor], dim: int) -> Tensor:
     """Concatenated along one of the last two axes, broadcast along the others."""
-    others = torch.broadcast_shapes(*(value.movedim(dim, -1).shape[:-1] for value in values))
+    others = np.broadcast_shapes(*(value.movedim(dim, -1).shape[:-1] for value in values))
     return torch.cat(
         [value.movedim(dim, -1).expand(*others, value.shape[dim]) for value in values], dim=-1
     ).movedim(-1, dim)

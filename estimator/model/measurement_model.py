@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -304,7 +305,7 @@ class MeasurementModel:
         apart, together = self._parts_by_elements
         apart_T = apart.model._at_elements(values, world_from_sensor.rows(apart.rows))
         together_T = together.model._field_at(values, world_from_sensor.rows(together.rows))
-        batch = torch.broadcast_shapes(apart_T.shape[:-2], together_T.shape[:-2])
+        batch = np.broadcast_shapes(apart_T.shape[:-2], together_T.shape[:-2])
         field_T = torch.cat((apart_T.expand(*batch, -1, 3), together_T.expand(*batch, -1, 3)), dim=-2)
         return field_T[..., torch.argsort(torch.cat((apart.readings, together.readings))), :]
 
@@ -465,7 +466,7 @@ def _selected(poses: Sequence[Transform], which: Int[Tensor, "*batch row"]) -> T
 
 def _in_order(poses: Sequence[Transform], rows: Sequence[Int[Tensor, "..."]]) -> Transform:
     """Poses at the rows that each belongs to, in the order of the rows, which together are all."""
-    batch = torch.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
+    batch = np.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
     whole = [
         (pose.rotation.expand(*batch, len(own), 3, 3), pose.translation_m.expand(*batch, len(own), 3))
         for pose, own in zip(poses, rows, strict=True)

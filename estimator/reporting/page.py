@@ -73,10 +73,11 @@ class Picture:
         """The figure as a PNG file with a palette, base64-encoded: a quarter of the size, and no eye sees the difference."""
         drawn, file = io.BytesIO(), io.BytesIO()
         dpi = OVERSAMPLING * PIXELS_PER_INCH
-        self.figure.savefig(drawn, format="png", dpi=dpi, pil_kwargs={"compress_level": 1})
-        image = Image.open(drawn).convert("RGB")
+        self.figure.savefig(drawn, format="rgba", dpi=dpi)
+        width_px, height_px = (self.figure.get_size_inches() * dpi).astype(int).tolist()
+        image = Image.frombytes("RGBA", (width_px, height_px), drawn.getvalue()).convert("RGB")
         palette = image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
-        palette.save(file, format="png", optimize=True)
+        palette.save(file, format="png")
         return base64.b64encode(file.getvalue()).decode("ascii")
 
 

@@ -24,7 +24,7 @@ from estimator.store.session import Session, seal
 ROOT = Path(__file__).parents[3]
 LARGE = (
     *("apscheduler", "arviz", "dask", "distributed", "emcee", "jaxtyping", "jinja2", "matplotlib", "numpy"),
-    *("pandas", "rich", "scipy", "scipy.stats", "torch", "xarray", "yaml", "zarr"),
+    *("pandas", "rich", "scipy", "scipy.stats", "sympy", "torch", "xarray", "yaml", "zarr"),
 )
 MODEL = {"jaxtyping", "numpy", "scipy", "torch", "yaml"}
 DASK = {"dask", "jinja2"}  # xarray loads it where the extra `batch` is installed
