@@ -87,7 +87,9 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     if "not whole" in chosen:
         return is_whole or None
     is_file = collection_path.suffix == ".py"
-    return (is_file and not is_whole and "mark.whole" not in collection_path.read_text(encoding="utf-8")) or None
+    return (
+        is_file and not is_whole and "mark.whole" not in collection_path.read_text(encoding="utf-8")
+    ) or None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
