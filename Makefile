@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 ON_DEVICES = tests/estimator/test_devices.py tests/contract/test_devices_of_effects.py tests/estimator/field/test_fused.py \
 	tests/estimator/diagnosis/test_elsewhere.py tests/estimator/inference/test_collapsed.py tests/estimator/model/test_equivalent_sources.py
 
-.PHONY: demo demo-service test docs lint types imports unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device test-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
+.PHONY: demo demo-service test docs lint types imports checks unit slow paper two-arms coverage hidden open-world leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device test-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -25,7 +25,10 @@ demo: $(COMMANDS_INSTALLED)
 demo-service: $(SERVICE_INSTALLED)     # after `make demo`: its sessions in the service, and the page at http://127.0.0.1:8765
 	$(RUN) scripts.demo_service
 
-test: lint types imports unit
+test:   # mypy beside the first tests, of which many only wait
+	$(MAKE) -j 2 checks unit
+
+checks: lint types imports
 
 docs: $(DOCS_INSTALLED)   # the site, site/index.html: tutorials are run, pages of causes are written; no internet; a warning is an error
 	$(RUN) scripts.documentation.causes --out docs/reference/causes

@@ -15,6 +15,7 @@ from estimator.rig.parameters import Normal
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
+from tests.once import once
 
 RIG = """\
 schema_version: 1
@@ -145,8 +146,13 @@ def cored_session(cored_rig: Rig, small_plan: Plan) -> Session:
 
 
 @pytest.fixture(scope="session")
-def cored_calibration(cored_session: Session) -> Calibration:
-    return calibrate(cored_session, settings=SamplerSettings(20, target_ess=200.0, largest_rhat=1.05), seed=1)
+def cored_calibration(cored_session: Session, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    settings = SamplerSettings(20, target_ess=200.0, largest_rhat=1.05)
+    return once(
+        tmp_path_factory,
+        "cored_calibration",
+        lambda folder: calibrate(cored_session, settings=settings, seed=1),
+    )
 
 
 @pytest.fixture(scope="session")
@@ -172,5 +178,9 @@ def small_settings() -> SamplerSettings:
 
 
 @pytest.fixture(scope="session")
-def small_calibration(small_session: Session) -> Calibration:
-    return calibrate(small_session, settings=SETTINGS, seed=1)
+def small_calibration(small_session: Session, tmp_path_factory: pytest.TempPathFactory) -> Calibration:
+    return once(
+        tmp_path_factory,
+        "small_calibration",
+        lambda folder: calibrate(small_session, settings=SETTINGS, seed=1),
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ import torch
 from click.testing import CliRunner, Result
 
 from estimator.cli.main import main
+from tests.once import once
 
 CONTROL_CHARACTERS = re.compile(r"[\x00-\x09\x0b-\x1f\x7f]")  # all but line feeds
 Run = Callable[..., Result]
@@ -34,29 +36,56 @@ def run() -> Run:
     return invoke
 
 
+@dataclass(frozen=True)
+class Printed:
+    """What a command left behind."""
+
+    exit_code: int
+    stdout: str
+    stderr: str
+
+
 @pytest.fixture(scope="session")
-def results() -> dict[str, Result]:
+def made(
+    rig_text: str, plan_text: str, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, dict[str, Printed]]:
+    """The workspace, and what the commands that made it printed."""
+
+    def make(folder: Path) -> tuple[Path, dict[str, Printed]]:
+        rig, plan, csv = folder / "rig.yaml", folder / "plan.yaml", folder / "readings.csv"
+        rig.write_text(rig_text, encoding="utf-8")
+        plan.write_text(plan_text, encoding="utf-8")
+        calls: dict[str, list[object]] = {
+            "simulate": [
+                *("--rig", rig, "--plan", plan, "--seed", 1, "--set", "coil1.axial_loops=13"),
+                *("--out", folder / "simulated.zarr", "--csv", csv, "--json"),
+            ],
+            "import": [csv, "--rig", rig, "--out", folder / "session.zarr"],
+            "calibrate": [
+                *(folder / "session.zarr", "--ess", 200, "--walkers", 16),
+                *("--out", folder / "calibration", "--json"),
+            ],
+            "predict": [
+                *(folder / "calibration", "--grid", "x_mm=-20:20:5", "--grid", "z_mm=10"),
+                *("--current", "coil1=2", "--out", folder / "field.csv"),
+            ],
+        }
+        results = {command: invoke(command, *call) for command, call in calls.items()}
+        return folder, {c: Printed(r.exit_code, r.stdout, r.stderr) for c, r in results.items()}
+
+    return once(tmp_path_factory, "workspace", make)
+
+
+@pytest.fixture(scope="session")
+def results(made: tuple[Path, dict[str, Printed]]) -> dict[str, Printed]:
     """What the commands that made the workspace printed."""
-    return {}
+    return made[1]
 
 
 @pytest.fixture(scope="session")
-def workspace(
-    rig_text: str, plan_text: str, tmp_path_factory: pytest.TempPathFactory, results: dict[str, Result]
-) -> Path:
+def workspace(made: tuple[Path, dict[str, Printed]]) -> Path:
     """A folder with rig.yaml, plan.yaml, simulated.zarr, readings.csv, session.zarr, calibration and field.csv; look, do not touch."""
-    folder = tmp_path_factory.mktemp("workspace")
-    rig, plan, csv = folder / "rig.yaml", folder / "plan.yaml", folder / "readings.csv"
-    rig.write_text(rig_text, encoding="utf-8")
-    plan.write_text(plan_text, encoding="utf-8")
-    simulate = ["simulate", "--rig", rig, "--plan", plan, "--seed", 1, "--set", "coil1.axial_loops=13"]
-    results["simulate"] = invoke(*simulate, "--out", folder / "simulated.zarr", "--csv", csv, "--json")
-    results["import"] = invoke("import", csv, "--rig", rig, "--out", folder / "session.zarr")
-    calibrate = ["calibrate", folder / "session.zarr", "--ess", 200, "--walkers", 16]
-    results["calibrate"] = invoke(*calibrate, "--out", folder / "calibration", "--json")
-    predict = ["predict", folder / "calibration", "--grid", "x_mm=-20:20:5", "--grid", "z_mm=10"]
-    results["predict"] = invoke(*predict, "--current", "coil1=2", "--out", folder / "field.csv")
-    return folder
+    return made[0]
 
 
 @pytest.fixture

@@ -24,6 +24,7 @@ CONFIGS = Path(__file__).parents[3] / "configs"
 needs_magpylib = pytest.mark.skipif(find_spec("magpylib") is None, reason="magpylib is not installed")
 
 
+@pytest.mark.slow  # `test_only_takes_some_parts_in_words` runs two
 @pytest.mark.whole
 def test_every_part_has_rows_beside_their_peers(run: Run) -> None:
     printed = run("bench", "--tiny", "--repeats", 1, "--seed", 150000, "--json")

@@ -20,6 +20,7 @@ from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.store.session import load_session
+from tests.estimator.cli.conftest import Printed
 
 Run = Callable[..., Result]
 COMMANDS = ["simulate", "import", "calibrate", "predict", "report"]
@@ -44,7 +45,7 @@ def test_simulate_warns_of_a_hidden_cause_that_changes_no_reading(
 
 
 def test_simulate_draws_a_truth_and_writes_session_and_csv(
-    workspace: Path, results: dict[str, Result]
+    workspace: Path, results: dict[str, Printed]
 ) -> None:
     printed = json.loads(results["simulate"].stdout)
     assert (results["simulate"].exit_code, results["simulate"].stderr) == (0, "")
@@ -56,7 +57,7 @@ def test_simulate_draws_a_truth_and_writes_session_and_csv(
     assert printed["truth"]["coil1.radius_m"] not in (0.051, 0.048)
 
 
-def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dict[str, Result]) -> None:
+def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dict[str, Printed]) -> None:
     simulated, imported = load_session(workspace / "simulated.zarr"), load_session(workspace / "session.zarr")
     assert imported.hash == simulated.hash
     assert imported.truth == {}
@@ -132,7 +133,7 @@ def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tm
 
 
 def test_calibrate_writes_summary_posterior_and_report_and_prints_the_summary(
-    workspace: Path, results: dict[str, Result]
+    workspace: Path, results: dict[str, Printed]
 ) -> None:
     result = results["calibrate"]
     assert result.exit_code == 0
@@ -152,7 +153,7 @@ def test_calibrate_writes_summary_posterior_and_report_and_prints_the_summary(
     assert "Calibration of small" in (workspace / "calibration" / "report.html").read_text(encoding="utf-8")
 
 
-def test_progress_of_a_calibration_is_plain_lines_on_standard_error(results: dict[str, Result]) -> None:
+def test_progress_of_a_calibration_is_plain_lines_on_standard_error(results: dict[str, Printed]) -> None:
     lines = results["calibrate"].stderr.splitlines()
     assert lines[0] == "point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"
     assert "posterior sampling with emcee" in lines
@@ -161,7 +162,7 @@ def test_progress_of_a_calibration_is_plain_lines_on_standard_error(results: dic
 
 
 def test_predict_writes_field_and_intervals_of_the_calibration(
-    workspace: Path, results: dict[str, Result]
+    workspace: Path, results: dict[str, Printed]
 ) -> None:
     written, grid = results["predict"].stdout.splitlines()
     assert written == f"5 points written to {workspace / 'field.csv'}"

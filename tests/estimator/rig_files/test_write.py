@@ -213,7 +213,7 @@ def check_same(rig: Rig) -> None:
     assert rig_text(again) == text
 
 
-@settings(deadline=None, max_examples=60, suppress_health_check=list(HealthCheck))
+@settings(deadline=None, max_examples=30, suppress_health_check=list(HealthCheck))
 @given(rigs())
 def test_any_rig_is_read_as_it_was_written(rig: Rig) -> None:
     check_same(rig)
