@@ -46,10 +46,11 @@ REAL_TIME = {
     HERE / "estimator/live/test_refresh.py",
 }
 
-# Whole fits, chains and diagnoses: a check of the shapes in every call makes them take two to three times as long. The writer of rigs
-# among them, since beartype draws at random what it checks, and Hypothesis refuses that inside a strategy.
+# Whole fits, chains and diagnoses, and laws that fields are held to at many points: a check of the shapes in every call makes them take
+# two to three times as long. The writer of rigs is among them, since beartype draws at random what it checks, and Hypothesis refuses
+# that inside a strategy.
 WHOLE = {
-    HERE / "hidden",
+    *(HERE / name for name in ("hidden", "physics")),
     *(HERE / f"estimator/{name}" for name in ("batching", "cli", "live", "recalibration", "service")),
     *(
         HERE / f"estimator/{name}.py"
@@ -67,10 +68,12 @@ WHOLE = {
             "diagnosis/test_stated",
             "diagnosis/test_verdict",
             "diagnosis/test_widening",
+            "field/test_harmonics",
             "inference/test_collapsed",
             "inference/test_ensemble",
             "inference/test_lattice",
             "inference/test_point_estimate",
+            "model/test_one_model",
             "rig_files/test_write",
             "system/test_superposition",
         )

@@ -71,6 +71,7 @@ def test_p_values_of_clean_sessions_are_uniform(
     assert (joint < 0.05).sum() <= 7  # of 40; more have a probability of 0.2 %
 
 
+@pytest.mark.slow
 def test_a_posterior_that_is_too_narrow_gives_false_alarms(
     quickly: Callable[[Calibration], list[Agreement]], small_calibration: Calibration
 ) -> None:

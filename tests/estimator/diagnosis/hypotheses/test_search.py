@@ -167,6 +167,7 @@ def test_two_causes_take_the_place_of_one_with_many_numbers(tmp_path: Path) -> N
     assert any("element_displacement" in names for names in sets)
 
 
+@pytest.mark.slow
 def test_one_cause_with_many_numbers_keeps_its_place_where_it_is_the_truth(tmp_path: Path) -> None:
     found = searched(("sensor_exchanged",), 20.0, tmp_path)
     assert [cause.name for cause in found.final.rig.effects] == ["sensor_exchanged"]
