@@ -88,6 +88,17 @@ class SensorLag(ReadingEffect):
         return field_sensor_T.index_copy(-2, in_time, torch.stack(shown_T, dim=-2))
 
 
+def _starts_within(
+    circumstances: Circumstances, sensor: str, least_share: float
+) -> tuple[dict[str, float], ...]:
+    """Instants with a reading of the sensor, and at least such a share of its readings, before and after."""
+    hours = circumstances.hours[circumstances.is_of(sensor)]
+    least = max(1.0, least_share * len(hours))
+    n_after = [int((hours >= instant_h).sum()) for instant_h in circumstances.instants_h]
+    each = zip(circumstances.instants_h, n_after, strict=True)
+    return tuple({"since_h": instant_h} for instant_h, n in each if least <= n <= len(hours) - least)
+
+
 def _dwells_s(circumstances: Circumstances, sensor: str) -> Float[Tensor, " dwell"]:
     """Times between readings of a sensor."""
     _, ago_s = Circumstances(circumstances.rig, circumstances.observations.history).previous(sensor)
@@ -143,8 +154,8 @@ class OffsetStep(ReadingEffect):
         return (*SensorOffset().quantities(extent), since(extent))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Instants with readings before and after."""
-        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
+        """Instants with readings of the sensor before and after: elsewhere the step is nothing, or an offset of all its readings."""
+        return _starts_within(circumstances, place, 0.0)
 
     def beyond_the_moment(self, key: str) -> str | None:
         """An instant needs a session to lie in."""
@@ -175,9 +186,7 @@ class SensorExchanged(ReadingEffect):
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Instants with enough readings of either sensor to tell its constants: fewer readings follow any twelve numbers."""
-        hours = circumstances.hours[circumstances.is_of(place)]
-        shares = [(t, float((hours >= t).to(torch.float64).mean())) for t in circumstances.instants_h]
-        return tuple({"since_h": t} for t, share in shares if LEAST_SHARE <= share <= 1.0 - LEAST_SHARE)
+        return _starts_within(circumstances, place, LEAST_SHARE)
 
     def beyond_the_moment(self, key: str) -> str | None:
         """An instant needs a session to lie in."""

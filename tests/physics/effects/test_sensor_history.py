@@ -151,3 +151,17 @@ def test_exchanged_sensor_reads_by_gains_mixings_and_zero_of_its_own_from_its_in
     later_T = (1.0 + gain) * (FIELD_T + FIELD_T @ mixing.T) + np.array([0.0, 2e-4, 0.0])
     expected = np.where((TIME_S > 7.5)[:, None], later_T, FIELD_T)
     assert_same_field(predicted_T(READINGS, {"sensor_exchanged[probe]": given}), expected)
+
+
+def test_a_step_of_the_zero_starts_between_readings_of_its_own_sensor():
+    """The second sensor is read after the first: a step before its first reading would be an offset of all."""
+    rig = rig_from_text(RIG + "  second: {carried_by: mapper, noise_uT: 5}\n")
+    second = [s.name for s in rig.sensors].index("second")
+    circumstances = Circumstances(
+        rig, replace(READINGS, sensor=torch.where(torch.arange(N) < 4, 1 - second, second))
+    )
+    first_h, second_h = TIME_S[:4] / 3600.0, TIME_S[4:] / 3600.0
+    for sensor, hours in (("probe", first_h), ("second", second_h)):
+        instants_h = [start["since_h"] for start in EFFECTS["offset_step"].starts(circumstances, sensor)]
+        assert instants_h == [t for t in circumstances.instants_h if hours.min() < t < hours.max()]
+        assert instants_h
