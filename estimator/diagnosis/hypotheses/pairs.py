@@ -49,8 +49,10 @@ def pairs(
     noise = fit.free_noise
     evidence = score.new_full((len(first),), -math.inf)
     # Pairs with as many columns are one batch, in parts that bound the memory.
-    for widths in torch.unique(torch.stack((width[first], width[second]), dim=1), dim=0):
-        alike = ((width[first] == widths[0]) & (width[second] == widths[1])).nonzero().flatten()
+    shape = width[first] * (int(width.max()) + 1) + width[second]
+    by_shape = torch.argsort(shape, stable=True)
+    for alike in by_shape.split([n for n in torch.bincount(shape).tolist() if n]):
+        widths = (int(width[first[alike[0]]]), int(width[second[alike[0]]]))
         for part in alike.split(PAIRS_AT_ONCE):
             both = _columns_of(begin, first[part], second[part], widths)
             grams, scores, alive = gram[both[:, :, None], both[:, None, :]], score[both], part
@@ -69,12 +71,12 @@ def _columns_of(
     begin: Int[Tensor, " candidate"],
     first: Int[Tensor, " pair"],
     second: Int[Tensor, " pair"],
-    widths: Tensor,
+    widths: tuple[int, int],
 ) -> Int[Tensor, "pair column"]:
     """Numbers of the columns of each pair, of as many of the first and of the second cause as the widths say."""
     return torch.cat(
         [
-            begin[which, None] + torch.arange(int(n), device=begin.device)
+            begin[which, None] + torch.arange(n, device=begin.device)
             for which, n in zip((first, second), widths, strict=True)
         ],
         dim=1,
