@@ -49,9 +49,9 @@ def pairs(
     noise = fit.free_noise
     evidence = score.new_full((len(first),), -math.inf)
     # Pairs with as many columns are one batch, in parts that bound the memory.
-    shape = width[first] * (int(width.max()) + 1) + width[second]
-    by_shape = torch.argsort(shape, stable=True)
-    for alike in by_shape.split([n for n in torch.bincount(shape).tolist() if n]):
+    widths_code = width[first] * (int(width.max()) + 1) + width[second]
+    by_widths = torch.argsort(widths_code, stable=True)
+    for alike in by_widths.split([n for n in torch.bincount(widths_code).tolist() if n]):
         widths = (int(width[first[alike[0]]]), int(width[second[alike[0]]]))
         for part in alike.split(PAIRS_AT_ONCE):
             both = _columns_of(begin, first[part], second[part], widths)

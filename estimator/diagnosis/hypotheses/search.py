@@ -393,12 +393,15 @@ class _SearchState:
         pace = Pace(f"step {self.n_compared}", self.on_progress)
         remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
         is_piled = self.is_piled(fit)
+        limits = (
+            replace(self.limits, minutes=0.0) if self.is_settled(fit) else self.limits
+        )  # fits nothing more
         step = take_step(
             fit,
             self._asked_again(fit),
             self.curves(fit),
             self.block,
-            replace(self.limits, minutes=0.0) if self.is_settled(fit) else self.limits,
+            limits,
             pace,
             is_piled,
             remainder,
