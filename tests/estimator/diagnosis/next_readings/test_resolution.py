@@ -15,7 +15,7 @@ import torch
 
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.next_readings.resolution import indistinguishable
+from estimator.diagnosis.next_readings.resolution import Directions, indistinguishable
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -275,3 +275,27 @@ def test_cause_of_the_smallest_visible_size_costs_the_fit_five_sigma(configured,
         for readings in (right, perfect)
     ]
     assert 2.0 * float(cost[0] - cost[1]) == pytest.approx(25.0, rel=0.15)
+
+
+@pytest.mark.parametrize(("n_columns", "n_independent"), [(7, 7), (60, 12), (240, 60)])
+def test_number_of_independent_directions_lies_between_its_bounds(n_columns, n_independent):
+    generator = torch.Generator().manual_seed(n_columns)
+    of_each = torch.randn(300, n_independent, generator=generator, dtype=torch.float64)
+    mixed = torch.randn(n_independent, n_columns, generator=generator, dtype=torch.float64)
+    directions = Directions.of(of_each @ mixed)
+    assert directions.basis().shape[1] == n_independent
+    assert 0.3 * n_independent < directions.least <= n_independent <= directions.most
+    assert torch.allclose(
+        directions.basis().T @ directions.basis(), torch.eye(n_independent, dtype=torch.float64)
+    )
+
+
+def test_a_cause_of_many_directions_still_finds_its_twin(near):
+    result = near["random"]
+    wide = max(result.pool, key=lambda candidate: candidate.columns.shape[1])
+    twin = [replace(c, cause=Cause("unheard_of", "room")) for c in result.pool if c.cause == wide.cause]
+    others = [c for c in result.pool if len(c.keys) < len(wide.keys)]
+    groups = indistinguishable(
+        result.fit, [*others, *twin, *(c for c in result.pool if c.cause == wide.cause)]
+    )
+    assert any({cause.name for cause in group} == {"unheard_of", wide.cause.name} for group in groups)
