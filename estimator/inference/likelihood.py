@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -14,21 +14,20 @@ from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian, value_and_jacobian_by_paths
-from estimator.effects.correction import KEY, Correction
-from estimator.effects.stages import NoiseEffect, ReadingEffect, RecordEffect, RoomEffect, SourceEffect
-from estimator.effects.use import Use, as_meant, uses_of
+from estimator.effects.stages import NoiseEffect, RecordEffect
+from estimator.effects.use import as_meant, uses_of
 from estimator.field.node_sum import SumMode
+from estimator.inference.component_noise import ComponentNoise
+from estimator.inference.correction_amplitudes import COMPONENTS_AT_ONCE, CorrectionAmplitudes
 from estimator.inference.directions import Directions
-from estimator.model.measurement_model import MeasurementModel, NominalPrediction
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
 
-# What a batch holds at once: entries of one array of predictions, and of one of derivatives. Calculations keep a few dozen such arrays.
-COMPONENTS_AT_ONCE, DERIVATIVES_AT_ONCE = 2**20, 2**22
-AMPLITUDE_STEP = 1e-3  # of the prior's width: predictions are nearly linear in amplitudes
-DERIVATIVES_IN_A_PASS = (
-    2**19
-)  # of one part of the readings; larger parts fall out of a processor's cache and take half as long again
+DERIVATIVES_AT_ONCE = 2**22  # entries of one array of derivatives; calculations keep a few dozen such arrays
+# Derivatives of one part of the readings: larger parts fall out of a processor's cache and take half as long again.
+DERIVATIVES_IN_A_PASS = 2**19
+COMPUTED_FROM_READINGS = ("for_jacobian", "_by_points", "_is_of_sensor")
 
 
 class FirstOrder(NamedTuple):
@@ -63,7 +62,10 @@ class LogPosterior:
         self.measured_T = observations.field_sensor_T.flatten()[self._flat]
         self.sensor = observations.sensor[:, None].expand(-1, 3).flatten()[self._flat]
         self.n_by_sensor = torch.bincount(self.sensor, minlength=len(model.rig.sensors)).to(torch.float64)
-        self._noise = [_Noise.of(use, self) for use in uses_of(model.rig, NoiseEffect)]
+        self._noise = [
+            ComponentNoise.of(use, self.model, self.measured_components)
+            for use in uses_of(model.rig, NoiseEffect)
+        ]
 
     def with_rows(self, measured_T: Float[Tensor, "row component"]) -> LogPosterior:
         """The density for vectors whose every row has readings of its own, all taken at the same settings.
@@ -71,9 +73,7 @@ class LogPosterior:
         Args:
             measured_T: What `measured_components` leaves of the readings, row by row.
         """
-        other = copy(self)
-        other.measured_T = measured_T
-        return other
+        return self._changed(measured_T=measured_T)
 
     def at(self, rows: Int[Tensor, "..."] | Bool[Tensor, "..."]) -> LogPosterior:
         """The density for some rows of a vector; the same one where all rows share the readings."""
@@ -89,21 +89,29 @@ class LogPosterior:
         new_entry = torch.full((3 * len(self.model.circumstances),), -1, device=readings.device)
         new_entry[entries] = torch.arange(len(entries), device=readings.device)
         mine = (new_entry[self._flat] >= 0).nonzero().flatten()
+        sensor = self.sensor[mine]
+        return self._changed(
+            model=self.model.part(readings),
+            _flat=new_entry[self._flat[mine]],
+            _is_complete=len(mine) == len(entries),
+            measured_T=self.measured_T[..., mine],
+            sensor=sensor,
+            n_by_sensor=torch.bincount(sensor, minlength=len(self.n_by_sensor)).to(torch.float64),
+            _noise=[noise.part(mine) for noise in self._noise],
+        )
+
+    def _changed(self, **changes: Any) -> LogPosterior:
+        """A copy with some attributes changed. What was computed from rig and coordinates alone stays known, all else is forgotten."""
         other = copy(self)
-        for cached in ("for_jacobian", "_by_points", "_is_of_sensor"):
-            other.__dict__.pop(cached, None)
-        other.model = self.model.part(readings)
-        other._flat = new_entry[self._flat[mine]]
-        other._is_complete = len(mine) == len(entries)
-        other.measured_T, other.sensor = self.measured_T[..., mine], self.sensor[mine]
-        other.n_by_sensor = torch.bincount(other.sensor, minlength=len(self.n_by_sensor)).to(torch.float64)
-        other._noise = [noise.part(mine) for noise in self._noise]
+        for computed in COMPUTED_FROM_READINGS:
+            other.__dict__.pop(computed, None)
+        other.__dict__.update(changes)
         return other
 
     def measured_components(
         self, field_T: Shaped[Tensor, "*batch reading 3"]
     ) -> Shaped[Tensor, "*batch component"]:
-        """Of anything given by reading and axis, the entries that were measured."""
+        """Entries that were measured, of anything given by reading and axis."""
         flat = field_T.flatten(-2)
         return flat if self._is_complete else flat[..., self._flat]
 
@@ -128,7 +136,7 @@ class LogPosterior:
         """
         if columns is None:
             columns = torch.arange(self.coordinates.n_continuous, device=vector.device)
-        is_amplitude = torch.isin(columns, self._amplitudes)
+        is_amplitude = torch.isin(columns, self._amplitudes.each)
         is_double = self.model.circumstances.observations.dtype is torch.float64  # as differences want
         if vector.shape[:-1].numel() != 1 or not is_double or not is_amplitude.any():
             return self._by_two_passes(vector, columns)
@@ -136,14 +144,16 @@ class LogPosterior:
         shape = (*others.predicted_T.shape, len(columns))
         jacobian_T, log_sigma_jacobian = vector.new_zeros(shape), vector.new_zeros(shape)
         jacobian_T[..., ~is_amplitude] = others.jacobian_T
-        jacobian_T[..., is_amplitude] = self._by_amplitudes(vector, columns[is_amplitude])
+        jacobian_T[..., is_amplitude] = self._amplitudes.jacobian_T(
+            self.coordinates, self.model, self.measured_components, vector, columns[is_amplitude]
+        )
         log_sigma_jacobian[..., ~is_amplitude] = others.log_sigma_jacobian
         return others._replace(jacobian_T=jacobian_T, log_sigma_jacobian=log_sigma_jacobian)
 
     def _by_two_passes(
         self, vector: Float[Tensor, "*batch coordinate"], columns: Int[Tensor, " column"]
     ) -> FirstOrder:
-        """The same by two backward passes (`derivatives`).
+        """Predictions, noise and their derivatives by two backward passes (`derivatives`).
 
         All rows of a batch take the same step, so that one pass serves all. Many readings are taken part by part.
         """
@@ -181,27 +191,6 @@ class LogPosterior:
         jacobian = directions.jacobian(along, self.sensor)
         return FirstOrder(predicted_T, torch.exp(log_sigma), *jacobian)
 
-    def _by_amplitudes(
-        self, vector: Float[Tensor, "*batch coordinate"], columns: Int[Tensor, " column"]
-    ) -> Float[Tensor, "*batch component column"]:
-        """Jacobian by amplitudes of corrections, which predictions are linear in: by differences, for one evaluation serves many."""
-        step = AMPLITUDE_STEP * self.coordinates.scale[columns]
-        with torch.no_grad():
-            values = self.coordinates.values(vector.flatten())
-            at_sensor_T = self.model.at_sensor_T(values)
-            middle_T = self.measured_components(self.model.shown_T(values, at_sensor_T))
-            jacobian_T = vector.new_empty(len(middle_T), len(columns))
-            for is_field in (True, False):
-                mine = (torch.isin(columns, self._amplitudes_of_fields) == is_field).nonzero().flatten()
-                for part in mine.split(max(1, COMPONENTS_AT_ONCE // max(1, len(middle_T)))):
-                    each = torch.diag(step[part])
-                    names = [self.coordinates.names[i] for i in columns[part].tolist()]
-                    there = {**values, **{n: values[n] + each[:, i] for i, n in enumerate(names)}}
-                    field_T = self.model.at_sensor_T(there) if is_field else at_sensor_T
-                    changed_T = self.measured_components(self.model.shown_T(there, field_T))
-                    jacobian_T[:, part] = ((changed_T - middle_T) / step[part, None]).T
-        return jacobian_T.expand(*vector.shape[:-1], -1, -1)
-
     def gradient(self, vector: Float[Tensor, " coordinate"]) -> Float[Tensor, " coordinate"]:
         """Gradient of the log likelihood in the coordinates, by one backward pass: a third of the time of a Jacobian, or less."""
         with torch.enable_grad():
@@ -238,25 +227,9 @@ class LogPosterior:
         return self.model.predict(self.model.alike(values)).double()
 
     @cached_property
-    def _amplitudes(self) -> Int[Tensor, " column"]:
-        """Numbers of the coordinates that are amplitudes of corrections of the field, or of what is read of it."""
-        of_readings = self._amplitudes_in(uses_of(self.model.rig, ReadingEffect))
-        return torch.cat((self._amplitudes_of_fields, of_readings))
-
-    @cached_property
-    def _amplitudes_of_fields(self) -> Int[Tensor, " column"]:
-        """The former of them."""
-        sources = uses_of(self.model.rig, SourceEffect)
-        return self._amplitudes_in([*sources, *uses_of(self.model.rig, RoomEffect)])
-
-    def _amplitudes_in(self, uses: Sequence[Use[Any]]) -> Int[Tensor, " column"]:
-        rows = []
-        for use in uses:
-            if isinstance(use.effect, Correction):
-                label = f"{use.label}."
-                own = enumerate(self.coordinates.names[: self.coordinates.n_continuous])
-                rows += [i for i, n in own if n.startswith(label) and KEY.fullmatch(n.removeprefix(label))]
-        return torch.tensor(rows, dtype=torch.int64, device=self.coordinates.device)
+    def _amplitudes(self) -> CorrectionAmplitudes:
+        """Coordinates that predictions are linear in."""
+        return CorrectionAmplitudes.of(self.model.rig, self.coordinates)
 
     @property
     def n_directions(self) -> int:
@@ -270,17 +243,13 @@ class LogPosterior:
 
     @cached_property
     def for_jacobian(self) -> LogPosterior:
-        """The same density with predictions that have cheap first derivatives, and no second ones."""
-        other = copy(self)
-        other.model = self.model.with_mode(SumMode.FIRST_ORDER)
-        return other
+        """This density, with predictions that have cheap first derivatives, and no second ones."""
+        return self._changed(model=self.model.with_mode(SumMode.FIRST_ORDER))
 
     @cached_property
     def _by_points(self) -> LogPosterior:
-        """The same, with derivatives by poses of sensors taken through those by the points where they stand."""
-        other = copy(self.for_jacobian)
-        other.model = replace(other.model, has_slopes=True)
-        return other
+        """This density, with derivatives by poses of sensors taken through those by the points where they stand."""
+        return self._changed(model=replace(self.for_jacobian.model, has_slopes=True))
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
         """Noise of every sensor, in tesla."""
@@ -335,7 +304,7 @@ class LogPosterior:
         sigma_T: Float[Tensor, "*batch component"],
         vector: Float[Tensor, "*batch coordinate"],
     ) -> Float[Tensor, "*batch"]:
-        """The same, where predictions and noise are known already.
+        """Log probability density of the measured components, where predictions and noise are known already.
 
         Args:
             predicted_T, sigma_T: At the vector.
@@ -397,37 +366,3 @@ class LogPosterior:
             inside = total[possible] + self.at(possible).log_likelihood(vector[possible])
             total = total.masked_scatter(possible, inside)
         return torch.nan_to_num(total, nan=-math.inf, posinf=-math.inf, neginf=-math.inf)
-
-
-@dataclass(frozen=True)
-class _Noise:
-    """An effect of noise in the measured components.
-
-    Attributes:
-        use: The effect and the place that has it.
-        concerned: Components that it concerns; None stands for all.
-        exposure: What their scatter depends on besides the effect's quantities.
-    """
-
-    use: Use[NoiseEffect]
-    concerned: Bool[Tensor, " component"] | None
-    exposure: Float[Tensor, " component"]
-
-    @classmethod
-    def of(cls, use: Use[NoiseEffect], posterior: LogPosterior) -> _Noise:
-        """What it concerns of the readings of a density."""
-        readings = use.concerned(posterior.model.circumstances)
-        concerned = (
-            None if readings is None else posterior.measured_components(readings[:, None].expand(-1, 3))
-        )
-        exposure = use.effect.exposure(NominalPrediction(posterior.model), use.place)
-        return cls(use, concerned, posterior.measured_components(exposure))
-
-    def part(self, components: Int[Tensor, " part"]) -> _Noise:
-        """The same of some components."""
-        concerned = None if self.concerned is None else self.concerned[components]
-        return _Noise(self.use, concerned, self.exposure[components])
-
-    def where_concerned(self, changed: Tensor, unchanged: Tensor) -> Tensor:
-        """Changed components where it concerns them."""
-        return changed if self.concerned is None else torch.where(self.concerned, changed, unchanged)
