@@ -7,13 +7,18 @@ import time
 from drivers.transport.transcript import Chunk, ReplayedPort
 
 
+played = []  # every conversation of the running test
+
+
 def conversation(*exchanges):
+    """A port for one conversation, which the test must play to its end (`conftest.whole_conversations`)."""
     chunks = []
     for sent, received in exchanges:
         chunks.append(Chunk(0.0, ">", sent))
         if received:
             chunks.append(Chunk(0.0, "<", received))
-    return ReplayedPort(chunks, "transcript")
+    played.append(ReplayedPort(chunks, "transcript"))
+    return played[-1]
 
 
 class ScriptedPort:

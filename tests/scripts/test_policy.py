@@ -25,7 +25,7 @@ from scripts.studies.policy import Branches, changes, other_values, read
     ],
 )
 def test_half_and_twice_a_rule(name: str, value: float, others: list[float]) -> None:
-    assert other_values(name, value) == pytest.approx(others) if isinstance(value, float) else others
+    assert other_values(name, value) == (pytest.approx(others) if isinstance(value, float) else others)
 
 
 def row(**changed: object) -> dict[str, object]:

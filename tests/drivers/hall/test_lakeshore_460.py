@@ -47,12 +47,12 @@ def test_an_answer_that_makes_no_sense_is_a_fault(answer):
 
 def test_a_range_that_was_not_taken_is_a_fault():
     with pytest.raises(DeviceFault, match="must be in range 2 on channel X; it says '0'"):
-        LakeShore460(conversation(*set_up(range_answer=b"0")), range_T=0.02).read_field_T(timeout_s=5.0)
+        LakeShore460(conversation(*set_up(range_answer=b"0")[:6]), range_T=0.02).read_field_T(timeout_s=5.0)
 
 
 def test_a_prefix_that_is_none_is_a_fault():
     with pytest.raises(DeviceFault, match="must send a prefix"):
-        read(b"", prefixes=("G", "m", "m"))
+        LakeShore460(conversation(*set_up(("G", "m", "m"))[:7]), range_T=0.02).read_field_T(timeout_s=5.0)
 
 
 @pytest.mark.parametrize(
