@@ -46,7 +46,7 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
 
     yield Picture(
         "Predicted against measured",
-        "Points should lie on the line, and residuals inside the band without a trend.",
+        "Points should lie on the line. About two residuals in three should lie inside the band (one standard deviation), without a trend.",
         _figure(plots.predicted_against_measured(measured_T, predicted_T, sigma_T, title=title)),
     )
     yield Picture(

@@ -170,7 +170,7 @@ class QuadraticResponse(ReadingEffect):
 
     name = "quadratic_response"
     words = "both signs of a large field read too much"
-    source = "amplifiers, 0.1 % of the range"
+    source = "amplifiers of this kind, 2 % at the end of the range"
 
     def quantities(self, extent):
         """Relative excess per tesla."""
