@@ -6,7 +6,6 @@ import time
 
 from drivers.transport.transcript import Chunk, ReplayedPort
 
-
 played = []  # every conversation of the running test
 
 
