@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
 
 import click
 
+from estimator.cli.command_line import command_of
 from estimator.cli.options import ess_option, json_option, prediction_options, seed_option
 from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show, tell_progress
 from estimator.errors import InvalidInput
@@ -111,15 +111,7 @@ def batch_command(
         ),
     )
     result.save_table(out)
-    options = {"--out": out, "--rig": rig, "--posterior": posterior, "--ess": f"{ess:g}", "--seed": seed}
-    options |= {"--device": device, "--precision": precision}
-    command = ["coilcal", "batch", *map(str, sessions)]
-    command += [
-        str(word) for option, value in options.items() if value is not None for word in (option, value)
-    ]
-    command += [word for name in hypotheses for word in ("--hypothesis", name)]
-    command += ["--each-coil"] * each_coil
-    write_text(out / "overview.html", overview(result, shlex.join(command)))
+    write_text(out / "overview.html", overview(result, command_of(click.get_current_context())))
     summary = {
         "fits": len(result.names),
         "sampled": int(result.table()["is_sampled"].sum()) if result.names else 0,

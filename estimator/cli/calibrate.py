@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from estimator.cli.command_line import command_of
 from estimator.cli.options import (
     REFUSED_SINGLE,
     ess_option,
@@ -98,7 +99,7 @@ def calibrate_command(
             precision=precision,
             on_stage=reporter,
         )
-    command = f"coilcal calibrate {session_path} --out {out} --seed {seed}"
+    command = command_of(click.get_current_context())
     write_text(out / "report.html", calibration_report(calibration, command))
     show(dict(calibration.summary()), _text(calibration.summary(), out), as_json)
     if not calibration.summary()["is_converged"]:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from estimator.cli.command_line import command_of
 from estimator.cli.options import json_option, overwrite_option, seed_option
 from estimator.cli.output import CoilcalCommand, refuse_existing, show
 from estimator.errors import InvalidInput, reason
@@ -67,7 +68,7 @@ def compare_command(
     session = load_session(path)
     comparison = compare(session, read_map(map_path, map_current_A), coil, seed=seed)
     result = comparison.to_json()
-    command = f"coilcal compare {path} --map {map_path} --map-current {map_current_A:g} --seed {seed}"
+    command = command_of(click.get_current_context())
     try:
         out.mkdir(parents=True, exist_ok=True)
         write_text(out / "comparison.html", comparison_report(comparison, session.source, command))

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from estimator.cli.command_line import command_of
 from estimator.cli.options import (
     REFUSED_SINGLE,
     json_option,
@@ -131,7 +132,7 @@ def diagnose_command(
             on_stage=reporter.stage,
             on_progress=reporter.progress,
         )
-    command = f"coilcal diagnose {session_path} --out {out} --seed {seed}"
+    command = command_of(click.get_current_context())
     write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
     if diagnosis.posterior is not None:
         write_text(unfinished / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))

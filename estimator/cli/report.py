@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from estimator.cli.command_line import command_of
 from estimator.cli.options import json_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, refuse_existing, show
 from estimator.errors import InvalidInput, reason
@@ -29,7 +30,7 @@ def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: boo
 
     path = out or folder / "report.html"
     refuse_existing(path, overwrite or out is None)
-    page = calibration_report(Calibration.load(folder), f"coilcal report {folder}")
+    page = calibration_report(Calibration.load(folder), command_of(click.get_current_context()))
     try:
         write_text(path, page)
     except OSError as error:
