@@ -167,7 +167,10 @@ class PlaceSearch:
         return self.resolved(self.find_any(measured_T))
 
     def find_any(self, measured_T: np.ndarray) -> Found:
-        """The same with those that are not resolved, which take part so that no other is drawn to their sources."""
+        """Multipoles that readings ask for, resolved or not.
+
+        Those that are not resolved take part so that no other is drawn to their sources.
+        """
         measured, ladder_T = self._part(measured_T[:, None]), _ladder_T(measured_T)
         places: list[Triple] = []
         gains: list[float] = []
@@ -188,12 +191,12 @@ class PlaceSearch:
         return Found(tuple(places), tuple(gains))
 
     def resolved(self, found: Found) -> Found:
-        """Those that readings resolve."""
+        """The multipoles of a search that are resolved: readings are about as near to their places as the box is."""
         kept = [i for i, place_m in enumerate(found.places_m) if self._is_resolved(place_m)]
         return Found(tuple(found.places_m[i] for i in kept), tuple(found.gains[i] for i in kept))
 
     def log_evidence(self, measured_T: np.ndarray, places_m: Sequence[Triple]) -> float:
-        """Of readings with multipoles at places, up to a constant, with the noise that has most."""
+        """Log evidence of the readings with multipoles at places, up to a constant, at the noise that makes it largest."""
         return self._best(self._part(measured_T[:, None]), list(places_m), _ladder_T(measured_T))[0]
 
     def moved(self, measured_T: np.ndarray, places_m: Sequence[Triple]) -> tuple[Triple, ...]:
@@ -272,7 +275,7 @@ class PlaceSearch:
         return self._grid_m[int(gain.argmax())], float(gain.max())
 
     def _log_evidence(self, measured: _Part, multipoles: _Part, noise_T: float) -> float:
-        """Of the readings, up to a constant, for one noise."""
+        """Log evidence of the readings at one noise, up to a constant, with all amplitudes integrated out."""
         n = len(measured.rest) - len(self._size)
         log_determinant = np.log(self._size**2 + noise_T**2).sum() + 2.0 * n * np.log(noise_T)
         total = float(self._inner(measured, measured, noise_T)[0, 0]) + log_determinant

@@ -45,7 +45,7 @@ class Assessment:
     next_step: str
 
     def to_json(self) -> dict[str, Any]:
-        """As `summary.json` holds it."""
+        """Verdict, reasons and next step in the form of `summary.json`."""
         return {"verdict": str(self.quality), "reasons": list(self.reasons), "next": self.next_step}
 
 

@@ -75,7 +75,7 @@ class Rival:
         return self.fit.observations.field_sensor_T - predicted_T
 
     def to_json(self) -> dict[str, Any]:
-        """As `comparison.json` holds it."""
+        """How well this description fits, in the form of `comparison.json`."""
         return {
             "explains": self.explains,
             "rms_T": self.lack_of_fit.rms_T,
@@ -140,7 +140,7 @@ class Comparison:
         return self.interpolation_error_T > COARSE * self.map.lack_of_fit.noise_T
 
     def to_json(self) -> dict[str, Any]:
-        """As `comparison.json` holds it."""
+        """Content of `comparison.json`."""
         better = self.improvement
         return {
             "coil": self.coil,
