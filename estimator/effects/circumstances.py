@@ -63,7 +63,7 @@ class Circumstances:
         return len(self.observations)
 
     def with_effects_of(self, rig: Rig) -> Circumstances:
-        """The same circumstances for a rig that differs in its effects alone; what is known of the session stays known."""
+        """These circumstances for a rig that differs in its effects alone; what is known of the session stays known."""
         other = Circumstances(rig, self.observations)
         known = {name: value for name, value in self.__dict__.items() if name not in ("rig", "observations")}
         other.__dict__.update(known)

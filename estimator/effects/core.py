@@ -45,7 +45,7 @@ class CrossMagnetisation(CoreMagnetisation):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where another coil carries current; one coil alone cannot show more than `iron_core` and `core_saturation` say."""
+        """Whether another coil carries current; one coil alone cannot show more than `iron_core` and `core_saturation` say."""
         coil = [coil.name for coil in circumstances.rig.coils].index(place)
         is_on = (circumstances.observations.history.current_A != 0.0).any(0)
         is_on[coil] = False

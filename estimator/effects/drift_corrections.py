@@ -32,7 +32,7 @@ class _Drift(InTime):
         return (shape("duration_h", "h", 0.0, 2.0 * extent.duration_h, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """That of this session."""
+        """Duration of this session, in h."""
         return ({"duration_h": float(f"{circumstances.duration_h:.6g}")},)
 
     @staticmethod
@@ -91,7 +91,7 @@ class ResponseWanders(_Drift, ReadingEffect):
         return (*super().shapes(extent), range_T)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Those of this session."""
+        """Duration of this session, in h, and the largest component that the sensor read, in T."""
         range_T = float(f"{circumstances.largest_of_sensor_T(place):.6g}")
         return tuple({**start, "range_T": range_T} for start in super().starts(circumstances, place))
 
@@ -123,7 +123,7 @@ class TurnsWander(_Drift, ReadingEffect):
     highest: ClassVar[int] = 8
 
     def relative_width(self, degree: int) -> float:
-        """That of degree 0 is that of the first."""
+        """Width of the amplitudes of a degree over that of the first; degree 0 has that of the first."""
         return super().relative_width(max(degree, 1))
 
     def apply(
@@ -150,7 +150,7 @@ class CurrentWanders(ShareOfCurrent, _Drift):
 
 
 class GuidesWander(_Drift, MotionEffect):
-    """Where a mover really stands wanders: it warms up, creeps, or its clock runs apart from the sensor's."""
+    """The mover's real position wanders: it warms up, creeps, or its clock runs apart from the sensor's."""
 
     name: ClassVar[str] = "guides_wander"
     words: ClassVar[str] = "where the mover stands wanders with time"

@@ -66,11 +66,11 @@ class SidesRemembered(Correction, MotionEffect):
         return "how the mover came to where it stands"
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved both to and fro."""
+        """Whether the mover moved."""
         return bool((circumstances.last_move_m(place) != 0.0).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of readings, where moves left more than one side."""
+        """Highest degree that the number of readings determines; 0 where all moves left the mover on one side."""
         if bool((_sides(circumstances, place) == 1.0).all()):
             return Limit(0, "the mover went to one side only; come to some places from the other")
         return limit_of_number(self, len(circumstances), "readings")
@@ -103,15 +103,15 @@ class CurrentRemembered(Correction, OneCoilCurrent):
     highest: ClassVar[int] = 4
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """A share of the largest current."""
+        """Share of the largest current of the session."""
         return ("share",)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """That current."""
+        """Unit of the amplitudes: the largest current of the session, in A."""
         return (shape("range_A", "A", 0.0, 100.0 * extent.largest_current_A, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The largest of the session."""
+        """Largest current of this session, in A."""
         return ({"range_A": float(f"{circumstances.largest_current_A:.6g}")},)
 
     def broken_rule(self, values: dict[str, float]) -> tuple[str, str] | None:  # type: ignore[override]
@@ -187,7 +187,7 @@ class FieldRemembered(Correction, ReadingEffect):
         return not circumstances.is_moment
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of the sensor's readings."""
+        """Highest degree that the number of the sensor's readings determines."""
         own = circumstances.is_of(place)
         return limit_of_number(self, int(own.sum()), "readings one after another")
 

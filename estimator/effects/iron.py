@@ -99,7 +99,7 @@ class PiercedPlate(RoomEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where sensors lie far enough apart."""
+        """Whether the sensors' positions spread far enough for a plate between them."""
         return float(_spread_m(circumstances).max()) > LEAST_BETWEEN * circumstances.reach_m
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:

@@ -27,12 +27,12 @@ class _AboveLevel(Correction, ReadingEffect):
     highest: ClassVar[int] = 1
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
+        """Highest degree that the number of different readings of the sensor determines."""
         shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the sensor was read at several levels."""
+        """Whether the sensor was read at several levels."""
         return len(self.starts(circumstances, place)) > 1
 
 

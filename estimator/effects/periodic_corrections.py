@@ -114,7 +114,7 @@ class ReadingRipples(_Periodic, ReadingEffect):
         return tuple({"frequency_per_T": (i + 1) * spacing} for i in range(n))
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
+        """Highest degree that the number of different readings of the sensor determines."""
         return limit_of_number(self, self._n_readings(circumstances, place), "different readings")
 
     def apply(
@@ -153,11 +153,11 @@ class GuideSwings(_Periodic, MotionEffect):
         return tuple({"frequency_per_m": (i + 1) * spacing} for i in range(max(1, n)))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved."""
+        """Whether the mover moved farther than the shortest period."""
         return _span_m(circumstances, place) > SHORTEST_PERIOD_M
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of readings."""
+        """Highest degree that the number of readings determines."""
         return limit_of_number(self, len(circumstances), "readings")
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:

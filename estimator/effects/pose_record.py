@@ -57,7 +57,7 @@ class RotationConvention(MotionEffect):
         return tuple({"convention": float(i)} for i in range(1, IN_DEGREES + 1))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover has turned."""
+        """Whether the mover turned."""
         return bool(circumstances.observations.history.motion[place][:, 3:].any())
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
@@ -110,7 +110,7 @@ class PositionUnit(MotionEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved."""
+        """Whether the mover moved."""
         return bool(self._moved(circumstances, place))
 
     @staticmethod

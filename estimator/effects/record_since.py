@@ -30,7 +30,7 @@ class AxesSwappedSince(AxesSwapped):
     source: ClassVar[str] = "47 signed permutations"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """As `axes_swapped`, and the time since the session began."""
+        """Quantities of `axes_swapped`, and the time since the session began from which on they hold, in h."""
         return (*super().quantities(extent), since(extent))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -104,7 +104,7 @@ class CoilsExchangedSince(CurrentEffect):
     exchanges_coils: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """By how many the other coil comes later in the rig file, and the time since the session began."""
+        """How many entries later the other coil stands in the rig file, and the time since the session began from which on, in h."""
         return (switch("later_by", 0.0, MOST_BODIES, 0.0), since(extent))
 
     def places(self, rig: Rig) -> tuple[str, ...]:
@@ -157,7 +157,7 @@ class RowsShiftedSince(RowsShifted):
         return (*super().quantities(extent), since(extent))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where no rows are shifted yet."""
+        """Whether no rows are shifted yet."""
         return all(cause.name != RowsShifted.name for cause in circumstances.rig.effects)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:

@@ -20,7 +20,7 @@ class _OverRange(Correction, ReadingEffect):
     """A function of what the sensor shows, in units of its largest component."""
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """That unit."""
+        """Unit of the response: the largest component that the sensor read, in T."""
         return (shape("range_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -28,7 +28,7 @@ class _OverRange(Correction, ReadingEffect):
         return ({"range_T": float(f"{circumstances.largest_of_sensor_T(place):.6g}")},)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
+        """Highest degree that the number of different readings of the sensor determines."""
         shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
@@ -140,7 +140,7 @@ class CurrentPickup(Correction, ReadingEffect):
         return ({"range_A": float(f"{circumstances.largest_current_A:.6g}")},)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different currents besides 0, while the sensor was read."""
+        """Highest degree that the number of different currents besides 0 determines, of those while the sensor was read."""
         total_A = circumstances.current_A[circumstances.is_of(place)].sum(-1)
         n = len(
             torch.unique((total_A[total_A != 0.0] / (LEAST_STEP * circumstances.largest_current_A)).round())

@@ -1,4 +1,4 @@
-"""Where a mover or a mount really is."""
+"""How the real pose of a mover or a mount differs from what the record and the rig file say."""
 
 from __future__ import annotations
 
@@ -214,7 +214,7 @@ class MoverSlipped(MotionEffect):
         return (*triple("xyz", "_m", "m", 500e-6), since(extent))
 
     def concerns(self, circumstances: Circumstances, mover: str) -> bool:
-        """Where no bumped sensor does the same: several sensors see the shift, or one that the mover turned."""
+        """Whether the slip differs from a bump of one sensor: several sensors see the shift, or one that the mover turned."""
         rig, history = circumstances.rig, circumstances.observations.history
         carries_coil = any(coil.carried_by == mover for coil in rig.coils)
         read = [rig.sensors[i] for i in history.sensor.unique().tolist()]

@@ -54,7 +54,7 @@ def _numbers(keys: Iterable[str]) -> tuple[int, ...]:
 
 
 def _each(extent: Extent, suffixes: Sequence[str], unit: str, sd: float) -> tuple[Quantity, ...]:
-    """The same quantities for every segment."""
+    """Quantities of these names for every segment, all with one unit and one width of their priors."""
     return tuple(normal(f"segment{n}_{suffix}", unit, sd) for n in extent.segments for suffix in suffixes)
 
 

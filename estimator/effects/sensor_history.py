@@ -115,7 +115,7 @@ class ThermalLag(ReadingEffect):
     )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Those of a sensor that follows at once, and the time constant."""
+        """Coefficients of a sensor that follows its temperature at once, and the time constant of the lag, in h."""
         return (*DRIFT.quantities(extent), Quantity("tau_h", "h", LogNormal(0.3, 1.0), 0.3, is_shape=True))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:

@@ -205,7 +205,7 @@ class NoiseMisstated(NoiseEffect):
         return (Quantity("factor", "1", LogNormal(1.0, 0.7), 1.0),)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the noise is fixed, or known tightly."""
+        """Whether the noise is fixed, or known tightly."""
         prior = circumstances.rig.parameters[f"{place}.noise_T"].prior
         return prior is None or prior.sd < LOOSE_NOISE * prior.centre
 

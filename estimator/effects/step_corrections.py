@@ -112,7 +112,7 @@ class ResponseSteps(_Steps, ReadingEffect):
 
 
 class GuidesStep(_Steps, MotionEffect):
-    """Where a mover stands jumps: a slipped clamp, a lost step, a knock."""
+    """The mover's real position jumps: a slipped clamp, a lost step, a knock."""
 
     name: ClassVar[str] = "guides_step"
     words: ClassVar[str] = "where the mover stands jumps"

@@ -38,7 +38,7 @@ class BackgroundField(RoomEffect):
     def steady_T(
         self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
-        """The same everywhere."""
+        """Field of the room in the world frame, in T, the same at every point."""
         field = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)[..., None, :]
         return field.expand(*field.shape[:-2], points_m.shape[-2], 3)
 

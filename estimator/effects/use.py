@@ -36,7 +36,7 @@ class Use(Generic[E_co]):
 
     @property
     def cause(self) -> Cause:
-        """As rigs hold it."""
+        """Name and place of the effect, as rigs hold them."""
         return Cause(self.effect.name, self.place)
 
     @property

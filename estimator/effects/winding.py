@@ -29,7 +29,7 @@ class PitchEffect(WindingEffect):
     can_begin: ClassVar[bool] = False
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the rig file does not leave the pitch free: else its own prior bounds what can be built."""
+        """Whether the rig file fixes the pitch; a free one's own prior bounds what can be built."""
         return not circumstances.rig.parameters[f"{place}.{self.name}_m"].is_free
 
 
