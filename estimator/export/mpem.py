@@ -42,7 +42,7 @@ class Box:
 
     @property
     def middle_m(self) -> Float[np.ndarray, " 3"]:
-        """Where the sources are."""
+        """Middle of the box in the world frame, in m; the sources are there."""
         return np.asarray(0.5 * (self.low_m + self.high_m))
 
     @property

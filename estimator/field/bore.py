@@ -122,7 +122,7 @@ def _each_wave(
 def _factors(
     points: Tensor, length: float | Tensor, wavenumber: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, list[Tensor]]:
-    """Of every half wave: x and y times its wavenumber, its sine and cosine along the bore, and its reduced Bessel functions.
+    """Factors of every half wave: x and y times its wavenumber, sine and cosine along the bore, and reduced Bessel functions.
 
     Points come last: numbers of a wave are then alike along a whole row, which takes half the time.
     """

@@ -43,7 +43,7 @@ class Rings:
     area_m2: Float[Tensor, " ring"]
 
     def to(self, device: torch.device) -> Rings:
-        """The same rings on another device."""
+        """These rings on another device."""
         return Rings(self.radius_m.to(device), self.height_m.to(device), self.area_m2.to(device))
 
     @classmethod
@@ -118,7 +118,7 @@ def field_of_rings_to_first_order(
     magnetisation_T: Float[Tensor, "pattern ring 2"],
     steps: int = AGM_STEPS,
 ) -> Float[Tensor, "*batch point pattern 3"]:
-    """The same field with exact value and first derivatives in the points, but without second ones.
+    """Field of rings of dipoles in the coil frame, in T, with first derivatives in the points, but without second ones.
 
     Args:
         points_coil_m, rings, magnetisation_T, steps: As in `field_of_rings`.

@@ -37,7 +37,7 @@ def slopes_of_sided_loops(
     changes: Float[Tensor, "rows node 5 number"],
     arc_points: int,
 ) -> tuple[Float[Tensor, "rows point 3"], Float[Tensor, "rows point 3 slope"]]:
-    """The same field, and its derivatives along x, y and z, then in some numbers.
+    """Field per ampere of weighted loops in T/A, and its derivatives along x, y and z, then in some numbers.
 
     Args:
         points_m, loops, arc_points: As in `sum_of_sided_loops`.

@@ -59,7 +59,7 @@ class Optimum:
         )
 
     def to(self, device: torch.device) -> Optimum:
-        """The same on another device, without slopes."""
+        """These maxima on another device, without slopes."""
         return Optimum(
             self.vector.to(device),
             self.log_posterior.to(device),

@@ -102,7 +102,7 @@ class Guard:
             self._n_held -= body.n_bytes
 
     async def _admitted(self, scope: Scope, receive: Receive, body: _Body) -> Receive:
-        """Where the body of an admitted request comes from; its caller is in `scope`."""
+        """Checks a request and returns the source of its body, limited in size and time; its caller is then in `scope`."""
         headers = Headers(scope=scope)
         _check_framing(scope, headers)
         self._check_site(scope, headers)

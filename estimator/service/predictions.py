@@ -116,7 +116,7 @@ class Predictor:
 
 
 def _batches(waiting: Sequence[_Waiting]) -> list[list[_Waiting]]:
-    """Those that can run together: of one calibration, for the same quantities, of `BLOCK` points at most."""
+    """Waiting questions in batches that can run together: of one calibration, for the same quantities, of `BLOCK` points at most."""
     batches: list[list[_Waiting]] = []
     open_batch: dict[tuple[Path, Wanted], list[_Waiting]] = {}
     n_points: dict[tuple[Path, Wanted], int] = {}

@@ -71,7 +71,8 @@ def _room(core: CoreOf, caller: Reader) -> Iterator[None]:
 
 
 StreamRoom = Annotated[None, Depends(_room)]
-"""Of routes with event streams. What such a route refuses has to be refused by what it depends on: once it runs, the answer has begun."""
+"""Dependency of routes with event streams, each of which takes one of the places for streams. What such a route refuses has to be refused
+by what it depends on: once it runs, the answer has begun."""
 
 
 async def _import_room(core: CoreOf) -> AsyncIterator[None]:
@@ -80,7 +81,8 @@ async def _import_room(core: CoreOf) -> AsyncIterator[None]:
 
 
 ImportRoom = Annotated[None, Depends(_import_room)]
-"""Of routes that read a whole session; stands after the body, so that who sends slowly takes no place."""
+"""Dependency of routes that read a whole session, of which few run at once; stands after the body, so that who sends slowly takes no
+place."""
 
 
 def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes]]:

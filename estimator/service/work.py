@@ -172,12 +172,12 @@ WORK: Mapping[str, Callable[[Mapping[str, Any], Path, Path, Tell], dict[str, Any
 
 
 def calibration_folder(kind: str, folder: Path) -> Path:
-    """Where a job of a kind leaves its calibration."""
+    """Folder in which a job of a kind leaves its calibration."""
     return folder / DIAGNOSIS / CALIBRATION if kind == "diagnose" else folder / CALIBRATION
 
 
 def result_file(kind: str, folder: Path) -> Path:
-    """Where a job of a kind leaves what it has found, as JSON."""
+    """JSON file in which a job of a kind leaves what it has found."""
     names = {
         "calibrate": f"{CALIBRATION}/summary.json",
         "diagnose": f"{DIAGNOSIS}/diagnosis.json",
@@ -189,7 +189,7 @@ def result_file(kind: str, folder: Path) -> Path:
 
 
 def report_file(kind: str, folder: Path) -> Path:
-    """Where a job of a kind leaves its page; a design has none."""
+    """File in which a job of a kind leaves its page; a design has none."""
     names = {"calibrate": f"{CALIBRATION}/{REPORT}", "diagnose": f"{DIAGNOSIS}/{REPORT}"}
     return folder / names.get(kind, REPORT)
 

@@ -196,7 +196,7 @@ def _parameter(
 
 
 def _display(name: str, names: Sequence[str]) -> Display:
-    """As in other plots, but with the name of the cause before its quantity."""
+    """How a parameter is shown: as in other plots, but with the name of the cause before its quantity."""
     display = displays(names)[name]
     cause, _, key = name.rpartition(".")
     if "[" not in cause:
