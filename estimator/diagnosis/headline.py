@@ -128,7 +128,7 @@ def _would_have_shown(diagnosis: Diagnosis) -> str:
 
 
 def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
-    """That the model of the source itself seems wrong, and what speaks for it."""
+    """Sentence that the model of the source itself seems wrong, and what speaks for it."""
     assert others is not None
     search = diagnosis.findings.search
     n_kinds = len({cause.name for cause in search.added})

@@ -69,7 +69,7 @@ def panels(diagnosis: Diagnosis) -> Panels:
 
 
 def panels_text(made: Panels) -> str:
-    """As `panels.json` holds them."""
+    """Content of `panels.json`."""
     return json.dumps(asdict(made), allow_nan=False) + "\n"
 
 

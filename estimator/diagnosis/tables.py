@@ -238,7 +238,7 @@ def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str)
 
 
 def _signed(value: float) -> str:
-    """To one digit, without a sign before zero.
+    """A number as text with one digit after the point, without a sign before zero.
 
     Examples:
         >>> _signed(-0.04), _signed(-2.34)

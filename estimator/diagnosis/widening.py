@@ -136,7 +136,7 @@ class Widening:
 def _mean_by_counts(
     counts: Float[Tensor, "draw count"], continuous: Float[Tensor, "draw coordinate"]
 ) -> Float[Tensor, "draw coordinate"]:
-    """For each draw the mean over all draws with the same counts."""
+    """Mean of the coordinates over all draws with the same counts, for each draw."""
     if not counts.shape[1]:
         return continuous.mean(dim=0).expand_as(continuous)
     _, group, size = torch.unique(counts, dim=0, return_inverse=True, return_counts=True)

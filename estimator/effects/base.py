@@ -126,7 +126,7 @@ class Effect(ABC):
 
     @abstractmethod
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Its numbers, in a session like this."""
+        """Numbers that this cause has in a session like this one."""
 
     def extent_of(self, keys: Iterable[str]) -> Extent:
         """An extent in which its quantities have these keys; the default where keys do not depend on it."""

@@ -153,7 +153,7 @@ class ShareOfCurrent(InTime, OneCoilCurrent):
         """How much more there is than the commanded current, as a share of it."""
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """The share."""
+        """The only term of a degree: a share of the current."""
         return ("share",)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
@@ -167,7 +167,7 @@ class ShareOfCurrent(InTime, OneCoilCurrent):
         circumstances: Circumstances,
         coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
+        """Current in the coil, in A."""
         return current_A * (1.0 + self.share(theta, circumstances)[..., 0])
 
 

@@ -24,7 +24,7 @@ class _Drift(InTime):
     falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Components."""
+        """Components of what wanders."""
         return ("x", "y", "z")
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -37,7 +37,7 @@ class _Drift(InTime):
 
     @staticmethod
     def _wave(theta: Theta, circumstances: Circumstances, degree: int) -> Float[Tensor, " reading"]:
-        """Zero where a single moment stands for a session, as in predictions."""
+        """Half wave of a degree at each reading, a pure number; 0 where a single moment stands for a session, as in predictions."""
         if circumstances.is_moment:
             return torch.zeros_like(circumstances.hours)
         return torch.cos(math.pi * degree * circumstances.hours / theta["duration_h"].flatten()[0])
@@ -74,7 +74,7 @@ class RoomWanders(_Drift, RoomEffect):
     words: ClassVar[str] = "the field of the room wanders with time"
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
-        """In the world frame."""
+        """Wandering field of the room in the world frame, in T."""
         return self._wandering(theta, circumstances)
 
 
@@ -96,7 +96,7 @@ class ResponseWanders(_Drift, ReadingEffect):
         return tuple({**start, "range_T": range_T} for start in super().starts(circumstances, place))
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """For each component those that it is proportional to."""
+        """Pairs of components: the first changes by a share of the second."""
         return tuple(f"{axis}_{other}" for axis in "xyz" for other in "xyz")
 
     def apply(
@@ -145,7 +145,7 @@ class CurrentWanders(ShareOfCurrent, _Drift):
     highest: ClassVar[int] = 40
 
     def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
-        """Sum of its waves."""
+        """Share of the current at each reading: the sum of all half waves."""
         return self._wandering(theta, circumstances)
 
 

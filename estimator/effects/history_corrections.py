@@ -123,7 +123,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
         return None if key.startswith("degree1") or key == "range_A" else "the currents before"
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """None where the current never changed; at least two readings of each current that differs."""
+        """Highest degree; none where the current never changed."""
         current_A = circumstances.observations.history.current_A[:, _coil(circumstances, place)]
         n = len(torch.unique((current_A / (LEAST_STEP * circumstances.largest_current_A)).round()))
         if n > 1:
@@ -137,7 +137,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
         circumstances: Circumstances,
         coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
+        """Current in the coil, in A."""
         range_A = theta["range_A"].flatten()[0]
         history_A = circumstances.observations.history.current_A[:, coil]
         before_A = torch.nn.functional.pad(history_A, (1, 0))[:-1]
@@ -175,7 +175,7 @@ class FieldRemembered(Correction, ReadingEffect):
         return ("share",)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """None."""
+        """No fixed numbers."""
         return ()
 
     def beyond_the_moment(self, key: str) -> str | None:
@@ -183,7 +183,7 @@ class FieldRemembered(Correction, ReadingEffect):
         return "the readings before"
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With readings one after another."""
+        """Whether readings follow one another in time."""
         return not circumstances.is_moment
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:

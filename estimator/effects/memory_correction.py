@@ -48,7 +48,7 @@ class MovesRemembered(Correction, MotionEffect):
         return ({key: float(f"{max(number, LEAST_LENGTH_M):.6g}") for key, number in numbers.items()},)
 
     def broken_rule(self, values: dict[str, float]) -> tuple[str, str] | None:  # type: ignore[override]
-        """Both must be lengths."""
+        """The move and the reach must be positive lengths."""
         return next(((key, "must be > 0") for key in ("move_m", "reach_m") if values[key] <= 0.0), None)
 
     def beyond_the_moment(self, key: str) -> str | None:

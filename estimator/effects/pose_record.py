@@ -53,7 +53,7 @@ class RotationConvention(MotionEffect):
         return tuple(mover.name for mover in rig.movers if mover.motion in with_rotations)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """All of them."""
+        """All conventions but that of the file."""
         return tuple({"convention": float(i)} for i in range(1, IN_DEGREES + 1))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
@@ -78,7 +78,7 @@ class RotationConvention(MotionEffect):
         return Transform(each[theta["convention"].round().long()], pose.translation_m)
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
-        """One of the conventions."""
+        """The convention must be one of those that are known."""
         is_known = values["convention"] in range(IN_DEGREES + 1)
         return None if is_known else ("convention", f"must be a whole number from 0 to {IN_DEGREES}")
 
@@ -115,7 +115,7 @@ class PositionUnit(MotionEffect):
 
     @staticmethod
     def _moved(circumstances: Circumstances, mover: str) -> list[str]:
-        """Axes along which it did."""
+        """Axes along which the mover moved."""
         here_m = circumstances.observations.history.motion[mover][:, :3]
         return [axis for i, axis in enumerate("xyz") if bool((here_m[:, i] != here_m[0, i]).any())]
 
@@ -146,7 +146,7 @@ class RowsShifted(RecordEffect):
         return tuple({"rows": float(sign * n)} for n in range(1, most + 1) for sign in (1, -1))
 
     def rows_late(self, values: Mapping[str, float]) -> int:
-        """Its number."""
+        """Number of rows by which fields come late."""
         return round(values["rows"])
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:

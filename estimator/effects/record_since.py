@@ -34,7 +34,7 @@ class AxesSwappedSince(AxesSwapped):
         return (*super().quantities(extent), since(extent))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Each of them, and the reversal of all three, at each instant."""
+        """Permutations of `axes_swapped`, and the reversal of all three axes, each from each instant on."""
         reversal = {f"{axis}_reads": -(i + 1.0) for i, axis in enumerate("xyz")}
         return _at_instants((*super().starts(circumstances, place), reversal), circumstances)
 
@@ -112,7 +112,7 @@ class CoilsExchangedSince(CurrentEffect):
         return tuple(coil.name for coil in rig.coils[:-1])
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """With each of the coils after it, from each instant on."""
+        """Each of the coils that come later in the rig file, from each instant on."""
         names = [coil.name for coil in circumstances.rig.coils]
         n_later = len(names) - 1 - names.index(place)
         return _at_instants([{"later_by": float(n)} for n in range(1, n_later + 1)], circumstances)
@@ -169,7 +169,7 @@ class RowsShiftedSince(RowsShifted):
         return WHEN
 
     def late_since_h(self, values: Mapping[str, float]) -> float:
-        """Its time."""
+        """Time since the session began from which on rows are shifted, in h."""
         return values["since_h"]
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:

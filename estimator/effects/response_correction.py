@@ -75,7 +75,7 @@ class AxisCurves(_OverRange):
     falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Components."""
+        """Components, each with a curve of its own."""
         return ("x", "y", "z")
 
     def apply(
@@ -128,7 +128,7 @@ class CurrentPickup(Correction, ReadingEffect):
     highest: ClassVar[int] = 3
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Components."""
+        """Components that show something of the currents."""
         return ("x", "y", "z")
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -136,7 +136,7 @@ class CurrentPickup(Correction, ReadingEffect):
         return (shape("range_A", "A", 0.0, 100.0 * extent.largest_current_A, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The largest current."""
+        """Largest current of the session, in A."""
         return ({"range_A": float(f"{circumstances.largest_current_A:.6g}")},)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:

@@ -77,7 +77,7 @@ class PositionLag(MotionEffect):
     source: ClassVar[str] = "in-position windows of controllers, 10 to 100 um"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """What is missing."""
+        """Distance short of the target, in m."""
         return (normal("lag_m", "m", 200e-6),)
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
@@ -294,7 +294,7 @@ class SensorBumped(MountEffect):
     def columns(
         self, circumstances: Circumstances, theta: Mapping[str, float]
     ) -> Float[Tensor, "reading column"]:
-        """1 afterwards."""
+        """1 at readings from the instant on, else 0."""
         return (circumstances.hours >= theta["since_h"]).to(circumstances.hours)[:, None]
 
     def beyond_the_moment(self, key: str) -> str | None:

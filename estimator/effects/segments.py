@@ -82,7 +82,7 @@ class SegmentReading(ReadingEffect):
         return _extent_of_keys(keys)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With several segments in which the sensor was read, and not more than can be asked."""
+        """Whether the sensor was read in several segments, and not in more than can be asked."""
         return _is_several(circumstances.segments_of(place))
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
@@ -167,7 +167,7 @@ class SegmentMisplaced(MotionEffect):
         return _extent_of_keys(keys)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With several segments, and not more than can be asked."""
+        """Whether there are several segments, and not more than can be asked."""
         return _is_several(circumstances.extent.segments)
 
     def beyond_the_moment(self, key: str) -> str | None:

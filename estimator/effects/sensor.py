@@ -226,7 +226,7 @@ class TemperatureDrift(ReadingEffect):
         return (normal("gain_per_K", "1/K", 1e-3), *triple("xyz", "_T_per_K", "T/K", 5e-6))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With a thermometer that moved."""
+        """Whether the sensor's thermometer showed a change."""
         kelvin = circumstances.temperature_K(place)
         return kelvin is not None and bool(kelvin.abs().max() > 0.0)
 

@@ -42,7 +42,7 @@ class SensorLag(ReadingEffect):
     )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Time constant."""
+        """Time constant in s."""
         return (at_least_zero("tau_s", "s", 0.1 * extent.interval_h * SECONDS_PER_HOUR),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -52,7 +52,7 @@ class SensorLag(ReadingEffect):
         return tuple({"tau_s": share * typical_s} for share in LAGS)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With readings one after another."""
+        """Whether readings of the sensor follow one another in time."""
         return len(_dwells_s(circumstances, place)) > 0
 
     def beyond_the_moment(self, key: str) -> str | None:
@@ -123,7 +123,7 @@ class ThermalLag(ReadingEffect):
         return tuple({"tau_h": tau_h} for tau_h in (0.1, 0.3, 1.0))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With a thermometer that moved."""
+        """Whether the sensor's thermometer showed a change."""
         return DRIFT.concerns(circumstances, place)
 
     def beyond_the_moment(self, key: str) -> str | None:

@@ -180,7 +180,7 @@ class CoreMagnetisation(Effect):
 
     @abstractmethod
     def core(self, theta: Theta) -> Core:
-        """Its shape and its iron."""
+        """Shape and iron of the core."""
 
 
 class CoreMemory(Effect):

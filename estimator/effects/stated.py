@@ -219,7 +219,7 @@ class NoiseMisstated(NoiseEffect):
         return sigma_T * theta["factor"][..., None]
 
     def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
-        """Their rms."""
+        """Noise over the stated one, by the rms of the whitened residual."""
         if len(whitened) <= FEWEST_COMPONENTS:
             return None
         mean_square = float(whitened.square().mean())

@@ -58,7 +58,7 @@ class FilamentMagnetisation(WindingMagnetisation):
         return tuple(coil.name for coil in rig.round if coil.is_superconducting)
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
-        """Without any current nothing is screened."""
+        """The susceptibility, where no coil carries any current: then nothing is screened."""
         has_current = bool((circumstances.observations.history.current_A != 0.0).any())
         return frozenset() if has_current else frozenset({"susceptibility"})
 

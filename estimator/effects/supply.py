@@ -47,7 +47,7 @@ class CurrentOffset(OneCoilCurrent):
     source: ClassVar[str] = "offset of bipolar supplies, about 0.1 % of a range of 20 A"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """The constant current."""
+        """Constant current on top of the commanded one, in A."""
         return (normal("offset_A", "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
     def delivered(

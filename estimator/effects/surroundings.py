@@ -105,7 +105,7 @@ class BackgroundStep(RoomEffect):
         return WHEN
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
-        """Zero before."""
+        """Step of the room's field in the world frame, in T; 0 before the instant."""
         field_T = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
         return field_T[..., None, :] * circumstances.is_since(theta["since_h"])[..., None]
 
@@ -141,7 +141,7 @@ class PeriodicInterference(RoomEffect):
     def drifting_T(
         self, theta: Theta, circumstances: Circumstances
     ) -> Float[Tensor, "*#batch reading 3"] | None:
-        """Nothing where a single moment stands for a session, as in predictions: there it has no phase."""
+        """Swinging field of the room in the world frame, in T; None where a single moment stands for a session, which has no phase."""
         if circumstances.is_moment:
             return None
         angle = 2.0 * math.pi * theta["frequency_per_h"][..., None] * circumstances.hours

@@ -161,7 +161,7 @@ def joints_of(calibrated: Calibrated) -> list[Joint]:
 
 
 def _moving(mover: Mover, base: Transform, base_link: str, flange: str) -> Iterator[Joint]:
-    """From the world by the base to the flange."""
+    """Joints from the world by the base to the flange."""
     yield Joint(f"world_to_{base_link}", FIXED, "world", base_link, base)
     table = mover.table
     if table is None:

@@ -106,7 +106,7 @@ class _Dumper(yaml.SafeDumper):
     """Lists are written out each time: yaml-cpp of mag_manip need not follow anchors."""
 
     def ignore_aliases(self, data: object) -> bool:
-        """For everything."""
+        """Whether an object is written out each time: every one is."""
         return True
 
 

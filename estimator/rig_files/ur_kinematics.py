@@ -66,7 +66,7 @@ def corrections_from_ros(path: Path, robot: str) -> DenavitHartenberg:
 
 
 def _links(path: Path) -> list[Matrix]:
-    """Each link in the one before, with its joint at zero."""
+    """Transforms of each link in the one before, with its joint at zero."""
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:

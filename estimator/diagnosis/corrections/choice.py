@@ -97,7 +97,9 @@ class _LinearTrial:
     leaders: Sequence[CorrectionCandidate]
 
     def in_full(self, limits: dict[str, str], corrects_already: bool) -> Correction:
-        """The same fitted in full; refused where that has no evidence any more, or predicts places held out worse.
+        """Correction by this trial after a full fit.
+
+        Refused where the full fit has no more evidence than the fit before, or predicts places held out no better.
 
         Args:
             limits: By kind and place why no higher degree was asked.

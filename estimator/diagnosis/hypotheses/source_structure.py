@@ -1,4 +1,4 @@
-"""Where causes of many kinds pile up: whether the source is built otherwise than described instead.
+"""Whether the source is built otherwise than described, which is asked where causes of many kinds pile up.
 
 A wrong picture of a winding looks like a little of many causes. A search that takes the best of them one at a time never comes back to the
 one hypothesis that would do for all.

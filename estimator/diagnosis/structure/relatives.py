@@ -79,7 +79,7 @@ def _beside(
     rms_sigma: float,
     batches: Batches,
 ) -> Unknown:
-    """The same for one cause, given the evidence for relatives of its size."""
+    """What no list holds beside one cause, given the evidence for relatives of its size."""
     probability = _probability(_mean(families, evidence))
     if not policy.LEAST_BESIDE_A_NAME < probability <= policy.MOST_BESIDE_A_NAME:
         return Unknown(probability)  # on the same side of any limit

@@ -103,7 +103,7 @@ class Collection:
 
 
 def by_sensor(circumstances: Circumstances) -> list[tuple[str, Float[Tensor, " reading"]]]:
-    """Each sensor that was read, and 1 at its readings."""
+    """Names of the sensors that were read, each with 1 at its own readings and 0 at others."""
     seen = [(circumstances.sensor == i).to(torch.float64) for i in range(len(circumstances.rig.sensors))]
     named = zip((sensor.name for sensor in circumstances.rig.sensors), seen, strict=True)
     return [(name, its) for name, its in named if bool(its.any())]
