@@ -30,7 +30,7 @@ def computed_on(device: torch.device, work: Callable[..., Found], *fits: Fit) ->
     """
     there = _Move(device)
     moved = [there.of(fit) for fit in fits]
-    if all(one is fit for one, fit in zip(moved, fits, strict=True)):
+    if all(moved_fit is fit for moved_fit, fit in zip(moved, fits, strict=True)):
         return work(*fits)
     return _Move(fits[0].observations.device, there.reversed).of(work(*moved))
 

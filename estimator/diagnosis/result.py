@@ -196,7 +196,7 @@ class Diagnosis:
     def p_not_in_library(self) -> float:
         """Probability that something is there which no list holds: beside the named causes, or instead of one."""
         search = self.findings.search
-        left = max(p_of_structure(one) for one in (search.remainder, search.scatter, search.pull))
+        left = max(p_of_structure(evidence) for evidence in (search.remainder, search.scatter, search.pull))
         return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
 
     def evidence(self) -> dict[str, float]:

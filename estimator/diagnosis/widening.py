@@ -61,9 +61,9 @@ class Widening:
         """
         names, own = fit.posterior.coordinates.names, self.fit.posterior.coordinates.names
         shared = [name for name in own if name in names]
-        rows, kept = [names.index(name) for name in shared], [own.index(name) for name in shared]
+        rows, own_rows = [names.index(name) for name in shared], [own.index(name) for name in shared]
         among = fit.covariance[rows][:, rows]
-        more = stretch(among, self.covariance[kept][:, kept]) - among.new_ones(len(rows)).diag()
+        more = stretch(among, self.covariance[own_rows][:, own_rows]) - among.new_ones(len(rows)).diag()
         following = torch.linalg.solve(
             among, fit.covariance[rows]
         ).T  # of all that goes along with what both have

@@ -66,10 +66,10 @@ def unknown_beside(fit: Fit, causes: Sequence[Cause], families: Sequence[Family]
     # Of all causes at once, so that the directions of each family are found once.
     evidence = evidence_by_amplitude(fit, families, amplitudes, batches)
     each = zip(evidence.split(len(policy.RELATIVE_SHARES), dim=1), rms.items(), strict=True) if rms else ()
-    found = {cause: _beside(fit, families, own, size, batches) for own, (cause, size) in each}
+    unknown = {cause: _beside(fit, families, own, size, batches) for own, (cause, size) in each}
     for cause in scattering:
-        found[cause] = Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
-    return [found[cause] for cause in causes]
+        unknown[cause] = Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
+    return [unknown[cause] for cause in causes]
 
 
 def _beside(

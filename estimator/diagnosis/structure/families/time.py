@@ -119,8 +119,8 @@ def _add_wandering(collection: Collection, circumstances: Circumstances, seen: T
         n = len(kernel)
         largest = (max(n - policy.WANDERING_COMPONENTS, 0), n - 1)
         # On the processor: SciPy finds the few largest alone.
-        found = eigh(numpy_of(kernel), subset_by_index=largest)
-        size, vectors = (torch.from_numpy(numbers).to(kernel.device) for numbers in found)
+        eigenpairs = eigh(numpy_of(kernel), subset_by_index=largest)
+        size, vectors = (torch.from_numpy(numbers).to(kernel.device) for numbers in eigenpairs)
         components = vectors * size.clamp(min=0.0).sqrt()
         for directions in (collection.axes, collection.along_field):
             collection.add("wandering in time", components, directions, sensor)
