@@ -88,13 +88,13 @@ def with_multipoles(rig: Rig, observations: Observations) -> tuple[Rig, Found]:
     bare = replace(rig, coils=_replaced(rig, sparse), parameters={**others, **silent})
 
     def columns(place_m: Triple) -> np.ndarray:
-        one = _placed(bare, (place_m,), prior)
-        with_one = MeasurementModel.unruled(one, seen).with_rules(model.rules)
-        own = CollapsedPosterior(LogPosterior(Coordinates(one), with_one, seen))
+        multipole_rig = _placed(bare, (place_m,), prior)
+        with_one = MeasurementModel.unruled(multipole_rig, seen).with_rules(model.rules)
+        own = CollapsedPosterior(LogPosterior(Coordinates(multipole_rig), with_one, seen))
         return own.at_start[0].numpy()
 
-    found = PlaceSearch(coil, seen_m.numpy(), charges_T.numpy(), columns).find(measured_T.numpy())
-    return _placed(rig, (*coil.multipoles_m, *found.places_m), prior), found
+    multipoles = PlaceSearch(coil, seen_m.numpy(), charges_T.numpy(), columns).find(measured_T.numpy())
+    return _placed(rig, (*coil.multipoles_m, *multipoles.places_m), prior), multipoles
 
 
 def _searchable(rig: Rig, others: tuple[str, ...]) -> tuple[EquivalentSourceCoil, Normal]:
@@ -190,10 +190,12 @@ class PlaceSearch:
             places, before, noise_T = trial, after, finer_T
         return Found(tuple(places), tuple(gains))
 
-    def resolved(self, found: Found) -> Found:
-        """The multipoles of a search that are resolved: readings are about as near to their places as the box is."""
-        kept = [i for i, place_m in enumerate(found.places_m) if self._is_resolved(place_m)]
-        return Found(tuple(found.places_m[i] for i in kept), tuple(found.gains[i] for i in kept))
+    def resolved(self, multipoles: Found) -> Found:
+        """Multipoles that are resolved, of those that a search found: readings are about as near to their places as the box is."""
+        indices = [i for i, place_m in enumerate(multipoles.places_m) if self._is_resolved(place_m)]
+        return Found(
+            tuple(multipoles.places_m[i] for i in indices), tuple(multipoles.gains[i] for i in indices)
+        )
 
     def log_evidence(self, measured_T: np.ndarray, places_m: Sequence[Triple]) -> float:
         """Log evidence of the readings with multipoles at places, up to a constant, at the noise that makes it largest."""
@@ -285,11 +287,11 @@ class PlaceSearch:
         fit = float((score * np.linalg.solve(precision, score)).sum())
         return 0.5 * (fit - float(total) - float(np.linalg.slogdet(precision)[1]))
 
-    def _inner(self, one: _Part, other: _Part, noise_T: float) -> np.ndarray:
+    def _inner(self, first: _Part, other: _Part, noise_T: float) -> np.ndarray:
         """Inner products of columns over the covariance of noise and charges."""
         per_variance = 1.0 / (self._size**2 + noise_T**2)
         product: np.ndarray = (
-            one.along.T @ (per_variance[:, None] * other.along) + one.rest.T @ other.rest / noise_T**2
+            first.along.T @ (per_variance[:, None] * other.along) + first.rest.T @ other.rest / noise_T**2
         )
         return product
 

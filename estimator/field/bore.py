@@ -144,10 +144,10 @@ def _reduced_bessel(s: Float[Tensor, "*shape"]) -> list[Float[Tensor, "*shape"]]
 
 
 def _series(s: Float[Tensor, "*shape"], m: int) -> Float[Tensor, "*shape"]:
-    one = torch.ones_like(s)
-    total = one
+    ones = torch.ones_like(s)
+    total = ones
     for k in range(N_TERMS, 0, -1):
-        total = torch.addcmul(one, total, s, value=0.25 / (k * (k + m)))
+        total = torch.addcmul(ones, total, s, value=0.25 / (k * (k + m)))
     return total / (2.0**m * math.factorial(m))
 
 
