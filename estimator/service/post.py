@@ -158,8 +158,8 @@ async def _status(url: str, headers: dict[str, str], body: bytes, networks: Sequ
 
 async def _address(host: str, port: int, networks: Sequence[str]) -> Address:
     """The address of a host, all of whose addresses may be reached."""
-    found = await asyncio.wrap_future(_looked_up(host, port))
-    addresses = [ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in found]
+    looked_up = await asyncio.wrap_future(_looked_up(host, port))
+    addresses = [ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in looked_up]
     for address in addresses:
         if not may_reach(address, networks):
             raise Undelivered(

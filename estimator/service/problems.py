@@ -85,7 +85,7 @@ def not_found(thing: str, value: str) -> Problem:
 
 def shown(value: object, most: int = MOST_SHOWN) -> str:
     """A value as a refusal shows it: short, and without characters that steer a terminal."""
-    text = CONTROL.sub(lambda found: repr(found[0])[1:-1], str(value))
+    text = CONTROL.sub(lambda control: repr(control[0])[1:-1], str(value))
     return text if len(text) <= most else f"{text[:most]}..."
 
 
@@ -98,8 +98,8 @@ def parts_of(sentence: str) -> dict[str, str | None]:
         >>> parts_of("ducks float")["thing"] is None
         True
     """
-    found = SENTENCE.fullmatch(sentence)
-    return found.groupdict() if found else dict.fromkeys(("thing", "rule", "value", "place"))
+    parts = SENTENCE.fullmatch(sentence)
+    return parts.groupdict() if parts else dict.fromkeys(("thing", "rule", "value", "place"))
 
 
 def answer(

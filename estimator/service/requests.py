@@ -126,12 +126,12 @@ def page_of(
     key = tuple_(table.created, table.id)
     if cursor is not None:
         rows = rows.where(key < _key(cursor))
-    found = list(db.scalars(rows.order_by(table.created.desc(), table.id.desc()).limit(limit + 1)))
-    last = found[limit - 1] if len(found) > limit else None
+    records = list(db.scalars(rows.order_by(table.created.desc(), table.id.desc()).limit(limit + 1)))
+    last = records[limit - 1] if len(records) > limit else None
     following = (
         None if last is None else base64.urlsafe_b64encode(f"{last.created} {last.id}".encode()).decode()
     )
-    return Page(items=[shape(row) for row in found[:limit]], next=following)
+    return Page(items=[shape(row) for row in records[:limit]], next=following)
 
 
 def _key(cursor: str) -> tuple[str, str]:

@@ -170,10 +170,10 @@ def _checked_folder(core: Core, calibration_id: str, wish: Wish) -> Path:
 async def _as_json(
     blocks: AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]], axes: Mapping[str, Tensor]
 ) -> Response:
-    found = [answer async for _, answer in blocks]
+    answered = [answer async for _, answer in blocks]
 
     def body() -> bytes:
-        joined = {name: torch.cat([answer[name] for answer in found]) for name in found[0]}
+        joined = {name: torch.cat([answer[name] for answer in answered]) for name in answered[0]}
         content = {name: values.tolist() for name, values in (*axes.items(), *joined.items())}
         return to_json(content, inf_nan_mode="null")
 
