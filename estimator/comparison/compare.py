@@ -233,9 +233,8 @@ def _fit_with_map(start: Fit, field_map: GridMap, coil: str) -> Fit:
     """The fit with the map, from the poses of another fit; the numbers of the winding have no say any more."""
     rig = start.rig.with_values({p.name: float(start.values[p.name]) for p in start.rig.free})
     own = {f"{coil}.{key}" for key in (*WINDING_KEYS, *SIDED_KEYS, "wire_radius_m")}
-    tied = {
-        p.tie.to for p in rig.parameters.values() if p.tie and p.name not in own
-    }  # another coil needs them
+    # Another coil needs them.
+    tied = {p.tie.to for p in rig.parameters.values() if p.tie and p.name not in own}
     rig = rig.with_fixed(p.name for p in rig.free if p.name in own - tied)
     if not rig.free:
         raise InvalidInput(

@@ -64,9 +64,8 @@ class Widening:
         rows, own_rows = [names.index(name) for name in shared], [own.index(name) for name in shared]
         among = fit.covariance[rows][:, rows]
         more = stretch(among, self.covariance[own_rows][:, own_rows]) - among.new_ones(len(rows)).diag()
-        following = torch.linalg.solve(
-            among, fit.covariance[rows]
-        ).T  # of all that goes along with what both have
+        # How all terms go along with those that both fits have.
+        following = torch.linalg.solve(among, fit.covariance[rows]).T
         stretched = among.new_ones(len(names)).diag()
         stretched[:, rows] += following @ more
         return Widening(fit, stretched @ fit.covariance @ stretched.T)

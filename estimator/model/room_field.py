@@ -81,9 +81,8 @@ class RoomField:
             inside |= distance_m <= 0.0
             if not (distance_m > 0.0).any():
                 continue
-            if (
-                isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS
-            ):  # zones are made for the correct sum
+            # Zones are made for the correct sum.
+            if isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
                 rules[coil.name] = rule_of_coil(winding, points_coil_m[distance_m > 0.0], tolerance)
                 continue
             zones[coil.name] = zones_of(winding, distance_m, tolerance)

@@ -91,10 +91,9 @@ class Mover:
     motion: MotionKind
     displacement_frame: DisplacementFrame = DisplacementFrame.END_EFFECTOR
     reference_rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    own_table: DenavitHartenberg | None = field(
-        default=None, repr=False
-    )  # `Rig.hash` names it where there is one
-    own_ends: ArmEnds | None = field(default=None, repr=False)  # likewise
+    # `Rig.hash` names the table and the ends, where there are any.
+    own_table: DenavitHartenberg | None = field(default=None, repr=False)
+    own_ends: ArmEnds | None = field(default=None, repr=False)
 
     @property
     def table(self) -> DenavitHartenberg | None:

@@ -44,9 +44,10 @@ def best_corrected(
     if is_piled:
         kinds = [kind.with_at_most(policy.MOST_AMPLITUDES_BESIDE_A_PILE) for kind in kinds]
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
+    # Columns hardly change as corrections are taken.
     candidates = [
         CorrectionCandidate.at(kind, first) for kind in kinds if kind.limit.degree >= kind.effect.lowest
-    ]  # columns hardly change as corrections are taken
+    ]
     trial = _linear_trial(first, candidates, tell)
     if standing_in and not is_piled:
         asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]

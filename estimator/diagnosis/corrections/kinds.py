@@ -96,9 +96,8 @@ class CorrectionKind:
                 shapes = fit.vector.new_tensor([start[key] for start in starts])
                 values[f"{self.cause.label}.{key}"] = shapes.repeat_interleave(len(keys))
         with torch.no_grad():
-            if len(starts) > 1 and isinstance(
-                self.effect, MotionEffect
-            ):  # many poses, each near the reported one
+            # Many poses, each near the reported one.
+            if len(starts) > 1 and isinstance(self.effect, MotionEffect):
                 change_T = fit.posterior.measured_components(self._shifted_T(fit, model, values))
             else:
                 is_shown = isinstance(self.effect, ReadingEffect)  # the field at the sensors stays
