@@ -20,17 +20,10 @@ from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
 
-LENGTH_FACTORS = (
-    1e3,
-    1e-3,
-    10.0,
-    0.1,
-    1.0 / 25.4,
-    25.4,
-)  # mm under m, m under mm, mm under cm, ..., inch under mm
-ORDERS = tuple(
-    permutations((0, 1, 2))
-)  # in which turns about fixed axes follow one another, the first one first
+# mm under m, m under mm, mm under cm, ..., inch under mm.
+LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)
+# Orders in which turns about fixed axes follow one another, the first one first.
+ORDERS = tuple(permutations((0, 1, 2)))
 REVERSED, IN_DEGREES = len(ORDERS) + 1, len(ORDERS) + 2
 MOST_ROWS = 2  # that a logger runs late or early
 

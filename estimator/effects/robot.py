@@ -20,9 +20,8 @@ from estimator.rig.rig import MotionKind, Rig
 
 N_JOINTS = 6
 LEAST_TURN = 1e-6  # of a rotation matrix: below, a mover only moves
-SAGGING: dict[
-    str, tuple[int, int | None]
-] = {  # the joint that gives way, and that at which the weight sits; None is the flange
+# The joint that gives way, and that at which the weight sits; None is the flange.
+SAGGING: dict[str, tuple[int, int | None]] = {
     "shoulder_by_elbow_rad_per_m": (1, 2),
     "shoulder_rad_per_m": (1, None),
     "elbow_rad_per_m": (2, None),

@@ -14,9 +14,8 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import ElementEffect, ReadingEffect
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
-PAIRS = tuple(
-    "".join(pair) for pair in permutations("xyz", 2)
-)  # xy: what the x axis picks up of the y component
+# xy: what the x axis picks up of the y component.
+PAIRS = tuple("".join(pair) for pair in permutations("xyz", 2))
 
 
 def _vector(theta: Theta, keys: tuple[str, ...]) -> Tensor:

@@ -15,12 +15,8 @@ from estimator.effects.stages import ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.rig.parameters import LogNormal
 
-LAGS = (
-    0.15,
-    0.25,
-    0.4,
-    0.7,
-)  # of the time between readings: 0.1 % to a quarter is left of the reading before
+# Shares of the time between readings: 0.1 % to a quarter is left of the reading before.
+LAGS = (0.15, 0.25, 0.4, 0.7)
 LEAST_TAU_S = 1e-6  # shorter than any dwell by so much that nothing is left
 LEAST_SHARE = 0.2  # of a sensor's readings that each of two exchanged sensors has
 DRIFT = TemperatureDrift()

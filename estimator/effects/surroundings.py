@@ -14,13 +14,8 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import RoomEffect
 
 MOST_FREQUENCIES = 160
-SLOPES = (
-    "xx",
-    "yy",
-    "xy",
-    "xz",
-    "yz",
-)  # of a field, in the order of its numbers; zz is what leaves no divergence
+# Slopes of a field, in the order of its numbers; zz is what leaves no divergence.
+SLOPES = ("xx", "yy", "xy", "xz", "yz")
 
 
 class BackgroundField(RoomEffect):

@@ -30,9 +30,8 @@ from estimator.field.winding import DEFAULT_TOLERANCE, NODE_LADDER, Rule, smalle
 
 ELEMENTS_PER_CHUNK = 1_000_000  # numbers that torch holds at once in between
 ALL_DIGITS = 1e-15
-SPARE_POINTS = (
-    4  # far away the arcs cancel sides and each other, so that the error is larger relative to what is left
-)
+# Far away the arcs cancel sides and each other, so that the error is larger relative to what is left.
+SPARE_POINTS = 4
 MOST_ARC_POINTS = 200  # all digits down to a distance of 7 % of the largest corner radius
 QUARTER = 0.5 * math.pi
 

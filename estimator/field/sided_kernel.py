@@ -170,10 +170,8 @@ def _sides(point, loop, b, g):  # type: ignore[no-untyped-def]
 def _corners(point, loop, arcs, b, g):  # type: ignore[no-untyped-def]
     """Add the four arcs."""
     up, radius = point[2] - loop[0], loop[3]
-    p, by = (
-        np.empty(3),
-        np.empty((3, 4)),
-    )  # of a point of an arc: its field, and slopes in away_x, away_y, up and radius
+    # At a point of an arc: its field, and slopes in away_x, away_y, up and radius.
+    p, by = np.empty(3), np.empty((3, 4))
     for quarter in range(4):
         right = 1.0 if quarter in (0, 3) else -1.0
         back = 1.0 if quarter < 2 else -1.0
