@@ -51,9 +51,8 @@ def _answering(content: bytes, media_type: str) -> Callable[[Request], Response]
 
     def page_file(request: Request) -> Response:
         response = with_etag(request, tag, lambda: Response(content, media_type=media_type))
-        response.headers["Content-Security-Policy"] = (
-            POLICY  # on 304 too, whose headers replace those of the copy
-        )
+        # On 304 too, whose headers replace those of the copy.
+        response.headers["Content-Security-Policy"] = POLICY
         return response
 
     return page_file

@@ -31,10 +31,8 @@ LONGEST_URL = 500
 HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?")
 MOST_S = 15.0  # from the question for the name's address to the head of the answer
 PUBLIC_V6 = ipaddress.IPv6Network("2000::/3")
-TUNNELS = (
-    ipaddress.IPv6Network("2002::/16"),
-    ipaddress.IPv6Network("2001::/32"),
-)  # to an IPv4 address inside
+# They lead to an IPv4 address inside.
+TUNNELS = (ipaddress.IPv6Network("2002::/16"), ipaddress.IPv6Network("2001::/32"))
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 

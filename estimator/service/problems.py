@@ -27,9 +27,8 @@ SENTENCE = re.compile(
     r"(?:; (?:received )?(?P<value>.*?))?"
     r"(?: \((?P<place>[^()]*)\))?\.?"
 )
-CONTROL = re.compile(
-    r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]"
-)  # and halves of characters, which no answer can hold
+# Control characters, and halves of characters, which no answer can hold.
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 log = logging.getLogger("coilcal.service")
 
 

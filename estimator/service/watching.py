@@ -30,10 +30,8 @@ from estimator.store.journal import Entry
 from estimator.store.session import Session
 
 LOOK_EVERY_S = 1.0  # for the end of the session, and whether anybody watches still
-FIRST, GROWTH = (
-    10,
-    1.6,
-)  # readings that were there before are taken in growing parts, so that the intervals have a past
+# Readings that were there before are taken in growing parts, so that the intervals have a past.
+FIRST, GROWTH = 10, 1.6
 REDRAWN_AT = 1.25  # growth of a session after which the residuals of all its readings are computed anew
 MOST_PLACES = 2_000  # that are shown, the last ones
 HISTORY_STEP = 1.01  # growth of a session between two entries of its history

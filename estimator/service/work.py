@@ -128,9 +128,8 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
 
     options = job["options"]
     out = folder / DIAGNOSIS
-    if (
-        out / DIAGNOSIS_FILE
-    ).exists():  # a kill came before the page, which needs fits that are no longer remembered
+    # A kill came before the page, which needs fits that are no longer remembered.
+    if (out / DIAGNOSIS_FILE).exists():
         shutil.rmtree(out)
     limits = {name: options[name] for name in ("most_causes", "minutes") if options[name] is not None}
     readings = {name: options[name] for name in ("most_readings",) if options[name] is not None}
