@@ -213,7 +213,7 @@ class PlaceSearch:
         return gap_m(place_m, self.coil.half_m) >= LEAST_RESOLVED * float(nearest_m)
 
     def _finer(self, ladder_T: np.ndarray, noise_T: float) -> np.ndarray:
-        """A noise and a few below it."""
+        """Noises of the ladder in T: a given one and a few below it."""
         finer_T: np.ndarray = ladder_T[ladder_T <= 1.01 * noise_T][-N_FINER - 1 :]
         return finer_T
 

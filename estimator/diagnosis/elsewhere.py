@@ -55,7 +55,7 @@ class _Move:
         return {id(there): (there, here) for here, there in self._known.values()}
 
     def of(self, what: Found) -> Found:
-        """What it is on the device."""
+        """A fit, tensor, record or collection as it is on the device of this move."""
         if id(what) not in self._known:
             self._known[id(what)] = (what, self._moved(what))
         return cast("Found", self._known[id(what)][1])

@@ -82,7 +82,7 @@ def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = Fals
 
 
 def switch(key: str, lower: float, upper: float, null: float) -> Quantity:
-    """A number that is set, not fitted."""
+    """A number of a cause that is set and never fitted."""
     return Quantity(key, "1", Uniform(lower, upper), null, is_shape=True, is_fixed=True)
 
 

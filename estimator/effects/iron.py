@@ -278,7 +278,7 @@ class _SoftIron(RoomEffect):
 
 
 class IronBody(_SoftIron):
-    """One such piece."""
+    """One small piece of iron in the room."""
 
     name: ClassVar[str] = "iron_body"
     words: ClassVar[str] = "a piece of iron in the room answers the coils"

@@ -91,7 +91,7 @@ class ResponseByPlace(Correction, ReadingEffect):
 
 
 def _at_m(circumstances: Circumstances, sensor: str) -> Float[Tensor, "reading 3"]:
-    """Reported positions of that mover."""
+    """Reported positions of the mover of the sensor, or else of the first coil that has one, in m."""
     at_m = circumstances.mover_of_sensor_m(sensor)
     assert at_m is not None  # see `concerns`
     return at_m

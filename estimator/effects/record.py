@@ -267,7 +267,7 @@ class DisplacementFrameError(MotionEffect):
 
 
 def _signed_permutations() -> list[dict[str, float]]:
-    """The 48 of them, the identity first."""
+    """All 48 signed permutations of the axes, the identity first."""
     return [
         {
             f"{axis}_reads": float(sign * column)

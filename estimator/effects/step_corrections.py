@@ -64,7 +64,7 @@ class CurrentSteps(ShareOfCurrent, _Steps):
     highest: ClassVar[int] = 12
 
     def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
-        """Sum of the steps so far."""
+        """Share of the current at each reading: the sum of the steps so far."""
         return self._stepped(theta, circumstances)
 
 

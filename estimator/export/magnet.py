@@ -42,7 +42,7 @@ class Magnet:
 
     @property
     def only(self) -> Calibrated | None:
-        """The calibration, if there is one."""
+        """The calibration, if there is only one."""
         return self.parts[0] if len(self.parts) == 1 else None
 
     @cached_property

@@ -55,7 +55,7 @@ class Metrics:
         Gauge(name, words, registry=self._registry).set_function(read)
 
     def text(self) -> bytes:
-        """All of them, as Prometheus reads them."""
+        """All metrics in the text format of Prometheus."""
         return generate_latest(self._registry)
 
 

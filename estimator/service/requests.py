@@ -100,7 +100,7 @@ def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes
 
 
 def documented_body(media_type: str, description: str) -> dict[str, Any]:
-    """What OpenAPI says of such a body."""
+    """OpenAPI description of a required body of this media type."""
     schema = {"type": "string", "minLength": 1}
     if media_type == "application/zip":
         schema = {"type": "string", "format": "binary"}

@@ -90,7 +90,7 @@ def _beside(
 
 
 def _mean(families: Sequence[Family], evidence: Float[Tensor, "family amplitude"]) -> float:
-    """Log evidence for any of them."""
+    """Log evidence that one of the families is there, whichever it is."""
     return log_mean_exp(torch.tensor(list(by_name(families, evidence).values()), dtype=torch.float64))
 
 
