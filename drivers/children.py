@@ -27,9 +27,8 @@ def start_without_main(process: SpawnProcess) -> None:
     """
     with _ONE_AT_A_TIME:
         program = sys.modules["__main__"]
-        sys.modules["__main__"] = ModuleType(
-            "__main__"
-        )  # has neither a file nor a spec that could be imported
+        # A module that has neither a file nor a spec that could be imported.
+        sys.modules["__main__"] = ModuleType("__main__")
         try:
             process.start()
         finally:

@@ -1,4 +1,4 @@
-"""Where tensors live and how precisely: names that users give, and the border to NumPy.
+"""Devices of tensors and their precision: names that users give, and the border to NumPy.
 
 Readings are moved to a device and into a precision (`Observations.to`); what is computed from them follows. emcee, ArviZ, SciPy and all
 reports stay on the processor.

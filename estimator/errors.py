@@ -12,7 +12,7 @@ LEAST_LIKENESS = 0.6  # of a name to the one that may have been meant, from 0 to
 
 @dataclass(frozen=True)
 class Place:
-    """Where in a text file a fault stands.
+    """Location of a fault in a text file.
 
     Attributes:
         file: Its path.

@@ -30,7 +30,8 @@ READ_TEMPERATURE = ":FETC:TEMP?"
 """Temperature of the probe in degrees Celsius; not a number if the probe has no thermometer."""
 
 CLEAR_BUFFER = ":FETC:BUFF:CLE"
-"""As in the NICOS driver. A full buffer takes seconds over the serial line, so unwanted points are cleared instead of read."""
+"""Discards the points in the buffer, as the NICOS driver does. A full buffer takes seconds over the serial line, so unwanted points are
+cleared instead of read."""
 
 _ERRORS = ";:SYST:ERR:ALL?"
 _OVERLOAD_BIT = 1 << 1

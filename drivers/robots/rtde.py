@@ -172,7 +172,7 @@ def encode_data(recipe: Recipe, values: Sequence[Value]) -> Package:
 
 @cache
 def _layout(types: tuple[str, ...]) -> struct.Struct:
-    """Of the payload of a data package."""
+    """Binary layout of the payload of a data package: the number of the recipe, then values of these types."""
     return struct.Struct(">B" + "".join(_FORMATS[kind] for kind in types))
 
 

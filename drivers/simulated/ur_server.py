@@ -130,7 +130,9 @@ class _UrServer:
         """Serve what arrives until a package is due, or for a control cycle, then send the packages that are due."""
         now_s = time.monotonic()
         due_s = [
-            one.next_s for one in self._clients.values() if isinstance(one, _RtdeClient) and one.is_started
+            client.next_s
+            for client in self._clients.values()
+            if isinstance(client, _RtdeClient) and client.is_started
         ]
         wait_s = max(0.0, min([now_s + _CYCLE_S, *due_s]) - now_s)
         for ready in select.select([*self._servers, *self._clients], [], [], wait_s)[0]:

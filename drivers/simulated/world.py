@@ -108,9 +108,8 @@ class World:
     def snapshot(self) -> Snapshot:
         """The world now."""
         with self._cells:
-            now_s = (
-                time.monotonic()
-            )  # before the lock, it could lie before a start that another process writes
+            # Before the lock, the time could lie before a start that another process writes.
+            now_s = time.monotonic()
             currents_A = tuple(self._current_A(coil, now_s) for coil in range(len(self.circuits)))
             poses = tuple(self._pose(arm, now_s) for arm in range(self._n_arms))
             rises_K = [self._rise_K(coil, now_s) for coil in range(len(self.circuits))]

@@ -98,7 +98,7 @@ def _verdict(result: BatchResult, table: pd.DataFrame, best: pd.DataFrame, names
 
 
 def _wrong(best: pd.DataFrame) -> list[str]:
-    """Where another hypothesis than the rig as described is most probable, one sentence for each such hypothesis."""
+    """A sentence for each hypothesis that is most probable in some session and is not the rig as described."""
     if not len(best):
         return []
     short = _short(best["session"])

@@ -68,8 +68,8 @@ def points_of(number: int, seed: int) -> np.ndarray:
 
 def winding_of(n_axial: int = N_AXIAL, n_radial: int = N_RADIAL) -> Winding:
     """The paper's winding, or one of other numbers of loops."""
-    one = torch.ones((), dtype=torch.float64)
-    return Winding(RADIUS_M * one, n_axial * one, n_radial * one, PITCH_M * one, PITCH_M * one)
+    ones = torch.ones((), dtype=torch.float64)
+    return Winding(RADIUS_M * ones, n_axial * ones, n_radial * ones, PITCH_M * ones, PITCH_M * ones)
 
 
 def loops_of_paper(n_axial: int, n_radial: int) -> tuple[np.ndarray, np.ndarray]:

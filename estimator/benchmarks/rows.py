@@ -30,7 +30,7 @@ class Row:
         return statistics.median(self.values)
 
     def beside(self, peer: Row) -> Row:
-        """The same row with its ratio to a peer."""
+        """This row with the ratio of its median to that of a peer."""
         return Row(self.name, self.unit, self.values, self.median / peer.median, self.extra)
 
     def to_json(self) -> dict[str, Any]:

@@ -139,7 +139,7 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
 
 
 def _spectra(calibration: Calibration, title: str) -> Iterator[Picture]:
-    """Of each coil without a winding of which the readings tell."""
+    """Spectrum of the amplitudes of each harmonic coil of which the readings determine any."""
     determined = calibration.summary().get("amplitudes", {})
     for coil in calibration.rig.unwound:
         if not isinstance(coil, HarmonicCoil) or not determined.get(coil.name, {}).get("determined"):

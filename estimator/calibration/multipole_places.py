@@ -88,13 +88,13 @@ def with_multipoles(rig: Rig, observations: Observations) -> tuple[Rig, Found]:
     bare = replace(rig, coils=_replaced(rig, sparse), parameters={**others, **silent})
 
     def columns(place_m: Triple) -> np.ndarray:
-        one = _placed(bare, (place_m,), prior)
-        with_one = MeasurementModel.unruled(one, seen).with_rules(model.rules)
-        own = CollapsedPosterior(LogPosterior(Coordinates(one), with_one, seen))
+        multipole_rig = _placed(bare, (place_m,), prior)
+        with_one = MeasurementModel.unruled(multipole_rig, seen).with_rules(model.rules)
+        own = CollapsedPosterior(LogPosterior(Coordinates(multipole_rig), with_one, seen))
         return own.at_start[0].numpy()
 
-    found = PlaceSearch(coil, seen_m.numpy(), charges_T.numpy(), columns).find(measured_T.numpy())
-    return _placed(rig, (*coil.multipoles_m, *found.places_m), prior), found
+    multipoles = PlaceSearch(coil, seen_m.numpy(), charges_T.numpy(), columns).find(measured_T.numpy())
+    return _placed(rig, (*coil.multipoles_m, *multipoles.places_m), prior), multipoles
 
 
 def _searchable(rig: Rig, others: tuple[str, ...]) -> tuple[EquivalentSourceCoil, Normal]:
@@ -167,7 +167,10 @@ class PlaceSearch:
         return self.resolved(self.find_any(measured_T))
 
     def find_any(self, measured_T: np.ndarray) -> Found:
-        """The same with those that are not resolved, which take part so that no other is drawn to their sources."""
+        """Multipoles that readings ask for, resolved or not.
+
+        Those that are not resolved take part so that no other is drawn to their sources.
+        """
         measured, ladder_T = self._part(measured_T[:, None]), _ladder_T(measured_T)
         places: list[Triple] = []
         gains: list[float] = []
@@ -187,13 +190,15 @@ class PlaceSearch:
             places, before, noise_T = trial, after, finer_T
         return Found(tuple(places), tuple(gains))
 
-    def resolved(self, found: Found) -> Found:
-        """Those that readings resolve."""
-        kept = [i for i, place_m in enumerate(found.places_m) if self._is_resolved(place_m)]
-        return Found(tuple(found.places_m[i] for i in kept), tuple(found.gains[i] for i in kept))
+    def resolved(self, multipoles: Found) -> Found:
+        """Multipoles that are resolved, of those that a search found: readings are about as near to their places as the box is."""
+        indices = [i for i, place_m in enumerate(multipoles.places_m) if self._is_resolved(place_m)]
+        return Found(
+            tuple(multipoles.places_m[i] for i in indices), tuple(multipoles.gains[i] for i in indices)
+        )
 
     def log_evidence(self, measured_T: np.ndarray, places_m: Sequence[Triple]) -> float:
-        """Of readings with multipoles at places, up to a constant, with the noise that has most."""
+        """Log evidence of the readings with multipoles at places, up to a constant, at the noise that makes it largest."""
         return self._best(self._part(measured_T[:, None]), list(places_m), _ladder_T(measured_T))[0]
 
     def moved(self, measured_T: np.ndarray, places_m: Sequence[Triple]) -> tuple[Triple, ...]:
@@ -208,7 +213,7 @@ class PlaceSearch:
         return gap_m(place_m, self.coil.half_m) >= LEAST_RESOLVED * float(nearest_m)
 
     def _finer(self, ladder_T: np.ndarray, noise_T: float) -> np.ndarray:
-        """A noise and a few below it."""
+        """Noises of the ladder in T: a given one and a few below it."""
         finer_T: np.ndarray = ladder_T[ladder_T <= 1.01 * noise_T][-N_FINER - 1 :]
         return finer_T
 
@@ -272,7 +277,7 @@ class PlaceSearch:
         return self._grid_m[int(gain.argmax())], float(gain.max())
 
     def _log_evidence(self, measured: _Part, multipoles: _Part, noise_T: float) -> float:
-        """Of the readings, up to a constant, for one noise."""
+        """Log evidence of the readings at one noise, up to a constant, with all amplitudes integrated out."""
         n = len(measured.rest) - len(self._size)
         log_determinant = np.log(self._size**2 + noise_T**2).sum() + 2.0 * n * np.log(noise_T)
         total = float(self._inner(measured, measured, noise_T)[0, 0]) + log_determinant
@@ -282,11 +287,11 @@ class PlaceSearch:
         fit = float((score * np.linalg.solve(precision, score)).sum())
         return 0.5 * (fit - float(total) - float(np.linalg.slogdet(precision)[1]))
 
-    def _inner(self, one: _Part, other: _Part, noise_T: float) -> np.ndarray:
+    def _inner(self, first: _Part, other: _Part, noise_T: float) -> np.ndarray:
         """Inner products of columns over the covariance of noise and charges."""
         per_variance = 1.0 / (self._size**2 + noise_T**2)
         product: np.ndarray = (
-            one.along.T @ (per_variance[:, None] * other.along) + one.rest.T @ other.rest / noise_T**2
+            first.along.T @ (per_variance[:, None] * other.along) + first.rest.T @ other.rest / noise_T**2
         )
         return product
 

@@ -11,7 +11,7 @@ MISSED_SHARE = 0.2
 misses a fifth of the field predicts nothing."""
 
 MISSED_NOISE = 3.0
-"""The same error over what the expected noise leaves: weak fields drown in noise without any fault."""
+"""Error over what the expected noise leaves up to which no calibration is unusable: weak fields drown in noise without any fault."""
 
 LARGER_THAN_NOISE = 1.5
 """Error over what a known noise leaves from which on something is suspect. Statistics: six standard deviations for twenty readings."""
@@ -20,7 +20,8 @@ LARGE_NOISE_SD = 2.0
 """Fitted noise above the middle of its prior, in the prior's standard deviations, that is suspect. Statistics: 2 % of right priors."""
 
 FAR_SD = 3.5
-"""The same for any other number, in both directions. Statistics: 0.05 % of right priors, since there are a dozen of them."""
+"""Distance of any other fitted number from the middle of its prior, up or down, in the prior's standard deviations, that is suspect.
+Statistics: 0.05 % of right priors, since there are a dozen of them."""
 
 LEAST_COVERAGE90 = 0.75
 """Share of the components of unseen readings inside their 90 % intervals below which these are suspect. Statistics: four standard

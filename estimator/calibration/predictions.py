@@ -54,17 +54,17 @@ def answers(
         return [answers(calibration, [question], wanted)[0] for question in questions]
     room = calibration.room(torch.cat([q.points_m for q in questions]), _motion(questions))
     current_A = _by_point([calibration.currents(q.currents_A) for q in questions], questions)
-    found: list[dict[str, Tensor]] = [{} for _ in questions]
+    answered: list[dict[str, Tensor]] = [{} for _ in questions]
 
     def add(names: tuple[str, str, str], at: Callable[[Values], Tensor], n_axes: int) -> None:
         """Values of all questions together, told apart by their points, which stand before the axes of a value."""
         sizes = [len(question.points_m) for question in questions]
         best = at(calibration.best_values()).split(sizes, dim=-1 - n_axes)
-        for answer, value in zip(found, best, strict=True):
+        for answer, value in zip(answered, best, strict=True):
             answer[names[0]] = value
         if wanted.has_intervals:
             draws = at(calibration.draw_values(INTERVAL_DRAWS)).split(sizes, dim=-1 - n_axes)
-            for answer, values, question in zip(found, draws, questions, strict=True):
+            for answer, values, question in zip(answered, draws, questions, strict=True):
                 shape = answer[names[0]].shape
                 answer[names[1]], answer[names[2]] = calibration.ends(values, shape, question.level)
 
@@ -72,7 +72,7 @@ def answers(
         add(FIELD, lambda values: room.field_by_point_T(values, current_A), 1)
     if wanted.has_gradient:
         add(GRADIENT, lambda values: room.gradient_by_point_T_per_m(values, current_A), 2)
-    return found
+    return answered
 
 
 def _can_be_joined(calibration: Calibration, questions: Sequence[Question]) -> bool:

@@ -45,7 +45,7 @@ class Assessment:
     next_step: str
 
     def to_json(self) -> dict[str, Any]:
-        """As `summary.json` holds it."""
+        """Verdict, reasons and next step in the form of `summary.json`."""
         return {"verdict": str(self.quality), "reasons": list(self.reasons), "next": self.next_step}
 
 
@@ -136,7 +136,7 @@ def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> li
         values: What was found for them, by name.
     """
     parameters = list(parameters)
-    found = []
+    far = []
     shown = displays([parameter.name for parameter in parameters])
     for parameter in parameters:
         assert parameter.prior is not None
@@ -149,13 +149,13 @@ def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> li
             show = shown[parameter.name]
             size, middle = (f"{number * show.factor:.4g}" for number in (value, parameter.prior.centre))
             words = f"{show.words} is {size} {show.unit}".rstrip()
-            found.append(
+            far.append(
                 (
                     abs(distance_sd),
                     f"{words} where {middle} is expected, {distance_sd:+.1f} widths of its prior.",
                 )
             )
-    return [words for _, words in sorted(found, reverse=True)]
+    return [words for _, words in sorted(far, reverse=True)]
 
 
 def _misfit(rig: Rig, error_T: float, expected_T: float) -> list[str]:

@@ -187,8 +187,8 @@ def _amplitude_table(
             if not numbers:
                 continue
             sizes = [
-                _rms([one["median"] for one in numbers]),
-                _rms([one["sd"] for one in numbers]),
+                _rms([number["median"] for number in numbers]),
+                _rms([number["sd"] for number in numbers]),
                 _rms([prior.sd for prior in priors]),
             ]
             rows.append(

@@ -144,9 +144,8 @@ class Calibration:
         n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
         values = values.expand(n_draws, *shape)  # no batch where no coil is free
         tails = [0.5 - 0.5 * level, 0.5 + 0.5 * level]
-        ends = np.quantile(
-            numpy_of(values), tails, axis=0
-        )  # a third of the time of torch.quantile, which sorts
+        # Takes a third of the time of torch.quantile, which sorts.
+        ends = np.quantile(numpy_of(values), tails, axis=0)
         lower, upper = torch.from_numpy(ends).to(values)
         return lower, upper
 

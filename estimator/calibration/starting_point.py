@@ -130,7 +130,7 @@ def starting_point_with_counts(
 
 
 def independent(posterior: CollapsedPosterior, settings: SamplerSettings) -> Samples:
-    """As many empty draws as are wanted, where nothing but amplitudes is free: each is drawn by itself."""
+    """Samples of a posterior in which nothing but amplitudes is free: independent draws without coordinates, as many as are wanted."""
     walkers = max(settings.n_walkers, 1)
     steps = int(np.ceil(settings.target_ess / walkers))
     n, none = float(steps * walkers), np.zeros(0)

@@ -33,7 +33,7 @@ class Connection:
         )
 
     def close(self) -> None:
-        """Close it."""
+        """Close the connections to the service."""
         self._http.close()
 
     def run(self, steps: Steps[T]) -> T:
@@ -100,7 +100,7 @@ class AsyncConnection:
         )
 
     async def close(self) -> None:
-        """Close it."""
+        """Close the connections to the service."""
         await self._http.aclose()
 
     async def run(self, steps: Steps[T]) -> T:

@@ -28,7 +28,7 @@ class RemoteDiagnosis(Generic[C]):
     posterior: C | None
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it."""
+        """Content of `diagnosis.json`."""
         return dict(self.diagnosis_json)
 
     @property

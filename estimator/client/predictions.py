@@ -43,8 +43,8 @@ def field_interval(
     calibration_id: str, points_m: Points, currents_A: Currents, level: float, motion: Motion | None
 ) -> Steps[tuple[Points, Points]]:
     """Ends of the credible interval of the flux density."""
-    found = yield from _predicted(calibration_id, points_m, currents_A, motion, {"level": level})
-    return found["field_lower_T"], found["field_upper_T"]
+    answer = yield from _predicted(calibration_id, points_m, currents_A, motion, {"level": level})
+    return answer["field_lower_T"], answer["field_upper_T"]
 
 
 def gradient_interval(
@@ -52,8 +52,8 @@ def gradient_interval(
 ) -> Steps[tuple[Gradients, Gradients]]:
     """Ends of the credible interval of the gradient."""
     asked = {"has_field": False, "has_gradient": True, "level": level}
-    found = yield from _predicted(calibration_id, points_m, currents_A, motion, asked)
-    return found["gradient_lower_T_per_m"], found["gradient_upper_T_per_m"]
+    answer = yield from _predicted(calibration_id, points_m, currents_A, motion, asked)
+    return answer["gradient_lower_T_per_m"], answer["gradient_upper_T_per_m"]
 
 
 def grid(

@@ -75,7 +75,7 @@ class Rival:
         return self.fit.observations.field_sensor_T - predicted_T
 
     def to_json(self) -> dict[str, Any]:
-        """As `comparison.json` holds it."""
+        """How well this description fits, in the form of `comparison.json`."""
         return {
             "explains": self.explains,
             "rms_T": self.lack_of_fit.rms_T,
@@ -140,7 +140,7 @@ class Comparison:
         return self.interpolation_error_T > COARSE * self.map.lack_of_fit.noise_T
 
     def to_json(self) -> dict[str, Any]:
-        """As `comparison.json` holds it."""
+        """Content of `comparison.json`."""
         better = self.improvement
         return {
             "coil": self.coil,
@@ -233,9 +233,8 @@ def _fit_with_map(start: Fit, field_map: GridMap, coil: str) -> Fit:
     """The fit with the map, from the poses of another fit; the numbers of the winding have no say any more."""
     rig = start.rig.with_values({p.name: float(start.values[p.name]) for p in start.rig.free})
     own = {f"{coil}.{key}" for key in (*WINDING_KEYS, *SIDED_KEYS, "wire_radius_m")}
-    tied = {
-        p.tie.to for p in rig.parameters.values() if p.tie and p.name not in own
-    }  # another coil needs them
+    # Another coil needs them.
+    tied = {p.tie.to for p in rig.parameters.values() if p.tie and p.name not in own}
     rig = rig.with_fixed(p.name for p in rig.free if p.name in own - tied)
     if not rig.free:
         raise InvalidInput(

@@ -25,7 +25,7 @@ SAME = 1e-6  # of the spacing: coordinates that differ by less are one
 
 @dataclass(frozen=True)
 class Column:
-    """Where a quantity stands, and its factor to SI."""
+    """Column of a table that holds one quantity, and the factor that takes its numbers to SI."""
 
     index: int
     to_si: float

@@ -27,7 +27,7 @@ CLOSED = re.compile(rb"\s*</AppendedData>")
 
 @dataclass(frozen=True)
 class _Source:
-    """Where arrays are read from, and how they are packed."""
+    """File from which arrays are read, and how they are packed in it."""
 
     path: Path
     header: np.dtype[np.unsignedinteger]

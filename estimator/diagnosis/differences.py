@@ -42,11 +42,13 @@ def clearest_difference(
     distance = {_name(cause, q): abs(float(fit.values[_name(cause, q)]) - q.null) for q in sizes}
     alone = [distance[name] / fit.value_sd(name) for name in distance]
     best: Difference | None = None
-    for one, other in combinations(sizes, 2):
-        if one.unit != other.unit or one.null != other.null:
+    for first, second in combinations(sizes, 2):
+        if first.unit != second.unit or first.null != second.null:
             continue
-        farther, nearer = sorted((_name(cause, one), _name(cause, other)), key=lambda name: -distance[name])
-        difference = _difference(fit, cause, (farther, nearer), one.unit, posterior, widening)
+        farther, nearer = sorted(
+            (_name(cause, first), _name(cause, second)), key=lambda name: -distance[name]
+        )
+        difference = _difference(fit, cause, (farther, nearer), first.unit, posterior, widening)
         if best is None or difference.distance_sd > best.distance_sd:
             best = difference
     least = policy.CLEARER_DIFFERENCE * max(alone, default=0.0)

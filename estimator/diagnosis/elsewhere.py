@@ -30,7 +30,7 @@ def computed_on(device: torch.device, work: Callable[..., Found], *fits: Fit) ->
     """
     there = _Move(device)
     moved = [there.of(fit) for fit in fits]
-    if all(one is fit for one, fit in zip(moved, fits, strict=True)):
+    if all(moved_fit is fit for moved_fit, fit in zip(moved, fits, strict=True)):
         return work(*fits)
     return _Move(fits[0].observations.device, there.reversed).of(work(*moved))
 
@@ -55,7 +55,7 @@ class _Move:
         return {id(there): (there, here) for here, there in self._known.values()}
 
     def of(self, what: Found) -> Found:
-        """What it is on the device."""
+        """A fit, tensor, record or collection as it is on the device of this move."""
         if id(what) not in self._known:
             self._known[id(what)] = (what, self._moved(what))
         return cast("Found", self._known[id(what)][1])

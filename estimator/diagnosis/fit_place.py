@@ -1,4 +1,4 @@
-"""Where the fits of a diagnosis predict readings: on the processor, on another device, or in single precision.
+"""Device and precision in which the fits of a diagnosis predict readings: on the processor, on another device, or in single precision.
 
 Only the climb to a maximum may be in single precision. Columns of causes are differences over a thousandth of a prior's width, and
 evidences differ by less than single precision tells: both, and the last step of every fit, are made in double precision, where the

@@ -56,7 +56,7 @@ class Fit:
         return self.optimum.vector[0]
 
     def to(self, readings: Observations) -> Fit:
-        """The same fit of the same readings on another device, with all that is computed from it.
+        """This fit of the same readings on another device, with all that is computed from it.
 
         Args:
             readings: The fitted readings there.

@@ -41,11 +41,11 @@ def headline(diagnosis: Diagnosis) -> list[str]:
 def tension_words(diagnosis: Diagnosis) -> str:
     """Numbers of the rig file that lie far from what it expects of them, even with the causes that were found; empty where none does."""
     values = {name: float(value) for name, value in diagnosis.fits.final.values.items()}
-    found = tensions(diagnosis.rig.free, values)
-    if not found:
+    far = tensions(diagnosis.rig.free, values)
+    if not far:
         return ""
-    rest = f" {len(found) - MOST_TENSIONS} more numbers lie as far." if len(found) > MOST_TENSIONS else ""
-    return f"Far from what the rig file expects: {' '.join(found[:MOST_TENSIONS])}{rest}"
+    rest = f" {len(far) - MOST_TENSIONS} more numbers lie as far." if len(far) > MOST_TENSIONS else ""
+    return f"Far from what the rig file expects: {' '.join(far[:MOST_TENSIONS])}{rest}"
 
 
 def held_back(diagnosis: Diagnosis) -> list[str]:
@@ -55,16 +55,17 @@ def held_back(diagnosis: Diagnosis) -> list[str]:
     """
     sentences = []
     for sized in diagnosis.sized_causes:
-        for key, one in sized.quantities.items():
+        for key, interval in sized.quantities.items():
             parameter = diagnosis.extended_rig.parameters.get(f"{sized.cause.label}.{key}")
             prior = parameter.prior if parameter is not None else None
-            if not isinstance(prior, Normal) or not 0.0 < one.sd < MOST_OF_PRIOR * prior.sd:
+            if not isinstance(prior, Normal) or not 0.0 < interval.sd < MOST_OF_PRIOR * prior.sd:
                 continue
-            alone = prior.mean + (one.median - prior.mean) / (1.0 - (one.sd / prior.sd) ** 2)
-            if abs(alone - one.median) > one.sd:
+            alone = prior.mean + (interval.median - prior.mean) / (1.0 - (interval.sd / prior.sd) ** 2)
+            if abs(alone - interval.median) > interval.sd:
                 sentences.append(
-                    f"The prior of {sized.name} holds its {quantity_words(key)} back: {size_with_unit(one.median, one.unit)} with a "
-                    f"prior of ± {size_with_unit(prior.sd, one.unit)}, about {size_with_unit(alone, one.unit)} without. "
+                    f"The prior of {sized.name} holds its {quantity_words(key)} back: "
+                    f"{size_with_unit(interval.median, interval.unit)} with a prior of ± "
+                    f"{size_with_unit(prior.sd, interval.unit)}, about {size_with_unit(alone, interval.unit)} without. "
                     "If such a size is possible, state a wider prior in the rig file."
                 )
     return sentences
@@ -74,10 +75,10 @@ def _what(diagnosis: Diagnosis) -> str:
     """What is wrong, where, and how sure that is."""
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
         return f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
-    found = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
-    found += _causes(diagnosis)
+    wrong = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
+    wrong += _causes(diagnosis)
     if diagnosis.verdict is not Verdict.UNEXPLAINED:
-        return f"{_capital('; '.join(found))}."
+        return f"{_capital('; '.join(wrong))}."
     search = diagnosis.findings.search
     remainder = search.remainder
     if _is_pulled(diagnosis):
@@ -92,7 +93,7 @@ def _what(diagnosis: Diagnosis) -> str:
             f"it is {remainder.rms_sigma:.2g} times the noise and depends on {_plain(remainder.family)}"
         )
     unknown = f"Something is wrong that no known cause explains: {dependence}"
-    return f"{unknown}. Beside it: {'; '.join(found)}." if found else f"{unknown}."
+    return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
 
 
 def _is_pulled(diagnosis: Diagnosis) -> bool:
@@ -115,10 +116,10 @@ def _plain(dependence: str) -> str:
 def _would_have_shown(diagnosis: Diagnosis) -> str:
     """The smallest visible size of the first cause of the library that shows, of a coil, a sensor and a mover each."""
     first: dict[Kind, Visible] = {}
-    easiest_first = sorted(diagnosis.left_open.visible, key=lambda one: one.size / one.prior_sd)
-    for one in sorted(easiest_first, key=lambda one: ORDER[one.cause.name]):
-        if one.is_visible and not EFFECTS[one.cause.name].is_record_mistake:
-            first.setdefault(EFFECTS[one.cause.name].kind, one)
+    easiest_first = sorted(diagnosis.left_open.visible, key=lambda visible: visible.size / visible.prior_sd)
+    for visible in sorted(easiest_first, key=lambda visible: ORDER[visible.cause.name]):
+        if visible.is_visible and not EFFECTS[visible.cause.name].is_record_mistake:
+            first.setdefault(EFFECTS[visible.cause.name].kind, visible)
     shown = [
         f"{diagnosis.label(first[kind].cause)} {quantity_words(first[kind].key)} from {size_with_unit(first[kind].size, first[kind].unit)}"
         for kind in (Kind.COIL, Kind.SENSOR, Kind.MOVER)
@@ -128,15 +129,15 @@ def _would_have_shown(diagnosis: Diagnosis) -> str:
 
 
 def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
-    """That the model of the source itself seems wrong, and what speaks for it."""
+    """Sentence that the model of the source itself seems wrong, and what speaks for it."""
     assert others is not None
     search = diagnosis.findings.search
     n_kinds = len({cause.name for cause in search.added})
     left = search.remainder
     leaving = f" and leave structure with a log evidence of {left.log_bayes_factor:.0f}"
     reached = "".join(
-        f"; {diagnosis.label(one.cause)} {one.log_bayes_factor:.0f} beside {len(one.needed)} of them"
-        for one in others.asked[:MOST_STRUCTURES]
+        f"; {diagnosis.label(structure.cause)} {structure.log_bayes_factor:.0f} beside {len(structure.needed)} of them"
+        for structure in others.asked[:MOST_STRUCTURES]
     )
     return (
         f"The model of the source itself seems wrong, so check how it is built: {len(search.added)} causes of {n_kinds} kinds pile up"
@@ -170,17 +171,17 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
 
 def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
     """The clearest numbers of a cause with their 90 % intervals, and when it began; other shapes say where, not how much."""
-    sized = next(one for one in diagnosis.sized_causes if one.cause == cause)
+    sized = next(sized_cause for sized_cause in diagnosis.sized_causes if sized_cause.cause == cause)
     shapes = {quantity.key for quantity in EFFECTS[cause.name].quantities(Extent()) if quantity.is_shape}
     clear = sorted(
-        (-abs(one.median) / one.sd, key, one)
-        for key, one in sized.quantities.items()
-        if key not in shapes and abs(one.median) > policy.CLEAR_SD * one.sd > 0.0
+        (-abs(interval.median) / interval.sd, key, interval)
+        for key, interval in sized.quantities.items()
+        if key not in shapes and abs(interval.median) > policy.CLEAR_SD * interval.sd > 0.0
     )
     words = [] if sized.difference is None else [difference_words(sized.difference)]
     words += [
-        f"{quantity_words(key)} {interval_with_unit(one.median, *one.ci90, one.unit)}"
-        for _, key, one in clear[: MOST_SIZES - len(words)]
+        f"{quantity_words(key)} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
+        for _, key, interval in clear[: MOST_SIZES - len(words)]
     ]
     if SINCE in sized.quantities:
         words.append(f"{SECONDS_PER_HOUR * sized.quantities[SINCE].median:.0f} s after the first reading")

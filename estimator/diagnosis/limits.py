@@ -40,7 +40,7 @@ class Limits:
 
     @property
     def words(self) -> str:
-        """Why it ended, or must end."""
+        """Why the search ended, or must end."""
         if self.stopped.is_set():
             return "it was stopped"
         return f"its time of {self.minutes:g} min was over"

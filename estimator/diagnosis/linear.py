@@ -49,7 +49,7 @@ class Projector:
         return cls(jacobian, factor)
 
     def in_single(self) -> Projector:
-        """The same in single precision; columns are brought to one size first."""
+        """This projector in single precision; columns are brought to one size first."""
         n = self.factor.shape[-1]
         return Projector(self.basis.float(), torch.eye(n, device=self.factor.device))
 
@@ -108,7 +108,7 @@ class Products:
         projector: Projector,
         residual: Float[Tensor, " component"],
     ) -> Products:
-        """Those at a fit, given its projector and residual."""
+        """Inner products of the columns of several sets at a fit, given its projector and whitened residual."""
         return cls(columns.mT @ columns, _times_each(projector.jacobian.T, columns), columns.mT @ residual)
 
     def without(
@@ -118,7 +118,7 @@ class Products:
         growth: float,
         are_whitened: bool,
     ) -> Products:
-        """The same at the fit without some of its parameters, to first order.
+        """These products at the fit without some of its parameters, to first order.
 
         Args:
             others: Parameters that it still has.
@@ -196,10 +196,12 @@ def log_bayes_factor_by_width(
     width: Float[Tensor, "*#batch width"],
     noise: FreeNoise | None = None,
 ) -> Float[Tensor, "*batch width"]:
-    """The same for each of several widths that all columns of a set share; their directions are found once.
+    """Log Bayes factor of columns against none, for each of several standard deviations that all columns of a set share.
+
+    The directions of a set are found once.
 
     Args:
-        gram, score, noise: As above.
+        gram, score, noise: As in `log_bayes_factor`.
         width: Standard deviation of the coefficients.
     """
     size, square = _directions(gram, score)

@@ -69,15 +69,15 @@ def panels(diagnosis: Diagnosis) -> Panels:
 
 
 def panels_text(made: Panels) -> str:
-    """As `panels.json` holds them."""
+    """Content of `panels.json`."""
     return json.dumps(asdict(made), allow_nan=False) + "\n"
 
 
 def _answer(sized: SizedCause) -> Answer:
     sizes = [
-        f"{quantity_words(key)} {interval_with_unit(one.median, *one.ci90, one.unit)}"
-        for key, one in sized.quantities.items()
-        if one.sd > 0.0
+        f"{quantity_words(key)} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
+        for key, interval in sized.quantities.items()
+        if interval.sd > 0.0
     ]
     if sized.difference is not None:
         sizes.append(difference_words(sized.difference))
@@ -179,11 +179,11 @@ def _moved(diagnosis: Diagnosis) -> list[Moved]:
         before = (float(plain.values[name]), plain.value_sd(name))
         after = (float(final.values[name]), diagnosis.value_sd(name))
         if before[1] > 0.0 and after[1] > 0.0:
-            one = display[name]
+            shown_as = display[name]
             of_causes = {diagnosis.label(c): pulled[name] for c, pulled in pulls.items() if name in pulled}
-            shown = Shown(name, one.words, one.unit, one.factor)
+            shown = Shown(name, shown_as.words, shown_as.unit, shown_as.factor)
             result.append(Moved(shown, before, after, (after[0] - before[0]) / before[1], of_causes))
-    return sorted(result, key=lambda one: -abs(one.moved_sd))
+    return sorted(result, key=lambda moved: -abs(moved.moved_sd))
 
 
 def _next(diagnosis: Diagnosis) -> list[NextMeasurement]:

@@ -32,16 +32,16 @@ FINE_TOLERANCE = 1e-4
 change in 4."""
 
 ROUGH_TOLERANCE = 1e-2
-"""The same for a fit that is one of many. Effort: log evidences that decide differ by more than 1. Study of 5 cases: numbers change in
-2."""
+"""Gain in log density below which a fit stops that is one of many. Effort: log evidences that decide differ by more than 1. Study of 5
+cases: numbers change in 2."""
 
 ROUGH_TO_SD = 0.03
 """How near its maximum such a fit ends where it has more than 22 numbers: root mean square over them, in standard deviations. Effort:
 hundreds of numbers crawl along valleys. Study: not in it, for its models are smaller."""
 
 STRUCTURE_TOLERANCE = 0.1
-"""The same for a hypothesis of structure in place of a pile of causes. Effort: hundreds of log evidence are to beat, and most crawl along
-valleys that lead nowhere; the one that does better is fitted to the end. Study: not in it."""
+"""Gain in log density below which the fit of a hypothesis of structure, in place of a pile of causes, stops. Effort: hundreds of log
+evidence are to beat, and most crawl along valleys that lead nowhere; the one that does better is fitted to the end. Study: not in it."""
 
 CORRECTED_TO_SD = 0.08
 """How near its maximum the fit of a corrected model to all readings that count ends: root mean square over its numbers, in standard
@@ -62,8 +62,8 @@ EXPECTED_NOISE_SD = 2.5
 Statistics: 1 % of normal draws lie beyond; a mistake is then only looked for, not yet believed. Study of 5 cases: no change."""
 
 EXPECTED_VALUE_SD = 3.5
-"""The same for every other free number. Statistics: 0.05 % of normal draws, since there are a dozen of them. Study of 5 cases: no
-change."""
+"""Distance of any other free number from the middle of its prior, in its standard deviations, up to which no mistake of the record is
+looked for. Statistics: 0.05 % of normal draws, since there are a dozen of them. Study of 5 cases: no change."""
 
 LARGEST_MEAN_SQUARE = 1.5
 """Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement: three
@@ -98,13 +98,15 @@ MOST_MISTAKES = 3
 # Prior probabilities of the hypotheses
 
 LOG_PRIOR_NOTHING = math.log(0.4)
-"""That no cause, and nothing else, is there. By judgement (docs/decisions/0008). Study of 5 cases: no change."""
+"""Log prior probability that no cause, and nothing else, is there. By judgement (docs/decisions/0008). Study of 5 cases: no change."""
 
 LOG_PRIOR_CAUSE = math.log(0.3)
-"""That one of the causes is there; all causes share it alike. By judgement (docs/decisions/0008). Study of 5 cases: no change."""
+"""Log prior probability that one of the causes is there; all causes share it alike. By judgement (docs/decisions/0008). Study of 5 cases:
+no change."""
 
 LOG_PRIOR_UNEXPLAINED = math.log(0.3)
-"""That something is there which no cause explains. By judgement (docs/decisions/0008). Study of 5 cases: no change."""
+"""Log prior probability that something is there which no cause explains. By judgement (docs/decisions/0008). Study of 5 cases: no
+change."""
 
 # Screening
 
@@ -127,8 +129,9 @@ stays farther than this below the evidence that it needs, such causes are not fi
 (docs/decisions/0047). Study of 2 cases: numbers change in 1."""
 
 MOST_FITTED_IN_A_PILE = 3
-"""The same where more kinds of causes than `MOST_KINDS` have piled up. Effort: such a model has hundreds of numbers, and no cause of it
-gets a name for what it leads by. By measurement in MICE run07 (docs/decisions/0062). Study: not in it."""
+"""Causes that are fitted in full, as `MOST_FITTED`, where more kinds of causes than `MOST_KINDS` have piled up. Effort: such a model has
+hundreds of numbers, and no cause of it gets a name for what it leads by. By measurement in MICE run07 (docs/decisions/0062). Study: not in
+it."""
 
 LEADERS_WITHIN = 10.0
 """Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is; and by which scatter must lead
@@ -211,8 +214,8 @@ MOST_PERIODS = 320
 down. Effort: sessions with fewer readings have fewer. Study of 5 cases: numbers change in 1."""
 
 MOST_PERIODS_ALONG_AXIS = 24
-"""The same along each axis of a mover, whose grids are coarser. By judgement: a screw has a turn every few millimetres. Study of 5 cases:
-numbers change in 4."""
+"""Periods that are looked for along each axis of a mover, whose grids are coarser. By judgement: a screw has a turn every few millimetres.
+Study of 5 cases: numbers change in 4."""
 
 WANDERING_SHARES = (0.2, 0.05, 0.0125)
 """Times over which what wanders keeps its value, over the duration. By judgement: factors of four, down to two readings of 160. Study of 5
@@ -271,7 +274,8 @@ MOST_BESIDE_A_NAME = 0.2
 credible set. By measurement (docs/decisions/0040). Study: not in it."""
 
 LEAST_BESIDE_A_NAME = 1.0 - CREDIBLE_SHARE
-"""The same, up to which a name is stated alone whatever its size. By definition of a credible set. Study: not in it."""
+"""Probability that a cause is something else, which no list holds, up to which its name is stated alone whatever its size. By definition of
+a credible set. Study: not in it."""
 
 MORE_THAN_OF_NOISE = math.log(3.0)
 """Log evidence for something else, over what noise is expected to leave beside a cause of that size, up to which its name is stated alone

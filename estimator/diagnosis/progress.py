@@ -30,11 +30,11 @@ OnCount = Callable[[str, int, int], None]
 
 
 def unwatched(progress: Progress) -> None:
-    """For a search that nobody watches."""
+    """Ignore the progress of a search that nobody watches."""
 
 
 def uncounted(what: str, done: int, total: int) -> None:
-    """For work that nobody watches."""
+    """Ignore how far work is that nobody watches."""
 
 
 class Pace:

@@ -156,7 +156,7 @@ class Diagnosis:
 
     @property
     def improvement(self) -> Improvement | None:
-        """Of the predictions of unseen readings; None where there are none."""
+        """Improvement of the predictions of unseen readings; None where there are none."""
         return self.fits.improvement
 
     def label(self, cause: Cause) -> str:
@@ -196,7 +196,7 @@ class Diagnosis:
     def p_not_in_library(self) -> float:
         """Probability that something is there which no list holds: beside the named causes, or instead of one."""
         search = self.findings.search
-        left = max(p_of_structure(one) for one in (search.remainder, search.scatter, search.pull))
+        left = max(p_of_structure(evidence) for evidence in (search.remainder, search.scatter, search.pull))
         return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
 
     def evidence(self) -> dict[str, float]:
@@ -228,7 +228,7 @@ class Diagnosis:
         return (1.0 if widening is None else widening.factors[name]) * self.fits.final.value_sd(name)
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it."""
+        """Content of `diagnosis.json`."""
         search, left_open, improvement = self.findings.search, self.left_open, self.improvement
         remainder = search.remainder
         result: dict[str, Any] = {
@@ -291,7 +291,7 @@ class Diagnosis:
         write_text(folder / EXTENDED_RIG, rig_text(self.extended_rig, note))
 
     def _interval(self, name: str) -> Interval:
-        """Of a number of the extended rig: from its posterior draws, else by Laplace; widened by what remains unexplained."""
+        """Interval of a number of the extended rig: from its posterior draws, else by Laplace; widened by what remains unexplained."""
         parameter = self.fits.final.rig.parameters[name]
         sampled = {} if self.posterior is None else self.posterior.summary()["parameters"]
         if name in sampled:

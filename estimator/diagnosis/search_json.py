@@ -47,10 +47,10 @@ def _source_model(search: Search, label: Label) -> dict[str, Any] | None:
         "log_bayes_factor": others.log_bayes_factor,
         "asked": [
             {
-                "name": label(one.cause),
-                "log_bayes_factor": one.log_bayes_factor,
-                "needed": [label(cause) for cause in one.needed],
+                "name": label(structure.cause),
+                "log_bayes_factor": structure.log_bayes_factor,
+                "needed": [label(cause) for cause in structure.needed],
             }
-            for one in others.asked
+            for structure in others.asked
         ],
     }

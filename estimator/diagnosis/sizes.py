@@ -20,7 +20,7 @@ class Interval:
     unit: str
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it."""
+        """This interval in the form of `diagnosis.json`."""
         return {"median": self.median, "sd": self.sd, "ci90": list(self.ci90), "unit": self.unit}
 
 
@@ -38,7 +38,7 @@ class Difference:
         return abs(self.interval.median) / self.interval.sd if self.interval.sd > 0.0 else 0.0
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it."""
+        """This difference in the form of `diagnosis.json`."""
         return {"plus": self.plus, "minus": self.minus, **self.interval.to_json()}
 
 
@@ -81,7 +81,7 @@ class SizedCause:
         return tuple(sorted(others, key=lambda other: -other[1]))
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it; mistakes of the record have no expected log evidence."""
+        """This cause in the form of `diagnosis.json`; mistakes of the record have no expected log evidence."""
         alternatives = [
             {"name": name, "probability": alternative.probability}
             | ({} if self.is_record_mistake else {"expected_log_evidence": alternative.expected_log_evidence})
@@ -101,5 +101,5 @@ class SizedCause:
 
 
 def intervals_to_json(intervals: Mapping[str, Interval]) -> dict[str, Any]:
-    """As `diagnosis.json` holds them, by SI key."""
+    """Intervals by SI key, in the form of `diagnosis.json`."""
     return {key: interval.to_json() for key, interval in intervals.items()}

@@ -97,7 +97,7 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
 def _numbers(diagnosis: Diagnosis, cause: Cause) -> dict[str, Interval]:
     """Quantities of a cause by their keys, and last the difference of two that is known better than any of them."""
     numbers = diagnosis.quantities(cause)
-    sized = next((one for one in diagnosis.sized_causes if one.cause == cause), None)
+    sized = next((sized_cause for sized_cause in diagnosis.sized_causes if sized_cause.cause == cause), None)
     if sized is not None and (known := sized.difference) is not None:
         numbers[f"{split_quotient(known.plus)[0]} − {known.minus}"] = known.interval
     return numbers
@@ -238,7 +238,7 @@ def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str)
 
 
 def _signed(value: float) -> str:
-    """To one digit, without a sign before zero.
+    """A number as text with one digit after the point, without a sign before zero.
 
     Examples:
         >>> _signed(-0.04), _signed(-2.34)

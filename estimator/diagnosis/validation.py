@@ -39,7 +39,7 @@ class ValidationScores:
     log_density: Float[Tensor, " reading"]
 
     def to_json(self) -> dict[str, Any]:
-        """As JSON holds it; None stands for what does not apply, such as angles where one component was measured."""
+        """These scores in the form of JSON; None stands for what does not apply, such as angles where one component was measured."""
         numbers = {
             **asdict(self.errors),
             "coverage50": self.coverage50,

@@ -177,8 +177,8 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     ]
     before = search.base_discrepancy.weighed(final.weight_over(search.base))
     if len(named) > policy.MOST_CAUSES_REFITTED:
-        stand = standing(final, [one.cause for one in named], before, search.remainder)
-        return [one for one in named if one.cause in stand]
+        stand = standing(final, [named_cause.cause for named_cause in named], before, search.remainder)
+        return [named_cause for named_cause in named if named_cause.cause in stand]
     columns = torch.cat((before.columns, search.remainder.columns), dim=1)
     still_named = []
     for cause in named:

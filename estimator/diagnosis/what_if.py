@@ -115,7 +115,9 @@ def what_if(fit: Fit, label: str) -> WhatIf:
     pool = candidates(fit, [cause]) if cause in causes_of(fit.rig, fit) else []
     if not pool:
         raise InvalidInput(f"cause must be one that acts on the readings of the session; received {label!r}")
-    best = max(pool, key=lambda one: float((fit.projector.rest(one.columns) * one.prior_sd).norm()))
+    best = max(
+        pool, key=lambda candidate: float((fit.projector.rest(candidate.columns) * candidate.prior_sd).norm())
+    )
     left = fit.projector.rest(best.columns)
     coil = fit.rig.coils[int(fit.observations.current_A.abs().sum(0).argmax())]
     position_m, coil_from_sensor = fit.posterior.model.readings_in_coil(coil, fit.values)

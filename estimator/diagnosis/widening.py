@@ -61,12 +61,11 @@ class Widening:
         """
         names, own = fit.posterior.coordinates.names, self.fit.posterior.coordinates.names
         shared = [name for name in own if name in names]
-        rows, kept = [names.index(name) for name in shared], [own.index(name) for name in shared]
+        rows, own_rows = [names.index(name) for name in shared], [own.index(name) for name in shared]
         among = fit.covariance[rows][:, rows]
-        more = stretch(among, self.covariance[kept][:, kept]) - among.new_ones(len(rows)).diag()
-        following = torch.linalg.solve(
-            among, fit.covariance[rows]
-        ).T  # of all that goes along with what both have
+        more = stretch(among, self.covariance[own_rows][:, own_rows]) - among.new_ones(len(rows)).diag()
+        # How all terms go along with those that both fits have.
+        following = torch.linalg.solve(among, fit.covariance[rows]).T
         stretched = among.new_ones(len(names)).diag()
         stretched[:, rows] += following @ more
         return Widening(fit, stretched @ fit.covariance @ stretched.T)
@@ -136,7 +135,7 @@ class Widening:
 def _mean_by_counts(
     counts: Float[Tensor, "draw count"], continuous: Float[Tensor, "draw coordinate"]
 ) -> Float[Tensor, "draw coordinate"]:
-    """For each draw the mean over all draws with the same counts."""
+    """Mean of the coordinates over all draws with the same counts, for each draw."""
     if not counts.shape[1]:
         return continuous.mean(dim=0).expand_as(continuous)
     _, group, size = torch.unique(counts, dim=0, return_inverse=True, return_counts=True)

@@ -82,7 +82,7 @@ def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = Fals
 
 
 def switch(key: str, lower: float, upper: float, null: float) -> Quantity:
-    """A number that is set, not fitted."""
+    """A number of a cause that is set and never fitted."""
     return Quantity(key, "1", Uniform(lower, upper), null, is_shape=True, is_fixed=True)
 
 
@@ -126,7 +126,7 @@ class Effect(ABC):
 
     @abstractmethod
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Its numbers, in a session like this."""
+        """Numbers that this cause has in a session like this one."""
 
     def extent_of(self, keys: Iterable[str]) -> Extent:
         """An extent in which its quantities have these keys; the default where keys do not depend on it."""

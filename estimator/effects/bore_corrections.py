@@ -41,7 +41,7 @@ class _Bore(Correction):
     highest: ClassVar[int] = 24
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Of the trend, or of a wave: cosines and sines of up to six turns about the line."""
+        """Terms of the trend for degree 0, else of a half wave: cosines and sines of up to six turns about the line."""
         return WAVES if degree else TREND
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -80,7 +80,7 @@ class _Bore(Correction):
         return {key: float(f"{number:.6g}") for key, number in numbers.items()}
 
     def limit_around(self, places_m: Float[Tensor, "reading 3"]) -> Limit:
-        """By the places, with the cylinder made as long as it is wide, and by how steep its waves may be."""
+        """Highest degree that the places determine, in a cylinder scaled to be as long as wide, whose waves are not too steep."""
         none = self.lowest - 1
         if not len(places_m):
             return Limit(none)
@@ -113,7 +113,7 @@ class CoilBore(_Bore, CoilField):
     words: ClassVar[str] = "a field along the bore that moves with the coil and goes with its current"
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the places in the coil's frame."""
+        """Highest degree that the places of the readings in the coil's frame determine."""
         return self.limit_around(self.read_at_m(circumstances, place))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -135,7 +135,7 @@ class RoomBore(_Bore, RoomEffect):
     is_background: ClassVar[bool] = True
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the places in the room; none where currents and coils' poses never changed."""
+        """Highest degree that the places of the readings in the room determine; none where currents and coils' poses never changed."""
         words = room_is_hidden(circumstances)
         return Limit(self.lowest - 1, words) if words else self.limit_around(positions_m(circumstances))
 

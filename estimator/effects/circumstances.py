@@ -63,7 +63,7 @@ class Circumstances:
         return len(self.observations)
 
     def with_effects_of(self, rig: Rig) -> Circumstances:
-        """The same circumstances for a rig that differs in its effects alone; what is known of the session stays known."""
+        """These circumstances for a rig that differs in its effects alone; what is known of the session stays known."""
         other = Circumstances(rig, self.observations)
         known = {name: value for name, value in self.__dict__.items() if name not in ("rig", "observations")}
         other.__dict__.update(known)
@@ -283,12 +283,12 @@ class Circumstances:
         bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
         held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1
         step_h = self.duration_h / (len(edges) - 1)
-        kept = torch.exp(-step_h / tau_h)[..., None]  # of what there was, after one step
-        passed, reach = (1.0 - kept) * values[held], 1
+        remaining = torch.exp(-step_h / tau_h)[..., None]  # of what there was, after one step
+        passed, reach = (1.0 - remaining) * values[held], 1
         while reach < len(held):  # of so many steps; twice as many each time
-            earlier = kept * passed[..., :-reach]
+            earlier = remaining * passed[..., :-reach]
             passed = torch.cat((passed[..., :reach], passed[..., reach:] + earlier), dim=-1)
-            kept, reach = kept.square(), 2 * reach
+            remaining, reach = remaining.square(), 2 * reach
         return passed[..., bin_of[self.observations.row]]
 
     def _poses(self, mover: str) -> Transform:

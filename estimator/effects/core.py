@@ -45,7 +45,7 @@ class CrossMagnetisation(CoreMagnetisation):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where another coil carries current; one coil alone cannot show more than `iron_core` and `core_saturation` say."""
+        """Whether another coil carries current; one coil alone cannot show more than `iron_core` and `core_saturation` say."""
         coil = [coil.name for coil in circumstances.rig.coils].index(place)
         is_on = (circumstances.observations.history.current_A != 0.0).any(0)
         is_on[coil] = False
@@ -85,7 +85,7 @@ class CoreRemanence(CoreMemory):
     source: ClassVar[str] = "coercivity 10 to 1000 A/m of soft iron and steel, over 1e4 turns per metre"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Half the play, as a current."""
+        """Half the play of the core's memory, as a current in A."""
         return (at_least_zero("coercive_A", "A", max(0.02, 0.02 * extent.largest_current_A)),)
 
     def places(self, rig: Rig) -> tuple[str, ...]:
@@ -93,7 +93,7 @@ class CoreRemanence(CoreMemory):
         return tuple(coil.name for coil in rig.round)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Beside a core, where the current of the coil has turned back."""
+        """Whether the rig has an iron core here already, and the current of the coil has turned back."""
         if Cause(CrossMagnetisation.name, place) not in circumstances.rig.effects:
             return False
         coil = [coil.name for coil in circumstances.rig.coils].index(place)

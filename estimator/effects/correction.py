@@ -131,11 +131,11 @@ class InTime(Correction):
         return WHEN
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """In a session that lasts."""
+        """Whether the session lasts longer than a moment."""
         return not circumstances.is_moment
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of times at which there are readings, of the sensor where it is one's."""
+        """Highest degree that the number of different times determines; for a sensor, only its own readings count."""
         sensors = [sensor.name for sensor in circumstances.rig.sensors]
         time_s = circumstances.observations.time_s
         if place in sensors:
@@ -153,11 +153,11 @@ class ShareOfCurrent(InTime, OneCoilCurrent):
         """How much more there is than the commanded current, as a share of it."""
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """The share."""
+        """The only term of a degree: a share of the current."""
         return ("share",)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """In a session that lasts, where the coil carried current."""
+        """Whether the session lasts longer than a moment, and the coil carried current."""
         return super().concerns(circumstances, place) and circumstances.has_current(place)
 
     def delivered(
@@ -167,7 +167,7 @@ class ShareOfCurrent(InTime, OneCoilCurrent):
         circumstances: Circumstances,
         coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
+        """Current in the coil, in A."""
         return current_A * (1.0 + self.share(theta, circumstances)[..., 0])
 
 

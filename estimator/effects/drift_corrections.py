@@ -24,7 +24,7 @@ class _Drift(InTime):
     falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Components."""
+        """Components of what wanders."""
         return ("x", "y", "z")
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -32,12 +32,12 @@ class _Drift(InTime):
         return (shape("duration_h", "h", 0.0, 2.0 * extent.duration_h, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """That of this session."""
+        """Duration of this session, in h."""
         return ({"duration_h": float(f"{circumstances.duration_h:.6g}")},)
 
     @staticmethod
     def _wave(theta: Theta, circumstances: Circumstances, degree: int) -> Float[Tensor, " reading"]:
-        """Zero where a single moment stands for a session, as in predictions."""
+        """Half wave of a degree at each reading, a pure number; 0 where a single moment stands for a session, as in predictions."""
         if circumstances.is_moment:
             return torch.zeros_like(circumstances.hours)
         return torch.cos(math.pi * degree * circumstances.hours / theta["duration_h"].flatten()[0])
@@ -74,7 +74,7 @@ class RoomWanders(_Drift, RoomEffect):
     words: ClassVar[str] = "the field of the room wanders with time"
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
-        """In the world frame."""
+        """Wandering field of the room in the world frame, in T."""
         return self._wandering(theta, circumstances)
 
 
@@ -91,12 +91,12 @@ class ResponseWanders(_Drift, ReadingEffect):
         return (*super().shapes(extent), range_T)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Those of this session."""
+        """Duration of this session, in h, and the largest component that the sensor read, in T."""
         range_T = float(f"{circumstances.largest_of_sensor_T(place):.6g}")
         return tuple({**start, "range_T": range_T} for start in super().starts(circumstances, place))
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """For each component those that it is proportional to."""
+        """Pairs of components: the first changes by a share of the second."""
         return tuple(f"{axis}_{other}" for axis in "xyz" for other in "xyz")
 
     def apply(
@@ -123,7 +123,7 @@ class TurnsWander(_Drift, ReadingEffect):
     highest: ClassVar[int] = 8
 
     def relative_width(self, degree: int) -> float:
-        """That of degree 0 is that of the first."""
+        """Width of the amplitudes of a degree over that of the first; degree 0 has that of the first."""
         return super().relative_width(max(degree, 1))
 
     def apply(
@@ -145,12 +145,12 @@ class CurrentWanders(ShareOfCurrent, _Drift):
     highest: ClassVar[int] = 40
 
     def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
-        """Sum of its waves."""
+        """Share of the current at each reading: the sum of all half waves."""
         return self._wandering(theta, circumstances)
 
 
 class GuidesWander(_Drift, MotionEffect):
-    """Where a mover really stands wanders: it warms up, creeps, or its clock runs apart from the sensor's."""
+    """The mover's real position wanders: it warms up, creeps, or its clock runs apart from the sensor's."""
 
     name: ClassVar[str] = "guides_wander"
     words: ClassVar[str] = "where the mover stands wanders with time"

@@ -35,7 +35,7 @@ class GuideErrors(Correction, MotionEffect):
         return tuple(f"{axis}_along_{way}" for way in "xyz" for axis in ("xyz" if is_bent else way))
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Where the way along each axis begins, and how long it is."""
+        """Beginning and length of the mover's way along each axis, in m."""
         ends_m = 100.0 * extent.reach_m
         return tuple(
             quantity
@@ -56,12 +56,12 @@ class GuideErrors(Correction, MotionEffect):
         return ({key: float(f"{number:.6g}") for key, number in numbers.items()},)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved."""
+        """Whether the mover moved."""
         at_m = self._at_m(circumstances, place)
         return bool((at_m != at_m[0]).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the fewest positions along any axis along which it moved."""
+        """Highest degree that the readings determine; it is below the number of positions along each axis along which the mover moved."""
         at_m = self._at_m(circumstances, place)
         span_m = at_m.max(0).values - at_m.min(0).values
         moved = [i for i in range(3) if float(span_m[i]) > SMALLEST_SPAN * float(span_m.max())]

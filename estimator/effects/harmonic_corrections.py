@@ -39,7 +39,7 @@ class _Harmonics(Correction):
 
     @property
     def n_terms(self) -> dict[int, int]:
-        """By degree, the number of terms up to it."""
+        """Number of terms up to each degree."""
         below = self.lowest**2
         return {degree: (degree + 1) ** 2 - below for degree in range(self.lowest, self.highest + 1)}
 
@@ -79,12 +79,12 @@ class CoilField(Correction, SourceEffect):
         return tuple(coil.name for coil in rig.wound)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the coil carried current."""
+        """Whether the coil carried current."""
         return circumstances.has_current(place)
 
     @staticmethod
     def read_at_m(circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
-        """Where the coil's field was read, in its frame."""
+        """Positions of the readings with current in the coil, in the coil's frame, in m."""
         i = _index(circumstances, place)
         has_current = circumstances.current_A[:, i] != 0.0
         return positions_m(circumstances, circumstances.rig.coils[i])[has_current]
@@ -97,7 +97,7 @@ class CoilHarmonics(_Harmonics, CoilField):
     words: ClassVar[str] = "a smooth field that moves with the coil and goes with its current"
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the places in the coil's frame."""
+        """Highest degree that the places of the readings in the coil's frame determine."""
         return limit_of_places(self.read_at_m(circumstances, place), self.n_terms)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -122,7 +122,7 @@ class CoilMultipoles(_Harmonics, CoilField):
     lowest: ClassVar[int] = 2
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the places in the coil's frame; none where some are much nearer to the coil than others."""
+        """Highest degree that the places of the readings in the coil's frame determine; none where some are much nearer to the coil."""
         distance_m = self._from_middle_m(circumstances, place).norm(dim=-1)
         if float(distance_m.min()) < NEAREST * float(distance_m.mean()):
             return Limit(self.lowest - 1, "readings reach into the coil, where multipoles have no meaning")
@@ -141,7 +141,10 @@ class CoilMultipoles(_Harmonics, CoilField):
         return harmonics.exterior_field(_in_reach(points_coil_m, theta), self.amplitudes(theta))
 
     def _from_middle_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
-        """The same places about the middle of the winding, half its length behind the front face."""
+        """Positions of the readings with current in the coil, in m, along its axes from the middle of the winding.
+
+        The middle lies half the winding's length behind the front face.
+        """
         nominal = circumstances.rig.nominal_values()
         length_m = nominal[f"{place}.axial_pitch_m"] * nominal[f"{place}.axial_loops"]
         at_m = self.read_at_m(circumstances, place)
@@ -156,7 +159,7 @@ class RoomHarmonics(_Harmonics, RoomEffect):
     is_background: ClassVar[bool] = True
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the places in the room; none where currents and coils' poses never changed."""
+        """Highest degree that the places of the readings in the room determine; none where currents and coils' poses never changed."""
         words = room_is_hidden(circumstances)
         if words:
             return Limit(self.lowest - 1, words)
@@ -187,12 +190,15 @@ class RoomAnswers(_Harmonics, RoomEffect):
         return tuple(coil.name for coil in rig.wound)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the coil carried current and was moved; of one that stands still, it is the coil's own field."""
+        """Whether the coil carried current and is carried by a mover; of one that stands still, this is the coil's own field."""
         coil = circumstances.rig.coils[_index(circumstances, place)]
         return circumstances.has_current(place) and bool(coil.carried_by)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the places in the room; the uniform part needs only one, since the coil moved."""
+        """Highest degree that the places of the readings in the room determine; at least the uniform part, for which one place is enough.
+
+        The coil moved, so that its own field cannot be mistaken for it.
+        """
         limit = limit_of_places(self._read_at_m(circumstances, place), self.n_terms)
         return Limit(max(limit.degree, self.lowest), limit.words)
 

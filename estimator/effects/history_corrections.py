@@ -66,11 +66,11 @@ class SidesRemembered(Correction, MotionEffect):
         return "how the mover came to where it stands"
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved both to and fro."""
+        """Whether the mover moved."""
         return bool((circumstances.last_move_m(place) != 0.0).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of readings, where moves left more than one side."""
+        """Highest degree that the number of readings determines; 0 where all moves left the mover on one side."""
         if bool((_sides(circumstances, place) == 1.0).all()):
             return Limit(0, "the mover went to one side only; come to some places from the other")
         return limit_of_number(self, len(circumstances), "readings")
@@ -103,15 +103,15 @@ class CurrentRemembered(Correction, OneCoilCurrent):
     highest: ClassVar[int] = 4
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """A share of the largest current."""
+        """Share of the largest current of the session."""
         return ("share",)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """That current."""
+        """Unit of the amplitudes: the largest current of the session, in A."""
         return (shape("range_A", "A", 0.0, 100.0 * extent.largest_current_A, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The largest of the session."""
+        """Largest current of this session, in A."""
         return ({"range_A": float(f"{circumstances.largest_current_A:.6g}")},)
 
     def broken_rule(self, values: dict[str, float]) -> tuple[str, str] | None:  # type: ignore[override]
@@ -123,7 +123,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
         return None if key.startswith("degree1") or key == "range_A" else "the currents before"
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """None where the current never changed; at least two readings of each current that differs."""
+        """Highest degree; none where the current never changed."""
         current_A = circumstances.observations.history.current_A[:, _coil(circumstances, place)]
         n = len(torch.unique((current_A / (LEAST_STEP * circumstances.largest_current_A)).round()))
         if n > 1:
@@ -137,7 +137,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
         circumstances: Circumstances,
         coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil."""
+        """Current in the coil, in A."""
         range_A = theta["range_A"].flatten()[0]
         history_A = circumstances.observations.history.current_A[:, coil]
         before_A = torch.nn.functional.pad(history_A, (1, 0))[:-1]
@@ -175,7 +175,7 @@ class FieldRemembered(Correction, ReadingEffect):
         return ("share",)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """None."""
+        """No fixed numbers."""
         return ()
 
     def beyond_the_moment(self, key: str) -> str | None:
@@ -183,11 +183,11 @@ class FieldRemembered(Correction, ReadingEffect):
         return "the readings before"
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With readings one after another."""
+        """Whether readings follow one another in time."""
         return not circumstances.is_moment
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of the sensor's readings."""
+        """Highest degree that the number of the sensor's readings determines."""
         own = circumstances.is_of(place)
         return limit_of_number(self, int(own.sum()), "readings one after another")
 

@@ -68,7 +68,7 @@ class IronPlate(RoomEffect):
     def response(
         self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
-        """In front the image of the coil, behind so much less of its field."""
+        """Field of the sheet in the world frame, in T/A: in front the image of the coil, behind so much less of its field."""
         across = _across(theta)
         depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
         coil_m = (per_ampere.position_m * across).sum(-1) - theta["distance_m"][..., None]
@@ -99,7 +99,7 @@ class PiercedPlate(RoomEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where sensors lie far enough apart."""
+        """Whether the sensors' positions spread far enough for a plate between them."""
         return float(_spread_m(circumstances).max()) > LEAST_BETWEEN * circumstances.reach_m
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -133,7 +133,7 @@ class PiercedPlate(RoomEffect):
     def steady_T(
         self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
-        """Half of the step on each side, and what the opening lets through of it."""
+        """Field in the world frame, in T: half of the step on each side, and what the opening lets through of it."""
         across, half_T = _across(theta), 0.5 * theta["step_T"][..., None]
         from_middle_m = points_m - _middle_m(theta)
         side = torch.where((from_middle_m * across).sum(-1) < 0.0, -1.0, 1.0)
@@ -160,7 +160,7 @@ class PiercedPlate(RoomEffect):
 
 
 def _middle_m(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
-    """Middle of the opening."""
+    """Middle of the opening in the world frame, in m."""
     return torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
 
 
@@ -278,7 +278,7 @@ class _SoftIron(RoomEffect):
 
 
 class IronBody(_SoftIron):
-    """One such piece."""
+    """One small piece of iron in the room."""
 
     name: ClassVar[str] = "iron_body"
     words: ClassVar[str] = "a piece of iron in the room answers the coils"
@@ -296,5 +296,5 @@ class SecondIronBody(_SoftIron):
     idealises: ClassVar[str | None] = None
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Beside a first piece."""
+        """Whether the rig has a first piece already."""
         return Cause(IronBody.name, place) in circumstances.rig.effects

@@ -27,12 +27,12 @@ class _AboveLevel(Correction, ReadingEffect):
     highest: ClassVar[int] = 1
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
+        """Highest degree that the number of different readings of the sensor determines."""
         shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the sensor was read at several levels."""
+        """Whether the sensor was read at several levels."""
         return len(self.starts(circumstances, place)) > 1
 
 
@@ -43,7 +43,7 @@ class AxisSteps(_AboveLevel):
     words: ClassVar[str] = "one axis of the sensor is off by a step above some level"
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """The step."""
+        """Its only term: the step."""
         return ("step",)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -85,18 +85,18 @@ class GainSteps(_AboveLevel):
         return ("share",)
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """The level."""
+        """Level above which the share holds, in T."""
         return (shape("above_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """None, then between any two readings."""
+        """Level 0, under all readings, then levels between any two readings."""
         shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return tuple({"above_T": level_T} for level_T in (0.0, *_levels(shown_T.abs().amax(-1))))
 
     def factors(
         self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
     ) -> Float[Tensor, "start reading"]:
-        """Readings above each level."""
+        """For each level 1 at readings above it, else 0."""
         shown_T = circumstances.observations.field_sensor_T.abs().amax(-1)
         levels_T = shown_T.new_tensor([start["above_T"] for start in starts])
         return (shown_T > levels_T[:, None]).to(circumstances.hours)

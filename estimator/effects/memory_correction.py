@@ -48,7 +48,7 @@ class MovesRemembered(Correction, MotionEffect):
         return ({key: float(f"{max(number, LEAST_LENGTH_M):.6g}") for key, number in numbers.items()},)
 
     def broken_rule(self, values: dict[str, float]) -> tuple[str, str] | None:  # type: ignore[override]
-        """Both must be lengths."""
+        """The move and the reach must be positive lengths."""
         return next(((key, "must be > 0") for key in ("move_m", "reach_m") if values[key] <= 0.0), None)
 
     def beyond_the_moment(self, key: str) -> str | None:
@@ -56,11 +56,11 @@ class MovesRemembered(Correction, MotionEffect):
         return "how the mover came to where it stands"
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved."""
+        """Whether the mover moved."""
         return bool((circumstances.last_move_m(place) != 0.0).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different moves."""
+        """Highest degree that the number of different moves determines."""
         n_moves = len(torch.unique((1e6 * circumstances.last_move_m(place)).round(), dim=0))
         return limit_of_number(self, n_moves, "different moves")
 

@@ -36,7 +36,7 @@ class Outliers(NoiseEffect):
         )
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Ten times the noise."""
+        """Width of the outliers' errors: ten times the noise."""
         return ({"ratio": 10.0},)
 
     def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
@@ -44,7 +44,7 @@ class Outliers(NoiseEffect):
         return float(theta["share"]) <= MOST_SHARE
 
     def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-        """Its two quantities."""
+        """Share of outliers, and width of their errors over the noise."""
         return theta["share"], theta["ratio"]
 
     def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:

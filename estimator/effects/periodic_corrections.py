@@ -51,14 +51,14 @@ class _Swing(InTime, _Periodic):
         return (shape("frequency_per_h", "1/h", 0.5 * spacing, (n + 0.5) * spacing),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Half a cycle per session apart: between them a fifth of the power is lost at most."""
+        """Frequencies half a cycle per session apart: between them a fifth of the power is lost at most."""
         spacing, n = circumstances.extent.frequencies_per_h(MOST_HALF_CYCLES)
         return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
 
     def _in_time(
         self, theta: Theta, circumstances: Circumstances
     ) -> Float[Tensor, "*batch reading component"]:
-        """Zero where a single moment stands for a session, as in predictions."""
+        """Swing at each reading; 0 where a single moment stands for a session, as in predictions."""
         if circumstances.is_moment:
             return circumstances.hours.new_zeros(len(circumstances), 1)
         return self._swinging(theta, (circumstances.hours * theta["frequency_per_h"][..., None])[..., None])
@@ -75,7 +75,7 @@ class CurrentSwings(ShareOfCurrent, _Swing):
         return ("cos", "sin")
 
     def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
-        """Sum of its waves."""
+        """Share of the current at each reading: the sum of cosine and sine."""
         return self._in_time(theta, circumstances)
 
 
@@ -108,13 +108,13 @@ class ReadingRipples(_Periodic, ReadingEffect):
         return (shape("frequency_per_T", "1/T", 0.0, 1e3 * MOST_HALF_CYCLES * spacing),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Half a cycle over the range apart, as many as there are readings at most."""
+        """Frequencies half a cycle over the range apart, as many as there are readings at most."""
         spacing = _over_range(circumstances.largest_of_sensor_T(place))
         n = min(self._n_readings(circumstances, place), MOST_HALF_CYCLES)
         return tuple({"frequency_per_T": (i + 1) * spacing} for i in range(n))
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
+        """Highest degree that the number of different readings of the sensor determines."""
         return limit_of_number(self, self._n_readings(circumstances, place), "different readings")
 
     def apply(
@@ -147,17 +147,17 @@ class GuideSwings(_Periodic, MotionEffect):
         return (shape("frequency_per_m", "1/m", 0.0, 1.0 / SHORTEST_PERIOD_M),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Half a cycle over the longest way apart, as many as there are readings at most."""
+        """Frequencies half a cycle over the longest way apart, as many as there are readings at most."""
         spacing = 0.5 / max(_span_m(circumstances, place), SHORTEST_PERIOD_M)
         n = min(len(circumstances), MOST_HALF_CYCLES, int(1.0 / (SHORTEST_PERIOD_M * spacing)))
         return tuple({"frequency_per_m": (i + 1) * spacing} for i in range(max(1, n)))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved."""
+        """Whether the mover moved farther than the shortest period."""
         return _span_m(circumstances, place) > SHORTEST_PERIOD_M
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of readings."""
+        """Highest degree that the number of readings determines."""
         return limit_of_number(self, len(circumstances), "readings")
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
@@ -174,5 +174,5 @@ def _span_m(circumstances: Circumstances, mover: str) -> float:
 
 
 def _over_range(largest_T: float) -> float:
-    """Half a cycle from minus to plus the largest component."""
+    """Frequency of half a cycle from minus to plus the largest component, in cycles per tesla."""
     return 0.25 / largest_T

@@ -58,14 +58,14 @@ class ResponseByPlace(Correction, ReadingEffect):
         return next(((key, "must be > 0") for key in lengths if values[key] <= 0.0), None)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where a mover moved from one reading of the sensor to another."""
+        """Whether a mover moved from one reading of the sensor to another."""
         if circumstances.mover_of_sensor_m(place) is None:
             return False
         own_m = _at_m(circumstances, place)[circumstances.is_of(place)]
         return bool((own_m != own_m[:1]).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different places of the mover at the sensor's own readings."""
+        """Highest degree that the number of different positions of the mover at the sensor's own readings determines."""
         own_m = _at_m(circumstances, place)[circumstances.is_of(place)]
         n_places = len(torch.unique((1e6 * own_m).round(), dim=0))
         return limit_of_number(self, n_places, "different places")
@@ -91,7 +91,7 @@ class ResponseByPlace(Correction, ReadingEffect):
 
 
 def _at_m(circumstances: Circumstances, sensor: str) -> Float[Tensor, "reading 3"]:
-    """Reported positions of that mover."""
+    """Reported positions of the mover of the sensor, or else of the first coil that has one, in m."""
     at_m = circumstances.mover_of_sensor_m(sensor)
     assert at_m is not None  # see `concerns`
     return at_m

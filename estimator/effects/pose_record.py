@@ -20,17 +20,10 @@ from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
 
-LENGTH_FACTORS = (
-    1e3,
-    1e-3,
-    10.0,
-    0.1,
-    1.0 / 25.4,
-    25.4,
-)  # mm under m, m under mm, mm under cm, ..., inch under mm
-ORDERS = tuple(
-    permutations((0, 1, 2))
-)  # in which turns about fixed axes follow one another, the first one first
+# mm under m, m under mm, mm under cm, ..., inch under mm.
+LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)
+# Orders in which turns about fixed axes follow one another, the first one first.
+ORDERS = tuple(permutations((0, 1, 2)))
 REVERSED, IN_DEGREES = len(ORDERS) + 1, len(ORDERS) + 2
 MOST_ROWS = 2  # that a logger runs late or early
 
@@ -53,11 +46,11 @@ class RotationConvention(MotionEffect):
         return tuple(mover.name for mover in rig.movers if mover.motion in with_rotations)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """All of them."""
+        """All conventions but that of the file."""
         return tuple({"convention": float(i)} for i in range(1, IN_DEGREES + 1))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover has turned."""
+        """Whether the mover turned."""
         return bool(circumstances.observations.history.motion[place][:, 3:].any())
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
@@ -78,7 +71,7 @@ class RotationConvention(MotionEffect):
         return Transform(each[theta["convention"].round().long()], pose.translation_m)
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
-        """One of the conventions."""
+        """The convention must be one of those that are known."""
         is_known = values["convention"] in range(IN_DEGREES + 1)
         return None if is_known else ("convention", f"must be a whole number from 0 to {IN_DEGREES}")
 
@@ -110,12 +103,12 @@ class PositionUnit(MotionEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover moved."""
+        """Whether the mover moved."""
         return bool(self._moved(circumstances, place))
 
     @staticmethod
     def _moved(circumstances: Circumstances, mover: str) -> list[str]:
-        """Axes along which it did."""
+        """Axes along which the mover moved."""
         here_m = circumstances.observations.history.motion[mover][:, :3]
         return [axis for i, axis in enumerate("xyz") if bool((here_m[:, i] != here_m[0, i]).any())]
 
@@ -146,7 +139,7 @@ class RowsShifted(RecordEffect):
         return tuple({"rows": float(sign * n)} for n in range(1, most + 1) for sign in (1, -1))
 
     def rows_late(self, values: Mapping[str, float]) -> int:
-        """Its number."""
+        """Number of rows by which fields come late."""
         return round(values["rows"])
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:

@@ -74,7 +74,7 @@ class UnitError(RecordEffect):
         return (switch("field_factor", 0.0, 1e9, 1.0), switch("current_factor", 0.0, 1e9, 1.0))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The usual slips."""
+        """Factors of the usual slips between units."""
         fields = [{"field_factor": factor, "current_factor": 1.0} for factor in FIELD_FACTORS]
         return (*fields, *({"field_factor": 1.0, "current_factor": factor} for factor in CURRENT_FACTORS))
 
@@ -136,7 +136,7 @@ class SensorsExchanged(_Exchanged):
         return super().places(rig) if len(rig.sensors) > 1 else ()
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Every pair."""
+        """Every pair of sensors."""
         return _pairs(len(circumstances.rig.sensors))
 
     def place_of(self, sensor: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
@@ -158,7 +158,7 @@ class CoilsExchanged(_Exchanged):
         return super().places(rig) if len(rig.coils) > 1 else ()
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Every pair."""
+        """Every pair of coils."""
         return _pairs(len(circumstances.rig.coils))
 
     def commanded_A(
@@ -181,11 +181,11 @@ class CurrentSign(CurrentEffect):
     is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Sign of the current."""
+        """Sign of the delivered current over the commanded one."""
         return (switch("sign", -1.0, 1.0, 1.0),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Reversed."""
+        """Sign of a reversed coil."""
         return ({"sign": -1.0},)
 
     def apply(
@@ -215,11 +215,11 @@ class LeftHanded(MotionEffect):
     is_record_mistake: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Sign of each axis."""
+        """Sign of each axis of the displacements."""
         return tuple(switch(f"{axis}_sign", -1.0, 1.0, 1.0) for axis in "xyz")
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Each axis alone, and all."""
+        """Reversal of each axis alone, and of all."""
         alone = [{f"{b}_sign": -1.0 if a == b else 1.0 for b in "xyz"} for a in "xyz"]
         return (*alone, {f"{axis}_sign": -1.0 for axis in "xyz"})
 
@@ -267,7 +267,7 @@ class DisplacementFrameError(MotionEffect):
 
 
 def _signed_permutations() -> list[dict[str, float]]:
-    """The 48 of them, the identity first."""
+    """All 48 signed permutations of the axes, the identity first."""
     return [
         {
             f"{axis}_reads": float(sign * column)

@@ -30,11 +30,11 @@ class AxesSwappedSince(AxesSwapped):
     source: ClassVar[str] = "47 signed permutations"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """As `axes_swapped`, and the time since the session began."""
+        """Quantities of `axes_swapped`, and the time since the session began from which on they hold, in h."""
         return (*super().quantities(extent), since(extent))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Each of them, and the reversal of all three, at each instant."""
+        """Permutations of `axes_swapped`, and the reversal of all three axes, each from each instant on."""
         reversal = {f"{axis}_reads": -(i + 1.0) for i, axis in enumerate("xyz")}
         return _at_instants((*super().starts(circumstances, place), reversal), circumstances)
 
@@ -104,7 +104,7 @@ class CoilsExchangedSince(CurrentEffect):
     exchanges_coils: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """By how many the other coil comes later in the rig file, and the time since the session began."""
+        """How many entries later the other coil stands in the rig file, and the time since the session began from which on, in h."""
         return (switch("later_by", 0.0, MOST_BODIES, 0.0), since(extent))
 
     def places(self, rig: Rig) -> tuple[str, ...]:
@@ -112,7 +112,7 @@ class CoilsExchangedSince(CurrentEffect):
         return tuple(coil.name for coil in rig.coils[:-1])
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """With each of the coils after it, from each instant on."""
+        """Each of the coils that come later in the rig file, from each instant on."""
         names = [coil.name for coil in circumstances.rig.coils]
         n_later = len(names) - 1 - names.index(place)
         return _at_instants([{"later_by": float(n)} for n in range(1, n_later + 1)], circumstances)
@@ -157,7 +157,7 @@ class RowsShiftedSince(RowsShifted):
         return (*super().quantities(extent), since(extent))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where no rows are shifted yet."""
+        """Whether no rows are shifted yet."""
         return all(cause.name != RowsShifted.name for cause in circumstances.rig.effects)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -169,7 +169,7 @@ class RowsShiftedSince(RowsShifted):
         return WHEN
 
     def late_since_h(self, values: Mapping[str, float]) -> float:
-        """Its time."""
+        """Time since the session began from which on rows are shifted, in h."""
         return values["since_h"]
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:

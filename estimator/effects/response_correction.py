@@ -20,7 +20,7 @@ class _OverRange(Correction, ReadingEffect):
     """A function of what the sensor shows, in units of its largest component."""
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
-        """That unit."""
+        """Unit of the response: the largest component that the sensor read, in T."""
         return (shape("range_T", "T", 0.0, 2.0 * extent.largest_field_T, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -28,7 +28,7 @@ class _OverRange(Correction, ReadingEffect):
         return ({"range_T": float(f"{circumstances.largest_of_sensor_T(place):.6g}")},)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different readings of the sensor."""
+        """Highest degree that the number of different readings of the sensor determines."""
         shown_T = circumstances.observations.field_sensor_T[circumstances.is_of(place)]
         return limit_of_number(self, len(torch.unique(shown_T, dim=0)), "different readings")
 
@@ -75,7 +75,7 @@ class AxisCurves(_OverRange):
     falloff: ClassVar[float] = 1.0
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Components."""
+        """Components, each with a curve of its own."""
         return ("x", "y", "z")
 
     def apply(
@@ -128,7 +128,7 @@ class CurrentPickup(Correction, ReadingEffect):
     highest: ClassVar[int] = 3
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Components."""
+        """Components that show something of the currents."""
         return ("x", "y", "z")
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -136,11 +136,11 @@ class CurrentPickup(Correction, ReadingEffect):
         return (shape("range_A", "A", 0.0, 100.0 * extent.largest_current_A, is_fixed=True),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """The largest current."""
+        """Largest current of the session, in A."""
         return ({"range_A": float(f"{circumstances.largest_current_A:.6g}")},)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different currents besides 0, while the sensor was read."""
+        """Highest degree that the number of different currents besides 0 determines, of those while the sensor was read."""
         total_A = circumstances.current_A[circumstances.is_of(place)].sum(-1)
         n = len(
             torch.unique((total_A[total_A != 0.0] / (LEAST_STEP * circumstances.largest_current_A)).round())

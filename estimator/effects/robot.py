@@ -1,4 +1,4 @@
-"""Where a mover or a mount really is."""
+"""How the real pose of a mover or a mount differs from what the record and the rig file say."""
 
 from __future__ import annotations
 
@@ -20,9 +20,8 @@ from estimator.rig.rig import MotionKind, Rig
 
 N_JOINTS = 6
 LEAST_TURN = 1e-6  # of a rotation matrix: below, a mover only moves
-SAGGING: dict[
-    str, tuple[int, int | None]
-] = {  # the joint that gives way, and that at which the weight sits; None is the flange
+# The joint that gives way, and that at which the weight sits; None is the flange.
+SAGGING: dict[str, tuple[int, int | None]] = {
     "shoulder_by_elbow_rad_per_m": (1, 2),
     "shoulder_rad_per_m": (1, None),
     "elbow_rad_per_m": (2, None),
@@ -77,7 +76,7 @@ class PositionLag(MotionEffect):
     source: ClassVar[str] = "in-position windows of controllers, 10 to 100 um"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """What is missing."""
+        """Distance short of the target, in m."""
         return (normal("lag_m", "m", 200e-6),)
 
     def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
@@ -214,7 +213,7 @@ class MoverSlipped(MotionEffect):
         return (*triple("xyz", "_m", "m", 500e-6), since(extent))
 
     def concerns(self, circumstances: Circumstances, mover: str) -> bool:
-        """Where no bumped sensor does the same: several sensors see the shift, or one that the mover turned."""
+        """Whether the slip differs from a bump of one sensor: several sensors see the shift, or one that the mover turned."""
         rig, history = circumstances.rig, circumstances.observations.history
         carries_coil = any(coil.carried_by == mover for coil in rig.coils)
         read = [rig.sensors[i] for i in history.sensor.unique().tolist()]
@@ -294,7 +293,7 @@ class SensorBumped(MountEffect):
     def columns(
         self, circumstances: Circumstances, theta: Mapping[str, float]
     ) -> Float[Tensor, "reading column"]:
-        """1 afterwards."""
+        """1 at readings from the instant on, else 0."""
         return (circumstances.hours >= theta["since_h"]).to(circumstances.hours)[:, None]
 
     def beyond_the_moment(self, key: str) -> str | None:

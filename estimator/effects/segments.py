@@ -54,7 +54,7 @@ def _numbers(keys: Iterable[str]) -> tuple[int, ...]:
 
 
 def _each(extent: Extent, suffixes: Sequence[str], unit: str, sd: float) -> tuple[Quantity, ...]:
-    """The same quantities for every segment."""
+    """Quantities of these names for every segment, all with one unit and one width of their priors."""
     return tuple(normal(f"segment{n}_{suffix}", unit, sd) for n in extent.segments for suffix in suffixes)
 
 
@@ -82,7 +82,7 @@ class SegmentReading(ReadingEffect):
         return _extent_of_keys(keys)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With several segments in which the sensor was read, and not more than can be asked."""
+        """Whether the sensor was read in several segments, and not in more than can be asked."""
         return _is_several(circumstances.segments_of(place))
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
@@ -167,7 +167,7 @@ class SegmentMisplaced(MotionEffect):
         return _extent_of_keys(keys)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With several segments, and not more than can be asked."""
+        """Whether there are several segments, and not more than can be asked."""
         return _is_several(circumstances.extent.segments)
 
     def beyond_the_moment(self, key: str) -> str | None:

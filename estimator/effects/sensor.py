@@ -14,9 +14,8 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import ElementEffect, ReadingEffect
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
-PAIRS = tuple(
-    "".join(pair) for pair in permutations("xyz", 2)
-)  # xy: what the x axis picks up of the y component
+# xy: what the x axis picks up of the y component.
+PAIRS = tuple("".join(pair) for pair in permutations("xyz", 2))
 
 
 def _vector(theta: Theta, keys: tuple[str, ...]) -> Tensor:
@@ -226,7 +225,7 @@ class TemperatureDrift(ReadingEffect):
         return (normal("gain_per_K", "1/K", 1e-3), *triple("xyz", "_T_per_K", "T/K", 5e-6))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With a thermometer that moved."""
+        """Whether the sensor's thermometer showed a change."""
         kelvin = circumstances.temperature_K(place)
         return kelvin is not None and bool(kelvin.abs().max() > 0.0)
 

@@ -15,12 +15,8 @@ from estimator.effects.stages import ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.rig.parameters import LogNormal
 
-LAGS = (
-    0.15,
-    0.25,
-    0.4,
-    0.7,
-)  # of the time between readings: 0.1 % to a quarter is left of the reading before
+# Shares of the time between readings: 0.1 % to a quarter is left of the reading before.
+LAGS = (0.15, 0.25, 0.4, 0.7)
 LEAST_TAU_S = 1e-6  # shorter than any dwell by so much that nothing is left
 LEAST_SHARE = 0.2  # of a sensor's readings that each of two exchanged sensors has
 DRIFT = TemperatureDrift()
@@ -42,7 +38,7 @@ class SensorLag(ReadingEffect):
     )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Time constant."""
+        """Time constant in s."""
         return (at_least_zero("tau_s", "s", 0.1 * extent.interval_h * SECONDS_PER_HOUR),)
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -52,7 +48,7 @@ class SensorLag(ReadingEffect):
         return tuple({"tau_s": share * typical_s} for share in LAGS)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With readings one after another."""
+        """Whether readings of the sensor follow one another in time."""
         return len(_dwells_s(circumstances, place)) > 0
 
     def beyond_the_moment(self, key: str) -> str | None:
@@ -115,7 +111,7 @@ class ThermalLag(ReadingEffect):
     )
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Those of a sensor that follows at once, and the time constant."""
+        """Coefficients of a sensor that follows its temperature at once, and the time constant of the lag, in h."""
         return (*DRIFT.quantities(extent), Quantity("tau_h", "h", LogNormal(0.3, 1.0), 0.3, is_shape=True))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
@@ -123,7 +119,7 @@ class ThermalLag(ReadingEffect):
         return tuple({"tau_h": tau_h} for tau_h in (0.1, 0.3, 1.0))
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """With a thermometer that moved."""
+        """Whether the sensor's thermometer showed a change."""
         return DRIFT.concerns(circumstances, place)
 
     def beyond_the_moment(self, key: str) -> str | None:

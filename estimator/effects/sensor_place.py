@@ -19,7 +19,7 @@ LEAST_WAY = 1e-3  # of the longest: along shorter ways there are no sides
 
 
 class SensorContact(ReadingEffect):
-    """Where the mover stands beyond some place along one axis, the sensor has other gains and another zero: a cable pulls at its contact.
+    """The sensor has other gains and another zero where the mover stands beyond some place along one axis: a cable pulls at its contact.
 
     The mover is that of the sensor, or of the first coil that has one where the sensor stands still.
     """
@@ -41,7 +41,7 @@ class SensorContact(ReadingEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where a mover moved from one reading of the sensor to another."""
+        """Whether a mover moved from one reading of the sensor to another."""
         at_m = _own_m(circumstances, place)
         return at_m is not None and bool((at_m != at_m[:1]).any())
 
@@ -82,6 +82,9 @@ class SensorContact(ReadingEffect):
 
 
 def _own_m(circumstances: Circumstances, sensor: str) -> Float[Tensor, "own 3"] | None:
-    """Where the mover stood at the sensor's own readings: with all of these on one side, a contact would be a gain and a zero."""
+    """Positions of the mover at the sensor's own readings, in m; None where nothing moves.
+
+    With all of these on one side, a contact would be a gain and a zero.
+    """
     at_m = circumstances.mover_of_sensor_m(sensor)
     return None if at_m is None else at_m[circumstances.is_of(sensor)]

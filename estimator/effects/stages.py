@@ -180,7 +180,7 @@ class CoreMagnetisation(Effect):
 
     @abstractmethod
     def core(self, theta: Theta) -> Core:
-        """Its shape and its iron."""
+        """Shape and iron of the core."""
 
 
 class CoreMemory(Effect):
@@ -203,7 +203,7 @@ class PerAmpere(ABC):
     @property
     @abstractmethod
     def position_m(self) -> Float[Tensor, "*#batch #pose 3"]:
-        """Where the coil is in the world frame."""
+        """Position of the coil in the world frame, in m."""
 
     @abstractmethod
     def at(self, points_m: Float[Tensor, "*#batch pose 3"]) -> Float[Tensor, "*#batch pose 3"]:

@@ -205,7 +205,7 @@ class NoiseMisstated(NoiseEffect):
         return (Quantity("factor", "1", LogNormal(1.0, 0.7), 1.0),)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the noise is fixed, or known tightly."""
+        """Whether the noise is fixed, or known tightly."""
         prior = circumstances.rig.parameters[f"{place}.noise_T"].prior
         return prior is None or prior.sd < LOOSE_NOISE * prior.centre
 
@@ -219,7 +219,7 @@ class NoiseMisstated(NoiseEffect):
         return sigma_T * theta["factor"][..., None]
 
     def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
-        """Their rms."""
+        """Noise over the stated one, by the rms of the whitened residual."""
         if len(whitened) <= FEWEST_COMPONENTS:
             return None
         mean_square = float(whitened.square().mean())

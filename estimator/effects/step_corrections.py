@@ -26,7 +26,7 @@ class _Steps(InTime):
     is_stepwise: ClassVar[bool] = True
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """Components."""
+        """Components of what jumps."""
         return ("x", "y", "z")
 
     def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
@@ -64,7 +64,7 @@ class CurrentSteps(ShareOfCurrent, _Steps):
     highest: ClassVar[int] = 12
 
     def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
-        """Sum of the steps so far."""
+        """Share of the current at each reading: the sum of the steps so far."""
         return self._stepped(theta, circumstances)
 
 
@@ -95,7 +95,7 @@ class ResponseSteps(_Steps, ReadingEffect):
     highest: ClassVar[int] = 2
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """For each component those that it is proportional to."""
+        """Pairs of components: the first changes by a share of the second."""
         return tuple(f"{axis}_{other}" for axis in "xyz" for other in "xyz")
 
     def apply(
@@ -112,7 +112,7 @@ class ResponseSteps(_Steps, ReadingEffect):
 
 
 class GuidesStep(_Steps, MotionEffect):
-    """Where a mover stands jumps: a slipped clamp, a lost step, a knock."""
+    """The mover's real position jumps: a slipped clamp, a lost step, a knock."""
 
     name: ClassVar[str] = "guides_step"
     words: ClassVar[str] = "where the mover stands jumps"
@@ -140,7 +140,7 @@ class RoomSteps(_Steps, RoomEffect):
     highest: ClassVar[int] = 5
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
-        """In the world frame."""
+        """Field of the room in the world frame that its steps add, in T."""
         return self._stepped(theta, circumstances)
 
 

@@ -41,7 +41,7 @@ class HiddenWinding(AddedLoops):
         )
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """In the bore, around the winding along all of it and at either end, and behind it."""
+        """Places in the bore, around the winding along all of it and at either end, and behind it."""
         nominal = circumstances.rig.nominal_values()
         radius_m, axial, radial, axial_pitch_m, radial_pitch_m = (
             nominal[f"{place}.{key}"]
@@ -58,7 +58,7 @@ class HiddenWinding(AddedLoops):
         return tuple(dict(zip(("radius", "middle", "length"), values, strict=True)) for values in places)
 
     def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
-        """Gauss nodes along it."""
+        """Gauss nodes along the hidden winding."""
         nodes, weights = (
             torch.from_numpy(v).to(winding.radius_m) for v in np.polynomial.legendre.leggauss(HIDDEN_NODES)
         )

@@ -58,7 +58,7 @@ class FilamentMagnetisation(WindingMagnetisation):
         return tuple(coil.name for coil in rig.round if coil.is_superconducting)
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
-        """Without any current nothing is screened."""
+        """The susceptibility, where no coil carries any current: then nothing is screened."""
         has_current = bool((circumstances.observations.history.current_A != 0.0).any())
         return frozenset() if has_current else frozenset({"susceptibility"})
 
@@ -76,7 +76,7 @@ class FilamentMagnetisation(WindingMagnetisation):
     def drives(
         self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
     ) -> Float[Tensor, "*#batch reading pattern"]:
-        """How strongly each pattern is there."""
+        """Strength of each pattern: screened current of each coil in A, then what an earlier field has left, in T."""
         screened = theta["susceptibility"][..., None, None] * current_A
         left = torch.stack([theta[f"{key}_T"] for key in LEFT], dim=-1)[..., None, :]
         batch = np.broadcast_shapes(screened.shape[:-1], left.shape[:-1])

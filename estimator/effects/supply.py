@@ -47,7 +47,7 @@ class CurrentOffset(OneCoilCurrent):
     source: ClassVar[str] = "offset of bipolar supplies, about 0.1 % of a range of 20 A"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """The constant current."""
+        """Constant current on top of the commanded one, in A."""
         return (normal("offset_A", "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
     def delivered(
@@ -74,7 +74,7 @@ class CurrentDeadBand(OneCoilCurrent):
         return (normal("band_A", "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the coil carried currents of two sizes: one size alone is a gain."""
+        """Whether the coil carried currents of two sizes: one size alone is a gain."""
         return _has_sizes(circumstances, place)
 
     def delivered(
@@ -104,7 +104,7 @@ class CurrentAsymmetry(OneCoilCurrent):
         return (normal("excess", "1", 0.015),)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the coil carried currents of both signs."""
+        """Whether the coil carried currents of both signs."""
         coil = [coil.name for coil in circumstances.rig.coils].index(place)
         current_A = circumstances.observations.history.current_A[:, coil]
         return bool((current_A > 0.0).any() and (current_A < 0.0).any())
@@ -133,7 +133,7 @@ class CurrentCompression(OneCoilCurrent):
         return (normal("loss_per_A2", "1/A2", 0.01 / extent.largest_current_A**2),)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the coil carried currents of two sizes: one size alone is a gain."""
+        """Whether the coil carried currents of two sizes: one size alone is a gain."""
         return _has_sizes(circumstances, place)
 
     def delivered(
@@ -172,7 +172,7 @@ class CurrentRange(OneCoilCurrent):
         return tuple({"below_A": end_A} for end_A in between_A or [0.5 * circumstances.largest_current_A])
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the coil carried currents of two sizes: one size alone is a gain."""
+        """Whether the coil carried currents of two sizes: one size alone is a gain."""
         return _has_sizes(circumstances, place)
 
     def delivered(
@@ -285,7 +285,7 @@ class CurrentRemanence(OneCoilCurrent):
         return (normal("share", "1", 0.01),)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the current of the coil has turned back."""
+        """Whether the current of the coil has turned back."""
         coil = [coil.name for coil in circumstances.rig.coils].index(place)
         return bool(circumstances.last_turn_A(coil).any())
 

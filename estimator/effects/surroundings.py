@@ -14,13 +14,8 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import RoomEffect
 
 MOST_FREQUENCIES = 160
-SLOPES = (
-    "xx",
-    "yy",
-    "xy",
-    "xz",
-    "yz",
-)  # of a field, in the order of its numbers; zz is what leaves no divergence
+# Slopes of a field, in the order of its numbers; zz is what leaves no divergence.
+SLOPES = ("xx", "yy", "xy", "xz", "yz")
 
 
 class BackgroundField(RoomEffect):
@@ -38,7 +33,7 @@ class BackgroundField(RoomEffect):
     def steady_T(
         self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
-        """The same everywhere."""
+        """Field of the room in the world frame, in T, the same at every point."""
         field = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)[..., None, :]
         return field.expand(*field.shape[:-2], points_m.shape[-2], 3)
 
@@ -105,7 +100,7 @@ class BackgroundStep(RoomEffect):
         return WHEN
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
-        """Zero before."""
+        """Step of the room's field in the world frame, in T; 0 before the instant."""
         field_T = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
         return field_T[..., None, :] * circumstances.is_since(theta["since_h"])[..., None]
 
@@ -141,7 +136,7 @@ class PeriodicInterference(RoomEffect):
     def drifting_T(
         self, theta: Theta, circumstances: Circumstances
     ) -> Float[Tensor, "*#batch reading 3"] | None:
-        """Nothing where a single moment stands for a session, as in predictions: there it has no phase."""
+        """Swinging field of the room in the world frame, in T; None where a single moment stands for a session, which has no phase."""
         if circumstances.is_moment:
             return None
         angle = 2.0 * math.pi * theta["frequency_per_h"][..., None] * circumstances.hours

@@ -54,14 +54,14 @@ class TurnsByAngle(Correction, ReadingEffect):
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the mover of the sensor turned, and about one axis only."""
+        """Whether the mover of the sensor turned, and about one axis only."""
         turns_rad = _turns_rad(circumstances, place)
         size_rad = torch.linalg.svdvals(turns_rad)
         span_rad = turns_rad.max(0).values - turns_rad.min(0).values
         return float(span_rad.max()) > LEAST_ANGLE_RAD and float(size_rad[1]) < OFF_AXIS * float(size_rad[0])
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """By the number of different angles of the stage."""
+        """Highest degree that the number of different angles of the stage determines."""
         turns_rad = _turns_rad(circumstances, place)
         angles = torch.unique((turns_rad / SAME_ANGLE_RAD).round(), dim=0)
         return limit_of_number(self, len(angles), "different angles")

@@ -36,7 +36,7 @@ class Use(Generic[E_co]):
 
     @property
     def cause(self) -> Cause:
-        """As rigs hold it."""
+        """Name and place of the effect, as rigs hold them."""
         return Cause(self.effect.name, self.place)
 
     @property
@@ -45,11 +45,11 @@ class Use(Generic[E_co]):
         return self.cause.label
 
     def keys(self, rig: Rig) -> tuple[str, ...]:
-        """Keys of its quantities in that rig."""
+        """Keys of the effect's quantities in a rig."""
         return rig.keys_by_label.get(self.label, ())
 
     def theta(self, values: Mapping[str, Tensor]) -> Theta:
-        """Its quantities among all numbers of the rig, broadcast to one batch."""
+        """Quantities of the effect among all numbers of the rig, broadcast to one batch."""
         prefix = f"{self.label}."
         keys = self.own_keys
         if keys is None:

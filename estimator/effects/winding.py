@@ -29,7 +29,7 @@ class PitchEffect(WindingEffect):
     can_begin: ClassVar[bool] = False
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Where the rig file does not leave the pitch free: else its own prior bounds what can be built."""
+        """Whether the rig file fixes the pitch; a free one's own prior bounds what can be built."""
         return not circumstances.rig.parameters[f"{place}.{self.name}_m"].is_free
 
 
@@ -80,7 +80,7 @@ class TurnsGradient(AddedLoops):
         return (normal("slope", "1", 0.05),)
 
     def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
-        """The excess of turns."""
+        """Loops that stand for the excess of turns."""
         loops = loops_of(winding, rule)
         half_m = 0.5 * winding.length_m[..., None, None]
         excess = theta["slope"][..., None, None] * (loops.height_m + half_m) / half_m
@@ -101,11 +101,11 @@ class ShortLayer(AddedLoops):
         return (normal("missing", "1", 0.5), shape("at_front", "1", 0.0, 1.0, is_fixed=True))
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """At the front and at the back."""
+        """The two ends: front and back."""
         return ({"at_front": 1.0}, {"at_front": 0.0})
 
     def loops(self, winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
-        """What is missing."""
+        """Loops that stand for what is missing."""
         nodes, weights = (
             torch.from_numpy(v).to(winding.radius_m) for v in np.polynomial.legendre.leggauss(LAYER_NODES)
         )
@@ -215,7 +215,7 @@ class LeadWire(SourceEffect):
         )
 
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """All around."""
+        """Azimuths all around the axis."""
         return tuple({"azimuth_rad": math.pi * i / 4.0, "length_m": 0.2} for i in range(-3, 5))
 
     def apply(

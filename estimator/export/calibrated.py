@@ -45,7 +45,7 @@ class Calibrated(Protocol):
         """Content of `summary.json`."""
 
     def best_values(self) -> dict[str, Tensor]:
-        """The same as tensors."""
+        """Every number of the rig at the maximum of the posterior, as tensors."""
 
     def room(self, points_m: Float[Tensor, "point 3"], motion: Motion | None) -> RoomField:
         """The coils with each mover in one pose."""

@@ -161,7 +161,7 @@ def joints_of(calibrated: Calibrated) -> list[Joint]:
 
 
 def _moving(mover: Mover, base: Transform, base_link: str, flange: str) -> Iterator[Joint]:
-    """From the world by the base to the flange."""
+    """Joints from the world by the base to the flange."""
     yield Joint(f"world_to_{base_link}", FIXED, "world", base_link, base)
     table = mover.table
     if table is None:
@@ -186,9 +186,8 @@ def rpy_rad(pose: Transform) -> list[float]:
     """Roll, pitch and yaw about the fixed axes x, y, z, as URDF has them."""
     r = pose.rotation.tolist()
     pitch = math.atan2(-r[2][0], math.hypot(r[0][0], r[1][0]))
-    if (
-        math.hypot(r[0][0], r[1][0]) < 1e-12
-    ):  # gimbal lock: roll and yaw turn about one axis, so one of them suffices
+    # Gimbal lock: roll and yaw turn about one axis, so one of them suffices.
+    if math.hypot(r[0][0], r[1][0]) < 1e-12:
         return [math.atan2(-r[1][2], r[1][1]), pitch, 0.0]
     return [math.atan2(r[2][1], r[2][2]), pitch, math.atan2(r[1][0], r[0][0])]
 

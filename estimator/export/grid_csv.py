@@ -10,13 +10,8 @@ import numpy as np
 
 from estimator.export.request import Request
 
-ENTRIES = (
-    (0, 0),
-    (0, 1),
-    (0, 2),
-    (1, 1),
-    (1, 2),
-)  # the others follow: the gradient is symmetric and traceless
+# The other entries follow: the gradient is symmetric and traceless.
+ENTRIES = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))
 HEADER = (
     *(f"{axis}_m" for axis in "xyz"),
     *(f"B{axis}_T" for axis in "xyz"),

@@ -37,7 +37,7 @@ def plain_words(text: str) -> str:
 
 
 def regions_of(calibrated: Calibrated) -> list[str]:
-    """Where the readings lay about each coil, a sentence each."""
+    """Extent of the readings about each coil: a sentence each, in mm in the coil's frame."""
     lines = []
     for coil in calibrated.rig.coils:
         points_m = points_about(calibrated, coil)

@@ -26,9 +26,8 @@ def vfield_yaml(request: Request) -> str:
             that is not proportional to the currents.
     """
     grid = request.points()
-    if (
-        len(set(grid.shape)) > 1
-    ):  # mag_manip 3.0.0 steps by dim_y along y and by dim_x dim_y along x, where z runs fastest
+    # mag_manip 3.0.0 steps by dim_y along y and by dim_x dim_y along x, where z runs fastest.
+    if len(set(grid.shape)) > 1:
         raise InvalidInput(
             f"grid of mag_manip must have as many points along each axis; received {' x '.join(map(str, grid.shape))}"
         )

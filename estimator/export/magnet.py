@@ -37,12 +37,12 @@ class Magnet:
 
     @property
     def name(self) -> str:
-        """Of the rig, or of all."""
+        """Name of the rig, or the names of all rigs."""
         return " and ".join(dict.fromkeys(part.rig.name for part in self.parts))
 
     @property
     def only(self) -> Calibrated | None:
-        """The calibration, if there is one."""
+        """The calibration, if there is only one."""
         return self.parts[0] if len(self.parts) == 1 else None
 
     @cached_property
@@ -91,7 +91,7 @@ class Magnet:
 
     @property
     def regions(self) -> list[str]:
-        """Where the readings lay about each coil, a sentence each."""
+        """Extent of the readings about each coil, a sentence each, in mm in the coil's frame."""
         return [line for part in self.parts for line in regions_of(part)]
 
     @property

@@ -42,7 +42,7 @@ class Box:
 
     @property
     def middle_m(self) -> Float[np.ndarray, " 3"]:
-        """Where the sources are."""
+        """Middle of the box in the world frame, in m; the sources are there."""
         return np.asarray(0.5 * (self.low_m + self.high_m))
 
     @property
@@ -106,7 +106,7 @@ class _Dumper(yaml.SafeDumper):
     """Lists are written out each time: yaml-cpp of mag_manip need not follow anchors."""
 
     def ignore_aliases(self, data: object) -> bool:
-        """For everything."""
+        """Whether an object is written out each time: every one is."""
         return True
 
 

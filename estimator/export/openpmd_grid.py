@@ -16,15 +16,8 @@ from estimator.export.request import Request
 
 VERSION = "1.1.0"
 BASE, MESHES = "/data/%T/", "meshes/"
-TESLA = (
-    0.0,
-    1.0,
-    -2.0,
-    -1.0,
-    0.0,
-    0.0,
-    0.0,
-)  # powers of metre, kilogram, second, ampere, kelvin, mole, candela
+# Powers of metre, kilogram, second, ampere, kelvin, mole, candela.
+TESLA = (0.0, 1.0, -2.0, -1.0, 0.0, 0.0, 0.0)
 TESLA_PER_METRE = (-1.0, *TESLA[1:])
 
 

@@ -48,11 +48,8 @@ from estimator.rig.rig import (
 )
 
 PROBES_A = (1.0, -3.0, 7.0)  # currents at which a supply shows whether it is linear
-PROBE_POINTS_M = (
-    (0.0, 0.0, 0.0),
-    (0.3, -0.2, 0.1),
-    (-0.05, 0.4, -0.3),
-)  # at which a room shows whether it is uniform
+# Points at which a room shows whether it is uniform.
+PROBE_POINTS_M = ((0.0, 0.0, 0.0), (0.3, -0.2, 0.1), (-0.05, 0.4, -0.3))
 GRID_FORMATS = "csv, vtk and openpmd"  # hold a field on a grid, whatever makes it
 
 

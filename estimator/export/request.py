@@ -84,7 +84,7 @@ class Request:
         return self.magnet.only
 
     def points(self) -> Grid:
-        """The grid.
+        """Grid of points that the export was asked for.
 
         Raises:
             InvalidInput: There is none.

@@ -176,7 +176,7 @@ def _loops(coil: PlainCoil, winding: Winding) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _distance_m(winding: Winding, points_m: Float[Tensor, "point 3"]) -> Float[Tensor, " point"]:
-    """From the cross-section of the winding; 0 inside it."""
+    """Distance of points from the cross-section of the winding, in m; 0 inside it."""
     x, y, z = points_m.unbind(-1)
     rho = (x * x + y * y).sqrt()
     inner_m = winding.radius_m - winding.radial_pitch_m * winding.radial_loops

@@ -13,18 +13,10 @@ from estimator.field.straight import MU0_OVER_4PI
 from estimator.rig.rig import Point
 
 SMALLEST_RHO2_M2 = 1e-300
-CURRENTS = (
-    (1.0, 0.0, 0.0),
-    (0.0, 1.0, 0.0),
-    (-1.0, 0.0, 0.0),
-    (0.0, -1.0, 0.0),
-)  # along the sides, from the one at negative y on
-CORNERS = (
-    (1.0, 1.0),
-    (-1.0, 1.0),
-    (-1.0, -1.0),
-    (1.0, -1.0),
-)  # signs of x and y, in the order of the current
+# Currents along the sides, from the one at negative y on.
+CURRENTS = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, -1.0, 0.0))
+# Signs of x and y of the corners, in the order of the current.
+CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 FieldAndSlopes = tuple[Float[Tensor, "*batch 3"], Float[Tensor, "*batch 3 3"]]
 
 
@@ -91,10 +83,8 @@ def sided_per_ampere(
     along = torch.tensor(CURRENTS, dtype=points_m.dtype)
     halves = torch.stack((half_x, half_y, half_x, half_y), dim=-1)
     outs = torch.stack((half_y, half_x, half_y, half_x), dim=-1)
-    away_x, away_y = (
-        x[..., None] - along[:, 1] * outs,
-        y[..., None] + along[:, 0] * outs,
-    )  # sides lie right of their current
+    # Sides lie right of their current.
+    away_x, away_y = x[..., None] - along[:, 1] * outs, y[..., None] + along[:, 0] * outs
     away = torch.stack((away_x, away_y, up[..., None].expand_as(outs)), dim=-1)
     field, slope = straight(away, along, (halves - radius[..., None])[..., None])
     fields, slopes = field.sum(-2), slope.sum(-3)

@@ -122,7 +122,7 @@ def _each_wave(
 def _factors(
     points: Tensor, length: float | Tensor, wavenumber: Tensor
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, list[Tensor]]:
-    """Of every half wave: x and y times its wavenumber, its sine and cosine along the bore, and its reduced Bessel functions.
+    """Factors of every half wave: x and y times its wavenumber, sine and cosine along the bore, and reduced Bessel functions.
 
     Points come last: numbers of a wave are then alike along a whole row, which takes half the time.
     """
@@ -144,10 +144,10 @@ def _reduced_bessel(s: Float[Tensor, "*shape"]) -> list[Float[Tensor, "*shape"]]
 
 
 def _series(s: Float[Tensor, "*shape"], m: int) -> Float[Tensor, "*shape"]:
-    one = torch.ones_like(s)
-    total = one
+    ones = torch.ones_like(s)
+    total = ones
     for k in range(N_TERMS, 0, -1):
-        total = torch.addcmul(one, total, s, value=0.25 / (k * (k + m)))
+        total = torch.addcmul(ones, total, s, value=0.25 / (k * (k + m)))
     return total / (2.0**m * math.factorial(m))
 
 

@@ -54,7 +54,9 @@ def coil_field_per_ampere(
 def field_of_coil(
     coil: WoundCoil, winding: AnyWinding, rule: Rule, mode: SumMode = SumMode.PLAIN
 ) -> Callable[[Tensor], Tensor]:
-    """The same as a function of points, which finds the loops that stand for the winding once.
+    """Field of one ampere in T/A, with that of the leads, as a function of points in the coil frame.
+
+    The loops that stand for the winding are found once.
 
     Args:
         coil, winding, rule, mode: As in `coil_field_per_ampere`.

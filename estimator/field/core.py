@@ -48,7 +48,7 @@ class Core:
 
     @property
     def heights_m(self) -> Float[Tensor, "*batch height"]:
-        """Where the polarisation along the axis is given, in the coil frame, from the back face to the front."""
+        """Heights at which the polarisation along the axis is given, in m in the coil frame, from the back face to the front."""
         share = torch.arange(HEIGHTS, dtype=self.length_m.dtype, device=self.length_m.device) / BANDS
         return self.front_m[..., None] - self.length_m[..., None] * (1.0 - share)
 
@@ -210,6 +210,6 @@ def _unit_gauss(n: int, like: Tensor) -> tuple[Tensor, Tensor]:
 
 @cache
 def _nodes(n: int) -> tuple[Tensor, Tensor]:
-    """The same in double precision on the processor."""
+    """Gauss-Legendre nodes and weights between 0 and 1, in double precision on the processor."""
     nodes, weights = (torch.from_numpy(values) for values in leggauss(n))
     return 0.5 * (nodes + 1.0), 0.5 * weights

@@ -127,10 +127,10 @@ def _sum(  # type: ignore[no-untyped-def]
 @cache
 def _is_translated(device: torch.device) -> bool:
     """Whether the kernel runs there: a first sum tries it."""
-    one = torch.ones(1, 3, device=device)
+    ones = torch.ones(1, 3, device=device)
     try:
-        loop = one[:, :1]
-        fused_sum_of_loops(one[None], loop, loop, loop, steps=3)
+        loop = ones[:, :1]
+        fused_sum_of_loops(ones[None], loop, loop, loop, steps=3)
     except Exception as error:  # of Triton, of the compiler that it calls, or of the driver
         logging.getLogger(__name__).warning(
             "fields are computed by operations of torch, which takes ten times as long: Triton cannot translate its kernel (%s)",

@@ -110,7 +110,7 @@ def _raised(points: Tensor, powers: Tensor, degree: int) -> Tensor:
 
 @lru_cache
 def _raising(degree: int) -> tuple[Int[Tensor, " monomial"], Int[Tensor, " monomial"]]:
-    """For each monomial of a degree which one of the degree below it is, times which axis."""
+    """Factors of each monomial of a degree: its row among those of the degree below, and the axis that multiplies it."""
     row = {e: i for i, e in enumerate(monomials(degree - 1))}
     axes = [next(axis for axis in range(3) if e[axis]) for e in monomials(degree)]
     below = [row[_lowered(e, axis)] for e, axis in zip(monomials(degree), axes, strict=True)]

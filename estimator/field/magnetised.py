@@ -16,15 +16,12 @@ from estimator.field.node_sum import carrying_first_order, loop_slopes
 from estimator.field.winding import Winding
 from estimator.units import MU0_T_M_PER_A
 
-FEWEST_AXIAL, AXIAL_PER_RADIUS = (
-    4,
-    3.0,
-)  # nodes along a winding: at least, and more per inner radius of its length
+# Nodes along a winding: at least, and more per inner radius of its length.
+FEWEST_AXIAL, AXIAL_PER_RADIUS = 4, 3.0
 FEWEST_RADIAL, RADIAL_PER_RADIUS = 1, 4.0
 CORNER_NODES = 8  # each way, in each of the four parts into which a point cuts a winding's cross-section
-DIFFERENCE_STEP = (
-    1e-5  # of a ring's radius: distance of the two loops whose difference stands for a ring of dipoles
-)
+# Distance of the two loops whose difference stands for a ring of dipoles, over the ring's radius.
+DIFFERENCE_STEP = 1e-5
 AGM_STEPS = 7  # enough next to a ring
 POINTS_AT_ONCE = 2048  # whose factors are kept for every ring, which bounds the memory
 
@@ -43,7 +40,7 @@ class Rings:
     area_m2: Float[Tensor, " ring"]
 
     def to(self, device: torch.device) -> Rings:
-        """The same rings on another device."""
+        """These rings on another device."""
         return Rings(self.radius_m.to(device), self.height_m.to(device), self.area_m2.to(device))
 
     @classmethod
@@ -118,7 +115,7 @@ def field_of_rings_to_first_order(
     magnetisation_T: Float[Tensor, "pattern ring 2"],
     steps: int = AGM_STEPS,
 ) -> Float[Tensor, "*batch point pattern 3"]:
-    """The same field with exact value and first derivatives in the points, but without second ones.
+    """Field of rings of dipoles in the coil frame, in T, with first derivatives in the points, but without second ones.
 
     Args:
         points_coil_m, rings, magnetisation_T, steps: As in `field_of_rings`.

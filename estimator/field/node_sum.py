@@ -26,7 +26,7 @@ class Nodes(NamedTuple):
     weight: Float[Tensor, " rows *node"]
 
     def flat(self) -> Nodes:
-        """The same loops along one axis."""
+        """These loops along one axis."""
         return Nodes(*(value.flatten(1) for value in torch.broadcast_tensors(*self)))
 
 
@@ -66,7 +66,7 @@ def sum_over_nodes(
 def sum_to_first_order(
     points_m: Float[Tensor, "rows point 3"], nodes: Nodes, steps: int
 ) -> Float[Tensor, "rows point 3"]:
-    """The same sum with exact value and first derivatives in points and nodes, but without second ones.
+    """Field per ampere of weighted loops, in T/A, with first derivatives in points and nodes, but without second ones.
 
     Forward-mode differentiation of `sum_over_nodes` carries every direction through every loop. Here each loop is evaluated once, with its
     own derivatives, and only their sums at each point are carried along the directions.

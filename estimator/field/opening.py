@@ -8,9 +8,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-RING = math.sqrt(
-    0.4
-)  # of the radius: here a field that rises as the square equals its weighted mean over the opening
+# Radius of the ring, over that of the opening: there a field that rises as the square equals its weighted mean over the opening.
+RING = math.sqrt(0.4)
 
 
 def through_opening(

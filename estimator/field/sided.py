@@ -30,9 +30,8 @@ from estimator.field.winding import DEFAULT_TOLERANCE, NODE_LADDER, Rule, smalle
 
 ELEMENTS_PER_CHUNK = 1_000_000  # numbers that torch holds at once in between
 ALL_DIGITS = 1e-15
-SPARE_POINTS = (
-    4  # far away the arcs cancel sides and each other, so that the error is larger relative to what is left
-)
+# Far away the arcs cancel sides and each other, so that the error is larger relative to what is left.
+SPARE_POINTS = 4
 MOST_ARC_POINTS = 200  # all digits down to a distance of 7 % of the largest corner radius
 QUARTER = 0.5 * math.pi
 
@@ -74,7 +73,7 @@ class SidedWinding:
         return self.radial_pitch_m * self.radial_loops
 
     def with_integer_loops(self) -> SidedWinding:
-        """The same winding with its loop counts rounded to the nearest whole numbers, at least 1."""
+        """This winding with its loop counts rounded to the nearest whole numbers, at least 1."""
         axial, radial = (n.round().clamp(min=1.0) for n in (self.axial_loops, self.radial_loops))
         return replace(self, axial_loops=axial, radial_loops=radial)
 
@@ -266,7 +265,7 @@ def _in_rows(value: Tensor, batch: tuple[int, ...], n_own: int) -> Tensor:
 def _by_torch(
     points_m: Float[Tensor, "*#batch point 3"], loops: SidedLoops, arc_points: int
 ) -> Float[Tensor, "*batch point 3"]:
-    """The same sum with derivatives of any order, a part of the points at a time."""
+    """Field per ampere of loops with straight sides, in T/A, with derivatives of any order, a part of the points at a time."""
     batch = np.broadcast_shapes(points_m.shape[:-2], loops.weight.shape[:-2])
     at_once = math.prod(batch) * loops.weight.shape[-2:].numel() * 4 * max(arc_points, 1)
     n_parts = math.ceil(points_m.shape[-2] * at_once / ELEMENTS_PER_CHUNK)

@@ -37,7 +37,7 @@ def slopes_of_sided_loops(
     changes: Float[Tensor, "rows node 5 number"],
     arc_points: int,
 ) -> tuple[Float[Tensor, "rows point 3"], Float[Tensor, "rows point 3 slope"]]:
-    """The same field, and its derivatives along x, y and z, then in some numbers.
+    """Field per ampere of weighted loops in T/A, and its derivatives along x, y and z, then in some numbers.
 
     Args:
         points_m, loops, arc_points: As in `sum_of_sided_loops`.
@@ -170,10 +170,8 @@ def _sides(point, loop, b, g):  # type: ignore[no-untyped-def]
 def _corners(point, loop, arcs, b, g):  # type: ignore[no-untyped-def]
     """Add the four arcs."""
     up, radius = point[2] - loop[0], loop[3]
-    p, by = (
-        np.empty(3),
-        np.empty((3, 4)),
-    )  # of a point of an arc: its field, and slopes in away_x, away_y, up and radius
+    # At a point of an arc: its field, and slopes in away_x, away_y, up and radius.
+    p, by = np.empty(3), np.empty((3, 4))
     for quarter in range(4):
         right = 1.0 if quarter in (0, 3) else -1.0
         back = 1.0 if quarter < 2 else -1.0

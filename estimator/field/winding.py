@@ -66,7 +66,7 @@ class Winding:
         return math.pi * rms2 * self.axial_loops * self.radial_loops
 
     def with_pitches(self, axial: Tensor, radial: Tensor) -> Winding:
-        """The same loops with both pitches multiplied by a factor, which may carry a batch."""
+        """This winding with each pitch multiplied by a factor of its own, which may carry a batch."""
         radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m, _ = torch.broadcast_tensors(
             self.radius_m,
             self.axial_loops,
@@ -78,7 +78,7 @@ class Winding:
         return Winding(radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m)
 
     def with_integer_loops(self) -> Winding:
-        """The same winding with its loop counts rounded to the nearest whole numbers, at least 1."""
+        """This winding with its loop counts rounded to the nearest whole numbers, at least 1."""
         return Winding(
             self.radius_m,
             self.axial_loops.round().clamp(min=1.0),

@@ -20,17 +20,10 @@ from estimator.field.winding import Rule, Winding
 
 ZONES_PER_OCTAVE = 2  # of the distance; one would take twice the loops at the far end of each zone
 POINTS_PER_EDGE = 6  # of the contour on which the rule of a zone is found; eight edges have the 48 points that `choose_rule` looks at
-NEAREST_CELLS, FARTHEST_RADII = (
-    0.05,
-    16.0,
-)  # nearer is summed in full; farther needs no more than at this distance
-EDGES = (
-    (1.0, 0.0),
-    (1.0, 0.5),
-    (1.0, 1.0),
-    (0.5, 1.0),
-    (0.0, 1.0),
-)  # where the contour of straight sides is followed
+# Bounds of the zones, in cells and in radii: nearer is summed in full; farther needs no more than at this distance.
+NEAREST_CELLS, FARTHEST_RADII = 0.05, 16.0
+# Around a section of straight sides its contour is followed at these places, over half the sides: middles, corners, and between.
+EDGES = ((1.0, 0.0), (1.0, 0.5), (1.0, 1.0), (0.5, 1.0), (0.0, 1.0))
 DIAGONAL = math.sqrt(0.5)
 AWAY = (  # in which directions from the middle of the section: along its sides and from its corners
     *((1.0, 0.0), (DIAGONAL, DIAGONAL), (0.0, 1.0), (-DIAGONAL, DIAGONAL)),
@@ -98,9 +91,8 @@ def _ends_m(winding: AnyWinding) -> tuple[float, float]:
     return NEAREST_CELLS * cell_m, FARTHEST_RADII * half_m
 
 
-Shape = tuple[
-    bool | None, tuple[float, ...]
-]  # whether corners are round, None of a round winding; its numbers
+# Whether corners are round, None of a round winding; its numbers.
+Shape = tuple[bool | None, tuple[float, ...]]
 
 
 def _shape(winding: AnyWinding) -> Shape:

@@ -155,7 +155,7 @@ class CollapsedPosterior:
         return self._with(self.coordinates.values(vector), amplitudes)
 
     def determined(self, vector: Float[Tensor, " coordinate"]) -> dict[str, tuple[int, int]]:
-        """By coil the number of its free amplitudes, and of their combinations that the readings tell better than the priors."""
+        """Number of free amplitudes of each coil, and of their combinations that the readings tell better than the priors."""
         precision = self.given(vector).precision
         counts = {}
         for coil in self.full.coordinates.rig.unwound:
@@ -281,7 +281,10 @@ class CollapsedPosterior:
 
     @cached_property
     def _principal(self) -> _Principal:
-        """Of the readings of a single sensor. Not by the matrix of `_sums`, whose small eigenvalues are rounding."""
+        """Principal combinations of amplitudes at the readings of a single sensor.
+
+        Not by the matrix of `_sums`, whose small eigenvalues are rounding.
+        """
         design_T, residual_T = self.at_start
         combinations, size, vectors = torch.linalg.svd(design_T, full_matrices=False)
         measured_T = combinations.mT @ residual_T
@@ -295,7 +298,7 @@ class CollapsedPosterior:
         return _unit_plus(gram), per_variance @ self._sums.score - self._about
 
     def _least_squares(self, design: Tensor, residual: Tensor) -> tuple[Tensor, Tensor]:
-        """The same from whitened design matrices and residuals."""
+        """Precision of the amplitudes and right-hand side of their normal equations, from whitened design matrices and residuals."""
         score = (design.mT @ residual[..., None])[..., 0]
         return _unit_plus(design.mT @ design), score - self._about
 
@@ -346,7 +349,7 @@ class CollapsedPosterior:
         return predicted_T.expand(*rows, len(amplitudes), len(self.full.measured_T))
 
     def _with(self, values: Values, amplitudes: Float[Tensor, "*row amplitude"]) -> dict[str, Tensor]:
-        """The same values with other amplitudes, and with what is tied to them."""
+        """Values of a rig with other amplitudes, and with what is tied to them."""
         there = {**values, **dict(zip(self.amplitudes, amplitudes.unbind(-1), strict=True))}
         for name, tie in self._following.items():
             there[name] = tie.factor * there[tie.to]

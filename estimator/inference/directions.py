@@ -44,7 +44,7 @@ class Directions:
 
     @classmethod
     def of(cls, rig: Rig, coordinates: Coordinates) -> Directions:
-        """Those of the continuous coordinates of a rig."""
+        """Directions for the continuous coordinates of a rig."""
         names = coordinates.names[: coordinates.n_continuous]
         owners = [_owner(rig, name) for name in names]
         n_own, shared, number = Counter[tuple[int, str]](), dict[tuple[str, int], int](), []
@@ -69,7 +69,7 @@ class Directions:
         return cls(each, of_coordinate, sensor, tuple(map(tuple, paths.values())))
 
     def only(self, columns: Int[Tensor, " column"]) -> Directions:
-        """Those of some coordinates; derivatives are then by these, in the given order."""
+        """Directions for some of the coordinates; derivatives are then by these, in the given order."""
         number, of_column = torch.unique(self.of_coordinate[columns], return_inverse=True)
         is_asked = torch.zeros(len(self.of_coordinate), dtype=self.each.dtype, device=self.each.device)
         is_asked[columns] = 1.0

@@ -57,7 +57,7 @@ class SamplerSettings:
             raise InvalidInput(f"seed must be a whole number from 0 to {2**32 - 1}; received {self.seed}")
 
     def for_rig(self, n_free: int) -> SamplerSettings:
-        """The same settings with enough walkers for the moves: at least two per dimension, and two more than dimensions.
+        """These settings with enough walkers for the moves: at least two per dimension, and two more than dimensions.
 
         Raises:
             InvalidInput: The settings ask for fewer.

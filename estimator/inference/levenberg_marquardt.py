@@ -16,9 +16,8 @@ from estimator.rig.coordinates import Coordinates
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
 NEARLY_UNDAMPED = 1e-2
-STALLED_AFTER = (
-    8  # iterations in which a start that still climbs is expected to rise by more than 50 times the tolerance
-)
+# Iterations in which a start that still climbs is expected to rise by more than 50 times the tolerance.
+STALLED_AFTER = 8
 STALLED_BELOW = 50.0
 LEAST_SHRINK = 0.1  # of the damping after a step that the quadratic model foretold; Nielsen's third costs three iterations more
 BEHIND = 5.0  # times the rise that a Newton step promises: a start that lies so far below another climbs a lower maximum
@@ -59,7 +58,7 @@ class Optimum:
         )
 
     def to(self, device: torch.device) -> Optimum:
-        """The same on another device, without slopes."""
+        """These maxima on another device, without slopes."""
         return Optimum(
             self.vector.to(device),
             self.log_posterior.to(device),

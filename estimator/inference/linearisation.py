@@ -41,7 +41,7 @@ class Linearisation:
 
     @classmethod
     def at(cls, posterior: LogPosterior, point: Float[Tensor, " coordinate"]) -> Linearisation:
-        """By central differences, in one batched prediction."""
+        """Predictions, noise and their Jacobians at a point, by central differences in one batched prediction."""
         coordinates = posterior.coordinates
         step = DIFFERENCE_STEP * coordinates.scale
         around = torch.cat((point[None], point + torch.diag(step), point - torch.diag(step)))

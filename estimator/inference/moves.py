@@ -94,7 +94,7 @@ class _Block:
     log_density: np.ndarray
 
     def draws(self, i: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Those of the i-th step that makes fresh draws."""
+        """Draws of the i-th step that makes fresh ones, with the log densities of posterior and proposal at them."""
         mine = slice(i * self.n_walkers, (i + 1) * self.n_walkers)
         return self.fresh[mine], self.log_prob[mine], self.log_density[mine]
 

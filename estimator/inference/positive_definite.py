@@ -66,7 +66,7 @@ def log_determinant(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*
     scaled, scale = _scaled(matrix)
     factor, failed = torch.linalg.cholesky_ex(scaled)
     if failed.any():
-        of_scaled = _one_by_one(lambda one: torch.linalg.slogdet(one).logabsdet, scaled)
+        of_scaled = _one_by_one(lambda each: torch.linalg.slogdet(each).logabsdet, scaled)
     else:
         of_scaled = 2.0 * diagonal_of(factor).log().sum(-1)
     log_det: Tensor = of_scaled - 2.0 * scale.log().sum(-1)

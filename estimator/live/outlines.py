@@ -1,4 +1,4 @@
-"""Where the coils stand at a reading, and how wide they are, for a picture beside the rig."""
+"""Poses and widths of the coils at a reading, for a picture beside the rig."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where readings were taken and what the estimate leaves of them, for a picture beside the rig."""
+"""Positions of readings and what the estimate leaves of them, for a picture beside the rig."""
 
 from __future__ import annotations
 

@@ -21,9 +21,8 @@ IMPROBABLE = 1e-6  # probability of a reading by noise alone that raises an alar
 SHIFT_SIGMA = 1.0  # the shift that the sum detects earliest
 # One false alarm of a sum in about 900 000 readings: Siegmund, Sequential Analysis (1985), eq 2.59.
 LIMIT = 12.0
-FIELD_SIGMA = (
-    5.0  # a weaker field, in its uncertainty, has no clear direction along which its strength could shift
-)
+# A weaker field, in its uncertainty, has no clear direction along which its strength could shift.
+FIELD_SIGMA = 5.0
 ALONG = "the strength of the field"
 
 

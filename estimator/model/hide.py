@@ -42,7 +42,7 @@ def with_hidden(rig: Rig, observations: Observations, hidden: Mapping[str, float
 
 
 def full_names(rig: Rig, hidden: Mapping[str, float]) -> dict[str, float]:
-    """The same sizes as parameters of an extended rig are named: `axis_gain[hall].x`."""
+    """Hidden sizes by the names of parameters of an extended rig: `axis_gain[hall].x`."""
     sizes = {}
     for text, value in hidden.items():
         cause, key = _read(text, rig)

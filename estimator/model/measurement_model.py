@@ -132,7 +132,7 @@ class MeasurementModel:
 
     @property
     def circumstances(self) -> Circumstances:
-        """Of the readings."""
+        """Circumstances of the readings."""
         return self.sources.circumstances
 
     @property
@@ -168,19 +168,19 @@ class MeasurementModel:
         return rows
 
     def with_rules(self, rules: Mapping[str, Rule]) -> MeasurementModel:
-        """The same model with given quadrature rules."""
+        """This model with given quadrature rules."""
         return replace(self, sources=replace(self.sources, rules=dict(rules)))
 
     def with_maps(self, maps: Mapping[str, GridMap]) -> MeasurementModel:
-        """The same model with field maps in the place of some coils' windings."""
+        """This model with field maps in the place of some coils' windings."""
         return replace(self, sources=replace(self.sources, maps=dict(maps)))
 
     def with_mode(self, mode: SumMode) -> MeasurementModel:
-        """The same model with another way to sum loops."""
+        """This model with another way to sum loops."""
         return replace(self, sources=replace(self.sources, mode=mode))
 
     def with_circumstances(self, circumstances: Circumstances) -> MeasurementModel:
-        """The same model for other readings at the same settings."""
+        """This model for other readings at the same settings."""
         return replace(self, sources=replace(self.sources, circumstances=circumstances))
 
     def part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
@@ -190,7 +190,7 @@ class MeasurementModel:
         )
 
     def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
-        """The same model with quadrature rules chosen at these values (no batch)."""
+        """This model with quadrature rules chosen at these values (no batch)."""
         values = self.alike(values)
         rules = {}
         for coil in self.rig.coils:
@@ -407,7 +407,7 @@ class _Part:
 
     @classmethod
     def of(cls, model: MeasurementModel, is_part: Bool[Tensor, " reading"]) -> _Part:
-        """Those that are chosen."""
+        """The chosen readings of a model, with a model of them alone."""
         readings = is_part.nonzero().flatten()
         return cls(readings, model.pose_row[readings].unique(), model.part(readings))
 
@@ -479,12 +479,12 @@ def _in_order(poses: Sequence[Transform], rows: Sequence[Int[Tensor, "..."]]) ->
 
 
 def _shifted(pose: Transform, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:
-    """The same orientation at points off the origin of the body, given in its frame."""
+    """Pose at points off the origin of a body, given in m in its frame, with the orientation of the body."""
     return Transform(pose.rotation, pose.apply(offset_m))
 
 
 def _sharing_rotation(poses: Transform) -> Transform:
-    """The same poses; where all are turned alike, as under pure translations, the row axis of the rotation is 1.
+    """These poses, with a single row of rotations where all are turned alike, as under pure translations.
 
     Matrix products over rows then happen once: a third of the time of a prediction that is short otherwise.
     """

@@ -81,9 +81,8 @@ class RoomField:
             inside |= distance_m <= 0.0
             if not (distance_m > 0.0).any():
                 continue
-            if (
-                isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS
-            ):  # zones are made for the correct sum
+            # Zones are made for the correct sum.
+            if isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
                 rules[coil.name] = rule_of_coil(winding, points_coil_m[distance_m > 0.0], tolerance)
                 continue
             zones[coil.name] = zones_of(winding, distance_m, tolerance)
@@ -106,7 +105,7 @@ class RoomField:
         current_A: Float[Tensor, "*#batch #point coil"],
         points_m: Float[Tensor, "point 3"] | None = None,
     ) -> Float[Tensor, "*batch point 3"]:
-        """As `field_T`, with currents of its own at each point."""
+        """Flux density in the world frame, in T, with currents of its own at each point; NaN where `is_inside` says so."""
         points_m = self.points_m if points_m is None else points_m
         world_from_point = Transform(
             torch.eye(3, dtype=points_m.dtype, device=points_m.device)[None], points_m
@@ -124,7 +123,7 @@ class RoomField:
     def gradient_by_point_T_per_m(
         self, values: Values, current_A: Float[Tensor, "*#batch #point coil"]
     ) -> Float[Tensor, "*batch point 3 3"]:
-        """As `gradient_T_per_m`, with currents of its own at each point."""
+        """dB_i / dx_j in the world frame, in T/m, with currents of its own at each point; NaN where `is_inside` says so."""
         columns = []
         for axis in range(3):
             direction = torch.zeros_like(self.points_m)

@@ -45,27 +45,27 @@ class Moment(Protocol):
 
     @property
     def time_s(self) -> float:
-        """Since the world began."""
+        """Time since the world began, in s."""
         ...
 
     @property
     def currents_A(self) -> tuple[float, ...]:
-        """In each coil that has a supply."""
+        """Current in each coil that has a supply, in A."""
         ...
 
     @property
     def base_from_flange(self) -> tuple[_Pose, ...]:
-        """Of each arm."""
+        """Pose of the flange of each arm in the frame of its base."""
         ...
 
     @property
     def coil_temperatures_K(self) -> tuple[float, ...]:
-        """Of each coil that has a supply."""
+        """Temperature of each coil that has a supply, in K."""
         ...
 
     @property
     def room_temperature_K(self) -> float:
-        """Of all else."""
+        """Temperature of everything but the coils, in K."""
         ...
 
 

@@ -158,7 +158,10 @@ class Sources:
         points_m = world_from_coil.locate(world_from_point.translation_m)
 
         def to_points(field: Tensor) -> Tensor:
-            """By the room, whose steps are cheaper than the product of both rotations, unless that is the same for all rows."""
+            """Field in the axes of the points, from that in the axes of the coil.
+
+            It goes by the room, whose steps are cheaper than the product of both rotations, unless that is the same for all rows.
+            """
             if world_from_point.rotation.shape[-3] == world_from_coil.rotation.shape[-3] == 1:
                 return turned(world_from_point.rotation.mT @ world_from_coil.rotation, field)
             return world_from_point.unrotate(world_from_coil.rotate(field))
@@ -326,7 +329,7 @@ class CoilInRoom(PerAmpere):
 
     @property
     def position_m(self) -> Float[Tensor, "*#batch #pose 3"]:
-        """Where the coil is in the world frame."""
+        """Position of the coil in the world frame, in m."""
         return self.world_from_coil.translation_m
 
     def at(self, points_m: Float[Tensor, "*#batch pose 3"]) -> Float[Tensor, "*batch pose 3"]:

@@ -11,9 +11,8 @@ from estimator.field.harmonics import exterior_field, interior_field
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
 
-CLEAR_SHARE = (
-    0.5  # of the margin: 1.5 spacings off the charges, where they pass for a layer to a part in ten thousand
-)
+# Share of the margin: 1.5 spacings off the charges, where they pass for a layer to a part in ten thousand.
+CLEAR_SHARE = 0.5
 ROUNDING = 1e-9  # of a multipole's distance from the box, whose nearest point is still fit for use
 
 

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-HALF_WIDTH_90 = (
-    1.644854  # half-width of the central 90 % interval of a normal distribution, in standard deviations
-)
+# Half-width of the central 90 % interval of a normal distribution, in standard deviations.
+HALF_WIDTH_90 = 1.644854
 
 
 @dataclass(frozen=True)

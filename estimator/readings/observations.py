@@ -67,7 +67,7 @@ class Observations:
         return self.current_A.device
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Observations:
-        """The same readings on another device or in another precision, with the history of their session; what is built from them follows.
+        """These readings on another device or in another precision, with the history of their session; what is built from them follows.
 
         Times and fields that were read keep their precision: seconds of a calendar, and small differences from a prediction, need it.
 
@@ -252,9 +252,9 @@ class Observations:
         return ~torch.isnan(self.field_sensor_T)
 
     def with_field(self, field_sensor_T: Float[Tensor, "reading 3"]) -> Observations:
-        """The same readings with other field values."""
+        """These readings with other field values, in T in the frames of their sensors."""
         return replace(self, field_sensor_T=field_sensor_T)
 
     def with_validation(self, is_validation: Bool[Tensor, " reading"]) -> Observations:
-        """The same readings with another split."""
+        """These readings with another split into those for calibration and those for validation."""
         return replace(self, is_validation=is_validation)

@@ -139,7 +139,7 @@ class _Predictive:
         return cls(sigma_T, residual, directions[:n].T, spread[:n], noise_sd, posterior.sensor, outliers)
 
     def widened(self, refit: Fit) -> _Predictive:
-        """The same noise, with parameters that vary within the prior of a fit to these readings, to first order about the fit."""
+        """This noise, with parameters that vary within the prior of a fit to these readings, to first order about the fit."""
         to_noise = 1.0 / (refit.whitening_per_T * self.sigma_T)
         jacobian = refit.jacobian * to_noise[:, None]
         prior_covariance = inverse(refit.optimum.precision - refit.optimum.information)[0]

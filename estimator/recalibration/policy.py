@@ -38,11 +38,12 @@ SHARE_OF_AGEING = 0.1
 (docs/decisions/0014). Study of 3 cases: numbers change in 3."""
 
 SHARE_OF_POSE = 1.0
-"""The same of a pose: a body that is mounted anew stands where it could have stood before the first session. Study of 3 cases: numbers
-change in 3."""
+"""Standard deviation of what may have changed in a pose between two sessions, over the width of its first prior: a body that is mounted
+anew stands where it could have stood before the first session. Study of 3 cases: numbers change in 3."""
 
 SHARE_OF_CAUSE = 1.0
-"""The same of a cause that was named: what has begun may go on. Study: read by no case."""
+"""Standard deviation of what may have changed in a cause that was named, over the width of its first prior: what has begun may go on.
+Study: read by no case."""
 
 # The job
 

@@ -69,7 +69,7 @@ class Coordinates:
         self.device = torch.device("cpu")
 
     def on(self, device: torch.device) -> Coordinates:
-        """The same coordinates with starts, scales, bounds and draws on another device, always in double precision."""
+        """These coordinates with starts, scales, bounds and draws on another device, always in double precision."""
         if device == self.device:
             return self
         other = copy(self)

@@ -91,10 +91,9 @@ class Mover:
     motion: MotionKind
     displacement_frame: DisplacementFrame = DisplacementFrame.END_EFFECTOR
     reference_rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    own_table: DenavitHartenberg | None = field(
-        default=None, repr=False
-    )  # `Rig.hash` names it where there is one
-    own_ends: ArmEnds | None = field(default=None, repr=False)  # likewise
+    # `Rig.hash` names the table and the ends, where there are any.
+    own_table: DenavitHartenberg | None = field(default=None, repr=False)
+    own_ends: ArmEnds | None = field(default=None, repr=False)
 
     @property
     def table(self) -> DenavitHartenberg | None:
@@ -170,7 +169,7 @@ class SidedCoil(Body):
 
 
 class Region(StrEnum):
-    """Where the field of a coil without a winding is described, about the origin of its frame."""
+    """Region about the origin of a coil's frame in which the field of a coil without a winding is described."""
 
     INTERIOR = "interior"  # in and around a ball that holds the readings; the sources are outside
     EXTERIOR = "exterior"  # outside a ball that holds all sources: multipoles
@@ -308,7 +307,7 @@ class Rig:
 
     @property
     def round(self) -> tuple[Coil, ...]:
-        """Those of them whose loops are circles."""
+        """The coils whose winding is described and whose loops are circles."""
         return tuple(coil for coil in self.wound if isinstance(coil, Coil))
 
     @property
@@ -359,7 +358,7 @@ class Rig:
         return next(mover for mover in self.movers if mover.name == name)
 
     def with_values(self, values: Mapping[str, float]) -> Rig:
-        """The same rig with other nominal values.
+        """This rig with other nominal values.
 
         Raises:
             InvalidInput: A name is not a parameter of the rig, or is tied to another.
@@ -380,16 +379,16 @@ class Rig:
         return self.depends_on_data(parameter.tie.to) if parameter.tie else parameter.is_free
 
     def with_fixed(self, names: Iterable[str]) -> Rig:
-        """The same rig with some parameters fixed at their nominal values."""
+        """This rig with some parameters fixed at their nominal values."""
         return self.with_parameters(replace(self.parameters[name], prior=None) for name in names)
 
     def with_parameters(self, parameters: Iterable[Parameter]) -> Rig:
-        """The same rig with other descriptions of some of its parameters."""
+        """This rig with other descriptions of some of its parameters."""
         replaced = {parameter.name: parameter for parameter in parameters}
         return replace(self, parameters={**self.parameters, **replaced})
 
     def with_cause(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
-        """The same rig with one more effect, whose parameters are named `cause[place].quantity`."""
+        """This rig with one more effect, whose parameters are named `cause[place].quantity`."""
         quantities = {parameter.name: parameter for parameter in parameters}
         labels = tuple(f"{correction.label}." for correction in self.corrections)
         last = {n: p for n, p in self.parameters.items() if n.startswith(labels)}  # as rig files have them
@@ -397,13 +396,13 @@ class Rig:
         return replace(self, parameters={**before, **quantities, **last}, effects=(*self.effects, cause))
 
     def with_correction(self, cause: Cause, parameters: Iterable[Parameter]) -> Rig:
-        """The same rig with one more correction, whose parameters are named `correction[place].quantity`."""
+        """This rig with one more correction, whose parameters are named `correction[place].quantity`."""
         quantities = {parameter.name: parameter for parameter in parameters}
         corrections = (*self.corrections, cause)
         return replace(self, parameters={**self.parameters, **quantities}, corrections=corrections)
 
     def without_cause(self, cause: Cause) -> Rig:
-        """The same rig without an effect or a correction."""
+        """This rig without an effect or a correction."""
         parameters = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
         effects, corrections = (
             tuple(c for c in all_ if c != cause) for all_ in (self.effects, self.corrections)

@@ -55,8 +55,8 @@ def read_own_table(section: Section, motion: MotionKind) -> tuple[DenavitHartenb
 
 
 def _end(section: Section) -> tuple[float, ...]:
-    found = (section.quantity(quantity, dimension) for quantity, dimension in POSE)
-    numbers = tuple(0.0 if entry is None else entry[1] for entry in found)
+    entries = (section.quantity(quantity, dimension) for quantity, dimension in POSE)
+    numbers = tuple(0.0 if entry is None else entry[1] for entry in entries)
     section.finish()
     return numbers
 
@@ -98,10 +98,10 @@ def _from_ros(section: Section, below: Section, motion: MotionKind) -> DenavitHa
 
 
 def _column(section: Section, quantity: str, dimension: str) -> tuple[float, ...]:
-    found = section.key_with_unit(quantity, dimension)
-    if found is None:
+    key_and_unit = section.key_with_unit(quantity, dimension)
+    if key_and_unit is None:
         return (0.0,) * N_JOINTS
-    key, unit = found
+    key, unit = key_and_unit
     values = section.value(key)
     is_list = isinstance(values, list) and len(values) == N_JOINTS
     if not is_list or not all(is_number(value) for value in values):

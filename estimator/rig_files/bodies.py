@@ -139,10 +139,10 @@ def _read_leads(section: Section) -> Leads | None:
 
 
 def _read_path(section: Section, lead: str) -> Path:
-    found = section.key_with_unit(lead, "length")
-    if found is None:
+    key_and_unit = section.key_with_unit(lead, "length")
+    if key_and_unit is None:
         return ()
-    key, unit = found
+    key, unit = key_and_unit
     points = section.value(key)
     is_path = isinstance(points, list) and len(points) >= 2 and all(map(is_point, points))
     if not is_path:

@@ -94,18 +94,20 @@ def read_box(section: Section, name: str) -> EquivalentSourceCoil:
     coil = EquivalentSourceCoil(name, None, (x_m, y_m, z_m), margin_m, spacing_m)
     n = n_charges(coil.intervals)
     if n > MOST_CHARGES:
-        found = section.key_with_unit("spacing", "length")
-        assert found is not None
-        section.refuse(found[0], f"must leave at most {MOST_CHARGES} charges on the box", f"{n} charges")
+        key_and_unit = section.key_with_unit("spacing", "length")
+        assert key_and_unit is not None
+        section.refuse(
+            key_and_unit[0], f"must leave at most {MOST_CHARGES} charges on the box", f"{n} charges"
+        )
     return replace(coil, multipoles_m=_read_multipoles(section, coil))
 
 
 def _read_multipoles(section: Section, coil: EquivalentSourceCoil) -> tuple[Triple, ...]:
     """Places of multipoles beside the box, each of its own."""
-    found = section.key_with_unit(MULTIPOLES, "length")
-    if found is None:
+    key_and_unit = section.key_with_unit(MULTIPOLES, "length")
+    if key_and_unit is None:
         return ()
-    key, unit = found
+    key, unit = key_and_unit
     given = section.value(key)
     if not (isinstance(given, list) and all(map(is_point, given))):
         section.refuse(key, "must be a list of places, each of three numbers", repr(given))
@@ -123,11 +125,11 @@ def _read_multipoles(section: Section, coil: EquivalentSourceCoil) -> tuple[Trip
 
 
 def _length_m(section: Section, quantity: str) -> float:
-    found = section.key_with_unit(quantity, "length")
-    if found is None:
+    key_and_unit = section.key_with_unit(quantity, "length")
+    if key_and_unit is None:
         section.required(f"{quantity}_m")
-    assert found is not None
-    key, unit = found
+    assert key_and_unit is not None
+    key, unit = key_and_unit
     length_m = section.number(key) * unit.to_si
     if length_m <= 0.0:
         section.refuse(key, "must be > 0", f"{section.number(key):g}")

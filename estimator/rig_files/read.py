@@ -20,9 +20,8 @@ from estimator.yaml_section import Section
 
 SCHEMA_VERSION = 1
 MOST_BODIES = 200  # coils, sensors or movers
-NAME = re.compile(
-    r"[A-Za-z0-9_-]+"
-)  # names become columns of tables, arrays of stores and parts of dotted names
+# Names become columns of tables, arrays of stores and parts of dotted names.
+NAME = re.compile(r"[A-Za-z0-9_-]+")
 CAUSE = re.compile(r"(?P<name>[a-z_]+)\[(?P<place>[A-Za-z0-9_-]+)\]")
 
 

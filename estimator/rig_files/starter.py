@@ -143,9 +143,8 @@ def starter_plan_text(starter: Starter) -> str:
     s = starter
     side = -1.0 if s.moved is Moved.COIL else 1.0
     start = s.distance_mm if s.motion is Motion.POSE else 0.0
-    near, far = sorted(
-        (side * start + 0.0, side * (start + s.reach_mm))
-    )  # + 0.0: no minus sign before a zero
+    # + 0.0: no minus sign before a zero.
+    near, far = sorted((side * start + 0.0, side * (start + s.reach_mm)))
     span = f"{{from: {-s.reach_mm:g}, to: {s.reach_mm:g}}}"
     inner = f"{{from: {-0.8 * s.reach_mm:g}, to: {0.8 * s.reach_mm:g}}}"
     depth, middle = near + 0.1 * (far - near), far - 0.1 * (far - near)

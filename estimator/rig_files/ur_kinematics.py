@@ -66,13 +66,13 @@ def corrections_from_ros(path: Path, robot: str) -> DenavitHartenberg:
 
 
 def _links(path: Path) -> list[Matrix]:
-    """Each link in the one before, with its joint at zero."""
+    """Transforms of each link in the one before, with its joint at zero."""
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         raise InvalidInput(f"{path} must be a YAML file that can be read: {reason(error)}") from error
     links = document.get("kinematics") if isinstance(document, dict) else None
-    found = []
+    transforms = []
     for name in LINKS:
         link = links.get(name) if isinstance(links, dict) else None
         numbers = [link.get(key) if isinstance(link, dict) else None for key in NUMBERS]
@@ -86,5 +86,5 @@ def _links(path: Path) -> list[Matrix]:
         values = np.array(numbers, dtype=float)
         matrix[:3, 3] = values[:3]
         matrix[:3, :3] = Rotation.from_euler("XYZ", values[3:]).as_matrix()
-        found.append(matrix)
-    return found
+        transforms.append(matrix)
+    return transforms

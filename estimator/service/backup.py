@@ -188,9 +188,9 @@ def _read(file: Path, folder: Path) -> tuple[dict[str, Any], int]:
         raise CorruptStore(f"backup must be of kind {KIND!r}, version {SCHEMA_VERSION}; {file} is not")
     (folder / FOLDER).chmod(0o700)
     paths = (path for path in folder.rglob("*") if path.is_file() and not path.is_symlink())
-    found = {path.relative_to(folder).as_posix(): path for path in paths}
-    names = found.keys() - {MANIFEST, CHECKSUMS}
+    packed = {path.relative_to(folder).as_posix(): path for path in paths}
+    names = packed.keys() - {MANIFEST, CHECKSUMS}
     for name in sorted(names | checksums.keys()):
-        if name not in names or hashlib.sha256(found[name].read_bytes()).hexdigest() != checksums.get(name):
+        if name not in names or hashlib.sha256(packed[name].read_bytes()).hexdigest() != checksums.get(name):
             raise CorruptStore(f"backup must match its checksums; {name} does not ({file})")
     return manifest, len(checksums)

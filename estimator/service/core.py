@@ -104,7 +104,7 @@ class Core:
         return self.data / UPLOADS
 
     def scratch(self) -> Path:
-        """The same folder, made where it is not there."""
+        """Folder of what is being unpacked, made where it is not there."""
         self.uploads.mkdir(parents=True, exist_ok=True)
         return self.uploads
 

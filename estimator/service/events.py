@@ -61,12 +61,12 @@ class _Lines:
                 *whole, _ = file.read().split(b"\n")
         except FileNotFoundError:
             return []
-        found = []
+        entries = []
         for line in whole:
             self._end += len(line) + 1
             self._number += 1
             try:
-                found.append((self._number, dict(json.loads(line))))
+                entries.append((self._number, dict(json.loads(line))))
             except ValueError:
                 continue
-        return found
+        return entries

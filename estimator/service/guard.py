@@ -34,9 +34,8 @@ SAFE = ("GET", "HEAD")
 MOST_PUBLIC_BYTES = 10_000  # of a body from somebody who has not said who it is: a token has a hundred
 MOST_BODIES = 16  # of the greatest size, that all requests together may hold in memory
 RETRY_AFTER_S = 5
-HOST = re.compile(
-    r"([^\s\[\]:/?#@\\]+|\[[0-9A-Fa-f:.]+\])(?::[0-9]{0,5})?"
-)  # a name or an address, and a port
+# A name or an address, and a port.
+HOST = re.compile(r"([^\s\[\]:/?#@\\]+|\[[0-9A-Fa-f:.]+\])(?::[0-9]{0,5})?")
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
 SECURITY_HEADERS = {
     "X-Content-Type-Options": "nosniff",
@@ -102,7 +101,7 @@ class Guard:
             self._n_held -= body.n_bytes
 
     async def _admitted(self, scope: Scope, receive: Receive, body: _Body) -> Receive:
-        """Where the body of an admitted request comes from; its caller is in `scope`."""
+        """Checks a request and returns the source of its body, limited in size and time; its caller is then in `scope`."""
         headers = Headers(scope=scope)
         _check_framing(scope, headers)
         self._check_site(scope, headers)
@@ -135,9 +134,8 @@ class Guard:
         origin = headers.get("origin")
         if origin is not None and origin != f"{scope['scheme']}://{host}":
             raise Problem(403, "origin", "must be the service itself", origin, "header Origin")
-        is_link = (
-            scope["path"] == PAGE and headers.get("sec-fetch-mode") == "navigate"
-        )  # to the page, from a wiki
+        # A link to the page, from a wiki.
+        is_link = scope["path"] == PAGE and headers.get("sec-fetch-mode") == "navigate"
         if headers.get("sec-fetch-site", "none") not in ("none", "same-origin") and not is_link:
             raise Problem(
                 403, "site", "must be the service itself", headers["sec-fetch-site"], "header Sec-Fetch-Site"

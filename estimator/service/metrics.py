@@ -55,7 +55,7 @@ class Metrics:
         Gauge(name, words, registry=self._registry).set_function(read)
 
     def text(self) -> bytes:
-        """All of them, as Prometheus reads them."""
+        """All metrics in the text format of Prometheus."""
         return generate_latest(self._registry)
 
 
@@ -66,11 +66,11 @@ class _Stored(Collector):
         self._database, self._settings = database, settings
 
     def describe(self) -> list[Metric]:
-        """Nothing, so that the database is not asked before there is one."""
+        """No metrics, so that the database is not asked before there is one."""
         return []
 
     def collect(self) -> Iterator[Metric]:
-        """The present numbers."""
+        """Metrics of what is in the database now."""
         with self._database.reading() as db:
             jobs, sessions, deliveries = (
                 {row[0]: row[1] for row in db.execute(select(column, func.count()).group_by(column))}

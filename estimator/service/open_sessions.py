@@ -28,9 +28,8 @@ from estimator.store.growing import new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, is_growing, load_session, seal
 
-MOST_IN_MEMORY = (
-    256  # journals that stay open; those longest unused are closed, and opened again when they are needed
-)
+# Journals that stay open; those longest unused are closed, and opened again when they are needed.
+MOST_IN_MEMORY = 256
 
 
 @dataclass

@@ -27,15 +27,15 @@ POLICY = (
 def page_files() -> dict[str, tuple[bytes, str]]:
     """Content and media type of every file of the page, by the path that it is served under."""
     root = files("estimator.service") / "page"
-    found: dict[str, tuple[bytes, str]] = {}
+    served: dict[str, tuple[bytes, str]] = {}
     for folder in ("", "vendor"):
         for file in sorted((root / folder).iterdir(), key=lambda item: item.name):
             media_type = MEDIA_TYPES.get(f".{file.name.rpartition('.')[2]}")
             if media_type is not None:
                 path = "/".join(filter(None, ("/page", folder, file.name)))
                 path = PAGE if file.name == "index.html" else path
-                found[path] = file.read_bytes(), media_type
-    return found
+                served[path] = file.read_bytes(), media_type
+    return served
 
 
 def page_router() -> APIRouter:
@@ -51,9 +51,8 @@ def _answering(content: bytes, media_type: str) -> Callable[[Request], Response]
 
     def page_file(request: Request) -> Response:
         response = with_etag(request, tag, lambda: Response(content, media_type=media_type))
-        response.headers["Content-Security-Policy"] = (
-            POLICY  # on 304 too, whose headers replace those of the copy
-        )
+        # On 304 too, whose headers replace those of the copy.
+        response.headers["Content-Security-Policy"] = POLICY
         return response
 
     return page_file

@@ -31,10 +31,8 @@ LONGEST_URL = 500
 HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?")
 MOST_S = 15.0  # from the question for the name's address to the head of the answer
 PUBLIC_V6 = ipaddress.IPv6Network("2000::/3")
-TUNNELS = (
-    ipaddress.IPv6Network("2002::/16"),
-    ipaddress.IPv6Network("2001::/32"),
-)  # to an IPv4 address inside
+# They lead to an IPv4 address inside.
+TUNNELS = (ipaddress.IPv6Network("2002::/16"), ipaddress.IPv6Network("2001::/32"))
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
@@ -158,8 +156,8 @@ async def _status(url: str, headers: dict[str, str], body: bytes, networks: Sequ
 
 async def _address(host: str, port: int, networks: Sequence[str]) -> Address:
     """The address of a host, all of whose addresses may be reached."""
-    found = await asyncio.wrap_future(_looked_up(host, port))
-    addresses = [ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in found]
+    looked_up = await asyncio.wrap_future(_looked_up(host, port))
+    addresses = [ipaddress.ip_address(str(entry[4][0]).partition("%")[0]) for entry in looked_up]
     for address in addresses:
         if not may_reach(address, networks):
             raise Undelivered(

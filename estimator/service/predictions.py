@@ -103,7 +103,9 @@ class Predictor:
 
     def _answer(self, batch: Sequence[_Waiting]) -> None:
         try:
-            found = answers(self._load(batch[0].folder), [each.question for each in batch], batch[0].wanted)
+            answered = answers(
+                self._load(batch[0].folder), [each.question for each in batch], batch[0].wanted
+            )
         except Exception as error:
             if len(batch) == 1:
                 batch[0].answer.set_exception(error)
@@ -111,12 +113,12 @@ class Predictor:
             for each in batch:  # the fault of one is not the others'
                 self._answer([each])
             return
-        for each, answer in zip(batch, found, strict=True):
+        for each, answer in zip(batch, answered, strict=True):
             each.answer.set_result(answer)
 
 
 def _batches(waiting: Sequence[_Waiting]) -> list[list[_Waiting]]:
-    """Those that can run together: of one calibration, for the same quantities, of `BLOCK` points at most."""
+    """Waiting questions in batches that can run together: of one calibration, for the same quantities, of `BLOCK` points at most."""
     batches: list[list[_Waiting]] = []
     open_batch: dict[tuple[Path, Wanted], list[_Waiting]] = {}
     n_points: dict[tuple[Path, Wanted], int] = {}

@@ -27,9 +27,8 @@ SENTENCE = re.compile(
     r"(?:; (?:received )?(?P<value>.*?))?"
     r"(?: \((?P<place>[^()]*)\))?\.?"
 )
-CONTROL = re.compile(
-    r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]"
-)  # and halves of characters, which no answer can hold
+# Control characters, and halves of characters, which no answer can hold.
+CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
 log = logging.getLogger("coilcal.service")
 
 
@@ -85,7 +84,7 @@ def not_found(thing: str, value: str) -> Problem:
 
 def shown(value: object, most: int = MOST_SHOWN) -> str:
     """A value as a refusal shows it: short, and without characters that steer a terminal."""
-    text = CONTROL.sub(lambda found: repr(found[0])[1:-1], str(value))
+    text = CONTROL.sub(lambda control: repr(control[0])[1:-1], str(value))
     return text if len(text) <= most else f"{text[:most]}..."
 
 
@@ -98,8 +97,8 @@ def parts_of(sentence: str) -> dict[str, str | None]:
         >>> parts_of("ducks float")["thing"] is None
         True
     """
-    found = SENTENCE.fullmatch(sentence)
-    return found.groupdict() if found else dict.fromkeys(("thing", "rule", "value", "place"))
+    parts = SENTENCE.fullmatch(sentence)
+    return parts.groupdict() if parts else dict.fromkeys(("thing", "rule", "value", "place"))
 
 
 def answer(

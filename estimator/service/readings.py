@@ -47,7 +47,7 @@ class Reading(BaseModel):
     repeat: Annotated[int, Field(ge=0, le=MOST_REPEATS, description="Number of the repeat of a setting.")] = 0
 
     def entry(self, rig: Rig) -> dict[str, Any]:
-        """As the journal of a session holds it."""
+        """This reading as an entry of the journal of a session."""
 
         def numbers(values: Sequence[float | None]) -> list[float]:
             return [math.nan if value is None else value for value in values]

@@ -71,7 +71,8 @@ def _room(core: CoreOf, caller: Reader) -> Iterator[None]:
 
 
 StreamRoom = Annotated[None, Depends(_room)]
-"""Of routes with event streams. What such a route refuses has to be refused by what it depends on: once it runs, the answer has begun."""
+"""Dependency of routes with event streams, each of which takes one of the places for streams. What such a route refuses has to be refused
+by what it depends on: once it runs, the answer has begun."""
 
 
 async def _import_room(core: CoreOf) -> AsyncIterator[None]:
@@ -80,7 +81,8 @@ async def _import_room(core: CoreOf) -> AsyncIterator[None]:
 
 
 ImportRoom = Annotated[None, Depends(_import_room)]
-"""Of routes that read a whole session; stands after the body, so that who sends slowly takes no place."""
+"""Dependency of routes that read a whole session, of which few run at once; stands after the body, so that who sends slowly takes no
+place."""
 
 
 def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes]]:
@@ -98,7 +100,7 @@ def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes
 
 
 def documented_body(media_type: str, description: str) -> dict[str, Any]:
-    """What OpenAPI says of such a body."""
+    """OpenAPI description of a required body of this media type."""
     schema = {"type": "string", "minLength": 1}
     if media_type == "application/zip":
         schema = {"type": "string", "format": "binary"}
@@ -124,12 +126,12 @@ def page_of(
     key = tuple_(table.created, table.id)
     if cursor is not None:
         rows = rows.where(key < _key(cursor))
-    found = list(db.scalars(rows.order_by(table.created.desc(), table.id.desc()).limit(limit + 1)))
-    last = found[limit - 1] if len(found) > limit else None
+    records = list(db.scalars(rows.order_by(table.created.desc(), table.id.desc()).limit(limit + 1)))
+    last = records[limit - 1] if len(records) > limit else None
     following = (
         None if last is None else base64.urlsafe_b64encode(f"{last.created} {last.id}".encode()).decode()
     )
-    return Page(items=[shape(row) for row in found[:limit]], next=following)
+    return Page(items=[shape(row) for row in records[:limit]], next=following)
 
 
 def _key(cursor: str) -> tuple[str, str]:

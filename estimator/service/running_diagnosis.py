@@ -31,10 +31,10 @@ class Growing(Protocol):
 
     @property
     def waits_since_s(self) -> float | None:
-        """When it had grown enough for another diagnosis, by the monotonic clock; None if it has not."""
+        """When the session had grown enough for another diagnosis, by the monotonic clock; None if it has not."""
 
     def so_far(self) -> Session:
-        """Its readings up to now; it does not wait any more then."""
+        """Readings of the session up to now; after that the session does not wait any more."""
 
     def take(self, refreshed: Refreshed) -> None:
         """Posterior and verdict of readings that `so_far` gave."""

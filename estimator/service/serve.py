@@ -92,7 +92,7 @@ def plan_of(settings: Settings) -> dict[str, object]:
 
 
 def address_of(settings: Settings, port: int) -> str:
-    """Where the service is reached."""
+    """URL at which the service is reached."""
     scheme = "https" if settings.tls_certificate else "http"
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
     return f"{scheme}://{host}:{port or 'a free port'}"

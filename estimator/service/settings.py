@@ -115,7 +115,7 @@ class Settings:
         return int(self.most_body_MB * 1e6)
 
     def with_options(self, **options: Any) -> Settings:
-        """The same settings with those that were given on the command line; None leaves one as it is."""
+        """These settings with those that were given on the command line; None leaves one as it is."""
         return checked(replace(self, **{name: value for name, value in options.items() if value is not None}))
 
 

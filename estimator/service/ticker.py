@@ -24,7 +24,7 @@ class Ticker:
         self._thread = threading.Thread(target=self._run, name=f"coilcal {name}", daemon=True)
 
     def start(self) -> None:
-        """Begin."""
+        """Begin to call."""
         self._thread.start()
 
     def stop(self) -> None:

@@ -30,10 +30,8 @@ from estimator.store.journal import Entry
 from estimator.store.session import Session
 
 LOOK_EVERY_S = 1.0  # for the end of the session, and whether anybody watches still
-FIRST, GROWTH = (
-    10,
-    1.6,
-)  # readings that were there before are taken in growing parts, so that the intervals have a past
+# Readings that were there before are taken in growing parts, so that the intervals have a past.
+FIRST, GROWTH = 10, 1.6
 REDRAWN_AT = 1.25  # growth of a session after which the residuals of all its readings are computed anew
 MOST_PLACES = 2_000  # that are shown, the last ones
 HISTORY_STEP = 1.01  # growth of a session between two entries of its history
@@ -140,9 +138,11 @@ class Watched:
                 is_polished=self._is_polished,
                 alarms=[alarm.words for alarm in self._stream.alarms],
                 is_redrawn=is_redrawn,
-                places=[one for one in self._places if one.number > after],
+                places=[place for place in self._places if place.number > after],
                 coils=list(self._coils),
-                history=[one for one in self._history if is_redrawn or one.n_readings > n_history],
+                history=[
+                    estimate for estimate in self._history if is_redrawn or estimate.n_readings > n_history
+                ],
                 devices=list(self._devices),
                 diagnosis=self._verdict,
                 fault=self._fault,
@@ -214,7 +214,9 @@ class Watched:
     def _add(self, entries: list[Entry]) -> None:
         estimate = self._stream.update(observations_of(entries, self._rig))
         new = self._drawn(entries, len(self._entries))
-        widths = Widths(estimate.n_readings, {name: one.sd for name, one in estimate.intervals.items()})
+        widths = Widths(
+            estimate.n_readings, {name: interval.sd for name, interval in estimate.intervals.items()}
+        )
         devices = updated(self._devices, entries, self._rig)
         coils = outlines(self._rig, self._stream.values, observations_of(entries[-1:], self._rig))
         with self._lock:

@@ -26,14 +26,8 @@ from estimator.service.settings import Settings
 
 WAITING, DELIVERED, FAILED = "waiting", "delivered", "failed"
 JOB_ENDED, TEST = "job.ended", "test"
-PAUSES_S = (
-    5,
-    60,
-    600,
-    3600,
-    6 * 3600,
-    24 * 3600,
-)  # before each further attempt; a weekend with the receiver off is survived by few more
+# Seconds before each further attempt; a weekend with the receiver off is survived by few more.
+PAUSES_S = (5, 60, 600, 3600, 6 * 3600, 24 * 3600)
 KEPT_DAYS = 90  # of what was delivered or has failed
 LOOK_EVERY_S, TIDY_EVERY_S = 1.0, 3600.0
 MOST_LATE_S = 5.0  # between the end of a receiver's time and the row that tells of it

@@ -128,9 +128,8 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
 
     options = job["options"]
     out = folder / DIAGNOSIS
-    if (
-        out / DIAGNOSIS_FILE
-    ).exists():  # a kill came before the page, which needs fits that are no longer remembered
+    # A kill came before the page, which needs fits that are no longer remembered.
+    if (out / DIAGNOSIS_FILE).exists():
         shutil.rmtree(out)
     limits = {name: options[name] for name in ("most_causes", "minutes") if options[name] is not None}
     readings = {name: options[name] for name in ("most_readings",) if options[name] is not None}
@@ -172,12 +171,12 @@ WORK: Mapping[str, Callable[[Mapping[str, Any], Path, Path, Tell], dict[str, Any
 
 
 def calibration_folder(kind: str, folder: Path) -> Path:
-    """Where a job of a kind leaves its calibration."""
+    """Folder in which a job of a kind leaves its calibration."""
     return folder / DIAGNOSIS / CALIBRATION if kind == "diagnose" else folder / CALIBRATION
 
 
 def result_file(kind: str, folder: Path) -> Path:
-    """Where a job of a kind leaves what it has found, as JSON."""
+    """JSON file in which a job of a kind leaves what it has found."""
     names = {
         "calibrate": f"{CALIBRATION}/summary.json",
         "diagnose": f"{DIAGNOSIS}/diagnosis.json",
@@ -189,7 +188,7 @@ def result_file(kind: str, folder: Path) -> Path:
 
 
 def report_file(kind: str, folder: Path) -> Path:
-    """Where a job of a kind leaves its page; a design has none."""
+    """File in which a job of a kind leaves its page; a design has none."""
     names = {"calibrate": f"{CALIBRATION}/{REPORT}", "diagnose": f"{DIAGNOSIS}/{REPORT}"}
     return folder / names.get(kind, REPORT)
 

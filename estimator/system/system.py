@@ -149,7 +149,7 @@ class System:
         return SystemField(self, tuple(rooms))
 
     def compiled(self) -> CompiledSystem:
-        """The same coils in machine code, for a point in microseconds; without intervals and derivatives in the pose.
+        """These coils in machine code, for a point in microseconds; without intervals and derivatives in the pose.
 
         Raises:
             InvalidInput: A rig has something besides windings, poses, linear supplies and a uniform field; the message names it.

@@ -44,9 +44,10 @@ def best_corrected(
     if is_piled:
         kinds = [kind.with_at_most(policy.MOST_AMPLITUDES_BESIDE_A_PILE) for kind in kinds]
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
+    # Columns hardly change as corrections are taken.
     candidates = [
         CorrectionCandidate.at(kind, first) for kind in kinds if kind.limit.degree >= kind.effect.lowest
-    ]  # columns hardly change as corrections are taken
+    ]
     trial = _linear_trial(first, candidates, tell)
     if standing_in and not is_piled:
         asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]
@@ -97,7 +98,9 @@ class _LinearTrial:
     leaders: Sequence[CorrectionCandidate]
 
     def in_full(self, limits: dict[str, str], corrects_already: bool) -> Correction:
-        """The same fitted in full; refused where that has no evidence any more, or predicts places held out worse.
+        """Correction by this trial after a full fit.
+
+        Refused where the full fit has no more evidence than the fit before, or predicts places held out no better.
 
         Args:
             limits: By kind and place why no higher degree was asked.

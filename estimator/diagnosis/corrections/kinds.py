@@ -53,7 +53,7 @@ class CorrectionKind:
         return [(d, self.effect.key(d, term)) for d in degrees for term in self.effect.terms(d)]
 
     def with_at_most(self, n_amplitudes: int) -> CorrectionKind:
-        """The same up to the highest degree that has no more amplitudes."""
+        """This kind up to the highest degree with at most so many amplitudes, or up to its lowest."""
         degree = self.limit.degree
         while degree > self.effect.lowest and len(self.keys(degree)) > n_amplitudes:
             degree -= 1
@@ -96,9 +96,8 @@ class CorrectionKind:
                 shapes = fit.vector.new_tensor([start[key] for start in starts])
                 values[f"{self.cause.label}.{key}"] = shapes.repeat_interleave(len(keys))
         with torch.no_grad():
-            if len(starts) > 1 and isinstance(
-                self.effect, MotionEffect
-            ):  # many poses, each near the reported one
+            # Many poses, each near the reported one.
+            if len(starts) > 1 and isinstance(self.effect, MotionEffect):
                 change_T = fit.posterior.measured_components(self._shifted_T(fit, model, values))
             else:
                 is_shown = isinstance(self.effect, ReadingEffect)  # the field at the sensors stays
@@ -167,7 +166,7 @@ class CorrectionCandidate:
 
     @classmethod
     def at(cls, kind: CorrectionKind, fit: Fit) -> CorrectionCandidate:
-        """At a fit."""
+        """Candidate of a kind of correction, with its columns at a fit."""
         degree = kind.limit.degree if len(kind.starts) == 1 else kind.effect.lowest
         return cls(kind, fit, kind.columns(fit, kind.starts, degree))
 

@@ -56,7 +56,7 @@ class Correction:
         return not self.refusal
 
     def words(self, label: Callable[[Cause], str]) -> str:
-        """In one sentence, with the names that the diagnosis gives."""
+        """What is corrected, or why nothing is, in one sentence with the names that the diagnosis gives."""
         if not self.is_taken:
             return f"Nothing is corrected: {self.refusal}."
         each = [f"{label(part.cause)} to degree {part.degree}" for part in self.parts]
@@ -75,7 +75,7 @@ class Correction:
         return f"Other readings would allow more. {each}. Run coilcal design --map, which proposes places."
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it."""
+        """Content of `correction` in `diagnosis.json`."""
         return {
             "parts": [
                 {

@@ -1,4 +1,4 @@
-"""Where the steps of a correction are: one is found beside the other, by their evidence in the linear model at a fit."""
+"""Chooses the steps of a correction: one beside the other, by their evidence in the linear model at a fit."""
 
 from __future__ import annotations
 

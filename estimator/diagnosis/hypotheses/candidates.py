@@ -76,9 +76,9 @@ class Candidate:
         elif len(self.keys) > MOST_ALONE:
             groupings = [[key[0] for key in self.keys]]
         return [
-            tuple(i for i, group in enumerate(groups) if (group == one) is is_in)
+            tuple(i for i, group in enumerate(groups) if (group == chosen) is is_in)
             for groups in groupings
-            for one in dict.fromkeys(groups)
+            for chosen in dict.fromkeys(groups)
             for is_in in (True, False)
         ]
 

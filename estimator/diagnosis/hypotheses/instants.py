@@ -16,9 +16,8 @@ from estimator.diagnosis.linear import log_mean_exp
 from estimator.effects.circumstances import Circumstances
 
 SINCE = "since_h"
-MOST_INSTANTS = (
-    48  # that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants
-)
+# Instants that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants.
+MOST_INSTANTS = 48
 
 
 def at_finer_instant(fit: Fit, screened: float, start: Candidate) -> tuple[float, Candidate]:

@@ -1,4 +1,4 @@
-"""Where causes of many kinds have piled up: several more are taken at once, which the linear model chooses one beside the other.
+"""Takes several causes at once where causes of many kinds have piled up; the linear model chooses one beside the other.
 
 The source seems wrong there, and no cause gets a name for what it leads by: what counts is how well all of them together follow the field.
 One comparison of all hypotheses for each would cost a full fit of hundreds of numbers for every leader.

@@ -76,7 +76,7 @@ def _score(fit: Fit, use: Use[NoiseEffect]) -> float:
 def _concerned(
     fit: Fit, use: Use[NoiseEffect], components: Float[Tensor, " component"]
 ) -> Float[Tensor, " concerned"]:
-    """The components that the effect concerns."""
+    """Components of the readings that a noise effect concerns."""
     readings = use.concerned(fit.posterior.model.circumstances)
     if readings is None:
         return components

@@ -277,7 +277,7 @@ class _AtStarts(Coordinates):
         return {**super().values(vector), **self._given(vector)}
 
     def values_of_each(self, columns: Sequence[Float[Tensor, " start"]]) -> dict[str, Tensor]:
-        """The same for coordinates that stand apart."""
+        """Every number of the rig at each start, given the coordinates one by one."""
         return {**super().values_of_each(columns), **self._given(columns[0])}
 
     def _given(self, like: Tensor) -> dict[str, Tensor]:

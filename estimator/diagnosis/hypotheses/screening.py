@@ -21,9 +21,8 @@ from estimator.rig.rig import Cause
 MOST_TOGETHER = 64  # candidates of one batch, which bounds the memory
 
 
-Batches = Sequence[
-    tuple[list[int], Products]
-]  # numbers of candidates, and products of their columns and, last, shifts
+# Numbers of candidates, and products of their columns and, last, shifts.
+Batches = Sequence[tuple[list[int], Products]]
 
 
 def screening(

@@ -82,7 +82,7 @@ class Search:
     @property
     def leaves_structure(self) -> bool:
         """Whether the posterior odds favour something unexplained: in the residual, in how readings scatter, or in a number of the rig."""
-        return any(leaves_structure(one) for one in (self.remainder, self.scatter, self.pull))
+        return any(leaves_structure(evidence) for evidence in (self.remainder, self.scatter, self.pull))
 
     @property
     def source_seems_wrong(self) -> bool:

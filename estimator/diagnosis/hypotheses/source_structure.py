@@ -1,4 +1,4 @@
-"""Where causes of many kinds pile up: whether the source is built otherwise than described instead.
+"""Whether the source is built otherwise than described, which is asked where causes of many kinds pile up.
 
 A wrong picture of a winding looks like a little of many causes. A search that takes the best of them one at a time never comes back to the
 one hypothesis that would do for all.
@@ -71,8 +71,12 @@ class OtherStructures:
     @property
     def better(self) -> Asked | None:
         """The best hypothesis that explains more than the pile by no more causes; None where there is none."""
-        explaining = (one for one in self.asked if one.log_bayes_factor > self.log_bayes_factor)
-        return next((one for one in explaining if len(one.needed) < len(self.pile)), None)
+        explaining = (
+            hypothesis for hypothesis in self.asked if hypothesis.log_bayes_factor > self.log_bayes_factor
+        )
+        return next(
+            (hypothesis for hypothesis in explaining if len(hypothesis.needed) < len(self.pile)), None
+        )
 
     def step(self, base: Fit, pool: Sequence[Candidate], remainder: Discrepancy) -> Step:
         """The comparison that takes the better one: hypotheses of structure by what they reached, all others as screened.
@@ -82,14 +86,14 @@ class OtherStructures:
             pool: Columns of every cause there.
             remainder: Structure in its residual.
         """
-        of_structure = {one.cause for one in self.asked}
+        of_structure = {hypothesis.cause for hypothesis in self.asked}
         screened = screening(base, [c for c in pool if c.cause not in of_structure])
         hypotheses = [
             Hypothesis(None, "nothing", 0.0),
             Hypothesis(None, "unexplained", remainder.log_bayes_factor),
             *(
-                Hypothesis(one.cause, one.cause.label, one.log_bayes_factor, fit=one.alone)
-                for one in self.asked
+                Hypothesis(trial.cause, trial.cause.label, trial.log_bayes_factor, fit=trial.alone)
+                for trial in self.asked
             ),
             *(Hypothesis(cause, cause.label, value) for cause, (value, _, _) in screened.items()),
         ]
@@ -141,7 +145,7 @@ def other_structures(
         gain, needed = joint_evidence(alone, starts, least) if starts else (0.0, [])
         value = log_bayes_factor(alone.log_evidence + gain, 1 + len(needed))
         trials.append(Asked(cause, value, tuple(start.cause for start in needed), alone))
-    trials.sort(key=lambda one: -one.log_bayes_factor)
+    trials.sort(key=lambda trial: -trial.log_bayes_factor)
     asked = []
     for i, trial in enumerate(trials):
         if limits.is_over:
@@ -152,13 +156,13 @@ def other_structures(
         needed_causes = tuple(c for c in others if c in beside.rig.effects)
         value = log_bayes_factor(beside.log_evidence, 1 + len(needed_causes))
         asked.append(replace(trial, log_bayes_factor=value, needed=needed_causes))
-    asked.sort(key=lambda one: -one.log_bayes_factor)
+    asked.sort(key=lambda trial: -trial.log_bayes_factor)
     result = OtherStructures(piled, log_bayes_factor(pile.log_evidence, len(piled)), tuple(asked))
     if result.better is None:
         return result
     alone, rules = result.better.alone, base.posterior.model.rules
     to_the_end = fit_rig(alone.rig, alone.observations, alone.values, rules, near=alone)
-    asked = [replace(one, alone=to_the_end) if one is result.better else one for one in asked]
+    asked = [replace(trial, alone=to_the_end) if trial is result.better else trial for trial in asked]
     return replace(result, asked=tuple(asked))
 
 

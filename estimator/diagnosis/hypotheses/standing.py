@@ -16,7 +16,7 @@ from estimator.rig.rig import Cause
 
 
 def standing(fit: Fit, causes: Sequence[Cause], before: Discrepancy, remainder: Discrepancy) -> list[Cause]:
-    """Those of some causes that stand, judged to first order about the fit.
+    """Causes that stand beside what the fit leaves, judged to first order about the fit.
 
     Args:
         fit: With all of them.
@@ -40,7 +40,9 @@ def keeping_their_names(
     remainder: Discrepancy,
     families: Sequence[Family],
 ) -> list[Cause]:
-    """Those that stand and are rather themselves than something that no list holds; only of those that stand the latter is asked.
+    """Causes that stand, and that are rather themselves than something that no list holds.
+
+    The latter is asked only of those that stand.
 
     Args:
         fit, causes, before, remainder: As in `standing`.

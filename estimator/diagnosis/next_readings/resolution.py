@@ -108,7 +108,7 @@ class Directions:
 
     @classmethod
     def of(cls, columns: Float[Tensor, "component column"]) -> Directions:
-        """Those that columns span."""
+        """Directions that the columns span."""
         scaled = columns / columns.norm(dim=0).clamp(min=1e-300)
         return cls(scaled, scaled.T @ scaled)
 

@@ -110,7 +110,7 @@ def _lowered(
     columns: Float[Tensor, "stop 3 coordinate"],
     gradients: Float[Tensor, "parameter coordinate"],
 ) -> Float[Tensor, " stop"]:
-    """By how much each stop would lower the mean variance of the parameters: Woodbury's identity with three rows a stop."""
+    """Decrease of the mean variance of the parameters by each stop: Woodbury's identity with three rows a stop."""
     spread = columns @ covariance
     inner = torch.eye(3, dtype=columns.dtype) + spread @ columns.mT
     seen = spread @ gradients.T

@@ -39,7 +39,7 @@ class HeldOut:
         return self.elpd_difference < -policy.LEAST_HELD_OUT_LOSS_SE * self.elpd_se
 
     def to_json(self) -> dict[str, float]:
-        """As `diagnosis.json` holds it."""
+        """Difference and its standard error in the form of `diagnosis.json`."""
         return {"gain": self.elpd_difference, "se": self.elpd_se}
 
 

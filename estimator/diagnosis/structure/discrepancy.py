@@ -120,7 +120,7 @@ def evidence_by_amplitude(
 def expected_of_noise(
     fit: Fit, families: Sequence[Family], amplitudes: Sequence[float], batches: Batches | None = None
 ) -> Float[Tensor, "family amplitude"]:
-    """The same as it is expected where the residual is noise, less what the fit follows."""
+    """Log Bayes factor of each family and amplitude as it is expected where the residual is noise, less what the fit follows."""
     rms = fit.residual.new_tensor(amplitudes)
     result = rms.new_zeros(len(families), len(rms))
     for some, products in products_of(fit, families) if batches is None else batches:

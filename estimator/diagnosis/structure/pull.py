@@ -61,5 +61,9 @@ def pull_of(fit: Fit) -> Pull:
 
 
 def _log_bayes_factor(widths: float, known: float, wider: float) -> float:
-    """Of a prior so many times wider, for a number so many prior widths off, of which the readings know a share."""
+    """Log Bayes factor of a wider prior for one number.
+
+    The prior is `wider` times as wide, the number lies `widths` of its prior widths off, and readings have the share `known` of what is
+    known of it.
+    """
     return 0.5 * widths**2 / (known + wider**-2) - 0.5 * math.log1p(known * wider**2)

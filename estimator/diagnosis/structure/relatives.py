@@ -66,10 +66,10 @@ def unknown_beside(fit: Fit, causes: Sequence[Cause], families: Sequence[Family]
     # Of all causes at once, so that the directions of each family are found once.
     evidence = evidence_by_amplitude(fit, families, amplitudes, batches)
     each = zip(evidence.split(len(policy.RELATIVE_SHARES), dim=1), rms.items(), strict=True) if rms else ()
-    found = {cause: _beside(fit, families, own, size, batches) for own, (cause, size) in each}
+    unknown = {cause: _beside(fit, families, own, size, batches) for own, (cause, size) in each}
     for cause in scattering:
-        found[cause] = Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
-    return [found[cause] for cause in causes]
+        unknown[cause] = Unknown(_probability(max(scatter_of(fit).log_bayes_factor, 0.0)))
+    return [unknown[cause] for cause in causes]
 
 
 def _beside(
@@ -79,7 +79,7 @@ def _beside(
     rms_sigma: float,
     batches: Batches,
 ) -> Unknown:
-    """The same for one cause, given the evidence for relatives of its size."""
+    """What no list holds beside one cause, given the evidence for relatives of its size."""
     probability = _probability(_mean(families, evidence))
     if not policy.LEAST_BESIDE_A_NAME < probability <= policy.MOST_BESIDE_A_NAME:
         return Unknown(probability)  # on the same side of any limit
@@ -90,7 +90,7 @@ def _beside(
 
 
 def _mean(families: Sequence[Family], evidence: Float[Tensor, "family amplitude"]) -> float:
-    """Log evidence for any of them."""
+    """Log evidence that one of the families is there, whichever it is."""
     return log_mean_exp(torch.tensor(list(by_name(families, evidence).values()), dtype=torch.float64))
 
 

@@ -48,11 +48,11 @@ def scatter_of(fit: Fit) -> Scatter:
     misses = _misses(fit)
     size = _normal_scores(_lengths(misses, fit.observations.is_measured.sum(1)))
     for name, detail, columns in _sizes(fit, size):
-        found = _evidence(columns - columns.mean(0), size)
-        evidence.setdefault(name, []).append(found)
-        if found > best:
-            best, along = found, f"{name}, {detail}" if detail else name
-    means = [log_mean_exp(torch.tensor(found, dtype=torch.float64)) for found in evidence.values()]
+        log_bayes_factor = _evidence(columns - columns.mean(0), size)
+        evidence.setdefault(name, []).append(log_bayes_factor)
+        if log_bayes_factor > best:
+            best, along = log_bayes_factor, f"{name}, {detail}" if detail else name
+    means = [log_mean_exp(torch.tensor(of_family, dtype=torch.float64)) for of_family in evidence.values()]
     return Scatter(log_mean_exp(torch.tensor(means, dtype=torch.float64)) if means else 0.0, along)
 
 

@@ -32,7 +32,7 @@ class Symptoms:
         return cls(lack_of_fit(fit), tuple(structure(fit, seed)), signatures(fit))
 
     def to_json(self) -> dict[str, Any]:
-        """As `diagnosis.json` holds it."""
+        """These symptoms in the form of `diagnosis.json`."""
         return {
             "lack_of_fit": {
                 "rms_T": self.lack_of_fit.rms_T,

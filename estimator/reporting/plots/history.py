@@ -78,8 +78,8 @@ def history(sessions: Sequence[SessionSummary], versions: Sequence[VersionInUse]
     # A cause that a session has drifted by is drawn, whether or not a version has it yet.
     of_causes = (name for session in sessions for name in session.estimate if "[" in name)
     of_versions = (name for version in versions for name in version.intervals)
-    found = dict.fromkeys([*of_versions, *of_causes])
-    names = sorted(found, key=lambda name: "[" not in name)  # what drifted stands on top
+    parameters = dict.fromkeys([*of_versions, *of_causes])
+    names = sorted(parameters, key=lambda name: "[" not in name)  # what drifted stands on top
     fig = figure(9.0, 2.0 + 1.15 * len(names), title)
     strip, *panels = fig.subplots(
         len(names) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.1, *[1.0] * len(names)]
@@ -196,7 +196,7 @@ def _parameter(
 
 
 def _display(name: str, names: Sequence[str]) -> Display:
-    """As in other plots, but with the name of the cause before its quantity."""
+    """How a parameter is shown: as in other plots, but with the name of the cause before its quantity."""
     display = displays(names)[name]
     cause, _, key = name.rpartition(".")
     if "[" not in cause:

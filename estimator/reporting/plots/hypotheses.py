@@ -72,7 +72,7 @@ def evidence_bars(
     shown = sorted(evidence, key=lambda name: -evidence[name])[:MOST_BARS]
     always = ("nothing", "unexplained", adopted)
     shown += [name for name in evidence if name in always and name not in shown]
-    groups = [[name for name in shown if role[name] is one] for one in Role]
+    groups = [[name for name in shown if role[name] is kind] for kind in Role]
     names = [name for group in groups for name in group]
     begins = [0.5 * sum(map(bool, groups[: list(Role).index(role[name])])) for name in names]
     rows = [i + begin for i, begin in enumerate(begins)]

@@ -48,7 +48,7 @@ router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
 LARGEST_SEED = 2**32 - 1
 MOST_SESSIONS = 200  # of a batch
 PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
-"""Of reports, which are one file with their style and pictures inside; nothing in them may run."""
+"""Content-Security-Policy of reports, which are one file with their style and pictures inside; nothing in them may run."""
 
 
 Kind = Literal["calibrate", "diagnose", "recalibrate", "batch", "design"]

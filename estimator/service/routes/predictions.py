@@ -101,7 +101,7 @@ async def predict(core: CoreOf, caller: Reader, calibration_id: Id, body: Points
 
 @router.post("/{calibration_id}/predict.arrow", **ARROW_RESPONSE)
 async def predict_arrow(core: CoreOf, caller: Reader, calibration_id: Id, body: PointsQuestion) -> Response:  # noqa: ARG001
-    """The same as an Arrow stream, with a row for each point."""
+    """Field and gradient of the calibrated model at points, as an Arrow stream with a row for each point."""
     return await _as_arrow(_blocks(core, calibration_id, _points_of(core, body), body), calibration_id, body)
 
 
@@ -120,7 +120,7 @@ async def predict_grid_arrow(
     calibration_id: Id,
     body: GridQuestion,
 ) -> Response:
-    """The same as an Arrow stream, with a row for each point."""
+    """Field and gradient of the calibrated model on a regular grid, as an Arrow stream with a row for each point."""
     points_m = torch.cartesian_prod(*_axes_of(core, body).values())
     return await _as_arrow(_blocks(core, calibration_id, points_m, body), calibration_id, body)
 
@@ -170,10 +170,10 @@ def _checked_folder(core: Core, calibration_id: str, wish: Wish) -> Path:
 async def _as_json(
     blocks: AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]], axes: Mapping[str, Tensor]
 ) -> Response:
-    found = [answer async for _, answer in blocks]
+    answered = [answer async for _, answer in blocks]
 
     def body() -> bytes:
-        joined = {name: torch.cat([answer[name] for answer in found]) for name in found[0]}
+        joined = {name: torch.cat([answer[name] for answer in answered]) for name in answered[0]}
         content = {name: values.tolist() for name, values in (*axes.items(), *joined.items())}
         return to_json(content, inf_nan_mode="null")
 

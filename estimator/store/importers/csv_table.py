@@ -92,7 +92,7 @@ class Table:
         return torch.tensor(values, dtype=torch.float64)
 
     def place(self, quantity: str, line: int) -> Place:
-        """Where a cell stands."""
+        """Location of a cell."""
         return Place(str(self.path), line, self.header[quantity].column + 1)
 
     def cells(self, quantity: str) -> list[tuple[str, int]]:

@@ -95,15 +95,15 @@ class Collection:
         norm = (square.sum(1) / columns.shape[-1]).sqrt().clamp(min=1e-300)
         is_nonzero = square.sqrt() > 1e-9 * norm[:, None] * columns.shape[-1] ** 0.5
         scaled = columns / norm[:, None, None]
-        for one, is_kept, detail in zip(scaled, is_nonzero, details, strict=True):
+        for family, is_kept, detail in zip(scaled, is_nonzero, details, strict=True):
             if bool(is_kept.all()):
-                self.families.append(Family(name, one.T, detail))
+                self.families.append(Family(name, family.T, detail))
             elif bool(is_kept.any()):
-                self.families.append(Family.of(name, one[is_kept].T, detail))
+                self.families.append(Family.of(name, family[is_kept].T, detail))
 
 
 def by_sensor(circumstances: Circumstances) -> list[tuple[str, Float[Tensor, " reading"]]]:
-    """Each sensor that was read, and 1 at its readings."""
+    """Names of the sensors that were read, each with 1 at its own readings and 0 at others."""
     seen = [(circumstances.sensor == i).to(torch.float64) for i in range(len(circumstances.rig.sensors))]
     named = zip((sensor.name for sensor in circumstances.rig.sensors), seen, strict=True)
     return [(name, its) for name, its in named if bool(its.any())]

@@ -16,9 +16,8 @@ from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import gradient_T_per_m
 
 RANGES = "the range of a sensor"
-BEYOND = (
-    1.0 + 1e-9
-)  # times the end of a range: fields of opposite currents are as large to rounding, and stay on one side
+# Factor on the end of a range: fields of opposite currents are as large to rounding, and stay on one side.
+BEYOND = 1.0 + 1e-9
 
 
 def add_settings(collection: Collection) -> None:

@@ -42,7 +42,7 @@ def add_time(collection: Collection) -> None:
 def _add_changes(
     collection: Collection, time: Tensor, instants: list[float], seen: Tensor, sensor: str
 ) -> None:
-    """From an instant on a sensor shows something else: a constant, a share of each component, or both with cross terms."""
+    """Add changes of what a sensor shows from an instant on: a constant, a share of each component, or both with cross terms."""
     mixed = torch.cat([torch.diag_embed(torch.roll(collection.field, k, dims=1)) for k in range(3)], dim=-1)
     everything = torch.cat((collection.axes, mixed), dim=-1)
     for instant in instants:
@@ -53,7 +53,7 @@ def _add_changes(
 
 
 def _add_changes_of_all(collection: Collection, time: Tensor, instants: list[float]) -> None:
-    """From an instant on a coil's field is stronger, a mover stands elsewhere, or the room has another field, at all sensors alike."""
+    """Add changes from an instant on at all sensors: of a coil's field, of where a mover stands, or of the room's field."""
     fit, model = collection.fit, collection.fit.posterior.model
     circumstances = model.circumstances
     share = circumstances.current_A / circumstances.largest_current_A
@@ -75,7 +75,7 @@ def _add_changes_of_all(collection: Collection, time: Tensor, instants: list[flo
 def _add_spells(
     collection: Collection, time: Tensor, instants: list[float], seen: Tensor, sensor: str
 ) -> None:
-    """For a while there is something else."""
+    """Add spells between two instants, in which a sensor shows a constant or a share of each component beside."""
     spells = [(time > begin) * (time <= end) * seen for begin, end in combinations(instants, 2)]
     during = torch.stack([spell for spell in spells if bool(spell.any())] or [torch.zeros_like(time)])
     if bool(during.any()):
@@ -119,8 +119,8 @@ def _add_wandering(collection: Collection, circumstances: Circumstances, seen: T
         n = len(kernel)
         largest = (max(n - policy.WANDERING_COMPONENTS, 0), n - 1)
         # On the processor: SciPy finds the few largest alone.
-        found = eigh(numpy_of(kernel), subset_by_index=largest)
-        size, vectors = (torch.from_numpy(numbers).to(kernel.device) for numbers in found)
+        eigenpairs = eigh(numpy_of(kernel), subset_by_index=largest)
+        size, vectors = (torch.from_numpy(numbers).to(kernel.device) for numbers in eigenpairs)
         components = vectors * size.clamp(min=0.0).sqrt()
         for directions in (collection.axes, collection.along_field):
             collection.add("wandering in time", components, directions, sensor)
