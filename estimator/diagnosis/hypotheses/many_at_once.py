@@ -55,8 +55,8 @@ def chosen_one_by_one(fit: Fit, asked: Sequence[Candidate], least: float, most: 
     beside = fit
     while len(chosen) < most:
         screened = screening(beside, asked)
-        cause = max(screened, key=lambda cause: screened[cause][0], default=None)
-        if cause is None or screened[cause][0] <= least:
+        cause = max(screened, key=lambda cause: screened[cause].log_bayes_factor, default=None)
+        if cause is None or screened[cause].log_bayes_factor <= least:
             break
         value, _, start = screened[cause]
         _, start = at_finer_instant(beside, value, start)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import groupby
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -25,17 +26,29 @@ MOST_TOGETHER = 64  # candidates of one batch, which bounds the memory
 Batches = Sequence[tuple[list[int], Products]]
 
 
-def screening(
-    fit: Fit, pool: Sequence[Candidate], batches: Batches | None = None
-) -> dict[Cause, tuple[float, float, Candidate]]:
-    """For every cause in the linear model: log Bayes factor averaged over its starts, that of its best start, and that start."""
+class Screened(NamedTuple):
+    """What the linear model says of a cause.
+
+    Attributes:
+        log_bayes_factor: Against nothing, averaged over its starts.
+        highest: That of its best start.
+        start: This start.
+    """
+
+    log_bayes_factor: float
+    highest: float
+    start: Candidate
+
+
+def screening(fit: Fit, pool: Sequence[Candidate], batches: Batches | None = None) -> dict[Cause, Screened]:
+    """Evidence for every cause in the linear model."""
     by_cause: dict[Cause, list[tuple[float, Candidate]]] = {}
     for candidate, value in zip(pool, linear_evidence(fit, pool, batches), strict=True):
         by_cause.setdefault(candidate.cause, []).append((value, candidate))
     result = {}
     for cause, starts in by_cause.items():
         values = torch.tensor([value for value, _ in starts], dtype=torch.float64)
-        result[cause] = (log_mean_exp(values), float(values.max()), starts[int(values.argmax())][1])
+        result[cause] = Screened(log_mean_exp(values), float(values.max()), starts[int(values.argmax())][1])
     return result
 
 

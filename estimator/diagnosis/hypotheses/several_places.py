@@ -50,10 +50,10 @@ def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
     if max(n_places.values(), default=0) < 2:
         return None
     screened = screening(fit, absent)
-    best_alone = max(highest for _, highest, _ in screened.values())
+    best_alone = max(row.highest for row in screened.values())
     least = max(best_alone, 0.0) + least_log_evidence(len(screened))
     starts_by_name = [
-        [start for cause, (_, _, start) in screened.items() if cause.name == name]
+        [row.start for cause, row in screened.items() if cause.name == name]
         for name, n in n_places.items()
         if n > 1 and not _is_event(name, fit)
     ]
@@ -208,8 +208,8 @@ def comparison_steps(
     asked = [c for c in pool if c.cause in causes or c.cause not in fit.rig.effects]
     of_causes, of_curves = screening_products(fit, asked), curve_products(fit, smooth)
     beside = {
-        cause: max(value, 0.0)
-        for cause, (value, _, _) in screening(fit, asked, of_causes).items()
+        cause: max(row.log_bayes_factor, 0.0)
+        for cause, row in screening(fit, asked, of_causes).items()
         if cause not in causes
     }
     curve_beside = max(discrepancy(fit, smooth, of_curves).log_bayes_factor, 0.0)

@@ -170,7 +170,7 @@ def _starts(base: Fit, alone: Fit, pool: Sequence[Candidate], causes: Sequence[C
     """The best start of each of some causes in the linear model at a fit; those that start away from their null are left out."""
     weight = alone.weight_over(base)
     near = [c.weighed(weight) for c in pool if c.cause in causes and c.is_at_null]
-    return [start for _, _, start in screening(alone, near).values()]
+    return [row.start for row in screening(alone, near).values()]
 
 
 def structural_causes(base: Fit, limits: Limits) -> list[Cause]:

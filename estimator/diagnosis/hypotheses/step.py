@@ -19,7 +19,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.instants import at_finer_instant
 from estimator.diagnosis.hypotheses.noise import noise_causes
-from estimator.diagnosis.hypotheses.screening import Reached, in_full, screening
+from estimator.diagnosis.hypotheses.screening import Reached, Screened, in_full, screening
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import Pace
 from estimator.diagnosis.structure.cross_validation import HeldOut, held_out
@@ -73,7 +73,7 @@ class Step:
 
     @property
     def remainder(self) -> Discrepancy:
-        """That structure, in a step that asked for it: one that compared all hypotheses."""
+        """Structure in the residual before the cause was added, of a step that compared all hypotheses."""
         assert self.discrepancy is not None
         return self.discrepancy
 
@@ -111,55 +111,91 @@ def take_step(
         remainder: Structure in the residual, where it is known already.
         reached: Where an earlier comparison has found causes.
     """
-    present = set(fit.rig.effects)
-    most_fitted = policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED
     remainder = remainder or discrepancy(fit, smooth)
-    screened = screening(fit, [c for c in pool if c.cause not in present])
-    ranked = sorted(screened, key=lambda cause: -screened[cause][0])
+    screened = screening(fit, [c for c in pool if c.cause not in fit.rig.effects])
+    least = least_log_evidence(len(screened))
+    most_fitted = policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED
+    causes = _leaders_in_full(fit, screened, most_fitted, limits, pace, reached)
+    causes += _of_noise(fit, causes, least, is_piled, limits, reached)
     hypotheses = [
         Hypothesis(None, "nothing", 0.0),
         Hypothesis(None, "unexplained", remainder.log_bayes_factor),
+        *(_cross_validated(fit, hypothesis, block) for hypothesis in causes),
     ]
-    least = least_log_evidence(len(ranked))
-    nearest = max((highest for _, highest, _ in screened.values()), default=0.0)
-    is_quiet = nearest < least - policy.MOST_GAINED_IN_FULL  # what is linear cannot be taken
+    return _step_that_takes(with_probabilities(hypotheses, len(screened)), remainder, screened, least)
+
+
+def _leaders_in_full(
+    fit: Fit,
+    screened: Mapping[Cause, Screened],
+    most_fitted: int,
+    limits: Limits,
+    pace: Pace,
+    reached: Reached | None,
+) -> list[Hypothesis]:
+    """All screened causes; the leaders, and those that could still be the best one, by a full fit."""
+    ranked = sorted(screened, key=lambda cause: -screened[cause].log_bayes_factor)
+    nearest = max((row.highest for row in screened.values()), default=0.0)
+    # What is linear cannot be taken, so that a full fit would change nothing.
+    is_quiet = nearest < least_log_evidence(len(ranked)) - policy.MOST_GAINED_IN_FULL
+    hypotheses = list[Hypothesis]()
     best, n_fitted, pictured = 0.0, 0, set[str]()
     for i, cause in enumerate(ranked):
         value, highest, start = screened[cause]
-        fitted, picture = None, EFFECTS[cause.name].idealises
-        is_rival = (
-            picture in pictured and highest > 0.0
-        )  # its shapes move far in a fit, as those of the other picture did
-        is_asked = is_rival or (fit.is_bent and EFFECTS[cause.name].starts_far_off)
+        effect, fitted = EFFECTS[cause.name], None
+        # The shapes of another picture of the same thing move far in a fit, as those of the first did.
+        is_rival = effect.idealises in pictured and highest > 0.0
+        is_asked = is_rival or (fit.is_bent and effect.starts_far_off)
         is_known = is_quiet and not is_asked and _is_linear(start, fit)
-        if (
-            (is_asked or _is_worth_a_fit(i, highest, best, most_fitted))
-            and not is_known
-            and not limits.is_over
-        ):
+        is_worth_it = is_asked or _is_worth_a_fit(i, highest, best, most_fitted)
+        if is_worth_it and not is_known and not limits.is_over:
+            still_to_come = enumerate(ranked[i:], i)
             n_left = sum(
-                _is_worth_a_fit(k, screened[ranked[k]][1], best, most_fitted) for k in range(i, len(ranked))
+                _is_worth_a_fit(k, screened[later].highest, best, most_fitted) for k, later in still_to_come
             )
             pace.tell(n_fitted, n_fitted + n_left)
             value, fitted = in_full(fit, *at_finer_instant(fit, value, start), reached)
             best, n_fitted = max(best, value), n_fitted + 1
-            pictured |= {picture} if picture is not None else set()
+            pictured |= {effect.idealises} if effect.idealises is not None else set()
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))
     pace.tell(n_fitted, n_fitted)
-    highest_fitted = max((h.log_bayes_factor for h in hypotheses if h.fit is not None), default=0.0)
-    beside = highest_fitted - policy.LEADERS_WITHIN if highest_fitted > least else 0.0
-    is_noise_last = is_piled and highest_fitted > least
-    of_noise = noise_causes(fit, math.inf if limits.is_over or is_noise_last else beside, reached)
-    hypotheses += [Hypothesis(cause, cause.label, value, fit=full) for cause, value, full in of_noise]
-    hypotheses = with_probabilities(
-        [_cross_validated(fit, hypothesis, block) for hypothesis in hypotheses], len(ranked)
-    )
+    return hypotheses
+
+
+def _of_noise(
+    fit: Fit,
+    others: Sequence[Hypothesis],
+    least: float,
+    is_piled: bool,
+    limits: Limits,
+    reached: Reached | None,
+) -> list[Hypothesis]:
+    """Causes that change how readings scatter: by a full fit where they come near the best other cause.
+
+    In a pile they are fitted only where no other cause suffices.
+    """
+    highest = max((h.log_bayes_factor for h in others if h.fit is not None), default=0.0)
+    is_earned = highest > least
+    worth_a_fit = highest - policy.LEADERS_WITHIN if is_earned else 0.0
+    if limits.is_over or (is_piled and is_earned):
+        worth_a_fit = math.inf
+    rows = noise_causes(fit, worth_a_fit, reached)
+    return [Hypothesis(cause, cause.label, value, fit=full) for cause, value, full in rows]
+
+
+def _step_that_takes(
+    hypotheses: Sequence[Hypothesis],
+    remainder: Discrepancy,
+    screened: Mapping[Cause, Screened],
+    least: float,
+) -> Step:
+    """The step with these hypotheses, given most probable first, and the cause that it takes, if the evidence for one suffices."""
     causes = [hypothesis for hypothesis in hypotheses if hypothesis.cause is not None]
     if not causes:
         return Step(tuple(hypotheses), None, (), remainder)
     earning = [hypothesis for hypothesis in causes if _earns(hypothesis, least)]
-    choice = _choice(earning, remainder, lambda one, beside: _earns_beside(one, beside, screened, least))
-    if choice and choice.name != next(hypothesis.name for hypothesis in causes):
+    choice = _choice(earning, remainder, lambda first, beside: _earns_beside(first, beside, screened, least))
+    if choice and choice.name != causes[0].name:
         causes = [
             hypothesis for hypothesis in causes if not is_noise(hypothesis.cause) or hypothesis == choice
         ]
@@ -235,15 +271,12 @@ def _choice(
 
 
 def _earns_beside(
-    one: Hypothesis,
-    beside: Hypothesis,
-    screened: Mapping[Cause, tuple[float, float, Candidate]],
-    least: float,
+    hypothesis: Hypothesis, beside: Hypothesis, screened: Mapping[Cause, Screened], least: float
 ) -> bool:
     """Whether the evidence for a cause suffices beside another, by a full fit with both."""
-    assert one.cause is not None
+    assert hypothesis.cause is not None
     assert beside.fit is not None
-    value, _, start = screened[one.cause]
+    value, _, start = screened[hypothesis.cause]
     return in_full(beside.fit, value, start)[0] > least
 
 
