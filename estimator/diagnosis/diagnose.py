@@ -10,7 +10,6 @@ import torch
 
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
-from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fit_journal import FITS, remembering
@@ -29,6 +28,7 @@ from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
+from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.result import (
@@ -41,15 +41,11 @@ from estimator.diagnosis.result import (
     label_of,
 )
 from estimator.diagnosis.structure.symptoms import Symptoms
-from estimator.diagnosis.validation import improvement_of, is_refuted
 from estimator.diagnosis.verdict import (
     NamedCause,
     Verdict,
-    extended_fit,
-    judged,
     stand_ins,
 )
-from estimator.diagnosis.widening import Widening
 from estimator.errors import InvalidInput
 from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.observations import Observations
@@ -160,56 +156,21 @@ def _judged(
     search_result, mistakes, visible, twins = computed_on(
         place, lambda fit: _found(fit, refusal, limits, tell, on_progress), plain
     )
-    verdict, named = judged(search_result)
-    extended = extended_fit(search_result, named)
-    if verdict is Verdict.NOTHING_FOUND and mistakes:
-        verdict = Verdict.INDISTINGUISHABLE if any(mistake.twins for mistake in mistakes) else Verdict.NAMED
+    outcome = Outcome.of(plain, search_result, mistakes)
     tell("validating on readings not used for fitting")
-    before, after = plain, extended
     if len(seen) > len(few):
-        fitted = thinned(seen, policy.MOST_READINGS_FITTED, seed)
-        rules = search_result.base.posterior.model.rules
-        before, after = (fit_rig(fit.rig, fitted, fit.values, rules) for fit in (plain, extended))
-    improvement, searched = None, search_result.final
+        outcome = outcome.fitted_to(thinned(seen, policy.MOST_READINGS_FITTED, seed))
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
-        improvement = improvement_of(before, after, unseen)
-        is_few = len(named) <= policy.MOST_CAUSES_REFITTED
-        shown = [c for c in named if not is_few or not is_refuted(after, c.cause, unseen)]
-        if len(shown) < len(named) or improvement.is_loss:
-            verdict = Verdict.UNEXPLAINED  # a cause that unseen readings refute stands in for something else
-            named = shown
-        if (
-            improvement.is_loss and not named
-        ):  # a rig that predicts worse than the one described does not replace it
-            extended = after = searched = search_result.base
-            if before is not plain:
-                after = fit_rig(extended.rig, before.observations, extended.values, rules)
-            improvement = improvement_of(before, after, unseen)
-    correction, widening = None, None
-    if verdict is Verdict.UNEXPLAINED:
-        is_base = extended is search_result.base
-        left = search_result.base_discrepancy if is_base else search_result.remainder
-        widening = Widening.of(extended, after, left)
+        outcome = outcome.checked_by(unseen)
+    if outcome.verdict is Verdict.UNEXPLAINED:
         tell("correcting what is left, without a name")
-        correction = computed_on(
-            place,
-            lambda first, last, causes: best_corrected(
-                first, last, causes, unseen.to(causes.observations.device), tell
-            ),
-            extended,
-            searched,
-            after,
-        )
-        if correction.is_taken:
-            extended, after = correction.fit, correction.final
-            widening = widening.carried_to(after).over_blocks(extended)
-        if len(unseen):
-            improvement = improvement_of(before, after, unseen, widening.covariance)
+        outcome = outcome.corrected(unseen, place, tell)
+    named, extended = outcome.named, outcome.extended
     symptoms = Symptoms.of(plain, seed)
     return Diagnosis(
         question=question,
-        verdict=verdict,
+        verdict=outcome.verdict,
         findings=Findings(
             search=search_result,
             record_mistakes=tuple(mistakes),
@@ -219,19 +180,19 @@ def _judged(
         fits=Fits(
             plain=plain,
             extended=extended,
-            final=after,
+            final=outcome.after,
             before=symptoms,
             after=symptoms if extended is plain else Symptoms.of(extended, seed),
-            improvement=improvement,
-            correction=correction,
+            improvement=outcome.improvement,
+            correction=outcome.correction,
         ),
         left_open=LeftOpen(
             visible=tuple(visible),
             twins=tuple(twins),
             next_measurements=tuple(_next_measurements(search_result, named, rig)),
-            widening=widening,
+            widening=outcome.widening,
         ),
-        extended_rig=extended_rig(rig, after),
+        extended_rig=extended_rig(rig, outcome.after),
     )
 
 
@@ -303,7 +264,7 @@ def _split(session: Session, validation: Session | None, seed: int) -> tuple[Obs
     return observations.calibration, observations.validation
 
 
-def _next_measurements(search_result: Search, named: list[NamedCause], rig: Rig) -> list[Proposal]:
+def _next_measurements(search_result: Search, named: Sequence[NamedCause], rig: Rig) -> list[Proposal]:
     """The best few proposals that would tell the fitted members of each credible set apart."""
     best: list[Proposal] = []
     for named_cause in named:

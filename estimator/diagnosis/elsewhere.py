@@ -67,7 +67,8 @@ class _Move:
             readings = self.of(what.observations)
             return what if readings is what.observations else what.to(readings)
         if isinstance(what, tuple | list):
-            return type(what)(map(self.of, what))
+            moved_each = map(self.of, what)
+            return what._make(moved_each) if hasattr(what, "_make") else type(what)(moved_each)
         if isinstance(what, dict):
             return {key: self.of(value) for key, value in what.items()}
         if is_dataclass(what) and not isinstance(what, type):

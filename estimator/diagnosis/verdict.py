@@ -195,7 +195,7 @@ def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCau
     return still_named
 
 
-def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
+def extended_fit(search: Search, named: Sequence[NamedCause]) -> Fit:
     """The last fit of a search where a cause was named, else the first.
 
     It keeps causes that were taken but not named. Without them, the named causes and the coils would bend to what they stand in for.
@@ -203,7 +203,7 @@ def extended_fit(search: Search, named: list[NamedCause]) -> Fit:
     return search.final if named else search.base
 
 
-def stand_ins(search: Search, named: list[NamedCause], extended: Fit) -> list[Cause]:
+def stand_ins(search: Search, named: Sequence[NamedCause], extended: Fit) -> list[Cause]:
     """Causes of the extended fit that are not named, for something unknown may look like them."""
     known = {cause.cause for cause in named} | set(search.base.rig.effects)
     return [cause for cause in extended.rig.effects if cause not in known]

@@ -1,0 +1,124 @@
+"""From a search to its outcome: verdict, names and fits, as more readings, unseen readings and corrections change them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.corrections.choice import best_corrected
+from estimator.diagnosis.corrections.result import Correction
+from estimator.diagnosis.elsewhere import computed_on
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
+from estimator.diagnosis.hypotheses.search_record import Search
+from estimator.diagnosis.validation import Improvement, improvement_of, is_refuted
+from estimator.diagnosis.verdict import NamedCause, Verdict, extended_fit, judged
+from estimator.diagnosis.widening import Widening
+from estimator.readings.observations import Observations
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a search leads to.
+
+    Attributes:
+        search: The search.
+        verdict: Of the diagnosis.
+        named: The causes that are named, in order.
+        extended: The extended rig, fitted to the readings of the search.
+        searched: The rig with all causes that were taken and that unseen readings have not refuted, fitted to the same.
+        before: The rig as described, fitted to the readings that count.
+        after: The extended rig, fitted to the same.
+        improvement: Of the predictions of unseen readings, from `before` to `after`; None where there are none.
+        widening: Growth of the intervals of `after`; None where nothing remains unexplained.
+        correction: Of what no cause explains; None where nothing does.
+    """
+
+    search: Search
+    verdict: Verdict
+    named: Sequence[NamedCause]
+    extended: Fit
+    searched: Fit
+    before: Fit
+    after: Fit
+    improvement: Improvement | None = None
+    widening: Widening | None = None
+    correction: Correction | None = None
+
+    @classmethod
+    def of(cls, plain: Fit, search: Search, mistakes: Sequence[RecordMistake]) -> Outcome:
+        """What a search says by its own readings.
+
+        Args:
+            plain: The rig as described.
+            search: The search.
+            mistakes: Mistakes of the record, which were undone before it.
+        """
+        verdict, named = judged(search)
+        if verdict is Verdict.NOTHING_FOUND and mistakes:
+            has_twins = any(mistake.twins for mistake in mistakes)
+            verdict = Verdict.INDISTINGUISHABLE if has_twins else Verdict.NAMED
+        extended = extended_fit(search, named)
+        return cls(search, verdict, named, extended, search.final, plain, extended)
+
+    def fitted_to(self, readings: Observations) -> Outcome:
+        """The same outcome with fits to more readings than the search had."""
+        before, after = (self._fitted_to(readings, fit) for fit in (self.before, self.extended))
+        return replace(self, before=before, after=after)
+
+    def checked_by(self, unseen: Observations) -> Outcome:
+        """The outcome after readings that no fit has seen.
+
+        A cause that they refute stands in for something else. A rig that predicts worse than the one described does not replace it.
+        """
+        improvement = improvement_of(self.before, self.after, unseen)
+        named = self.named
+        if len(named) <= policy.MOST_CAUSES_REFITTED:
+            named = [each for each in named if not is_refuted(self.after, each.cause, unseen)]
+        is_refused = len(named) < len(self.named) or improvement.is_loss
+        verdict = Verdict.UNEXPLAINED if is_refused else self.verdict
+        checked = replace(self, verdict=verdict, named=named, improvement=improvement)
+        if not improvement.is_loss or named:
+            return checked
+        base, readings = self.search.base, self.before.observations
+        after = base if readings is base.observations else self._fitted_to(readings, base)
+        improvement = improvement_of(self.before, after, unseen)
+        return replace(checked, extended=base, searched=base, after=after, improvement=improvement)
+
+    def corrected(self, unseen: Observations, place: torch.device, tell: Callable[[str], None]) -> Outcome:
+        """The outcome with intervals that are widened by what is left, and with what corrects it, where that predicts better.
+
+        Args:
+            unseen: Readings that no fit has seen; may be empty.
+            place: Device on which corrections are computed.
+            tell: Called with a message for each correction that is taken.
+        """
+        is_base = self.extended is self.search.base
+        left = self.search.base_discrepancy if is_base else self.search.remainder
+        widening = Widening.of(self.extended, self.after, left)
+
+        def best(first: Fit, last: Fit, causes: Fit) -> Correction:
+            return best_corrected(first, last, causes, unseen.to(causes.observations.device), tell)
+
+        correction = computed_on(place, best, self.extended, self.searched, self.after)
+        extended, after, improvement = self.extended, self.after, self.improvement
+        if correction.is_taken:
+            extended, after = correction.fit, correction.final
+            widening = widening.carried_to(after).over_blocks(extended)
+        if len(unseen):
+            improvement = improvement_of(self.before, after, unseen, widening.covariance)
+        return replace(
+            self,
+            extended=extended,
+            after=after,
+            improvement=improvement,
+            widening=widening,
+            correction=correction,
+        )
+
+    def _fitted_to(self, readings: Observations, fit: Fit) -> Fit:
+        """A fit's rig, fitted to other readings."""
+        return fit_rig(fit.rig, readings, fit.values, self.search.base.posterior.model.rules)
