@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from estimator.calibration.quality import tensions
 from estimator.diagnosis import policy
-from estimator.diagnosis.hypotheses.instants import SINCE
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
@@ -13,7 +12,7 @@ from estimator.diagnosis.sizes import Difference
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
-from estimator.effects.base import Kind
+from estimator.effects.base import SINCE, UNTIL, Kind
 from estimator.effects.circumstances import Extent
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
@@ -183,8 +182,13 @@ def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
         f"{quantity_words(key)} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
         for _, key, interval in clear[: MOST_SIZES - len(words)]
     ]
-    if SINCE in sized.quantities:
-        words.append(f"{SECONDS_PER_HOUR * sized.quantities[SINCE].median:.0f} s after the first reading")
+    when_s = [
+        f"{SECONDS_PER_HOUR * sized.quantities[key].median:.0f}"
+        for key in (SINCE, UNTIL)
+        if key in sized.quantities
+    ]
+    if when_s:
+        words.append(f"{' to '.join(when_s)} s after the first reading")
     return f"; {', '.join(words)}" if words else ""
 
 

@@ -78,6 +78,14 @@ from estimator.effects.sensor import (
 )
 from estimator.effects.sensor_history import OffsetStep, SensorExchanged, SensorLag, ThermalLag
 from estimator.effects.sensor_place import SensorContact
+from estimator.effects.spells import (
+    BackgroundSpell,
+    CurrentSignSpell,
+    CurrentSpell,
+    GainSpell,
+    MoverSpell,
+    OffsetSpell,
+)
 from estimator.effects.stages import CurrentEffect
 from estimator.effects.stated import (
     BaseMisplaced,
@@ -139,6 +147,7 @@ EFFECTS: dict[str, Effect] = {
         CoilsExchangedSince(),
         CurrentSign(),
         CurrentSignSince(),
+        CurrentSignSpell(),
         CurrentGain(),
         CurrentOffset(),
         CurrentDeadBand(),
@@ -146,6 +155,7 @@ EFFECTS: dict[str, Effect] = {
         CurrentCompression(),
         CurrentRange(),
         CurrentStep(),
+        CurrentSpell(),
         CurrentRemanence(),
         CoilHeating(),
         NeighbourCoil(),
@@ -172,6 +182,7 @@ EFFECTS: dict[str, Effect] = {
         BackgroundGradient(),
         BackgroundDrift(),
         BackgroundStep(),
+        BackgroundSpell(),
         PeriodicInterference(),
         IronPlate(),
         PiercedPlate(),
@@ -189,6 +200,7 @@ EFFECTS: dict[str, Effect] = {
         JointSag(),
         BaseMisplaced(),
         MoverSlipped(),
+        MoverSpell(),
         SegmentMisplaced(),
         MountTilt(),
         SensorBumped(),
@@ -197,6 +209,7 @@ EFFECTS: dict[str, Effect] = {
         ElementDisplacement(),
         CrossAxis(),
         AxisGain(),
+        GainSpell(),
         CubicResponse(),
         PlanarHall(),
         TemperatureDrift(),
@@ -204,6 +217,7 @@ EFFECTS: dict[str, Effect] = {
         SensorOffset(),
         OffsetDrift(),
         OffsetStep(),
+        OffsetSpell(),
         SensorExchanged(),
         SensorContact(),
         SegmentGain(),

@@ -22,6 +22,7 @@ from estimator.rig.rig import Body, Mover, Rig
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
 
 
+SINCE, UNTIL = "since_h", "until_h"  # keys of the instants at which something began and ended
 WHEN = "when it happened in a session that has not begun"  # what a cause with an instant depends on
 
 
@@ -88,7 +89,12 @@ def switch(key: str, lower: float, upper: float, null: float) -> Quantity:
 
 def since(extent: Extent) -> Quantity:
     """The time since the session began at which something happened, one of `Circumstances.instants_h`."""
-    return shape("since_h", "h", 0.0, extent.duration_h, is_fixed=True)
+    return shape(SINCE, "h", 0.0, extent.duration_h, is_fixed=True)
+
+
+def until(extent: Extent) -> Quantity:
+    """The time since the session began at which something ended, one of `Circumstances.instants_h`."""
+    return shape(UNTIL, "h", 0.0, extent.duration_h, is_fixed=True)
 
 
 class Effect(ABC):
@@ -108,6 +114,7 @@ class Effect(ABC):
         can_begin: It may be there in one session and not in the one before. What is built into a winding, or is a formula, was there from
             the first reading on: beside a calibration of the same coil it explains no change.
         needs_winding: It says something of a round winding, or has a place beside one; other coils cannot have it.
+        spell_of: Name of the cause that is the same from one instant on. What ends at another instant is the difference of two of these.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
@@ -122,6 +129,7 @@ class Effect(ABC):
     is_linear: ClassVar[bool] = True
     can_begin: ClassVar[bool] = True
     needs_winding: ClassVar[bool] = False
+    spell_of: ClassVar[str | None] = None
     is_correction: ClassVar[bool] = False
 
     @abstractmethod

@@ -20,6 +20,7 @@ SMALLEST_MOVE_M = 1e-9
 LONG_AGO_S = 1e9  # before the first reading
 LEAST_STEP = 1e-3  # of the largest current: less is the noise of currents that were read back
 N_INSTANTS = 24  # at which something may have happened
+EVERY = 2  # of these, where starts would be too many: half a gap beside the truth, they still stand out
 
 
 @dataclass(frozen=True)
@@ -184,6 +185,17 @@ class Circumstances:
         )
         rows = rows[rows > 0]
         return tuple((0.5 * (time_h[rows - 1] + time_h[rows])).tolist())
+
+    @property
+    def coarse_instants_h(self) -> tuple[float, ...]:
+        """Every other one of these instants, for causes that would have too many starts."""
+        return self.instants_h[::EVERY]
+
+    def is_between(
+        self, begin_h: Float[Tensor, "*#batch"], end_h: Float[Tensor, "*#batch"]
+    ) -> Bool[Tensor, "*batch reading"]:
+        """Readings from one instant on, before another."""
+        return self.is_since(begin_h) & ~self.is_since(end_h)
 
     def is_since(self, instant_h: Float[Tensor, "*batch"]) -> Bool[Tensor, "*batch reading"]:
         """Readings from an instant on."""

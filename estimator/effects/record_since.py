@@ -19,8 +19,6 @@ from estimator.effects.record import MOST_BODIES, AxesSwapped, CurrentSign
 from estimator.effects.stages import CurrentEffect
 from estimator.rig.rig import Rig
 
-EVERY = 2  # of the instants that causes start from: half a gap beside the truth, these still stand out
-
 
 class AxesSwappedSince(AxesSwapped):
     """From one instant on the sensor's axes are in another order or direction: it was taken out and put back turned over."""
@@ -181,5 +179,5 @@ def _at_instants(
     starts: Sequence[Mapping[str, float]], circumstances: Circumstances
 ) -> tuple[dict[str, float], ...]:
     """The starts from each instant on."""
-    instants_h = circumstances.instants_h[::EVERY]
+    instants_h = circumstances.coarse_instants_h
     return tuple({**start, "since_h": instant_h} for start in starts for instant_h in instants_h)

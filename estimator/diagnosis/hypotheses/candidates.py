@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -13,7 +14,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import Quantity
+from estimator.effects.base import SINCE, UNTIL, Quantity
 from estimator.effects.segments import split_key
 from estimator.effects.stages import MountEffect, NoiseEffect, ReadingEffect
 from estimator.rig.rig import Cause, Rig
@@ -100,10 +101,37 @@ def causes_of(rig: Rig, fit: Fit, limits: Limits | None = None) -> list[Cause]:
 def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     """Candidates of every cause at a fit, start by start; starts without finite columns are left out."""
     circumstances = fit.posterior.model.circumstances
-    result = []
+    result = list[Candidate]()
     for cause in causes:
-        result += at_starts(fit, cause, list(EFFECTS[cause.name].starts(circumstances, cause.place)))
+        effect = EFFECTS[cause.name]
+        starts = list(effect.starts(circumstances, cause.place))
+        steps = {c.shapes[SINCE]: c for c in result if c.cause == Cause(str(effect.spell_of), cause.place)}
+        instants_h = {start[key] for start in starts for key in (SINCE, UNTIL)} if steps else set()
+        is_known = bool(steps) and instants_h <= steps.keys()
+        result += _spells(cause, starts, steps) if is_known else at_starts(fit, cause, starts)
     return result
+
+
+def _spells(
+    cause: Cause, starts: Sequence[dict[str, float]], steps: Mapping[float, Candidate]
+) -> list[Candidate]:
+    """Candidates of what ends at one instant, each the difference of two of what stays.
+
+    Args:
+        cause: Name and place.
+        starts: Instants at which each spell begins and ends.
+        steps: Candidates of what stays, by their instants.
+    """
+    return [
+        replace(
+            steps[start[SINCE]],
+            cause=cause,
+            shapes=start,
+            shift=steps[start[SINCE]].shift - steps[start[UNTIL]].shift,
+            columns=steps[start[SINCE]].columns - steps[start[UNTIL]].columns,
+        )
+        for start in starts
+    ]
 
 
 def at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:

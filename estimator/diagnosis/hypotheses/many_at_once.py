@@ -58,8 +58,7 @@ def chosen_one_by_one(fit: Fit, asked: Sequence[Candidate], least: float, most: 
         cause = max(screened, key=lambda cause: screened[cause].log_bayes_factor, default=None)
         if cause is None or screened[cause].log_bayes_factor <= least:
             break
-        value, _, start = screened[cause]
-        _, start = at_finer_instant(beside, value, start)
+        start = at_finer_instant(beside, screened[cause]).start
         chosen.append(start)
         asked = [candidate for candidate in asked if candidate.cause != cause]
         gradient = torch.cat((jacobian.new_zeros(jacobian.shape[1]), start.columns.T @ beside.residual))

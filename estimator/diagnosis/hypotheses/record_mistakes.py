@@ -18,13 +18,14 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import (
     MOST_INSTANTS,
-    SINCE,
     best_instants,
     has_instant,
+    instants_in,
     starts_between,
 )
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.base import SINCE, UNTIL
 from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.errors import InvalidInput
 from estimator.field.winding import Rule
@@ -199,17 +200,18 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
 
 
 def _at_finest_instant(base: Fit, cause: Cause, start: Mapping[str, float]) -> Mapping[str, float]:
-    """A start with its instant, where it has one, between the two readings that fit all readings best."""
-    if SINCE not in start:
-        return start
+    """A start with its instants, where it has any, each between the two readings that fit all readings best."""
     circumstances = base.posterior.model.circumstances
-    nearer = starts_between(circumstances, 0.0, circumstances.duration_h, start)
-    while len(nearer) > 1:
-        values = _start_log_likelihoods(base, cause, nearer, circumstances.observations)
-        top = max(range(len(nearer)), key=lambda i: values[i])
-        start, beside = nearer[top], nearer[max(top - 1, 0) : top + 2]
-        narrower = starts_between(circumstances, beside[0][SINCE], beside[-1][SINCE], start)
-        nearer = narrower if len(nearer) == MOST_INSTANTS else []
+    for key in instants_in(start):
+        begin_h = start[SINCE] if key == UNTIL else 0.0
+        end_h = start[UNTIL] if key == SINCE and UNTIL in start else circumstances.duration_h
+        nearer = starts_between(circumstances, begin_h, end_h, start, key)
+        while len(nearer) > 1:
+            values = _start_log_likelihoods(base, cause, nearer, circumstances.observations)
+            top = max(range(len(nearer)), key=lambda i: values[i])
+            start, beside = nearer[top], nearer[max(top - 1, 0) : top + 2]
+            narrower = starts_between(circumstances, beside[0][key], beside[-1][key], start, key)
+            nearer = narrower if len(nearer) == MOST_INSTANTS else []
     return start
 
 

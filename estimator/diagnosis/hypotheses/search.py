@@ -47,6 +47,7 @@ from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects.attach import with_effect
+from estimator.effects.base import UNTIL
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
 from estimator.rig.rig import Cause
@@ -356,7 +357,8 @@ class _SearchState:
     def _with_pair(self, fit: Fit, last: Step) -> Fit | None:
         """The fit with two more causes whose evidence suffices together and beside each other; None where there is no such pair."""
         taken = (*fit.rig.effects, *self.dropped)
-        pool = [c for c in self._pool(fit) if c.cause not in taken]
+        # Steps stand for spells here: pairs of all spells would be many times as many.
+        pool = [c for c in self._pool(fit) if c.cause not in taken and UNTIL not in c.shapes]
         n = len({c.cause for c in pool})
         if n < 2 or len(self.added(fit)) + 2 > self.limits.most_causes:
             return None

@@ -32,6 +32,7 @@ from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
 
 Blocks = Int[np.ndarray, " reading"]
+MOST_LOST_BETWEEN = 2.0  # by how much evidence may be larger at an instant than at the coarse one beside it
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def take_step(
     screened = screening(fit, [c for c in pool if c.cause not in fit.rig.effects])
     least = least_log_evidence(len(screened))
     most_fitted = policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED
-    causes = _leaders_in_full(fit, screened, most_fitted, limits, pace, reached)
+    causes = _leaders_in_full(fit, screened, least, most_fitted, limits, pace, reached)
     causes += _of_noise(fit, causes, least, is_piled, limits, reached)
     hypotheses = [
         Hypothesis(None, "nothing", 0.0),
@@ -128,6 +129,7 @@ def take_step(
 def _leaders_in_full(
     fit: Fit,
     screened: Mapping[Cause, Screened],
+    least: float,
     most_fitted: int,
     limits: Limits,
     pace: Pace,
@@ -137,11 +139,14 @@ def _leaders_in_full(
     ranked = sorted(screened, key=lambda cause: -screened[cause].log_bayes_factor)
     nearest = max((row.highest for row in screened.values()), default=0.0)
     # What is linear cannot be taken, so that a full fit would change nothing.
-    is_quiet = nearest < least_log_evidence(len(ranked)) - policy.MOST_GAINED_IN_FULL
+    is_quiet = nearest < least - policy.MOST_GAINED_IN_FULL
     hypotheses = list[Hypothesis]()
     best, n_fitted, pictured = 0.0, 0, set[str]()
     for i, cause in enumerate(ranked):
-        value, highest, start = screened[cause]
+        row = screened[cause]
+        if i < most_fitted and MOST_LOST_BETWEEN * row.highest > max(best, least) and not limits.is_over:
+            row = at_finer_instant(fit, row)
+        value, highest, start = row
         effect, fitted = EFFECTS[cause.name], None
         # The shapes of another picture of the same thing move far in a fit, as those of the first did.
         is_rival = effect.idealises in pictured and highest > 0.0
@@ -154,7 +159,7 @@ def _leaders_in_full(
                 _is_worth_a_fit(k, screened[later].highest, best, most_fitted) for k, later in still_to_come
             )
             pace.tell(n_fitted, n_fitted + n_left)
-            value, fitted = in_full(fit, *at_finer_instant(fit, value, start), reached)
+            value, fitted = in_full(fit, value, start, reached)
             best, n_fitted = max(best, value), n_fitted + 1
             pictured |= {effect.idealises} if effect.idealises is not None else set()
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))

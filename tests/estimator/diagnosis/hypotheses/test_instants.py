@@ -6,7 +6,7 @@ import pytest
 
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.instants import at_finer_instant
-from estimator.diagnosis.hypotheses.screening import screening
+from estimator.diagnosis.hypotheses.screening import Screened, screening
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -30,14 +30,16 @@ def test_instant_is_that_between_the_last_reading_before_and_the_first_after(
     since_h = 0.5 * float(hours[row] + hours[row + 1])
     truth = small_rig.with_values(small_truth)
     fit = fit_of(truth, with_wrong(truth, readings, cause, {**SIZES[cause], "since_h": since_h}))
-    value, _highest, start = screening(fit, candidates(fit, [cause]))[cause]
-    assert start.shapes["since_h"] != pytest.approx(since_h)
-    finer_value, finer = at_finer_instant(fit, value, start)
-    assert float(hours[row]) < finer.shapes["since_h"] < float(hours[row + 1])
-    assert finer_value > value
+    coarse = screening(fit, candidates(fit, [cause]))[cause]
+    assert coarse.start.shapes["since_h"] != pytest.approx(since_h)
+    finer = at_finer_instant(fit, coarse)
+    assert float(hours[row]) < finer.start.shapes["since_h"] < float(hours[row + 1])
+    assert finer.log_bayes_factor > coarse.log_bayes_factor
+    assert finer.highest > coarse.highest
 
 
 def test_cause_without_an_instant_keeps_its_start(small_rig: Rig, small_session: Session):
     fit = fit_of(small_rig, small_session.observations.calibration)
     (start,) = candidates(fit, [Cause("axis_gain", "hall")])
-    assert at_finer_instant(fit, 1.5, start) == (1.5, start)
+    screened = Screened(1.5, 2.5, start)
+    assert at_finer_instant(fit, screened) == screened
