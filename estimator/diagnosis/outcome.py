@@ -14,7 +14,7 @@ from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Search
-from estimator.diagnosis.validation import Improvement, improvement_of, is_refuted
+from estimator.diagnosis.validation import Improvement, improvement_of, is_refuted, told_by
 from estimator.diagnosis.verdict import NamedCause, Verdict, extended_fit, judged
 from estimator.diagnosis.widening import Widening
 from estimator.readings.observations import Observations
@@ -74,10 +74,11 @@ class Outcome:
 
         A cause that they refute stands in for something else. A rig that predicts worse than the one described does not replace it.
         """
-        improvement = improvement_of(self.before, self.after, unseen)
+        told = told_by(self.after, unseen)
+        improvement = improvement_of(self.before, self.after, told)
         named = self.named
         if len(named) <= policy.MOST_CAUSES_REFITTED:
-            named = [each for each in named if not is_refuted(self.after, each.cause, unseen)]
+            named = [each for each in named if not is_refuted(self.after, each.cause, told)]
         is_refused = len(named) < len(self.named) or improvement.is_loss
         verdict = Verdict.UNEXPLAINED if is_refused else self.verdict
         checked = replace(self, verdict=verdict, named=named, improvement=improvement)
@@ -109,7 +110,7 @@ class Outcome:
             extended, after = correction.fit, correction.final
             widening = widening.carried_to(after).over_blocks(extended)
         if len(unseen):
-            improvement = improvement_of(self.before, after, unseen, widening.covariance)
+            improvement = improvement_of(self.before, after, told_by(after, unseen), widening.covariance)
         return replace(
             self,
             extended=extended,

@@ -23,6 +23,7 @@ Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hy
 
 
 SINCE, UNTIL = "since_h", "until_h"  # keys of the instants at which something began and ended
+AFTER = 1.0 + 1e-6  # of the duration of a session: after its last reading
 WHEN = "when it happened in a session that has not begun"  # what a cause with an instant depends on
 
 
@@ -94,7 +95,7 @@ def since(extent: Extent) -> Quantity:
 
 def until(extent: Extent) -> Quantity:
     """The time since the session began at which something ended, one of `Circumstances.instants_h`."""
-    return shape(UNTIL, "h", 0.0, extent.duration_h, is_fixed=True)
+    return shape(UNTIL, "h", 0.0, AFTER * extent.duration_h, is_fixed=True)
 
 
 class Effect(ABC):

@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import WHEN, Quantity, Theta, since, until
+from estimator.effects.base import AFTER, WHEN, Quantity, Theta, since, until
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.record import CurrentSign
 from estimator.effects.robot import MoverSlipped
@@ -21,9 +21,6 @@ from estimator.effects.sensor_history import OffsetStep
 from estimator.effects.supply import CurrentStep
 from estimator.effects.surroundings import BackgroundStep
 from estimator.frames import Transform
-
-AFTER = 1.0 + 1e-6  # of the duration: after the last reading
-
 
 class CurrentSignSpell(CurrentSign):
     """For a while the leads of a coil are exchanged, or its current is written with the other sign."""

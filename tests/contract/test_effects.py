@@ -192,6 +192,7 @@ def test_names_are_those_that_other_scripts_rely_on():
     sensor_exchanged magnetised_link winding_sheared second_iron_body coil_misplaced base_misplaced joint_zeros winding_misstated sides_misstated
     hidden_winding reversed_layer noise_misstated sensors_exchanged coils_exchanged segment_zero segment_gain segment_misplaced
     axes_swapped_since current_sign_since coils_exchanged_since rows_shifted_since
+    current_sign_spell current_spell background_spell mover_spell gain_spell offset_spell
     background_gradient
     cross_magnetisation core_remanence rows_shifted rotation_convention position_unit current_dead_band current_asymmetry
     current_compression current_range sensor_contact joint_sag mover_slipped background_step offset_step noise_grows response_by_place
