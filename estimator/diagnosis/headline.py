@@ -9,6 +9,7 @@ from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.sizes import Difference
+from estimator.diagnosis.structure.families.position import is_of_coil
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
@@ -73,7 +74,7 @@ def held_back(diagnosis: Diagnosis) -> list[str]:
 def _what(diagnosis: Diagnosis) -> str:
     """What is wrong, where, and how sure that is."""
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
-        return f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
+        return _doubts(diagnosis) or f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
     wrong = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
     wrong += _causes(diagnosis)
     if diagnosis.verdict is not Verdict.UNEXPLAINED:
@@ -93,6 +94,23 @@ def _what(diagnosis: Diagnosis) -> str:
         )
     unknown = f"Something is wrong that no known cause explains: {dependence}"
     return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
+
+
+def _doubts(diagnosis: Diagnosis) -> str:
+    """Sentence that something probably is wrong where nothing is sure enough to be named; empty where nothing wrong is probable."""
+    last = diagnosis.findings.search.steps[-1].hypotheses
+    nothing = next(hypothesis.probability for hypothesis in last if hypothesis.name == "nothing")
+    if nothing > policy.LEAST_SURE_OF_NOTHING:
+        return ""
+    likely = [h for h in last if h.name != "nothing" and h.probability > nothing][:MOST_ALTERNATIVES]
+    names = ", ".join(
+        f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {h.probability:.0%}" for h in likely
+    )
+    return (
+        f"Nothing is sure enough to be named, but it is only {nothing:.0%} probable that nothing is wrong: {names} are more probable"
+        if len(likely) > 1
+        else f"Nothing is sure enough to be named, but {names} is more probable than that nothing is wrong ({nothing:.0%})"
+    ) + "."
 
 
 def _is_pulled(diagnosis: Diagnosis) -> bool:
@@ -128,7 +146,10 @@ def _would_have_shown(diagnosis: Diagnosis) -> str:
 
 
 def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
-    """Sentence that the model of the source itself seems wrong, and what speaks for it."""
+    """Sentence that causes of many kinds pile up, so that none of them is believed, and where to look.
+
+    The model of the source itself seems wrong where what the rig as described leaves goes with a coil, and not with time or a mover.
+    """
     assert others is not None
     search = diagnosis.findings.search
     n_kinds = len({cause.name for cause in search.added})
@@ -138,10 +159,17 @@ def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
         f"; {diagnosis.label(structure.cause)} {structure.log_bayes_factor:.0f} beside {len(structure.needed)} of them"
         for structure in others.asked[:MOST_STRUCTURES]
     )
+    pile = (
+        f"{len(search.added)} causes of {n_kinds} kinds pile up{leaving if leaves_structure(left) else ''}, and none of "
+        f"{len(others.asked)} other ways to build the source explains more than the first {len(others.pile)} by as few "
+        f"(log evidence {others.log_bayes_factor:.0f}{reached})"
+    )
+    of_all = search.base_discrepancy.family
+    if is_of_coil(_plain(of_all)):
+        return f"The model of the source itself seems wrong, so check how it is built: {pile}."
     return (
-        f"The model of the source itself seems wrong, so check how it is built: {len(search.added)} causes of {n_kinds} kinds pile up"
-        f"{leaving if leaves_structure(left) else ''}, and none of {len(others.asked)} other ways to build it explains more than the "
-        f"first {len(others.pile)} by as few (log evidence {others.log_bayes_factor:.0f}{reached})."
+        f"None of these is believed, for {pile}: together they stand in for something that is not in the library. Look first at what "
+        f"depends on {_plain(of_all)}: most of what the rig as described leaves does."
     )
 
 
@@ -227,9 +255,13 @@ def _cost(diagnosis: Diagnosis) -> str:
         return ""
     before, after = (scores.errors.vector_T for scores in (improvement.before, improvement.after))
     unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
-    if improvement.is_significant:
-        return f"{unseen} falls from {size_with_unit(before, 'T', 3)} to {size_with_unit(after, 'T', 3)}."
-    return f"{unseen} does not fall clearly: {size_with_unit(before, 'T', 3)} before, {size_with_unit(after, 'T', 3)} after."
+    sizes = f"{size_with_unit(before, 'T', 3)} before, {size_with_unit(after, 'T', 3)} after"
+    if not improvement.is_significant:
+        return f"{unseen} does not fall clearly: {sizes}."
+    if after >= before:  # causes that scatter predict no reading better
+        gain = improvement.elpd_difference
+        return f"{unseen} does not fall ({sizes}), but how far they miss is told better: log predictive density {gain:+.0f}."
+    return f"{unseen} falls from {size_with_unit(before, 'T', 3)} to {size_with_unit(after, 'T', 3)}."
 
 
 def _next(diagnosis: Diagnosis) -> str:
@@ -248,6 +280,8 @@ def _next(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.NAMED:
         return f"Use {EXTENDED_RIG} in place of the rig file, or mend the cause and measure again."
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
+        if _doubts(diagnosis):
+            return "Measure again, with more readings, before you rely on the rig file as it is."
         return "There is nothing to mend: use the rig file as it is."
     if any(cause.may_be_unknown for cause in diagnosis.causes):
         return (

@@ -341,6 +341,10 @@ PLAUSIBLE_SD = 3.0
 """Standard deviations of its prior up to which a size of a cause is plausible. Statistics: 0.3 % lie beyond. Study of 6 cases: numbers
 change in 5."""
 
+LEAST_SURE_OF_NOTHING = 0.2
+"""Probability that nothing is wrong below which `nothing_found` says what is more probable, though nothing is sure enough to be named. By
+judgement: a cause needs odds of 20 to 1 alone, several together may reach 4 to 1 before. Study: words only, no change."""
+
 TYPICAL_SIGMA = 8.0
 """Visible size at which causes are compared that the session does not show. Convention: that of the hidden study. Study of 6 cases: numbers
 change in 6."""

@@ -22,6 +22,7 @@ from estimator.effects.supply import CurrentStep
 from estimator.effects.surroundings import BackgroundStep
 from estimator.frames import Transform
 
+
 class CurrentSignSpell(CurrentSign):
     """For a while the leads of a coil are exchanged, or its current is written with the other sign."""
 

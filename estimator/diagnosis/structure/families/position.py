@@ -14,6 +14,22 @@ from estimator.diagnosis.structure.winding_shapes import shape_fields
 from estimator.model.bodies import winding_of
 from estimator.rig.rig import AnyCoil, Coil
 
+# Beginnings of the names of these families.
+OF_WINDING, OF_POSITION = "the shape of the winding of", "position relative to"
+
+
+def is_of_coil(family: str) -> bool:
+    """Whether a family says that a coil is another source than described.
+
+    Args:
+        family: Its name.
+
+    Examples:
+        >>> is_of_coil("position relative to coil1, with its current"), is_of_coil("wandering in time")
+        (True, False)
+    """
+    return family.startswith((OF_WINDING, OF_POSITION))
+
 
 def add_positions(collection: Collection, coil: AnyCoil) -> None:
     """Add fields that move with a coil: arbitrary smooth ones, and those of sources outside the workspace."""
@@ -39,10 +55,10 @@ def add_positions(collection: Collection, coil: AnyCoil) -> None:
         winding = winding_of(model.rig, coil, fit.values)
         sources.append(torch.einsum("rij,rtj->rti", rotation, dipoles(points_m / winding.radius_m)))
         shapes = torch.einsum("rij,rtj->rti", rotation, shape_fields(points_m, winding))
-        collection.add_fields(f"the shape of the winding of {coil.name}", shapes * current[:, None, None])
-    drives = {f"position relative to {coil.name}, with its current": current}
+        collection.add_fields(f"{OF_WINDING} {coil.name}", shapes * current[:, None, None])
+    drives = {f"{OF_POSITION} {coil.name}, with its current": current}
     if bool((current.abs() != current.abs()[0]).any() or (current != current[0]).any()):
-        drives[f"position relative to {coil.name}, without current"] = torch.ones_like(current)
+        drives[f"{OF_POSITION} {coil.name}, without current"] = torch.ones_like(current)
     for name, drive in drives.items():
         collection.add(name, polynomials(position, 1, policy.SMOOTH_DEGREE) * drive[:, None], rotation)
         collection.add(name, polynomials(position, 1, policy.COARSE_DEGREE) * drive[:, None], rotation)
