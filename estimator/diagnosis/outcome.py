@@ -65,7 +65,7 @@ class Outcome:
         return cls(search, verdict, named, extended, search.final, plain, extended)
 
     def fitted_to(self, readings: Observations) -> Outcome:
-        """The same outcome with fits to more readings than the search had."""
+        """This outcome with fits to more readings than the search had."""
         before, after = (self._fitted_to(readings, fit) for fit in (self.before, self.extended))
         return replace(self, before=before, after=after)
 

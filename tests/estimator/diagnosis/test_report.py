@@ -251,10 +251,17 @@ def test_pile_of_causes_is_said_with_what_speaks_for_a_wrong_source(
     assert not any("source itself" in sentence for sentence in headline(piled))
     assert piled.to_json()["source_model"]["seems_wrong"] is False
     monkeypatch.setattr(policy, "MOST_KINDS", 0)
-    (sentence,) = [words for words in headline(piled) if words.startswith("The model of the source itself")]
-    assert sentence.endswith(
-        "explains more than the first 1 by as few (log evidence 40; iron_core 12 beside 0 of them)."
-    )
+    spoken = "explains more than the first 1 by as few (log evidence 40; iron_core 12 beside 0 of them)"
+    for family, begins in (
+        ("one circumstance, position relative to coil1, with its current", "The model of the source itself"),
+        ("wandering in time", "None of these is believed"),
+    ):
+        of_all = replace(search.base_discrepancy, family=family)
+        of_family = replace(search, base_discrepancy=of_all)
+        told = headline(replace(piled, findings=replace(piled.findings, search=of_family)))
+        (sentence,) = [words for words in told if spoken in words]
+        assert sentence.startswith(begins)
+        assert ("source itself" in sentence) == begins.startswith("The model")
     assert len(headline(piled)) <= 4
     assert piled.to_json()["source_model"] == {
         "seems_wrong": True,

@@ -72,6 +72,7 @@ SOURCES = {
     "background_drift": {"x_T_per_h": 1e-5, "z_T_per_h": 4e-5},
     "background_gradient": {"xx_T_per_m": 2e-4, "yy_T_per_m": -5e-5, "xz_T_per_m": 1e-4, "yz_T_per_m": 3e-5},
     "background_step": {"x_T": 1e-5, "z_T": 4e-5, "since_h": 0.0},
+    "background_spell": {"x_T": 1e-5, "z_T": 4e-5, "since_h": 0.0, "until_h": 1e6},
     "periodic_interference": {"cos_x_T": 1e-5, "sin_z_T": 4e-5, "frequency_per_h": 1.7},
     "iron_plate": {"strength": 0.4, "axis": 0.0, "tilt_1_rad": 0.7, "tilt_2_rad": -0.4, "distance_m": 0.12},
     "pierced_plate": {

@@ -21,6 +21,7 @@ UNIFORM = (
     "background_field",
     "background_drift",
     "background_step",
+    "background_spell",
     "periodic_interference",
     "room_steps",
     "room_wanders",
