@@ -6,6 +6,7 @@ beginning less that of the change at its end.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
@@ -55,7 +56,7 @@ class CurrentSignSpell(CurrentSign):
         is_meanwhile = circumstances.is_between(theta["since_h"], theta["until_h"])
         return torch.where(is_meanwhile[..., None], reversed_A, current_A)
 
-    def broken_rule(self, values: dict[str, float]) -> tuple[str, str] | None:  # type: ignore[override]
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """A sign is a sign."""
         return super().broken_rule({"sign": values["sign"]})
 

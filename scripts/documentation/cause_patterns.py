@@ -127,6 +127,7 @@ SIZES: dict[str, dict[str, float]] = {
     "coils_exchanged_since": {"later_by": 1.0, "since_h": HALF_WAY_H},
     "current_sign": {"sign": -1.0},
     "current_sign_since": {"sign": -1.0, "since_h": HALF_WAY_H},
+    "current_sign_spell": {"sign": -1.0, "since_h": 0.5 * HALF_WAY_H, "until_h": HALF_WAY_H},
     "displacement_frame": {"rz_rad": math.pi / 2.0, "rx_rad": 0.0, "ry_rad": 0.0},
     "left_handed": {"y_sign": -1.0},
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
