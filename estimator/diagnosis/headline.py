@@ -13,8 +13,8 @@ from estimator.diagnosis.structure.families.position import is_of_coil
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
-from estimator.effects.base import SINCE, UNTIL, Kind
-from estimator.effects.circumstances import Extent
+from estimator.effects.base import Kind
+from estimator.effects.circumstances import SINCE, UNTIL, Extent
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
 from estimator.rig.parameters import Normal
@@ -102,15 +102,14 @@ def _doubts(diagnosis: Diagnosis) -> str:
     nothing = next(hypothesis.probability for hypothesis in last if hypothesis.name == "nothing")
     if nothing > policy.LEAST_SURE_OF_NOTHING:
         return ""
-    likely = [h for h in last if h.name != "nothing" and h.probability > nothing][:MOST_ALTERNATIVES]
+    others = [hypothesis for hypothesis in last if hypothesis.name != "nothing"][:MOST_ALTERNATIVES]
     names = ", ".join(
-        f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {h.probability:.0%}" for h in likely
+        f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {h.probability:.0%}" for h in others
     )
     return (
-        f"Nothing is sure enough to be named, but it is only {nothing:.0%} probable that nothing is wrong: {names} are more probable"
-        if len(likely) > 1
-        else f"Nothing is sure enough to be named, but {names} is more probable than that nothing is wrong ({nothing:.0%})"
-    ) + "."
+        f"Nothing is sure enough to be named, but it is only {nothing:.0%} probable that nothing is wrong. The best other answers: "
+        f"{names}."
+    )
 
 
 def _is_pulled(diagnosis: Diagnosis) -> bool:

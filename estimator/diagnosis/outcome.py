@@ -12,9 +12,10 @@ from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Search
-from estimator.diagnosis.validation import Improvement, improvement_of, is_refuted, told_by
+from estimator.diagnosis.validation import Improvement, improvement_of, is_refuted
 from estimator.diagnosis.verdict import NamedCause, Verdict, extended_fit, judged
 from estimator.diagnosis.widening import Widening
 from estimator.readings.observations import Observations
@@ -74,7 +75,7 @@ class Outcome:
 
         A cause that they refute stands in for something else. A rig that predicts worse than the one described does not replace it.
         """
-        told = told_by(self.after, unseen)
+        told = on_known_sides(self.after, unseen)
         improvement = improvement_of(self.before, self.after, told)
         named = self.named
         if len(named) <= policy.MOST_CAUSES_REFITTED:
@@ -110,7 +111,9 @@ class Outcome:
             extended, after = correction.fit, correction.final
             widening = widening.carried_to(after).over_blocks(extended)
         if len(unseen):
-            improvement = improvement_of(self.before, after, told_by(after, unseen), widening.covariance)
+            improvement = improvement_of(
+                self.before, after, on_known_sides(after, unseen), widening.covariance
+            )
         return replace(
             self,
             extended=extended,

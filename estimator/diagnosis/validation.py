@@ -13,8 +13,6 @@ from torch import Tensor
 from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.effects.base import SINCE, UNTIL
-from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import as_meant
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
@@ -102,30 +100,6 @@ def improvement_of(
         value_before, value_after = (fit.values[name] for fit in (before, after))
         moved_sd[name] = float(value_after - value_before) / before.value_sd(name)
     return Improvement(scores_before, scores_after, float(difference.sum()), se, moved_sd)
-
-
-def told_by(fit: Fit, unseen: Observations) -> Observations:
-    """Unseen readings of which a fit says on which side of each instant they lie.
-
-    An instant lies somewhere between two fitted readings, and a block of unseen ones may lie there, too.
-
-    Args:
-        fit: Whose causes may begin or end at an instant.
-        unseen: Readings of the same session, or of another one, which then are all told.
-    """
-    fitted = fit.posterior.model.circumstances
-    if unseen.history is not fitted.observations.history:
-        return unseen
-    times_h, unseen_h = fitted.hours.unique(), Circumstances(fit.rig, unseen).hours
-    keys = tuple(f".{key}" for key in (SINCE, UNTIL))
-    labels = tuple(f"{cause.label}." for cause in fit.rig.effects)
-    is_told = torch.ones(len(unseen), dtype=torch.bool)
-    for name, value in fit.values.items():
-        if labels and name.startswith(labels) and name.endswith(keys):
-            after = int(torch.searchsorted(times_h, value))
-            if 0 < after < len(times_h):
-                is_told &= (unseen_h < times_h[after - 1]) | (unseen_h > times_h[after])
-    return unseen.rows(is_told)
 
 
 def is_refuted(after: Fit, cause: Cause, unseen: Observations) -> bool:

@@ -15,14 +15,13 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
 from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
 from estimator.rig.rig import Body, Mover, Rig
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
 
 
-SINCE, UNTIL = "since_h", "until_h"  # keys of the instants at which something began and ended
 AFTER = 1.0 + 1e-6  # of the duration of a session: after its last reading
 WHEN = "when it happened in a session that has not begun"  # what a cause with an instant depends on
 
@@ -115,7 +114,7 @@ class Effect(ABC):
         can_begin: It may be there in one session and not in the one before. What is built into a winding, or is a formula, was there from
             the first reading on: beside a calibration of the same coil it explains no change.
         needs_winding: It says something of a round winding, or has a place beside one; other coils cannot have it.
-        spell_of: Name of the cause that is the same from one instant on. What ends at another instant is the difference of two of these.
+        stays: The cause that is the same from one instant on, where this one ends at another: the difference of two of these.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
@@ -130,7 +129,7 @@ class Effect(ABC):
     is_linear: ClassVar[bool] = True
     can_begin: ClassVar[bool] = True
     needs_winding: ClassVar[bool] = False
-    spell_of: ClassVar[str | None] = None
+    stays: ClassVar[Effect | None] = None
     is_correction: ClassVar[bool] = False
 
     @abstractmethod

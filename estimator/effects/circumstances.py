@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,6 +21,7 @@ SMALLEST_MOVE_M = 1e-9
 LONG_AGO_S = 1e9  # before the first reading
 LEAST_STEP = 1e-3  # of the largest current: less is the noise of currents that were read back
 N_INSTANTS = 24  # at which something may have happened
+SINCE, UNTIL = "since_h", "until_h"  # keys of the instants at which something begins and ends
 EVERY = 2  # of these, where starts would be too many: half a gap beside the truth, they still stand out
 
 
@@ -191,15 +193,17 @@ class Circumstances:
         """Every other one of these instants, for causes that would have too many starts."""
         return self.instants_h[::EVERY]
 
-    def is_between(
-        self, begin_h: Float[Tensor, "*#batch"], end_h: Float[Tensor, "*#batch"]
-    ) -> Bool[Tensor, "*batch reading"]:
-        """Readings from one instant on, before another."""
-        return self.is_since(begin_h) & ~self.is_since(end_h)
-
     def is_since(self, instant_h: Float[Tensor, "*batch"]) -> Bool[Tensor, "*batch reading"]:
         """Readings from an instant on."""
         return self.hours >= instant_h[..., None]
+
+    def is_meanwhile(self, theta: Mapping[str, Tensor]) -> Bool[Tensor, "*batch reading"]:
+        """Readings while something is otherwise; see `is_meanwhile`.
+
+        Args:
+            theta: Quantities of the cause.
+        """
+        return is_meanwhile(self.hours, theta)
 
     def previous(self, sensor: str) -> tuple[Int[Tensor, " reading"], Float[Tensor, " reading"]]:
         """Row in the history of the reading that a sensor took before, and how long before; its own row and `LONG_AGO_S` where none was."""
@@ -305,3 +309,23 @@ class Circumstances:
 
     def _poses(self, mover: str) -> Transform:
         return base_from_motion(self.rig.mover(mover), self.observations.history.motion[mover])
+
+
+def is_meanwhile(
+    hours: Float[Tensor, " reading"], theta: Mapping[str, Tensor]
+) -> Bool[Tensor, "*batch reading"]:
+    """Readings from the instant on at which something begins, and before that at which it ends, where it ends.
+
+    Args:
+        hours: Time of each reading since the session began, in h.
+        theta: Quantities of the cause, `since_h` and perhaps `until_h` among them, in h.
+
+    Examples:
+        >>> one, three = torch.tensor(1.0), torch.tensor(3.0)
+        >>> is_meanwhile(torch.arange(5.0), {"since_h": one}).tolist()
+        [False, True, True, True, True]
+        >>> is_meanwhile(torch.arange(5.0), {"since_h": one, "until_h": three}).tolist()
+        [False, True, True, False, False]
+    """
+    has_begun = hours >= theta[SINCE][..., None]
+    return has_begun & (hours < theta[UNTIL][..., None]) if UNTIL in theta else has_begun

@@ -49,7 +49,7 @@ class AxesSwappedSince(AxesSwapped):
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         swapped_T = super().apply(field_sensor_T, theta, circumstances, sensor)
-        return torch.where(circumstances.is_since(theta["since_h"])[..., None], swapped_T, field_sensor_T)
+        return torch.where(circumstances.is_meanwhile(theta)[..., None], swapped_T, field_sensor_T)
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """Every component is read once."""
@@ -84,7 +84,7 @@ class CurrentSignSince(CurrentSign):
     ) -> Float[Tensor, "*#batch reading coil"]:
         """Delivered currents."""
         reversed_A = super().apply(current_A, theta, circumstances, coil)
-        return torch.where(circumstances.is_since(theta["since_h"])[..., None], reversed_A, current_A)
+        return torch.where(circumstances.is_meanwhile(theta)[..., None], reversed_A, current_A)
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """A sign is a sign."""
@@ -132,7 +132,7 @@ class CoilsExchangedSince(CurrentEffect):
         source = torch.where(index == coil, other, torch.where(index == other, coil, index))
         current_A, source = torch.broadcast_tensors(current_A, source[..., None, :])
         exchanged_A = current_A.gather(-1, source)
-        return torch.where(circumstances.is_since(theta["since_h"])[..., None], exchanged_A, current_A)
+        return torch.where(circumstances.is_meanwhile(theta)[..., None], exchanged_A, current_A)
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """Coils are counted in whole numbers."""

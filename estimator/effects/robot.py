@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since, triple
-from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.circumstances import Circumstances, Extent, is_meanwhile
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
@@ -236,9 +236,9 @@ class MoverSlipped(MotionEffect):
 
     def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
         """Real pose, or real displacement."""
-        is_since = columns[:, 0] >= theta["since_h"][..., None]
+        is_elsewhere = is_meanwhile(columns[:, 0], theta)
         shift_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
-        return _shifted(pose, is_since[..., None] * shift_m)
+        return _shifted(pose, is_elsewhere[..., None] * shift_m)
 
 
 class MountTilt(MountEffect):

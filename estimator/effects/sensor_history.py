@@ -166,7 +166,7 @@ class OffsetStep(ReadingEffect):
     ) -> Float[Tensor, "*#batch reading 3"]:
         """Components as they are read."""
         zero_T = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
-        return field_sensor_T + zero_T[..., None, :] * circumstances.is_since(theta["since_h"])[..., None]
+        return field_sensor_T + zero_T[..., None, :] * circumstances.is_meanwhile(theta)[..., None]
 
 
 class SensorExchanged(ReadingEffect):
@@ -199,4 +199,4 @@ class SensorExchanged(ReadingEffect):
         changed_T = field_sensor_T
         for part in PARTS:
             changed_T = part.apply(changed_T, theta, circumstances, sensor)
-        return torch.where(circumstances.is_since(theta["since_h"])[..., None], changed_T, field_sensor_T)
+        return torch.where(circumstances.is_meanwhile(theta)[..., None], changed_T, field_sensor_T)

@@ -216,7 +216,7 @@ class CurrentStep(OneCoilCurrent):
         coil: int,
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
-        return current_A * (1.0 - theta["step"][..., None] * circumstances.is_since(theta["since_h"]))
+        return current_A * (1.0 - theta["step"][..., None] * circumstances.is_meanwhile(theta))
 
 
 class CoilHeating(OneCoilCurrent):

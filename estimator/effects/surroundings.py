@@ -102,7 +102,7 @@ class BackgroundStep(RoomEffect):
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*#batch reading 3"]:
         """Step of the room's field in the world frame, in T; 0 before the instant."""
         field_T = torch.stack([theta[f"{axis}_T"] for axis in "xyz"], dim=-1)
-        return field_T[..., None, :] * circumstances.is_since(theta["since_h"])[..., None]
+        return field_T[..., None, :] * circumstances.is_meanwhile(theta)[..., None]
 
 
 class PeriodicInterference(RoomEffect):

@@ -45,6 +45,34 @@ def test_hidden_cause_is_named(tmp_path, cause):
     assert found["elpd_difference"] > 0.0
 
 
+@pytest.mark.parametrize(
+    "cause",
+    [
+        "current_spell",
+        *(
+            pytest.param(c, marks=pytest.mark.slow)
+            for c in ("background_spell", "gain_spell", "current_sign_spell")
+        ),
+    ],
+)
+def test_what_is_otherwise_for_a_while_is_named_with_its_beginning_and_its_end(tmp_path, cause):
+    hidden = draw_session(602, cause, 20.0, "recommended")
+    hidden.write(tmp_path)
+    session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
+    diagnosis = diagnose(session, seed=602)
+    (found,) = diagnosis.sized_causes
+    assert found.cause.name == cause
+    when_s = {known.name: known.value for known in hidden.record.truths[0].parameters}
+    fitted_s = session.observations.calibration.time_s.unique().numpy() - float(
+        session.observations.time_s.min()
+    )
+    for key, name in (("since_h", "begin_s"), ("until_h", "end_s")):
+        told_s = 3600.0 * found.quantities[key].median
+        low_s, high_s = sorted((told_s, when_s[name]))
+        # Readings kept out, and those without current, leave the instant open.
+        assert ((fitted_s > low_s) & (fitted_s < high_s)).sum() <= 6, (told_s, when_s[name])
+
+
 def test_twins_are_not_told_apart_and_the_session_says_so_beforehand(tmp_path):
     """A fixed sensor cannot tell its own offset from a field of the room (docs/explanation/what-cannot-be-told-apart.md)."""
     found = verdict(tmp_path, 311, "background_field", 8.0, "paper")

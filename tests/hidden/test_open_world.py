@@ -92,10 +92,23 @@ def test_a_mover_that_slipped_stands_elsewhere_from_an_instant_on(sessions: Sess
     assert 0 < is_later.sum() < len(is_later)
 
 
+@pytest.mark.parametrize("name", ["current_spell", "current_sign_spell", "gain_spell", "background_spell"])
+def test_a_spell_changes_the_readings_of_one_stretch_of_time(sessions: Sessions, name: str) -> None:
+    scene = sessions["displacement", "recommended"][1].measured()
+    made, known = applied(name, scene, 0.1)
+    time_s = scene.schedule.time_s
+    is_meanwhile = (time_s > known["begin_s"]) & (time_s <= known["end_s"])
+    measured = made if name == "gain_spell" else replace(made, field_T=None).measured()
+    is_changed = (measured.readings_T != scene.readings_T).any(axis=-1)
+    assert not is_changed[~is_meanwhile].any()
+    assert is_changed[is_meanwhile].any()
+    assert 0.1 < is_meanwhile.mean() < 0.4
+
+
 def test_causes_that_came_later_are_hidden_by_name_only() -> None:
     assert not set(LATER) & set(CAUSES)
     possible = patterns("recommended", "displacement")
-    assert set(LATER) <= set(possible)
+    assert {cause.name for cause in LATER.values() if cause.has_size} <= set(possible)
     assert not set(LATER) & set(within(ALL, is_known=True)(possible) + within((), is_known=False)(possible))
     hidden = draw_open_session([1], lambda names_of: [n for n in names_of if n in LATER], 12.0, 0)
     assert hidden.flaws[0].cause.name in LATER

@@ -14,7 +14,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import SINCE, UNTIL, Quantity
+from estimator.effects.base import Quantity
+from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.effects.segments import split_key
 from estimator.effects.stages import MountEffect, NoiseEffect, ReadingEffect
 from estimator.rig.rig import Cause, Rig
@@ -105,9 +106,9 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     for cause in causes:
         effect = EFFECTS[cause.name]
         starts = list(effect.starts(circumstances, cause.place))
-        steps = {c.shapes[SINCE]: c for c in result if c.cause == Cause(str(effect.spell_of), cause.place)}
-        instants_h = {start[key] for start in starts for key in (SINCE, UNTIL)} if steps else set()
-        is_known = bool(steps) and instants_h <= steps.keys()
+        stays = None if effect.stays is None else Cause(effect.stays.name, cause.place)
+        steps = {c.shapes[SINCE]: c for c in result if c.cause == stays}
+        is_known = bool(steps) and all(start[key] in steps for start in starts for key in (SINCE, UNTIL))
         result += _spells(cause, starts, steps) if is_known else at_starts(fit, cause, starts)
     return result
 

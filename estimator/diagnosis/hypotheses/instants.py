@@ -5,16 +5,18 @@ Half a gap of that grid beside the truth, some readings count to the wrong side,
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import at_starts
 from estimator.diagnosis.hypotheses.screening import Screened, linear_evidence
 from estimator.diagnosis.linear import log_mean_exp
-from estimator.effects.base import SINCE, UNTIL
-from estimator.effects.circumstances import Circumstances
+from estimator.effects.circumstances import SINCE, UNTIL, Circumstances
+from estimator.readings.observations import Observations
 
 # Instants that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants.
 MOST_INSTANTS = 48
@@ -24,25 +26,26 @@ def at_finer_instant(fit: Fit, screened: Screened) -> Screened:
     """What the linear model says of a cause at the best instants between two readings near those of its coarse start.
 
     The evidence is averaged over the instants that are asked, so that a finer choice wins nothing by itself. Where something ends too, its
-    beginning is asked first.
+    beginning is asked once more when its end is known.
 
     Args:
         fit: Without the cause.
         screened: At its best coarse start; returned as it is where that has no instant.
     """
     circumstances = fit.posterior.model.circumstances
-    value, highest, start = screened
-    for key in instants_in(start.shapes):
-        starts = starts_nearer(circumstances, circumstances.instants_h, start.shapes, key)
+    highest, start, keys = screened.highest, screened.start, instants_in(screened.start.shapes)
+    coarse_h = circumstances.coarse_instants_h if UNTIL in keys else circumstances.instants_h
+    paid = dict[str, float]()  # for the choice of each instant among those that were asked
+    for key in [*keys, *keys[:-1]]:
+        starts = starts_nearer(circumstances, coarse_h, start.shapes, key)
         finer = at_starts(fit, start.cause, starts) if len(starts) > 1 else []
         if finer:
-            values = torch.tensor(linear_evidence(fit, [start, *finer]), dtype=torch.float64)
-            coarse, top = float(values[0]), int(values[1:].argmax())
-            value, highest = (
-                value + log_mean_exp(values[1:]) - coarse,
-                highest + float(values[1:].max()) - coarse,
-            )
-            start = finer[top]
+            before, *each = linear_evidence(fit, [start, *finer])
+            values = torch.tensor(each, dtype=torch.float64)
+            highest += float(values.max()) - before
+            paid[key] = float(values.max()) - log_mean_exp(values)
+            start = finer[int(values.argmax())]
+    value = screened.log_bayes_factor + highest - screened.highest - sum(paid.values())
     return Screened(value, highest, start)
 
 
@@ -88,3 +91,55 @@ def best_instants(
         if otherwise not in best or value > best[otherwise][0]:
             best[otherwise] = value, start
     return list(best.values())
+
+
+def on_known_sides(fit: Fit, unseen: Observations) -> Observations:
+    """Unseen readings that lie on a known side of each instant at which a cause of a fit begins or ends.
+
+    The fitted readings leave the instant open over some of them: a block of unseen ones may lie there, and readings without a field tell
+    nothing.
+
+    Args:
+        fit: Whose causes may begin or end at an instant.
+        unseen: Readings of the same session; those of another one are all returned.
+    """
+    circumstances = fit.posterior.model.circumstances
+    if unseen.history is not circumstances.observations.history:
+        return unseen
+    hours = Circumstances(fit.rig, unseen).hours
+    is_known = torch.ones_like(hours, dtype=torch.bool)
+    for cause in fit.rig.effects:
+        names = {key: f"{cause.label}.{key}" for key in (SINCE, UNTIL)}
+        instants_h = {key: float(fit.values[name]) for key, name in names.items() if name in fit.values}
+        for key in instants_h:
+            first_h, last_h = _possible_from_to_h(
+                fit,
+                names[key],
+                starts_nearer(circumstances, circumstances.coarse_instants_h, instants_h, key),
+                key,
+            )
+            is_known &= (hours <= first_h) | (hours >= last_h)
+    return unseen.rows(is_known)
+
+
+def _possible_from_to_h(
+    fit: Fit, name: str, starts: Sequence[Mapping[str, float]], key: str
+) -> tuple[float, float]:
+    """Times of the fitted readings between which an instant lies at odds of 20 to 1, in h.
+
+    Args:
+        fit: With the cause.
+        name: Parameter that is the instant.
+        starts: Instants that are asked beside that of the fit.
+        key: Of the instant.
+    """
+    asked_h = fit.values[name].new_tensor([float(fit.values[name]), *(start[key] for start in starts)])
+    with torch.no_grad():
+        reading_T = fit.posterior.model.predict({**fit.values, name: asked_h})
+        components_T = fit.posterior.measured_components(reading_T.expand(len(asked_h), -1, 3))
+    whitened = (fit.posterior.measured_T - components_T) * fit.whitening_per_T
+    log_likelihood = -0.5 * whitened.square().sum(-1)
+    possible_h = asked_h[log_likelihood > log_likelihood.max() - policy.LEAST_LOG_ODDS]
+    times_h = fit.posterior.model.circumstances.hours.unique()
+    before, after = times_h[times_h < possible_h.min()], times_h[times_h >= possible_h.max()]
+    return float(before[-1]) if len(before) else -math.inf, float(after[0]) if len(after) else math.inf

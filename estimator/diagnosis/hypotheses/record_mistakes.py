@@ -25,7 +25,7 @@ from estimator.diagnosis.hypotheses.instants import (
 )
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import SINCE, UNTIL
+from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.errors import InvalidInput
 from estimator.field.winding import Rule

@@ -47,7 +47,7 @@ from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects.attach import with_effect
-from estimator.effects.base import UNTIL
+from estimator.effects.circumstances import UNTIL
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
 from estimator.rig.rig import Cause

@@ -32,7 +32,6 @@ from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
 
 Blocks = Int[np.ndarray, " reading"]
-MOST_LOST_BETWEEN = 2.0  # by how much evidence may be larger at an instant than at the coarse one beside it
 
 
 @dataclass(frozen=True)
@@ -144,7 +143,11 @@ def _leaders_in_full(
     best, n_fitted, pictured = 0.0, 0, set[str]()
     for i, cause in enumerate(ranked):
         row = screened[cause]
-        if i < most_fitted and MOST_LOST_BETWEEN * row.highest > max(best, least) and not limits.is_over:
+        if (
+            i < most_fitted
+            and policy.MOST_LOST_BETWEEN * row.highest > max(best, least)
+            and not limits.is_over
+        ):
             row = at_finer_instant(fit, row)
         value, highest, start = row
         effect, fitted = EFFECTS[cause.name], None

@@ -272,6 +272,36 @@ def test_pile_of_causes_is_said_with_what_speaks_for_a_wrong_source(
     assert diagnosis.to_json()["source_model"] is None
 
 
+def test_nothing_found_says_where_nothing_wrong_is_hardly_probable(diagnosis: Diagnosis) -> None:
+    search = diagnosis.findings.search
+    *earlier, last = search.steps
+
+    def told(p_nothing: float) -> list[str]:
+        shares = {"nothing": p_nothing, "axis_gain[hall]": 1.0 - p_nothing}
+        hypotheses = tuple(replace(h, probability=shares.get(h.name, 0.0)) for h in last.hypotheses)
+        found = replace(search, steps=(*earlier, replace(last, hypotheses=hypotheses)))
+        findings = replace(diagnosis.findings, search=found, causes=())
+        left_open = replace(diagnosis.left_open, next_measurements=())
+        clean = replace(diagnosis, verdict=Verdict.NOTHING_FOUND, findings=findings, left_open=left_open)
+        return headline(clean)
+
+    assert told(0.5)[0].startswith("These readings show nothing wrong")
+    doubtful = told(0.07)
+    assert doubtful[0].startswith("Nothing is sure enough to be named, but it is only 7% probable")
+    assert doubtful[-1].startswith("Measure again")
+
+
+def test_an_error_that_does_not_fall_is_not_said_to_fall(diagnosis: Diagnosis) -> None:
+    improvement = diagnosis.improvement
+    assert improvement is not None
+    assert improvement.is_significant
+    assert any("falls from" in sentence for sentence in headline(diagnosis))
+    scattered = replace(improvement, after=replace(improvement.after, errors=improvement.before.errors))
+    told = headline(replace(diagnosis, fits=replace(diagnosis.fits, improvement=scattered)))
+    assert any("does not fall (" in sentence and "log predictive density +" in sentence for sentence in told)
+    assert not any("falls from" in sentence for sentence in told)
+
+
 def test_cause_that_was_taken_twice_is_drawn_twice(diagnosis: Diagnosis) -> None:
     """Taken, dropped, and taken again when others had been found."""
     first, *rest = diagnosis.findings.search.additions

@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
+from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.hypotheses.instants import at_finer_instant
+from estimator.diagnosis.hypotheses.instants import at_finer_instant, on_known_sides
 from estimator.diagnosis.hypotheses.screening import Screened, screening
+from estimator.effects.attach import with_effect
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -43,3 +47,58 @@ def test_cause_without_an_instant_keeps_its_start(small_rig: Rig, small_session:
     (start,) = candidates(fit, [Cause("axis_gain", "hall")])
     screened = Screened(1.5, 2.5, start)
     assert at_finer_instant(fit, screened) == screened
+
+
+def test_a_spell_is_found_between_the_readings_at_which_it_begins_and_ends(
+    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+):
+    readings = small_session.observations.calibration
+    hours = (readings.time_s - readings.history.time_s.min()) / 3600.0
+    first, last = 2 * len(readings) // 7, 4 * len(readings) // 7  # after which it begins and ends
+    since_h, until_h = (0.5 * float(hours[row] + hours[row + 1]) for row in (first, last))
+    truth, cause = small_rig.with_values(small_truth), Cause("offset_spell", "hall")
+    size = {"x_T": 60e-6, "z_T": -40e-6, "since_h": since_h, "until_h": until_h}
+    fit = fit_of(truth, with_wrong(truth, readings, cause, size))
+    coarse = screening(fit, candidates(fit, [cause]))[cause]
+    finer = at_finer_instant(fit, coarse)
+    assert finer.start.shapes == pytest.approx({"since_h": since_h, "until_h": until_h})
+    assert finer.log_bayes_factor > coarse.log_bayes_factor
+    assert finer.log_bayes_factor < finer.highest
+
+
+def test_columns_of_a_spell_are_the_difference_of_those_of_what_stays(small_rig: Rig, small_session: Session):
+    """Made from the columns of steps that are known, or by predictions of its own."""
+    fit = fit_of(small_rig, small_session.observations.calibration)
+    for stays, spell in (
+        (Cause("current_step", "coil1"), Cause("current_spell", "coil1")),
+        (Cause("background_step", "room"), Cause("background_spell", "room")),
+    ):
+        known = [c for c in candidates(fit, [stays, spell]) if c.cause == spell]
+        alone = candidates(fit, [spell])
+        assert [c.shapes for c in known] == [c.shapes for c in alone]
+        for difference, predicted in zip(known, alone, strict=True):
+            scale = float(predicted.columns.abs().max())
+            torch.testing.assert_close(difference.columns, predicted.columns, rtol=0.0, atol=1e-8 * scale)
+
+
+def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
+    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+):
+    """Where a block is kept out about the instant, the fitted readings beside it are all that says when it was."""
+    whole = small_session.observations.calibration
+    whole = whole.rows(torch.argsort(whole.time_s))
+    n, cause = len(whole), Cause("offset_step", "hall")
+    hours = (whole.time_s - whole.history.time_s.min()) / 3600.0
+    middle, end = n // 2, n - n // 8
+    is_block = (torch.arange(n) > middle - 4) & (torch.arange(n) < middle + 4)
+    is_late = torch.arange(n) >= end
+    truth = small_rig.with_values(small_truth)
+    size = {"x_T": 200e-6, "z_T": -200e-6, "since_h": float(hours[middle])}
+    wrong = with_wrong(truth, whole, cause, size)
+    fitted, unseen = wrong.rows(~(is_block | is_late)), wrong.rows(is_block | is_late)
+    rig = with_effect(truth, cause, fitted, {"since_h": float(hours[middle])})
+    fit = fit_rig(rig, fitted, rig.nominal_values(), MeasurementModel.build(truth, fitted).rules)
+    told = on_known_sides(fit, unseen)
+    assert told.time_s.tolist() == wrong.rows(is_late).time_s.tolist()
+    without = fit_rig(truth, fitted, {}, fit.posterior.model.rules)
+    assert len(on_known_sides(without, unseen)) == len(unseen)
