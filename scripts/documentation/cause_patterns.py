@@ -30,6 +30,7 @@ NOISE_T = 20e-6
 ALIKE = 0.95  # cosine from which two causes count as alike
 MOST_ALIKE = 6
 HALF_WAY_H = 0.2  # about half of each session
+FOR_A_WHILE = {"since_h": 0.5 * HALF_WAY_H, "until_h": HALF_WAY_H}
 ONE_COIL = """
 schema_version: 1
 name: a coil on a stage, and a sensor that stands still
@@ -127,7 +128,12 @@ SIZES: dict[str, dict[str, float]] = {
     "coils_exchanged_since": {"later_by": 1.0, "since_h": HALF_WAY_H},
     "current_sign": {"sign": -1.0},
     "current_sign_since": {"sign": -1.0, "since_h": HALF_WAY_H},
-    "current_sign_spell": {"sign": -1.0, "since_h": 0.5 * HALF_WAY_H, "until_h": HALF_WAY_H},
+    "current_sign_spell": {"sign": -1.0, **FOR_A_WHILE},
+    "current_spell": {"step": 0.02, **FOR_A_WHILE},
+    "background_spell": {"x_T": 50e-6, **FOR_A_WHILE},
+    "mover_spell": {"x_m": 500e-6, **FOR_A_WHILE},
+    "gain_spell": {"x": 0.01, **FOR_A_WHILE},
+    "offset_spell": {"x_T": 50e-6, **FOR_A_WHILE},
     "displacement_frame": {"rz_rad": math.pi / 2.0, "rx_rad": 0.0, "ry_rad": 0.0},
     "left_handed": {"y_sign": -1.0},
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
