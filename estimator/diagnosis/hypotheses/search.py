@@ -439,7 +439,7 @@ class _SearchState:
         return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
 
     def _asked_again(self, fit: Fit) -> list[Candidate]:
-        """The pool without causes of which a fit in a pile has found nothing, and in a pile without spells: twice as many would be asked."""
+        """The pool without causes of which a fit in a pile has found nothing, and in a pile without spells, which double it."""
         pool = [candidate for candidate in self._pool(fit) if candidate.cause not in self.collapsed]
         return (
             [candidate for candidate in pool if UNTIL not in candidate.shapes] if self.is_piled(fit) else pool
