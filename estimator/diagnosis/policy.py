@@ -119,9 +119,9 @@ collapse in its fit. In a map of a large solenoid the fifth by screening was the
 cases: no change."""
 
 MOST_LOST_BETWEEN = 2.0
-"""By how much log evidence may be larger at an instant between two readings than at the coarse instant beside it. Effort: finer instants
-are asked of a cause where that could matter. By measurement: 85 in place of 36 in one session, for a gain of one sensor. Study: not in
-it."""
+"""Factor by which log evidence may be larger at an instant between two readings than at the coarse instant beside it. Effort: finer
+instants are asked of a cause where that could matter. By measurement: 85 in place of 36 in one session, for a gain of one sensor. Study:
+not in it."""
 
 BENT = 6.0
 """Prior widths by which a fit may pull a number of the rig until a cause that starts far from its null is fitted in full, whatever the
