@@ -29,7 +29,8 @@ def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
 
     FILE is a readings CSV, a plan (.yaml), or a file of instruments (.yaml) as `coilcal rig-simulator` writes it. No instrument is opened.
 
-    Where nothing is wrong, say what they hold. Exit code 2 where something is.
+    Where nothing is wrong, say what they hold, and which readings cannot have been measured so by what their digits say: blocks that were
+    copied, stretches that were filled in, bits that are stuck. Exit code 2 where a file is wrong.
     """
     from estimator.cli.device_faults import device_faults
     from estimator.cli.understood import rig_lines, rig_record
@@ -57,6 +58,8 @@ def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str
     """What a plan or a readings CSV holds, as lines and as a record, and its faults."""
     from estimator.cli.device_faults import devices_and_faults, is_devices_file
     from estimator.cli.understood import plan_lines, plan_record, readings_lines, readings_record
+    from estimator.readings.digits import flags_of_digits
+    from estimator.readings.flags import told
     from estimator.readings.plan import plan_and_faults
     from estimator.store.importers.readings_csv import readings_and_faults
 
@@ -76,7 +79,11 @@ def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str
     if is_rig_right:
         faults = _physical_faults(rig, session, str(path))
     first, *rest = readings_lines(table)
-    return [f"{path}: {first}", *rest], {"readings": readings_record(table)}, faults
+    sensors, flags = [sensor.name for sensor in rig.sensors], flags_of_digits(session.observations)
+    if flags:
+        rest.append(f"  {told(flags, sensors)}")
+    record = {"readings": readings_record(table), "flagged": [flag.to_json(sensors) for flag in flags]}
+    return [f"{path}: {first}", *rest], record, faults
 
 
 def _physical_faults(rig: Rig, session: Session, source: str) -> list[InvalidInput]:
@@ -100,7 +107,9 @@ def _tell(faults: list[InvalidInput], lines: list[str], record: dict[str, Any], 
     if faults:
         told.append(f"{len(faults)} {'mistake' if len(faults) == 1 else 'mistakes'}")
     else:
-        lines.append("nothing is wrong")
+        lines.append(
+            "the form is right, the readings are not" if record.get("flagged") else "nothing is wrong"
+        )
     entries = [
         {
             "message": _without_place(fault),

@@ -72,6 +72,8 @@ def import_command(
     The format `readings` is coilcal's own CSV, described in the README; the others are field maps of public repositories.
     """
     from estimator.model.preflight import check_readings, check_units
+    from estimator.readings.digits import flags_of_digits
+    from estimator.readings.flags import told
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.recorded import moment
 
@@ -87,15 +89,19 @@ def import_command(
     session = with_validation(session, share, seed)
     check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
     session.save(out, overwrite)
-    observations = session.observations
+    observations, sensors = session.observations, [sensor.name for sensor in rig.sensors]
+    flags = flags_of_digits(observations)
     result = {
         "session": str(out),
         "readings": len(observations),
         "validation": int(observations.is_validation.sum()),
         "recorded": session.created,
         "session_hash": session.hash,
+        "flagged": [flag.to_json(sensors) for flag in flags],
     }
     text = f"{result['readings']} readings ({result['validation']} of them for validation) written to {out}"
+    if flags:
+        text += f"\n{told(flags, sensors)} A diagnosis leaves them out; put the record right where you can."
     show(result, text, as_json)
 
 

@@ -12,6 +12,7 @@ from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
+from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -19,7 +20,6 @@ from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
     leaves_much_of_the_field,
     refit_outside,
-    rules_and_refusal,
     without_record_mistakes,
 )
 from estimator.diagnosis.hypotheses.search import search
@@ -46,10 +46,11 @@ from estimator.diagnosis.verdict import (
     Verdict,
     stand_ins,
 )
+from estimator.effects import EFFECTS
+from estimator.effects.stages import NoiseEffect
 from estimator.errors import InvalidInput
 from estimator.model.preflight import check_precision, check_readings
-from estimator.readings.observations import Observations
-from estimator.readings.split import block_split, thinned
+from estimator.readings.split import thinned
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 
@@ -70,6 +71,8 @@ def diagnose(
     on_progress: OnProgress = unwatched,
 ) -> Diagnosis:
     """Find what the simulation gets wrong, name the cause, extend the rig and validate the extension.
+
+    Readings that cannot have been measured as they were recorded are left out, and the result lists them (`findings.flags`).
 
     Args:
         session: Readings. Those marked as validation are kept out of the fits; where none is marked, a fifth is, in blocks.
@@ -101,21 +104,27 @@ def diagnose(
     place, dtype = device_named(device), precision_named(precision)
     if dtype is not torch.float64:
         check_precision(rig, session.observations)
-    seen, unseen = _split(session, validation, seed)
-    folder = None if out is None else Path(out)
+    question, folder = Question(rig, session.source, seed), None if out is None else Path(out)
+
+    def judged(first: FirstFit) -> Diagnosis:
+        return _judged(question, first, limits or Limits(), place, tell, on_progress)
+
     with remembering(folder) as journal, climbing_on(place, dtype):
         if journal is not None and len(journal):
             tell(f"continuing: {len(journal)} fits were made before")
-        result = _judged(
-            Question(rig, session.source, seed),
-            seen,
-            unseen,
-            limits or Limits(),
-            most_readings,
-            place,
-            tell,
-            on_progress,
-        )
+        tell("fitting the rig as described")
+        first = FirstFit.of(question, session, validation, most_readings)
+        suspects = first.suspects()
+        if suspects.flags and not suspects.may_be_causes:
+            tell("leaving out readings that were recorded otherwise than they were measured")
+            first = first.without(suspects.flags)
+        result = judged(first)
+        if _is_in_doubt(result) and (flags := first.flags_by(result)):
+            tell("searching again without readings that were recorded otherwise than they were measured")
+            first = first.without(flags)
+            result = judged(first)
+    session = first.session
+    seen = session.observations.calibration
     is_changed = bool(result.fits.final.rig.effects) or result.verdict is Verdict.UNEXPLAINED
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()):
         tell("sampling the posterior of the extended rig")
@@ -137,28 +146,28 @@ def diagnose(
     return result
 
 
+def _is_in_doubt(result: Diagnosis) -> bool:
+    """Whether something is unexplained, or explained by scatter alone."""
+    is_scatter = any(isinstance(EFFECTS[named.cause.name], NoiseEffect) for named in result.causes)
+    return result.verdict is Verdict.UNEXPLAINED or is_scatter
+
+
 def _judged(
     question: Question,
-    seen: Observations,
-    unseen: Observations,
+    first: FirstFit,
     limits: Limits,
-    most_readings: int,
     place: torch.device,
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> Diagnosis:
     """The diagnosis from readings to be fitted and others to judge the fits."""
-    rig, seed = question.rig, question.seed
-    few = thinned(seen, most_readings, seed)
-    tell("fitting the rig as described")
-    rules, refusal = rules_and_refusal(rig, few)
-    plain = fit_rig(rig, few, {}, rules, policy.MORE_STARTS)
+    rig, seed, plain, seen, unseen = question.rig, question.seed, first.plain, first.seen, first.unseen
     search_result, mistakes, visible, twins = computed_on(
-        place, lambda fit: _found(fit, refusal, limits, tell, on_progress), plain
+        place, lambda fit: _found(fit, first.refusal, limits, tell, on_progress), plain
     )
-    outcome = Outcome.of(plain, search_result, mistakes)
+    outcome = Outcome.of(plain, search_result, mistakes, is_record_wrong=bool(first.flags or mistakes))
     tell("validating on readings not used for fitting")
-    if len(seen) > len(few):
+    if len(seen) > len(plain.observations):
         outcome = outcome.fitted_to(thinned(seen, policy.MOST_READINGS_FITTED, seed))
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
@@ -176,6 +185,7 @@ def _judged(
             record_mistakes=tuple(mistakes),
             causes=tuple(named),
             stand_ins=tuple(stand_ins(search_result, named, extended)),
+            flags=first.flags,
         ),
         fits=Fits(
             plain=plain,
@@ -253,15 +263,6 @@ def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> b
     rules = final.posterior.model.rules
     as_recorded = fit_rig(rig, final.observations, rig.nominal_values(), rules, policy.MORE_STARTS)
     return as_recorded.log_evidence > final.log_evidence
-
-
-def _split(session: Session, validation: Session | None, seed: int) -> tuple[Observations, Observations]:
-    observations = session.observations
-    if validation is not None:
-        return observations.calibration, validation.observations
-    if not bool(observations.is_validation.any()):
-        observations = observations.with_validation(block_split(observations, policy.VALIDATION_SHARE, seed))
-    return observations.calibration, observations.validation
 
 
 def _next_measurements(search_result: Search, named: Sequence[NamedCause], rig: Rig) -> list[Proposal]:

@@ -15,6 +15,7 @@ from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL, Extent
+from estimator.readings.flags import told
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
 from estimator.rig.parameters import Normal
@@ -32,7 +33,13 @@ def headline(diagnosis: Diagnosis) -> list[str]:
     """The sentences, most important first."""
     search = diagnosis.findings.search
     source = _source(search.other_structures, diagnosis) if search.source_seems_wrong else ""
-    sentences = [_what(diagnosis), source, _cost(diagnosis), "" if source else _next(diagnosis)]
+    sentences = [
+        _flagged(diagnosis),
+        _what(diagnosis),
+        source,
+        _cost(diagnosis),
+        "" if source else _next(diagnosis),
+    ]
     if ended := search.ended_early:
         sentences.append(f"The search ended early, for {ended}; the same command goes on with it.")
     return [sentence for sentence in sentences if sentence]
@@ -71,8 +78,24 @@ def held_back(diagnosis: Diagnosis) -> list[str]:
     return sentences
 
 
+def _flagged(diagnosis: Diagnosis) -> str:
+    """Readings that cannot have been measured as they were recorded, and what was done with them; empty where there are none."""
+    flags = diagnosis.findings.flags
+    are_left_out = any(not flag.is_everywhere for flag in flags)
+    return told(flags, diagnosis.sensor_names) + (
+        " They were left out; what follows is of the others." if are_left_out else ""
+    )
+
+
+def _is_only_flagged(diagnosis: Diagnosis) -> bool:
+    """Whether nothing is wrong but readings that were flagged."""
+    return bool(diagnosis.findings.flags) and not (diagnosis.causes or diagnosis.record_mistakes)
+
+
 def _what(diagnosis: Diagnosis) -> str:
     """What is wrong, where, and how sure that is."""
+    if diagnosis.verdict is Verdict.NAMED and _is_only_flagged(diagnosis):
+        return _doubts(diagnosis) or f"Nothing else is wrong{_would_have_shown(diagnosis)}."
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
         return _doubts(diagnosis) or f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
     wrong = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
@@ -276,6 +299,8 @@ def _next(diagnosis: Diagnosis) -> str:
         return correction.words(diagnosis.label)
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         return "Intervals are widened by what is left; look at the residual below before you rely on predictions."
+    if diagnosis.verdict is Verdict.NAMED and _is_only_flagged(diagnosis):
+        return "Put the record right, and see what wrote it; the rig file is right as it is."
     if diagnosis.verdict is Verdict.NAMED:
         return f"Use {EXTENDED_RIG} in place of the rig file, or mend the cause and measure again."
     if diagnosis.verdict is Verdict.NOTHING_FOUND:

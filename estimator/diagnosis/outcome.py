@@ -50,16 +50,19 @@ class Outcome:
     correction: Correction | None = None
 
     @classmethod
-    def of(cls, plain: Fit, search: Search, mistakes: Sequence[RecordMistake]) -> Outcome:
+    def of(
+        cls, plain: Fit, search: Search, mistakes: Sequence[RecordMistake], is_record_wrong: bool
+    ) -> Outcome:
         """What a search says by its own readings.
 
         Args:
             plain: The rig as described.
             search: The search.
             mistakes: Mistakes of the record, which were undone before it.
+            is_record_wrong: Whether there are such mistakes, or readings that were left out.
         """
         verdict, named = judged(search)
-        if verdict is Verdict.NOTHING_FOUND and mistakes:
+        if verdict is Verdict.NOTHING_FOUND and is_record_wrong:
             has_twins = any(mistake.twins for mistake in mistakes)
             verdict = Verdict.INDISTINGUISHABLE if has_twins else Verdict.NAMED
         extended = extended_fit(search, named)

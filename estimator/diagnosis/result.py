@@ -27,6 +27,7 @@ from estimator.diagnosis.validation import Improvement
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
+from estimator.readings.flags import Flag
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.write import rig_text
@@ -70,12 +71,14 @@ class Findings:
         record_mistakes: Mistakes of the record, undone before the search.
         causes: The named causes, in order.
         stand_ins: Further causes of the extended rig. They are not named, for something unknown may look like them.
+        flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
     """
 
     search: Search
     record_mistakes: tuple[RecordMistake, ...] = ()
     causes: tuple[NamedCause, ...] = ()
     stand_ins: tuple[Cause, ...] = ()
+    flags: tuple[Flag, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -153,6 +156,16 @@ class Diagnosis:
     def record_mistakes(self) -> tuple[RecordMistake, ...]:
         """Mistakes of the record, undone before the search."""
         return self.findings.record_mistakes
+
+    @property
+    def is_record_wrong(self) -> bool:
+        """Whether there are mistakes of the record, or readings that are not as they were measured."""
+        return bool(self.record_mistakes or self.findings.flags)
+
+    @property
+    def sensor_names(self) -> list[str]:
+        """Names of the rig's sensors, in order."""
+        return [sensor.name for sensor in self.rig.sensors]
 
     @property
     def improvement(self) -> Improvement | None:
@@ -240,6 +253,7 @@ class Diagnosis:
                 {"name": self.label(c), "place": c.place, "parameters": intervals_to_json(self.quantities(c))}
                 for c in self.findings.stand_ins
             ],
+            "flagged": [flag.to_json(self.sensor_names) for flag in self.findings.flags],
             "indistinguishable": [[self.label(cause) for cause in group] for group in left_open.twins],
             "next_measurement": [
                 {

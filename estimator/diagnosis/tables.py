@@ -40,6 +40,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
                 "readings know it better than either quantity.",
             )
         )
+    if diagnosis.findings.flags:
+        tables.append(_flags_table(diagnosis))
     if diagnosis.improvement is not None:
         tables.append(_validation_table(diagnosis))
         tables += [table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows]
@@ -57,6 +59,26 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             )
         )
     return tables
+
+
+def _flags_table(diagnosis: Diagnosis) -> Table:
+    """Readings that cannot have been measured as they were recorded."""
+    rows = [
+        [
+            flag.subject(diagnosis.sensor_names),
+            flag.words,
+            str(len(flag.readings)),
+            "" if flag.is_everywhere else flag.where(),
+        ]
+        for flag in diagnosis.findings.flags
+    ]
+    return Table(
+        "Readings that are not as they were measured",
+        ["fields", "what is wrong", "number", "where"],
+        rows,
+        "Readings are counted from 1 in the order of the file; diagnosis.json lists each. They were left out, but for what is wrong in all "
+        "readings of a sensor. The words say what fits the other readings, not who made the mistake.",
+    )
 
 
 def appendix(diagnosis: Diagnosis) -> list[Table]:

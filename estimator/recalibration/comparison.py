@@ -79,7 +79,7 @@ class Comparison:
             on_stage=self.watcher.on_words,
             on_progress=self.watcher.on_progress,
         )
-        if diagnosis.record_mistakes:
+        if diagnosis.is_record_wrong:
             return self._judgement(Conclusion.REJECTED, mistake_in(diagnosis), diagnosis)
         if is_unexplained(diagnosis) or not (diagnosis.causes or self.agreement.is_refit_enough):
             if earlier and (names := named_together([*earlier, diagnosis.evidence()])):
@@ -141,7 +141,7 @@ class Comparison:
                 "verdict": str(diagnosis.verdict),
                 "lack_of_fit_p": diagnosis.fits.before.lack_of_fit.p_value,
             }
-            if not diagnosis.record_mistakes:
+            if not diagnosis.is_record_wrong:
                 checks[EVIDENCE] = diagnosis.evidence()
         if improvement is not None:
             checks |= {
@@ -156,7 +156,7 @@ class Comparison:
             successor,
             self.agreement.holds,
             causes_of(diagnosis)
-            if diagnosis is not None and (diagnosis.record_mistakes or conclusion is Conclusion.DRIFTED)
+            if diagnosis is not None and (diagnosis.is_record_wrong or conclusion is Conclusion.DRIFTED)
             else (),
             checks,
             estimate_of(self.refit),

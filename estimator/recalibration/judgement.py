@@ -83,7 +83,7 @@ def _first(
     session: Session, rig: Rig, seed: int, settings: SamplerSettings | None, watcher: Watcher
 ) -> Judgement:
     diagnosis = diagnose(session, rig, seed=seed, on_stage=watcher.on_words, on_progress=watcher.on_progress)
-    if diagnosis.record_mistakes:
+    if diagnosis.is_record_wrong:
         return Judgement(Conclusion.REJECTED, mistake_in(diagnosis), causes=causes_of(diagnosis))
     calibration = sampled_successor(session, diagnosis, seed, settings, watcher)
     named = f", with {names_of(diagnosis)} in the rig" if diagnosis.causes else ""

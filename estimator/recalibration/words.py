@@ -7,6 +7,7 @@ from dataclasses import replace
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval, SizedCause
 from estimator.diagnosis.validation import Improvement
+from estimator.readings.flags import told
 from estimator.reporting.numbers import displays, with_sd
 
 
@@ -16,8 +17,10 @@ def names_of(diagnosis: Diagnosis) -> str:
 
 
 def mistake_in(diagnosis: Diagnosis) -> str:
-    """Mistakes of the record, with their sizes."""
-    return f"a mistake of the record: {sizes_of(diagnosis)}"
+    """Mistakes of the record with their sizes, and readings that are not as they were measured."""
+    flagged = told(diagnosis.findings.flags, diagnosis.sensor_names).rstrip(".")
+    mistakes = f"a mistake of the record: {sizes_of(diagnosis)}" if diagnosis.record_mistakes else ""
+    return "; ".join(words for words in (mistakes, flagged) if words)
 
 
 def sizes_of(diagnosis: Diagnosis) -> str:

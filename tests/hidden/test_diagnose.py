@@ -5,16 +5,21 @@ A handful for every run; `make hidden` is the study with the confusion matrix.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+import torch
 
 from estimator import diagnose, load_rig
+from estimator.diagnosis.headline import headline
 from estimator.rig.rig import Cause
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.session import draw_session
 from tests.hidden.study import credible_sets
+from tests.hidden.written_wrong import written
 
 CASES = {
     "axis_gain": (301, "paper", 8.0),
@@ -71,6 +76,27 @@ def test_what_is_otherwise_for_a_while_is_named_with_its_beginning_and_its_end(t
         low_s, high_s = sorted((told_s, when_s[name]))
         # Readings kept out, and those without current, leave the instant open.
         assert ((fitted_s > low_s) & (fitted_s < high_s)).sum() <= 6, (told_s, when_s[name])
+
+
+def test_rows_that_were_written_down_wrongly_are_flagged_and_nothing_else_is_named(tmp_path):
+    """One axis in another unit for a while: without the flags, six causes pile up for it."""
+    hidden = draw_session(314, None, protocol="recommended")
+    hidden.write(tmp_path)
+    session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
+    readings = session.observations
+    own = (readings.sensor == 0).nonzero().flatten()
+    field_T = readings.field_sensor_T.clone()
+    made = written("gauss", field_T[own].numpy(), np.random.default_rng(314))
+    is_clear = np.abs(made.field_T - field_T[own].numpy()).max(axis=1) > 20.0 * hidden.scene.noise_T[0]
+    field_T[own] = torch.from_numpy(made.field_T)
+    found = diagnose(replace(session, observations=readings.with_field(field_T)), seed=314)
+    assert (str(found.verdict), found.causes) == ("named", ())
+    flagged = {reading for flag in found.findings.flags for reading in flag.readings}
+    wrong = own[made.wrong].tolist()
+    assert flagged <= set(wrong)
+    assert flagged >= set(own[np.intersect1d(made.wrong, np.flatnonzero(is_clear))].tolist())
+    assert headline(found)[0].startswith("Readings are not as they were measured: ")
+    assert found.to_json()["flagged"][0]["readings"] == sorted(reading + 1 for reading in flagged)
 
 
 def test_twins_are_not_told_apart_and_the_session_says_so_beforehand(tmp_path):

@@ -45,8 +45,12 @@ def scatter_of(fit: Fit) -> Scatter:
     """The evidence that the readings of a fit scatter otherwise than it says."""
     evidence: dict[str, list[float]] = {}
     best, along = -math.inf, ""
-    misses = _misses(fit)
-    size = _normal_scores(_lengths(misses, fit.observations.is_measured.sum(1)))
+    misses, n_measured = _misses(fit), fit.observations.is_measured.sum(1)
+    size = misses.new_zeros(
+        len(misses)
+    )  # where nothing was measured, nothing misses more or less than elsewhere
+    is_measured = n_measured > 0
+    size[is_measured] = _normal_scores(_lengths(misses, n_measured)[is_measured])
     for name, detail, columns in _sizes(fit, size):
         log_bayes_factor = _evidence(columns - columns.mean(0), size)
         evidence.setdefault(name, []).append(log_bayes_factor)

@@ -199,3 +199,25 @@ def test_a_file_that_is_not_there_is_one_mistake(run: Run, tmp_path: Path) -> No
     assert result.stdout.splitlines()[0].endswith(
         "no.yaml must be readable as text: No such file or directory"
     )
+
+
+def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(
+    workspace: Path, run: Run, tmp_path: Path
+) -> None:
+    header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
+    fields = [header.split(",").index(f"B{axis}_T") for axis in "xyz"]
+    for row in range(18, 24):
+        cells, copied = rows[row].split(","), rows[row - 11].split(",")
+        for field in fields:
+            cells[field] = copied[field]
+        rows[row] = ",".join(cells)
+    path, rig = tmp_path / "readings.csv", workspace / "rig.yaml"
+    path.write_text("\n".join([header, *rows]), encoding="utf-8")
+    words = "Readings are not as they were measured: hall holds the fields of earlier readings, in readings 19 to 24."
+    checked = run("check", rig, path)
+    assert (checked.exit_code, checked.stdout.splitlines()[-1]) == (
+        0,
+        "the form is right, the readings are not",
+    )
+    assert f"  {words}" in checked.stdout.splitlines()
+    assert words in run("import", path, "--rig", rig, "--out", tmp_path / "copied.zarr").stdout

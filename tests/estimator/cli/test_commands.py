@@ -125,6 +125,7 @@ def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tm
             "validation": int(masks[-1].sum()),
             "recorded": load_session(out).created,
             "session_hash": load_session(out).hash,
+            "flagged": [],
         }
     assert torch.equal(masks[0], masks[1])
     assert not torch.equal(masks[0], masks[2])

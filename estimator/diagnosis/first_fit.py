@@ -1,0 +1,89 @@
+"""The fit that a diagnosis begins with: of the rig as described, to the readings that can have been measured as they were recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
+from estimator.diagnosis.result import Diagnosis, Question
+from estimator.diagnosis.single_readings import Suspects, some_miss_by_far, suspects_of
+from estimator.errors import InvalidInput
+from estimator.readings.digits import flags_of_digits
+from estimator.readings.flags import Flag, without_flagged
+from estimator.readings.observations import Observations
+from estimator.readings.split import block_split, thinned
+from estimator.store.session import Session
+
+
+@dataclass(frozen=True)
+class FirstFit:
+    """The rig as described, fitted to a session without the readings that were flagged.
+
+    Attributes:
+        question: What was asked.
+        session: What was measured; flagged readings count as not measured.
+        validation: Another session, which judges the fits.
+        most_readings: That are fitted.
+        flags: Readings that were left out.
+        seen, unseen: Readings for the fits, and others that judge them.
+        plain: The fit.
+        refusal: Why the geometry as recorded is refused; None where it is not.
+    """
+
+    question: Question
+    session: Session
+    validation: Session | None
+    most_readings: int
+    flags: tuple[Flag, ...]
+    seen: Observations
+    unseen: Observations
+    plain: Fit
+    refusal: InvalidInput | None
+
+    @classmethod
+    def of(
+        cls,
+        question: Question,
+        session: Session,
+        validation: Session | None,
+        most_readings: int,
+        flags: Sequence[Flag] | None = None,
+    ) -> FirstFit:
+        """The fit without the readings that were flagged, by default those whose digits say that they were not measured."""
+        if flags is None:
+            flags = flags_of_digits(session.observations)
+        session = replace(session, observations=without_flagged(session.observations, flags))
+        seen, unseen = _split(session, validation, question.seed)
+        few = thinned(seen, most_readings, question.seed)
+        rules, refusal = rules_and_refusal(question.rig, few)
+        plain = fit_rig(question.rig, few, {}, rules, policy.MORE_STARTS)
+        return cls(question, session, validation, most_readings, tuple(flags), seen, unseen, plain, refusal)
+
+    def suspects(self) -> Suspects:
+        """Single readings that were recorded otherwise than they were measured."""
+        if self.refusal is not None or not some_miss_by_far(self.plain, self.session.observations):
+            return Suspects([], False)
+        return suspects_of(self.plain, self.session.observations)
+
+    def flags_by(self, result: Diagnosis) -> list[Flag]:
+        """Such readings after a search, by the rig as described, else by the extended one."""
+        readings = self.session.observations
+        by_plain = [] if self.refusal is not None else suspects_of(self.plain, readings).flags
+        return by_plain or suspects_of(result.fits.extended, readings).flags
+
+    def without(self, flags: Sequence[Flag]) -> FirstFit:
+        """The fit without more readings."""
+        both = (*self.flags, *flags)
+        return self.of(self.question, self.session, self.validation, self.most_readings, both)
+
+
+def _split(session: Session, validation: Session | None, seed: int) -> tuple[Observations, Observations]:
+    observations = session.observations
+    if validation is not None:
+        return observations.calibration, validation.observations
+    if not bool(observations.is_validation.any()):
+        observations = observations.with_validation(block_split(observations, policy.VALIDATION_SHARE, seed))
+    return observations.calibration, observations.validation

@@ -1,0 +1,149 @@
+"""What digits of the readings say without any model: blocks that were copied, stretches that were filled in, bits that are stuck.
+
+Each needs a coincidence that noise does not make. Maps that symmetry repeats, and readings with less noise than their last digit, have
+fields that agree to the last digit too. So a copy must be a block in the same order in which all three components change, and a straight
+line must end in kinks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from jaxtyping import Int
+from torch import Tensor
+
+from estimator.readings.flags import Flag, Reason, in_time, runs_of
+from estimator.readings.observations import Observations
+
+MOST_DECIMALS = 11  # of a tesla in which steps of the readings are looked for
+MANY_STEPS = 30  # by which a component changes that noise and rounding leave alone
+FEWEST_COPIED = 4  # consecutive readings
+LEAST_MOVED = 0.01  # of its range that a current or a coordinate differs between a reading and its copy
+FEWEST_FILLED_IN = 3  # consecutive readings
+FEWEST_CODES = 30  # different ones beside a bit that is stuck: 30 coins that fall alike
+
+WORDS = {
+    Reason.COPIED: "holds the fields of earlier readings",
+    Reason.FILLED_IN: "lies on straight lines between neighbours",
+}
+
+Codes = npt.NDArray[np.float64]
+
+
+def flags_of_digits(observations: Observations) -> list[Flag]:
+    """What the digits of each sensor's readings say, in the order of its readings in time.
+
+    Examples:
+        >>> import torch
+        >>> from dataclasses import replace
+        >>> n = torch.arange(40.0, dtype=torch.float64)
+        >>> field_T = 1e-6 * torch.stack((n**2 % 997, n**3 % 991, 7 * n**2 % 983), 1).round()
+        >>> field_T[20:30] = field_T[5:15]
+        >>> index, flag = torch.zeros(40, dtype=torch.int64), torch.zeros(40, dtype=torch.bool)
+        >>> readings = Observations(n, index, n[:, None], {}, field_T, flag, index, {})
+        >>> [(str(found.reason), found.where()) for found in flags_of_digits(readings)]
+        [('copied', 'readings 21 to 30')]
+    """
+    flags: list[Flag] = []
+    for sensor in observations.sensor.unique().tolist():
+        own = in_time(observations, sensor).cpu()
+        own_T = observations.field_sensor_T[own].cpu().numpy().astype(np.float64)
+        steps_T = [step_of(component_T) for component_T in own_T.T]
+        codes = np.stack([_codes(own_T[:, axis], steps_T[axis]) for axis in range(3)], axis=1)
+        copied = _copied(codes, _settings(observations, own))
+        codes[copied] = np.nan
+        filled_in = _filled_in(codes)
+        codes[filled_in] = np.nan
+        for reason, rows in ((Reason.COPIED, copied), (Reason.FILLED_IN, filled_in)):
+            if rows:
+                flags.append(Flag.of(observations, reason, WORDS[reason], None, own[rows].tolist()))
+        for axis in range(3):
+            for bit, value in _stuck_bits(codes[:, axis]) if steps_T[axis] else ():
+                words = f"has a bit of {steps_T[axis] * 2**bit * 1e6:.4g} µT that is always {value}"
+                flags.append(Flag.of(observations, Reason.STUCK_BIT, words, axis, own.tolist()))
+    return flags
+
+
+def step_of(values_T: Codes) -> float:
+    """The step in which values were written down, in T: the largest decimal fraction of which all are multiples; 0 where there is none.
+
+    Examples:
+        >>> step_of(np.array([0.0104, 0.0116, -0.0080]))
+        0.0004
+    """
+    measured = values_T[~np.isnan(values_T)]
+    for decimals in range(MOST_DECIMALS + 1):
+        scaled = measured * 10.0**decimals
+        whole = np.round(scaled)
+        if len(whole) and bool((np.abs(scaled - whole) < 1e-4).all()) and bool((whole != whole[0]).any()):
+            return float(np.gcd.reduce((whole - whole[0]).astype(np.int64))) / 10.0**decimals
+    return 0.0
+
+
+def _codes(values_T: Codes, step_T: float) -> Codes:
+    """Values in steps of the last digit; where there is none, in units so small that equality is equality."""
+    return np.round(values_T / step_T) if step_T else values_T / 1e-12
+
+
+def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Codes:
+    """Currents and poses of a sensor's readings, each over its range."""
+    columns = [
+        values.cpu().numpy()[own] for values in (observations.current_A, *observations.motion.values())
+    ]
+    settings = np.concatenate(columns, axis=1).astype(np.float64)
+    ranges = np.ptp(settings, axis=0)
+    scaled: Codes = settings / np.where(ranges > 0.0, ranges, 1.0)
+    return scaled
+
+
+def _copied(codes: Codes, settings: Codes) -> list[int]:
+    """Rows of blocks that repeat an earlier block at other settings, while every component changes within it."""
+    same: dict[bytes, list[int]] = {}
+    for row in np.flatnonzero(~np.isnan(codes).any(axis=1)):
+        same.setdefault((codes[row] + 0.0).tobytes(), []).append(int(row))
+    later_by_lag: dict[int, list[int]] = {}
+    for equal in same.values():
+        for earlier, later in pairwise(equal):
+            if np.abs(settings[later] - settings[earlier]).max() > LEAST_MOVED:
+                later_by_lag.setdefault(later - earlier, []).append(later)
+    rows: set[int] = set()
+    for copies in later_by_lag.values():
+        for block in runs_of(sorted(copies)):
+            values = codes[block]
+            if (
+                len(np.unique(values, axis=0)) >= FEWEST_COPIED
+                and (np.ptp(values, axis=0) > MANY_STEPS).all()
+            ):
+                rows.update(block)
+    return sorted(rows)
+
+
+def _filled_in(codes: Codes) -> list[int]:
+    """Rows on a straight line that ends in kinks, while at least two components change from row to row."""
+    if len(codes) < FEWEST_FILLED_IN + 2:
+        return []
+    bend = np.full(codes.shape, np.nan)
+    bend[1:-1] = np.abs(codes[2:] - 2.0 * codes[1:-1] + codes[:-2])
+    slope = np.full(codes.shape, np.nan)
+    slope[1:] = np.abs(np.diff(codes, axis=0))
+    is_straight = (bend <= 2.0).all(axis=1) & ((slope > MANY_STEPS).sum(axis=1) >= 2)
+    is_kink = (bend > MANY_STEPS).sum(axis=1) >= 2
+    rows: list[int] = []
+    for line in runs_of(np.flatnonzero(is_straight).tolist()):
+        if len(line) >= FEWEST_FILLED_IN and is_kink[line[0] - 1] and is_kink[line[-1] + 1]:
+            rows += line
+    return rows
+
+
+def _stuck_bits(codes: Codes) -> Iterator[tuple[int, int]]:
+    """Bits of a component that are the same in all readings though higher ones and lower ones change, with their values."""
+    whole = codes[~np.isnan(codes)].astype(np.int64)
+    bit = 0
+    while len(np.unique(whole >> (bit + 1))) >= FEWEST_CODES:
+        values = (whole >> bit) & 1
+        if values.min() == values.max():
+            yield bit, int(values[0])
+        bit += 1

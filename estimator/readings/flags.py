@@ -1,0 +1,164 @@
+"""Readings that cannot have been measured as they were recorded: which, why, and the session without them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from itertools import groupby
+from typing import Any
+
+import torch
+from jaxtyping import Int
+from torch import Tensor
+
+from estimator.readings.observations import Observations
+
+COMPONENTS = ("x", "y", "z")
+MOST_STRETCHES = 4  # that are listed one by one
+
+
+class Reason(StrEnum):
+    """Why a reading was flagged; the words are stable (docs/file-formats.md)."""
+
+    COPIED = "copied"
+    HELD = "held"
+    FILLED_IN = "filled_in"
+    STUCK_BIT = "stuck_bit"
+    OTHERWISE = "otherwise"
+
+
+@dataclass(frozen=True)
+class Flag:
+    """Readings of one sensor that cannot have been measured as they were recorded, all for one reason.
+
+    Attributes:
+        reason: Why.
+        words: What is wrong with them, as a clause.
+        sensor: Index of the sensor.
+        component: Index of the component that is concerned; None where all three are.
+        readings: Numbers of the readings in the session, from 0.
+        stretches: First and last of each run of them, in the order in which the sensor was read.
+    """
+
+    reason: Reason
+    words: str
+    sensor: int
+    component: int | None
+    readings: tuple[int, ...]
+    stretches: tuple[tuple[int, int], ...]
+
+    @classmethod
+    def of(
+        cls,
+        observations: Observations,
+        reason: Reason,
+        words: str,
+        component: int | None,
+        readings: Sequence[int],
+    ) -> Flag:
+        """The flag of some readings of one sensor.
+
+        Args:
+            observations: The session.
+            reason, words, component: As above.
+            readings: Numbers in it of at least one reading.
+        """
+        sensor = int(observations.sensor[readings[0]])
+        own = in_time(observations, sensor).tolist()
+        place = {reading: number for number, reading in enumerate(own)}
+        runs = runs_of(sorted(place[reading] for reading in readings))
+        stretches = tuple((own[run[0]], own[run[-1]]) for run in runs)
+        return cls(reason, words, sensor, component, tuple(sorted(readings)), stretches)
+
+    @property
+    def is_everywhere(self) -> bool:
+        """Whether it concerns all readings of the sensor, so that leaving them out would leave nothing."""
+        return self.reason is Reason.STUCK_BIT
+
+    def where(self) -> str:
+        """The readings, counted from 1, as stretches.
+
+        Examples:
+            >>> Flag(Reason.HELD, "", 0, 2, (4, 5, 6, 9), ((4, 6), (9, 9))).where()
+            'readings 5 to 7 and 10'
+            >>> Flag(Reason.HELD, "", 0, 2, tuple(range(0, 12, 2)), tuple((i, i) for i in range(0, 12, 2))).where()
+            '6 readings between 1 and 11'
+        """
+        if len(self.stretches) > MOST_STRETCHES:
+            return f"{len(self.readings)} readings between {self.readings[0] + 1} and {self.readings[-1] + 1}"
+        shown = [
+            f"{first + 1}" if first == last else f"{first + 1} to {last + 1}"
+            for first, last in self.stretches
+        ]
+        listed = " and ".join(part for part in (", ".join(shown[:-1]), shown[-1]) if part)
+        return f"{'reading' if len(self.readings) == 1 else 'readings'} {listed}"
+
+    def subject(self, sensors: Sequence[str]) -> str:
+        """The fields that are concerned, such as `z of hall`."""
+        axis = "" if self.component is None else f"{COMPONENTS[self.component]} of "
+        return axis + sensors[self.sensor]
+
+    def clause(self, sensors: Sequence[str]) -> str:
+        """What is wrong, and in which readings.
+
+        Args:
+            sensors: Names of the sensors, in order.
+
+        Examples:
+            >>> Flag(Reason.HELD, "repeats the reading before", 0, 2, (4,), ((4, 4),)).clause(["hall"])
+            'z of hall repeats the reading before, in reading 5'
+        """
+        return f"{self.subject(sensors)} {self.words}, in {'all its readings' if self.is_everywhere else self.where()}"
+
+    def to_json(self, sensors: Sequence[str]) -> dict[str, Any]:
+        """The flag in the form of JSON; readings are counted from 1."""
+        return {
+            "reason": str(self.reason),
+            "words": self.words,
+            "sensor": sensors[self.sensor],
+            "component": None if self.component is None else COMPONENTS[self.component],
+            "readings": [reading + 1 for reading in self.readings],
+        }
+
+
+def without_flagged(observations: Observations, flags: Sequence[Flag]) -> Observations:
+    """The session with what was flagged as if it had not been measured; a component that is wrong everywhere stays.
+
+    Args:
+        observations: A whole session, as it was flagged.
+        flags: Of its readings.
+    """
+    wrong = torch.zeros_like(observations.is_measured)
+    for flag in flags:
+        if not flag.is_everywhere:
+            components = slice(None) if flag.component is None else flag.component
+            wrong[list(flag.readings), components] = True
+    if not bool(wrong.any()):
+        return observations
+    field_T = observations.field_sensor_T.masked_fill(wrong, torch.nan)
+    return replace(observations, field_sensor_T=field_T)
+
+
+def told(flags: Sequence[Flag], sensors: Sequence[str]) -> str:
+    """A sentence about readings that were flagged; empty where none was."""
+    if not flags:
+        return ""
+    return f"Readings are not as they were measured: {'; '.join(flag.clause(sensors) for flag in flags)}."
+
+
+def in_time(observations: Observations, sensor: int) -> Int[Tensor, " own"]:
+    """Numbers of the readings of a sensor, in order of time."""
+    own = (observations.sensor == sensor).nonzero().flatten()
+    return own[observations.time_s[own].argsort(stable=True)]
+
+
+def runs_of(numbers: Sequence[int]) -> list[list[int]]:
+    """Ascending numbers, cut where one does not follow its predecessor.
+
+    Examples:
+        >>> runs_of([4, 5, 6, 9])
+        [[4, 5, 6], [9]]
+    """
+    runs = groupby(enumerate(numbers), key=lambda pair: pair[1] - pair[0])
+    return [[number for _, number in run] for _, run in runs]

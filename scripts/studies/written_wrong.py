@@ -1,0 +1,115 @@
+"""Fields that were written down wrongly in some rows: which rows are flagged, and which are flagged though they are right.
+
+Kinds of `tests/hidden/written_wrong.py` spoil sessions in which nothing else is wrong; the kinds `clean`, `single`, `outside`,
+`unknown30` and `unforeseen30` are sessions of the other studies, in whose rows nothing is wrong. There the fit is asked in every session,
+where a diagnosis asks it only if something is unexplained. `make written-wrong` runs it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import tempfile
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from estimator import load_rig
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
+from estimator.diagnosis.single_readings import suspects_of
+from estimator.effects import EFFECTS
+from estimator.readings.digits import flags_of_digits
+from estimator.readings.flags import without_flagged
+from estimator.readings.observations import Observations
+from estimator.store.importers.readings_csv import read_readings_csv
+from estimator.store.session import Session
+from scripts.studies.hidden_cases import one_thread
+from tests.hidden.handed_in import HiddenSession
+from tests.hidden.session import draw_session
+from tests.hidden.study import PROTOCOLS, draw_case
+from tests.hidden.written_wrong import KINDS, written
+
+RIGHT_KINDS = ("clean", "single", "outside", "unknown30", "unforeseen30")
+CLEAR_SIGMA = 20.0  # of the noise by which a wrong row differs clearly from what was measured
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=40, help="sessions of each kind")
+    parser.add_argument("--first-seed", type=int, default=90_000)
+    parser.add_argument("--workers", type=int, default=2)
+    options = parser.parse_args()
+    seeds = range(options.first_seed, options.first_seed + options.cases)
+    print("kind           sessions  clearly wrong rows, flagged  flagged whole  right rows flagged")
+    with multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool:
+        for kind in (*KINDS, *RIGHT_KINDS):
+            cases = pool.map(partial(run_case, kind), seeds, chunksize=1)
+            clear = [case for case in cases if case.clear]
+            found = f"{sum(case.found for case in clear)} of {sum(case.clear for case in clear)}"
+            whole = f"{sum(case.found == case.clear for case in clear)} of {len(clear)}"
+            false = [case.false for case in cases if case.false]
+            right = f"{sum(false)} in {len(false)} sessions" if false else "none"
+            if kind in RIGHT_KINDS:
+                found = whole = ""
+            print(f"{kind:14} {len(cases):8}  {found:>27}  {whole:>13}  {right}", flush=True)
+
+
+class Case(NamedTuple):
+    """Rows of one session that are clearly wrong, how many of them are flagged, and how many right ones."""
+
+    clear: int
+    found: int
+    false: int
+
+
+def run_case(kind: str, seed: int) -> Case:
+    """One session of a kind, drawn from the seed."""
+    if kind in RIGHT_KINDS:
+        return Case(0, 0, len(_flagged(_imported(draw_case(kind, seed, EFFECTS)))))
+    hidden = draw_session(seed, None, protocol=PROTOCOLS[seed % 2])
+    session = _imported(hidden)
+    sigma_T = float(hidden.scene.noise_T[0])
+    observations, wrong, clear = _spoilt(kind, session.observations, sigma_T, seed)
+    flagged = _flagged(replace(session, observations=observations))
+    return Case(len(clear), len(clear & flagged), len(flagged - wrong))
+
+
+def _imported(hidden: HiddenSession) -> Session:
+    with tempfile.TemporaryDirectory() as folder:
+        hidden.write(Path(folder))
+        return read_readings_csv(Path(folder) / "readings.csv", load_rig(Path(folder) / "rig.yaml"))
+
+
+def _spoilt(
+    kind: str, observations: Observations, sigma_T: float, seed: int
+) -> tuple[Observations, set[int], set[int]]:
+    """Readings of the first sensor written down wrongly; numbers of the wrong ones, and of those that are clearly so."""
+    own = np.flatnonzero(observations.sensor.numpy() == 0)
+    field_T = observations.field_sensor_T.numpy().copy()
+    measured_T = field_T[own].copy()
+    made = written(kind, measured_T, np.random.default_rng([17, seed]))
+    field_T[own] = made.field_T
+    is_clear = np.abs(made.field_T - measured_T).max(axis=1) > CLEAR_SIGMA * sigma_T
+    clear = own[np.intersect1d(made.wrong, np.flatnonzero(is_clear))]
+    spoilt = observations.with_field(torch.from_numpy(field_T))
+    return spoilt, set(own[made.wrong].tolist()), set(clear.tolist())
+
+
+def _flagged(session: Session) -> set[int]:
+    """Numbers of the readings that are flagged by their digits and by a fit of the rig as described."""
+    flags = flags_of_digits(session.observations)
+    left = without_flagged(session.observations, flags)
+    rules, _ = rules_and_refusal(session.rig, left)
+    fit = fit_rig(session.rig, left.calibration, {}, rules, policy.MORE_STARTS)
+    flags += suspects_of(fit, left).flags
+    return {reading for flag in flags if not flag.is_everywhere for reading in flag.readings}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,82 @@
+"""Readings that were recorded otherwise than they were measured are flagged one by one; where the model is wrong, none is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.diagnosis.single_readings import suspects_of
+from estimator.readings.flags import Reason
+from estimator.rig.rig import Cause
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+
+pytestmark = pytest.mark.whole
+
+
+@pytest.fixture
+def measured(small_session):
+    return small_session.observations
+
+
+def flagged(rig, readings):
+    return suspects_of(fit_of(rig, readings.calibration), readings).flags
+
+
+def changed(readings, rows, change):
+    field_T = readings.field_sensor_T.clone()
+    field_T[rows] = change(field_T[rows])
+    return readings.with_field(field_T)
+
+
+MISTAKES = {
+    "is reversed": lambda field_T: -field_T,
+    "is ten times too small": lambda field_T: 0.1 * field_T,
+    "is ten times too large": lambda field_T: 10.0 * field_T,
+    "is zero": lambda field_T: 0.0 * field_T,
+    "has x and z exchanged": lambda field_T: field_T[:, [2, 1, 0]],
+}
+
+
+@pytest.mark.parametrize("words", list(MISTAKES))
+def test_rows_that_a_mistake_explains_are_flagged_with_it(small_rig, measured, words):
+    rows = [3, 11, 12, 20]
+    (flag,) = flagged(small_rig, changed(measured, rows, MISTAKES[words]))
+    assert (flag.words, flag.reason, flag.component) == (words, Reason.OTHERWISE, None)
+    assert set(flag.readings) <= set(rows)
+    is_large = measured.field_sensor_T[rows].abs().amax(1) > 20 * 5e-6
+    assert set(flag.readings) >= set(torch.tensor(rows)[is_large].tolist())
+
+
+def test_one_component_is_told_and_the_others_are_kept(small_rig, measured):
+    field_T = measured.field_sensor_T.clone()
+    field_T[[4, 8, 9], 2] *= 0.1
+    (flag,) = flagged(small_rig, measured.with_field(field_T))
+    assert (flag.words, flag.component, flag.readings) == ("is ten times too small", 2, (4, 8, 9))
+
+
+def test_a_register_that_was_read_too_early_is_told_by_its_digits(small_rig, measured):
+    field_T = measured.field_sensor_T.clone()
+    field_T[[6, 15], 2] = field_T[[5, 14], 2]
+    (flag,) = flagged(small_rig, measured.with_field(field_T))
+    assert (flag.reason, flag.component, flag.readings) == (Reason.HELD, 2, (6, 15))
+
+
+def test_fields_of_a_neighbouring_row_are_told(small_rig, measured):
+    field_T = measured.field_sensor_T.clone()
+    field_T[10:18] = measured.field_sensor_T[9:17]
+    flags = flagged(small_rig, measured.with_field(field_T))
+    assert {flag.words for flag in flags} == {"holds the field of the reading 1 row before"}
+    assert {reading for flag in flags for reading in flag.readings} <= set(range(10, 18))
+
+
+def test_a_reading_that_no_mistake_explains_is_no_such_reading(small_rig, measured):
+    rng = np.random.default_rng(8)
+    wild_T = torch.from_numpy(2e-3 * rng.normal(size=(3, 3)))
+    assert flagged(small_rig, changed(measured, [3, 11, 20], lambda field_T: field_T + wild_T)) == []
+
+
+def test_where_the_model_is_wrong_nothing_is_flagged(small_rig, measured):
+    wrong = with_wrong(small_rig, measured, Cause("spherical_sum", "coil1"), {"weight": 20.0})
+    assert flagged(small_rig, measured) == []
+    assert flagged(small_rig, wrong) == []

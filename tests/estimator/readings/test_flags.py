@@ -1,0 +1,111 @@
+"""What digits say of readings: copies, stretches filled in and stuck bits are flagged, and what symmetry or few digits repeat is not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.readings.digits import flags_of_digits, step_of
+from estimator.readings.flags import Flag, Reason, told, without_flagged
+from estimator.readings.observations import Observations
+from tests.hidden.written_wrong import written
+
+N = 60
+
+
+def readings_of(field_T: np.ndarray, places_m: np.ndarray | None = None) -> Observations:
+    n = len(field_T)
+    index, no = torch.zeros(n, dtype=torch.int64), torch.zeros(n, dtype=torch.bool)
+    places_m = np.arange(n)[:, None] * [1.0, 0.5, 0.2] if places_m is None else places_m
+    motion = torch.cat((torch.as_tensor(places_m).double(), torch.zeros(n, 3, dtype=torch.float64)), 1)
+    time_s, current_A = torch.arange(n, dtype=torch.float64), torch.ones(n, 1, dtype=torch.float64)
+    return Observations(time_s, index, current_A, {"arm": motion}, torch.from_numpy(field_T), no, index, {})
+
+
+@pytest.fixture
+def measured_T() -> np.ndarray:
+    rng = np.random.default_rng(3)
+    phase = np.arange(N)[:, None] * [0.11, 0.17, 0.05] + [0.0, 1.0, 2.0]
+    return np.round(0.01 * np.sin(phase) + 3e-6 * rng.normal(size=(N, 3)), 7)
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("pasted", Reason.COPIED), ("interpolated", Reason.FILLED_IN)])
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_that_were_copied_or_filled_in_are_flagged_and_no_others(measured_T, kind, reason, seed):
+    assert flags_of_digits(readings_of(measured_T)) == []
+    made = written(kind, measured_T, np.random.default_rng(seed))
+    (flag,) = flags_of_digits(readings_of(made.field_T))
+    assert (flag.reason, flag.component, flag.readings) == (reason, None, tuple(made.wrong.tolist()))
+
+
+@pytest.mark.parametrize("value", [0, 1])
+def test_a_bit_that_is_stuck_is_flagged_with_its_size(value):
+    rng = np.random.default_rng(4)
+    codes = rng.integers(-4000, 4000, size=(200, 3))
+    codes[:, 1] = codes[:, 1] | 16 if value else codes[:, 1] & ~16
+    readings = readings_of(2e-6 * codes)
+    (flag,) = flags_of_digits(readings)
+    assert (
+        flag.clause(["hall"]) == f"y of hall has a bit of 32 µT that is always {value}, in all its readings"
+    )
+    assert without_flagged(readings, [flag]) is readings
+
+
+def test_a_map_that_symmetry_repeats_is_left_alone():
+    """A circle about the axis, walked in one sense, with fields that are alike to the last digit on both sides and from round to round."""
+    angle = np.linspace(0.0, 4.0 * np.pi, 80, endpoint=False)
+    places_m = np.stack((np.cos(angle), np.sin(angle), np.repeat([0.0, 1.0], 40)), 1)
+    flat = np.round(np.stack((0.01 * np.cos(angle), 0.01 * np.sin(angle), 0.0 * angle), 1), 4)
+    assert flags_of_digits(readings_of(flat, places_m)) == []
+
+
+def test_a_second_round_of_the_same_places_is_no_copy(measured_T):
+    places_m = np.tile(np.arange(N)[:, None] * [1.0, 0.5, 0.2], (2, 1))
+    assert flags_of_digits(readings_of(np.tile(measured_T, (2, 1)), places_m)) == []
+
+
+def test_a_straight_stretch_of_a_map_without_noise_is_left_alone():
+    z = np.arange(N) * 1e-6
+    field_T = np.stack((100 * z, 200 * z, -50 * z + 50 * z.max() * np.sin(3e4 * z)), 1)
+    assert flags_of_digits(readings_of(np.round(field_T, 7))) == []
+
+
+def test_sensors_are_judged_apart_in_the_order_of_time(measured_T):
+    """Two sensors in turns, in a file that runs backwards."""
+    made = written("pasted", measured_T, np.random.default_rng(1))
+    both = readings_of(np.repeat(made.field_T, 2, axis=0))
+    other = torch.arange(2 * N) % 2
+    noise_T = torch.from_numpy(1e-5 * np.random.default_rng(2).normal(size=(2 * N, 3))).round(decimals=7)
+    field_T = torch.where((other == 1)[:, None], both.field_sensor_T + noise_T, both.field_sensor_T)
+    backwards = replace(both, sensor=other).with_field(field_T).rows(torch.arange(2 * N).flip(0)).alone
+    (flag,) = flags_of_digits(backwards)
+    assert flag.sensor == 0
+    assert sorted(2 * N - 1 - row for row in flag.readings) == (2 * made.wrong).tolist()
+    assert len(flag.stretches) == 1
+    assert flag.where() == f"readings {flag.stretches[0][0] + 1} to {flag.stretches[0][1] + 1}"
+
+
+def test_what_is_left_out_was_not_measured_and_all_else_stays(measured_T):
+    readings = readings_of(measured_T)
+    one = Flag.of(readings, Reason.HELD, "repeats the reading before", 2, [7])
+    whole = Flag.of(readings, Reason.COPIED, "holds the fields of earlier readings", None, [9, 10])
+    left = without_flagged(readings, [one, whole])
+    expected = torch.ones(N, 3, dtype=torch.bool)
+    expected[7, 2] = False
+    expected[9:11] = False
+    assert torch.equal(left.is_measured, expected)
+    assert torch.equal(left.field_sensor_T[expected], readings.field_sensor_T[expected])
+    assert told([one, whole], ["hall"]) == (
+        "Readings are not as they were measured: z of hall repeats the reading before, in reading 8; hall holds the fields of earlier "
+        "readings, in readings 10 to 11."
+    )
+    assert told([], ["hall"]) == ""
+
+
+def test_steps_are_the_largest_decimal_of_which_all_values_are_multiples():
+    assert step_of(np.array([0.0104, 0.0116, np.nan, -0.0080])) == pytest.approx(4e-4)
+    assert step_of(np.array([0.1, np.pi])) == 0.0
+    assert step_of(np.array([0.5, 0.5])) == 0.0

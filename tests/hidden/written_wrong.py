@@ -1,0 +1,106 @@
+"""Fields that were written down otherwise than the instrument showed them, in some rows: by spreadsheets, loggers, operators, registers.
+
+The rows are changed after everything else, noise included, so what is right in them stays as it was measured.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+Fields = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.int64]
+
+DIGIT_T = 1e-7  # to which the laboratory writes its readings
+
+
+class Written(NamedTuple):
+    """Fields as they were written down, and the rows in which they are not what was measured."""
+
+    field_T: Fields
+    wrong: Rows
+
+
+def written(kind: str, field_T: Fields, rng: np.random.Generator) -> Written:
+    """A laboratory's table with one mistake in it; fields of one sensor in order of time, in T."""
+    measured = np.round(field_T / DIGIT_T) * DIGIT_T
+    changed, rows = KINDS[kind](measured.copy(), rng)
+    return Written(np.round(changed / DIGIT_T) * DIGIT_T, rows)
+
+
+def _pasted(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """A block of rows is pasted a second time, over the block that follows it."""
+    n = int(rng.integers(6, 20))
+    begin = int(rng.integers(0, len(field_T) - 2 * n))
+    field_T[begin + n : begin + 2 * n] = field_T[begin : begin + n]
+    return field_T, np.arange(begin + n, begin + 2 * n)
+
+
+def _interpolated(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """Rows that were lost are filled in by a spreadsheet, along a straight line."""
+    n = int(rng.integers(4, 9))
+    begin = int(rng.integers(1, len(field_T) - n - 1))
+    share = np.arange(1, n + 1)[:, None] / (n + 1)
+    rows = np.arange(begin, begin + n)
+    field_T[rows] = (1.0 - share) * field_T[begin - 1] + share * field_T[begin + n]
+    return field_T, rows
+
+
+def _stale(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """The register of one axis is read before it was written anew, now and then."""
+    axis = int(rng.integers(3))
+    rows = np.flatnonzero(rng.random(len(field_T) - 1) < rng.uniform(0.04, 0.12)) + 1
+    for row in rows:
+        field_T[row, axis] = field_T[row - 1, axis]
+    return field_T, rows
+
+
+def _gauss(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """One axis is written down in another unit for a while."""
+    axis, rows = int(rng.integers(3)), _a_while(len(field_T), rng)
+    field_T[rows, axis] *= rng.choice([0.1, 10.0])
+    return field_T, rows
+
+
+def _unsigned(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """One operator reads the sign the wrong way, in some rows all over the session."""
+    rows = np.flatnonzero(rng.random(len(field_T)) < rng.uniform(0.03, 0.15))
+    field_T[rows] *= -1.0
+    return field_T, rows
+
+
+def _columns(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """Two columns are exchanged for a while."""
+    first, second = rng.choice(3, size=2, replace=False)
+    rows = _a_while(len(field_T), rng)
+    field_T[rows[:, None], [first, second]] = field_T[rows[:, None], [second, first]]
+    return field_T, rows
+
+
+def _neighbour_row(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """A row is left out and another written twice at the end of a page, so that a stretch between them is one row off."""
+    rows = _a_while(len(field_T), rng)
+    measured = field_T.copy()
+    field_T[rows] = measured[rows - 1]
+    return field_T, rows
+
+
+def _a_while(n: int, rng: np.random.Generator) -> Rows:
+    """A tenth to a quarter of the session."""
+    length = int(rng.uniform(0.1, 0.25) * n)
+    begin = int(rng.integers(1, n - length))
+    return np.arange(begin, begin + length)
+
+
+KINDS: dict[str, Callable[[Fields, np.random.Generator], tuple[Fields, Rows]]] = {
+    "pasted": _pasted,
+    "interpolated": _interpolated,
+    "stale": _stale,
+    "gauss": _gauss,
+    "unsigned": _unsigned,
+    "columns": _columns,
+    "neighbour_row": _neighbour_row,
+}
