@@ -114,14 +114,11 @@ def diagnose(
             tell(f"continuing: {len(journal)} fits were made before")
         tell("fitting the rig as described")
         first = FirstFit.of(question, session, validation, most_readings)
-        suspects = first.suspects()
-        if suspects.flags and not suspects.may_be_causes:
-            tell("leaving out readings that were recorded otherwise than they were measured")
-            first = first.without(suspects.flags)
+        first = first.without_suspects(tell)
         result = judged(first)
         if _is_in_doubt(result) and (flags := first.flags_by(result)):
             tell("searching again without readings that were recorded otherwise than they were measured")
-            first = first.without(flags)
+            first = first.without(flags).without_suspects(tell)
             result = judged(first)
     session = first.session
     seen = session.observations.calibration

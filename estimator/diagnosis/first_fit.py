@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
+from estimator.diagnosis.hypotheses.record_mistakes import leaves_much_of_the_field, rules_and_refusal
 from estimator.diagnosis.result import Diagnosis, Question
 from estimator.diagnosis.single_readings import Suspects, some_miss_by_far, suspects_of
 from estimator.errors import InvalidInput
 from estimator.readings.digits import flags_of_digits
-from estimator.readings.flags import Flag, without_flagged
+from estimator.readings.flags import Flag, merged, without_flagged
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, thinned
 from estimator.store.session import Session
@@ -64,9 +64,11 @@ class FirstFit:
 
     def suspects(self) -> Suspects:
         """Single readings that were recorded otherwise than they were measured."""
-        if self.refusal is not None or not some_miss_by_far(self.plain, self.session.observations):
+        readings = self.session.observations
+        is_odd = some_miss_by_far(self.plain, readings) or leaves_much_of_the_field(self.plain)
+        if self.refusal is not None or not is_odd:
             return Suspects([], False)
-        return suspects_of(self.plain, self.session.observations)
+        return suspects_of(self.plain, readings)
 
     def flags_by(self, result: Diagnosis) -> list[Flag]:
         """Such readings after a search, by the rig as described, else by the extended one."""
@@ -74,9 +76,20 @@ class FirstFit:
         by_plain = [] if self.refusal is not None else suspects_of(self.plain, readings).flags
         return by_plain or suspects_of(result.fits.extended, readings).flags
 
+    def without_suspects(self, tell: Callable[[str], None]) -> FirstFit:
+        """The fit without such readings, unless they may be a cause of the library; a finer fit shows finer mistakes."""
+        first = self
+        for _ in range(policy.MOST_ROUNDS_OF_FLAGS):
+            suspects = first.suspects()
+            if not suspects.flags or suspects.may_be_causes:
+                break
+            tell("leaving out readings that were recorded otherwise than they were measured")
+            first = first.without(suspects.flags)
+        return first
+
     def without(self, flags: Sequence[Flag]) -> FirstFit:
         """The fit without more readings."""
-        both = (*self.flags, *flags)
+        both = merged(self.session.observations, (*self.flags, *flags))
         return self.of(self.question, self.session, self.validation, self.most_readings, both)
 
 

@@ -115,6 +115,9 @@ TRIMMINGS_TO_A_SHARE = 2
 """The first of those fits, to the rest that misses least whatever it misses by. By measurement: a fit to all readings, a quarter of them
 ten times too large, leaves none near."""
 
+MOST_ROUNDS_OF_FLAGS = 3
+"""How often such readings are looked for, each time without those found before. Effort: a fit each; a finer fit shows finer mistakes."""
+
 LEAST_EXPLAINED_OF_FAR = 0.8
 """Share of the readings that miss by far that such mistakes must explain. By judgement: where a model is wrong, few of them are as a
 mistake would have them."""

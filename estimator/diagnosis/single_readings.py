@@ -10,7 +10,7 @@ References: the concentration steps of least trimmed squares, Rousseeuw and Van 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
@@ -36,6 +36,8 @@ FACTORS = {
     1000.0: "is a thousand times too large",
     1e-3: "is a thousand times too small",
 }
+OF_ANOTHER_ROW = "holds the field of the reading"
+FEW_NEIGHBOURS = 2  # rows that readings were exchanged with, listed one by one
 ROWS_BESIDE = 8  # how many rows away a field may have been written down
 SD_OF_MEDIAN = 1.4826  # standard deviation over median size, of normal errors
 
@@ -146,7 +148,25 @@ def _suspects(fit: Fit, observations: Observations) -> Suspects:
             is_without = would_show & (observations.sensor == sensor) & ~is_its
             may_be_causes |= _may_be_cause(mistake, observations.time_s, is_its, is_without)
     is_most = float(left.sum()) <= (1.0 - policy.LEAST_EXPLAINED_OF_FAR) * float(is_far.sum())
-    return Suspects(sorted(flags, key=lambda flag: flag.readings) if is_most else [], may_be_causes)
+    return Suspects(_in_few_words(observations, flags) if is_most else [], may_be_causes)
+
+
+def _in_few_words(observations: Observations, flags: Sequence[Flag]) -> list[Flag]:
+    """The flags in order; those of a sensor that hold fields of several neighbouring rows in one."""
+    alone, neighbours = list[Flag](), dict[int, list[Flag]]()
+    for flag in flags:
+        if flag.words.startswith(OF_ANOTHER_ROW):
+            neighbours.setdefault(flag.sensor, []).append(flag)
+        else:
+            alone.append(flag)
+    for of_sensor in neighbours.values():
+        if len(of_sensor) <= FEW_NEIGHBOURS:
+            alone += of_sensor
+            continue
+        readings = sorted(reading for flag in of_sensor for reading in flag.readings)
+        words = f"holds fields of other readings, up to {ROWS_BESIDE} rows away"
+        alone.append(Flag.of(observations, Reason.OTHERWISE, words, None, readings))
+    return sorted(alone, key=lambda flag: flag.readings)
 
 
 def _may_be_cause(
@@ -290,7 +310,7 @@ def _of_other_readings(
         other = _beside(observations, rows)
         expected_T = predicted_T[other].masked_fill((other < 0)[:, None], torch.nan)
         way = "before" if rows > 0 else "after"
-        words = f"holds the field of the reading {abs(rows)} {'row' if abs(rows) == 1 else 'rows'} {way}"
+        words = f"{OF_ANOTHER_ROW} {abs(rows)} {'row' if abs(rows) == 1 else 'rows'} {way}"
         yield Mistake(words, None, expected_T.nan_to_num(torch.inf))
     for index, sensor in enumerate(fit.rig.sensors):
         order = in_time(observations, index)

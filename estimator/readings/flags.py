@@ -122,6 +122,26 @@ class Flag:
         }
 
 
+def merged(observations: Observations, flags: Sequence[Flag]) -> list[Flag]:
+    """The flags in order of their readings; those that say the same of a sensor as one."""
+    alike: dict[tuple[str, int, int | None], list[Flag]] = {}
+    for flag in flags:
+        alike.setdefault((flag.words, flag.sensor, flag.component), []).append(flag)
+    result = [
+        same[0]
+        if len(same) == 1
+        else Flag.of(
+            observations,
+            same[0].reason,
+            same[0].words,
+            same[0].component,
+            sorted({reading for flag in same for reading in flag.readings}),
+        )
+        for same in alike.values()
+    ]
+    return sorted(result, key=lambda flag: flag.readings)
+
+
 def without_flagged(observations: Observations, flags: Sequence[Flag]) -> Observations:
     """The session with what was flagged as if it had not been measured; a component that is wrong everywhere stays.
 
