@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from pathlib import Path
 
@@ -13,9 +12,8 @@ from hypothesis import settings
 
 mpl.use("Agg")
 
-# The workers of pytest-xdist share the cores: torch's own threads on top of them only wait for each other.
-if "PYTEST_XDIST_WORKER" in os.environ:
-    torch.set_num_threads(1)
+# Workers of pytest-xdist, and whatever else runs, share the cores: threads of torch on top only wait for each other.
+torch.set_num_threads(1)
 
 # The first example of a test imports and compiles, so a deadline per example measures the machine.
 settings.register_profile("coilcal", deadline=None, derandomize=True)

@@ -16,9 +16,9 @@ from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
 from estimator.geometry.motion import base_from_motion, ends_of
+from estimator.rig.arms import N_JOINTS
 from estimator.rig.rig import MotionKind, Rig
 
-N_JOINTS = 6
 LEAST_TURN = 1e-6  # of a rotation matrix: below, a mover only moves
 # The joint that gives way, and that at which the weight sits; None is the flange.
 SAGGING: dict[str, tuple[int, int | None]] = {

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import astuple, dataclass
 from math import pi
 
+N_JOINTS = 6  # of every arm
+
 
 @dataclass(frozen=True)
 class DenavitHartenberg:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from estimator.errors import InvalidInput
-from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
+from estimator.rig.arms import ARMS, N_JOINTS, ArmEnds, DenavitHartenberg
 from estimator.rig.rig import MotionKind
 from estimator.rig_files.ur_kinematics import corrections_from_ros
 from estimator.rig_files.urdf import arm_from_urdf
@@ -14,7 +14,6 @@ FILE = "file"  # of `ur_calibration`
 ENDS = ("base_from_first", "last_from_flange")
 POSE = (("x", "length"), ("y", "length"), ("z", "length"), ("rx", "angle"), ("ry", "angle"), ("rz", "angle"))
 COLUMNS = (("theta", "angle"), ("a", "length"), ("d", "length"), ("alpha", "angle"))
-N_JOINTS = 6
 
 
 def key_of_table(motion: MotionKind) -> str | None:

@@ -12,7 +12,7 @@ from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
 from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
 from estimator.rig_files.arm_tables import is_point
-from estimator.rig_files.numbers import Numbers, read_number, read_scalar
+from estimator.rig_files.numbers import MOST_DIGITS, Numbers, read_number, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
 
@@ -22,7 +22,6 @@ OF_THE_BOX = ("half_x", "half_y", "half_z", "margin", "spacing")
 MULTIPOLES = "multipoles"
 WIDTH, FALLOFF = "sd_T_per_A", "falloff"
 UNIT = "T/A"
-MOST_DIGITS = 17  # tell any two floats apart
 
 
 def read_harmonic(section: Section, coil: HarmonicCoil, numbers: Numbers) -> None:

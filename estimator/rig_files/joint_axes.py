@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from estimator.rig.arms import ArmEnds, DenavitHartenberg
 
 PARALLEL = 1e-9  # sine of the angle between axes that count as parallel; between it and exact ones a metre is off by a nanometre
-N_JOINTS = 6
 
 Matrix = Float[np.ndarray, "4 4"]
 Vector = Float[np.ndarray, " 3"]

@@ -13,6 +13,7 @@ from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, U
 from estimator.rig.rig import MOST_LOOPS, POSE_QUANTITIES
 from estimator.yaml_section import Section
 
+MOST_DIGITS = 17  # tell any two floats apart
 SI_SYMBOL = {"length": "m", "angle": "rad", "field": "T", "current": "A"}
 
 

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from estimator.errors import InvalidInput, reason
-from estimator.rig.arms import ArmEnds, DenavitHartenberg
-from estimator.rig_files.joint_axes import N_JOINTS, Axis, Matrix, table_of_axes
+from estimator.rig.arms import N_JOINTS, ArmEnds, DenavitHartenberg
+from estimator.rig_files.joint_axes import Axis, Matrix, table_of_axes
 
 TURNING = ("revolute", "continuous")
 

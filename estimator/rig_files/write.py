@@ -42,14 +42,13 @@ from estimator.rig_files.harmonic import (
     OF_THE_BOX,
     amplitude_section,
 )
-from estimator.rig_files.numbers import SI_SYMBOL
+from estimator.rig_files.numbers import MOST_DIGITS, SI_SYMBOL
 from estimator.rig_files.read import SCHEMA_VERSION
 from estimator.units import UNITS
 from estimator.yaml_section import Loader
 
 WRITTEN_IN = {"length": ("mm", "m"), "angle": ("deg", "mrad", "rad"), "field": ("uT", "mT", "T")}
 LARGEST_WHOLE = 1e15  # beyond that a float does not hold every whole number
-MOST_DIGITS = 17  # tell any two floats apart
 WIDTH = 110
 TAG = "tag:yaml.org,2002:"
 KIND: dict[type[Prior], str] = {Normal: "normal", LogNormal: "log_normal", Uniform: "uniform"}

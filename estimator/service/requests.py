@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request
-from pydantic import BaseModel
+from pydantic import BaseModel, Field
 from sqlalchemy import Select, tuple_
 from sqlalchemy.orm import Session
 from starlette.responses import Response
@@ -21,7 +21,9 @@ from estimator.service.tokens import Caller, Scope
 
 ID = r"^[0-9a-f]{32}$"
 MOST_ITEMS, ITEMS = 500, 50
+LARGEST_SEED = 2**32 - 1
 Item = TypeVar("Item")
+Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")]
 
 
 def core_of(request: Request) -> Core:

@@ -54,6 +54,7 @@ class Settings:
         most_body_s: Time in which the body of a request must arrive.
         most_requests_per_minute: Requests of one token, and of one address without one, where tokens are needed.
         most_refused_per_minute: Requests of one address without a valid token, after which all others from there are refused too.
+        places: Where each key was given, for messages; one that is missing has its default.
     """
 
     data: Path = Path("coilcal-data")
@@ -87,7 +88,7 @@ class Settings:
     most_body_s: float = 60.0
     most_requests_per_minute: int = 20_000
     most_refused_per_minute: int = 60
-    source: str = field(default="", compare=False)
+    places: Mapping[str, str] = field(default_factory=dict, compare=False, repr=False)
 
     @property
     def is_loopback(self) -> bool:
@@ -116,10 +117,17 @@ class Settings:
 
     def with_options(self, **options: Any) -> Settings:
         """These settings with those that were given on the command line; None leaves one as it is."""
-        return checked(replace(self, **{name: value for name, value in options.items() if value is not None}))
+        given = {name: value for name, value in options.items() if value is not None}
+        places = {name: f"option --{name.replace('_', '-')}" for name in given}
+        return checked(replace(self, **given, places={**self.places, **places}))
+
+    def refused(self, key: str, rule: str, received: object) -> InvalidInput:
+        """Why a value cannot be used, and where it was given."""
+        place = f" ({self.places[key]})" if key in self.places else ""
+        return InvalidInput(f"{key} {rule}; received {received}{place}")
 
 
-KEYS = {item.name: item for item in fields(Settings) if item.name != "source"}
+KEYS = {item.name: item for item in fields(Settings) if item.name != "places"}
 
 
 def load_settings(path: Path | None = None, environment: Mapping[str, str] | None = None) -> Settings:
@@ -128,19 +136,21 @@ def load_settings(path: Path | None = None, environment: Mapping[str, str] | Non
     Raises:
         InvalidInput: An unknown key, or a value that breaks its rule.
     """
-    values: dict[str, Any] = {}
+    environment = os.environ if environment is None else environment
+    values, places = dict[str, Any](), dict[str, str]()
     if path is not None:
         section = Section.from_file(path)
         for key in KEYS:
             if key in section:
-                values[key] = _typed(key, section.value(key), section.where(key))
+                places[key] = str(section.where(key))
+                values[key] = _typed(key, section.value(key), places[key])
         section.finish()
     for key in KEYS:
         variable = f"{ENVIRONMENT}{key.upper()}"
-        if variable in (environment if environment is not None else os.environ):
-            text = (environment if environment is not None else os.environ)[variable]
-            values[key] = _typed(key, _from_text(key, text), f"environment, {variable}")
-    return checked(Settings(**values, source="" if path is None else str(path)))
+        if variable in environment:
+            places[key] = f"environment, {variable}"
+            values[key] = _typed(key, _from_text(key, environment[variable]), places[key])
+    return checked(Settings(**values, places=places))
 
 
 def checked(settings: Settings) -> Settings:
@@ -152,33 +162,34 @@ def checked(settings: Settings) -> Settings:
     for key in KEYS:
         value = getattr(settings, key)
         if key.startswith("most_") and not (math.isfinite(value) and value > 0):
-            raise InvalidInput(f"{key} must be > 0; received {value}")
+            raise settings.refused(key, "must be > 0", value)
     if not 0 <= settings.port <= LARGEST_PORT:
-        raise InvalidInput(f"port must be from 0 to {LARGEST_PORT}; received {settings.port}")
+        raise settings.refused("port", f"must be from 0 to {LARGEST_PORT}", settings.port)
     if not (math.isfinite(settings.keep_jobs_days) and settings.keep_jobs_days >= 0):
-        raise InvalidInput(f"keep_jobs_days must be >= 0; received {settings.keep_jobs_days}")
+        raise settings.refused("keep_jobs_days", "must be >= 0", settings.keep_jobs_days)
     if settings.workers < 0:
-        raise InvalidInput(f"workers must be >= 0; received {settings.workers}")
+        raise settings.refused("workers", "must be >= 0", settings.workers)
     if not settings.host:
-        raise InvalidInput("host must be an address or a name; received nothing")
+        raise settings.refused("host", "must be an address or a name", "nothing")
     for key in ("proxies", "webhook_networks"):
         for network in getattr(settings, key):
             try:
                 ipaddress.ip_network(network)
             except ValueError:
-                raise InvalidInput(
-                    f"{key} must be addresses or networks; received {network[:80]!r}"
-                ) from None
+                raise settings.refused(key, "must be addresses or networks", repr(network[:80])) from None
     try:
         words = shlex.split(settings.alert_command)
     except ValueError as error:
-        raise InvalidInput(
-            f"alert_command must be a command: {error}; received {settings.alert_command!r}"
+        raise settings.refused(
+            "alert_command", f"must be a command: {error}", repr(settings.alert_command)
         ) from None
     if settings.alert_command and not words:
-        raise InvalidInput(f"alert_command must be a command; received {settings.alert_command!r}")
-    if bool(settings.tls_certificate) != bool(settings.tls_key):
-        raise InvalidInput("tls_certificate and tls_key must be given together; received one of them")
+        raise settings.refused("alert_command", "must be a command", repr(settings.alert_command))
+    given = [key for key in ("tls_certificate", "tls_key") if getattr(settings, key)]
+    if len(given) == 1:
+        raise settings.refused(
+            given[0], "must be given together with the other of tls_certificate and tls_key", "it alone"
+        )
     return settings
 
 

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shutil
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
@@ -36,6 +35,7 @@ from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.errors import CorruptStore, InvalidInput
+from estimator.store.journal import sync
 
 SCHEMA_VERSION = 1
 
@@ -228,9 +228,9 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
             # Written inside an array, so that a file left behind by a kill does not appear in a listing of the group.
             unfinished = self.path / "chain" / "commit.partial"
             unfinished.write_bytes(_render_group(after))
-            _sync_to_disk(unfinished)
+            sync(unfinished)
             unfinished.replace(self.path / "zarr.json")
-            _sync_to_disk(self.path)
+            sync(self.path)
         self._committed = after
 
 
@@ -302,14 +302,5 @@ def _append_rows(path: Path, n_rows: int, new: NDArray[Any]) -> None:
     array[n_rows:] = new
     length, *row_shape = array.chunks
     for index in range(n_rows // length, math.ceil(array.shape[0] / length)):
-        _sync_to_disk(path / array.metadata.encode_chunk_key((index, *[0] * len(row_shape))))
-    _sync_to_disk(path / "zarr.json")
-
-
-def _sync_to_disk(path: Path) -> None:
-    """Wait until a file, or the list of names in a folder, would survive a loss of power."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
+        sync(path / array.metadata.encode_chunk_key((index, *[0] * len(row_shape))))
+    sync(path / "zarr.json")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 import torch
 from torch.func import jacfwd
@@ -43,7 +45,7 @@ sensors:
 
 @pytest.fixture(scope="module")
 def rig() -> Rig:
-    return rig_from_text(RIG)
+    return DESCRIBED
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +76,18 @@ def observations(rig) -> Observations:
     return empty.with_field(MeasurementModel.build(rig, empty).predict(values))
 
 
-CASES = [(name, place) for name, effect in EFFECTS.items() for place in effect.places(rig_from_text(RIG))]
+DESCRIBED = rig_from_text(RIG)
+CASES = [(name, place) for name, effect in EFFECTS.items() for place in effect.places(DESCRIBED)]
+
+
+def at_places(*kinds: type) -> list[Any]:
+    """Each cause at its last place, and among the slow tests at the others; without those of some kinds."""
+    last = dict(CASES)
+    return [
+        pytest.param(name, place, marks=() if last[name] == place else pytest.mark.slow)
+        for name, place in CASES
+        if not isinstance(EFFECTS[name], kinds)
+    ]
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +121,7 @@ def test_null_is_identity(plain, observations, name, place):
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
+@pytest.mark.parametrize(("name", "place"), at_places(NoiseEffect))
 def test_batch_equals_loop_and_derivative_equals_difference(plain, name, place):
     model, values = model_with(plain, Cause(name, place))
     extent = model.circumstances.extent
@@ -135,7 +148,7 @@ def test_batch_equals_loop_and_derivative_equals_difference(plain, name, place):
         )
 
 
-@pytest.mark.parametrize(("name", "place"), [c for c in CASES if not isinstance(EFFECTS[c[0]], NoiseEffect)])
+@pytest.mark.parametrize(("name", "place"), at_places(NoiseEffect))
 def test_some_readings_are_predicted_as_among_all_others(plain, name, place):
     """Large sessions are evaluated part by part; an effect that looks back has the whole session to look at."""
     model, values = model_with(plain, Cause(name, place))

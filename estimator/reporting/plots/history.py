@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.reporting.numbers import Display, displays, plain
 from estimator.reporting.plots.style import (
     BLUE,
@@ -33,7 +34,7 @@ CONCLUSIONS = {
     "drifted": (VERMILLION, "D"),
     "rejected": (ORANGE, "X"),
 }
-HALF_WIDTH_90 = 1.644854
+
 LABEL_WIDTH_PT = 4.6  # of a character of a label
 STRIP_WIDTH_PT = 500.0  # of the axis of time
 LABELS_Y, VERSIONS_Y = (0.25, 0.55, 0.85), (-1.0, -0.7)  # lines in which labels stand, in units of the strip

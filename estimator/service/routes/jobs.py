@@ -30,6 +30,7 @@ from estimator.service.requests import (
     Limit,
     Page,
     Reader,
+    Seed,
     StreamRoom,
     Writer,
     audited,
@@ -45,7 +46,6 @@ from estimator.service.work import DIAGNOSIS, PANELS, report_file, result_file
 from estimator.store.session import load_session
 
 router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
-LARGEST_SEED = 2**32 - 1
 MOST_SESSIONS = 200  # of a batch
 PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
 """Content-Security-Policy of reports, which are one file with their style and pictures inside; nothing in them may run."""
@@ -57,7 +57,6 @@ RigId = Annotated[
     str | None,
     Field(pattern=ID, description="Another description of the session's rig; its own where left out."),
 ]
-Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")]
 Word = Annotated[str, Field(min_length=1, max_length=200)]
 
 

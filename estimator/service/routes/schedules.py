@@ -12,13 +12,24 @@ from sqlalchemy.orm import Session
 
 from estimator.service.database import new_id, now
 from estimator.service.problems import Problem, not_found
-from estimator.service.requests import ID, CoreOf, Cursor, Id, Limit, Page, Reader, Writer, audited, page_of
+from estimator.service.requests import (
+    ID,
+    CoreOf,
+    Cursor,
+    Id,
+    Limit,
+    Page,
+    Reader,
+    Seed,
+    Writer,
+    audited,
+    page_of,
+)
 from estimator.service.schedules import next_run, trigger_of
 from estimator.service.schema import RigVersion, Schedule
 
 router = APIRouter(prefix="/v1/schedules", tags=["schedules"])
 MOST_SCHEDULES = 100
-LARGEST_SEED = 2**32 - 1
 
 
 class NewSchedule(BaseModel):
@@ -39,7 +50,7 @@ class NewSchedule(BaseModel):
     timezone: Annotated[str, Field(min_length=1, max_length=64, description="Of the cron expression.")] = (
         "UTC"
     )
-    seed: Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")] = 0
+    seed: Seed = 0
 
 
 class ScheduleInfo(BaseModel):

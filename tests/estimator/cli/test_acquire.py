@@ -191,7 +191,9 @@ def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_
     assert is_growing(out)
 
 
-@pytest.mark.parametrize(("how", "code"), [(signal.SIGTERM, 143), (signal.SIGKILL, -9)])
+@pytest.mark.parametrize(
+    ("how", "code"), [pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow), (signal.SIGKILL, -9)]
+)
 def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only(
     run: Run, folder: Path, tmp_path: Path, how: signal.Signals, code: int
 ) -> None:

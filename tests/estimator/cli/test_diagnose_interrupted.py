@@ -79,7 +79,7 @@ def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbe
 def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
     session: Path, number: signal.Signals
 ) -> None:
-    """That it ends as one that was let alone is asked above and of the API (test_fit_journal)."""
+    """That what goes on ends as one that was let alone is asked above and of the API (test_fit_journal)."""
     out = session.parent / number.name
     running = start(session, out)
     await_fits(running, out, 1)
@@ -91,8 +91,7 @@ def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
     assert diagnosed(out)["ended_early"] == "it was stopped"
     assert "The search ended early" in (out / "report.html").read_text(encoding="utf-8")
     again = start(session, out)
-    _, errors = again.communicate(timeout=PATIENCE_S)
-    assert again.returncode == 0
-    assert "coilcal: continuing: " in errors
-    assert diagnosed(out)["ended_early"] == ""
-    assert diagnosed(out)["causes"]
+    assert again.stderr is not None
+    assert any("coilcal: continuing: " in line for line in again.stderr)  # it does before its first fit
+    again.kill()
+    again.communicate(timeout=PATIENCE_S)

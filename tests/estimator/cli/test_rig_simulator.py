@@ -64,7 +64,8 @@ def program(rig_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.mark.parametrize(
-    "how", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGKILL]
+    "how",
+    [*(pytest.param(how, marks=pytest.mark.slow) for how in (signal.SIGINT, signal.SIGTERM)), signal.SIGKILL],
 )
 def test_its_instruments_end_with_it(
     program: subprocess.Popen[str], rig_path: Path, how: signal.Signals

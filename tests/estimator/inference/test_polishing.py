@@ -86,7 +86,13 @@ def with_free_noise(rig: Rig) -> Rig:
 
 @pytest.mark.parametrize(
     ("causes", "is_noise_free"),
-    [((), False), ((), True), (("axis_gain",), True), (("outliers",), True), (("noise_grows",), True)],
+    [
+        pytest.param((), False, marks=pytest.mark.slow),
+        ((), True),
+        pytest.param(("axis_gain",), True, marks=pytest.mark.slow),
+        (("outliers",), True),
+        (("noise_grows",), True),
+    ],
 )
 def test_after_each_reading_it_is_the_batch_fit_once_polished_and_not_before(
     small_rig: Rig, readings: Observations, causes: tuple[str, ...], is_noise_free: bool

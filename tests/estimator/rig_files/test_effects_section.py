@@ -244,10 +244,13 @@ def test_effects_change_the_hash_of_the_rig():
     assert len({small.hash, large.hash, rig_with("").hash}) == 3
 
 
-@pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.places(rig_with(""))])
+SMALL = rig_with("")
+
+
+@pytest.mark.parametrize("name", [name for name, effect in EFFECTS.items() if effect.places(SMALL)])
 def test_every_cause_can_be_written_at_its_place(name):
     effect = EFFECTS[name]
-    places = effect.places(rig_with(""))
+    places = effect.places(SMALL)
     quantities = {q.key: q.prior.centre if q.is_positive else q.null for q in effect.quantities(Extent())}
     entries = ", ".join(f"{key}: {value!r}" for key, value in quantities.items())
     section = "corrections" if effect.is_correction else "effects"

@@ -243,7 +243,7 @@ def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path
     for text, words in (
         ("prot: 1", "prot is not a known key; the closest is port"),
         ("port: high", "port must be a whole number; received 'high'"),
-        ("port: 70000", "port must be from 0 to 65535"),
+        ("host: ''\nport: 70000", f"port must be from 0 to 65535; received 70000 ({path}, line 2)"),
         ("most_queued: 0", "most_queued must be > 0"),
         ("tls_key: key.pem", "must be given together"),
         ("allowed_hosts: lab.example", "allowed_hosts must be a list of words"),
@@ -251,8 +251,11 @@ def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path
         path.write_text(text, encoding="utf-8")
         with pytest.raises(InvalidInput, match=re.escape(words)):
             load_settings(path, {})
-    with pytest.raises(InvalidInput, match="COILCAL_SERVE_WORKERS"):
-        load_settings(None, {"COILCAL_SERVE_WORKERS": "many"})
+    for number in ("many", "-1"):
+        with pytest.raises(InvalidInput, match="COILCAL_SERVE_WORKERS"):
+            load_settings(None, {"COILCAL_SERVE_WORKERS": number})
+    with pytest.raises(InvalidInput, match=re.escape("received -1 (option --keep-jobs-days)")):
+        load_settings(None, {}).with_options(keep_jobs_days=-1.0)
 
 
 def test_the_command_makes_lists_and_revokes_tokens_and_needs_one_beyond_loopback(tmp_path: Path) -> None:

@@ -105,6 +105,7 @@ def test_a_count_that_is_certain_can_be_drawn(words: Callable[[Axes | Figure], s
     assert "48 (100 %)" in words(fig)
 
 
+@pytest.mark.slow
 def test_twelve_parameters_can_be_drawn(words: Callable[[Axes | Figure], str]) -> None:
     rng = np.random.default_rng(0)
     words(corner({f"coil1.length{i}_m": rng.normal(size=200) for i in range(12)}))
