@@ -10,7 +10,7 @@ import base64
 import hashlib
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -21,6 +21,7 @@ from torch import Tensor
 
 from estimator.code_version import code_version
 from estimator.devices import numpy_of
+from estimator.field.winding import Rule
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -105,9 +106,17 @@ def current_journal() -> FitJournal | None:
     return _current.get()
 
 
-def key_of(rig: Rig, observations: Observations, start: Tensor, tolerance: float) -> str:
-    """What identifies a fit: code, rig, readings, starts and tolerance."""
-    digest = hashlib.sha256(f"{code_version()} {rig.hash} {tolerance!r}".encode())
+def key_of(
+    rig: Rig,
+    observations: Observations,
+    start: Tensor,
+    tolerance: float,
+    rules: Mapping[str, Rule],
+    place: str,
+) -> str:
+    """What identifies a fit: code, rig, readings, starts, tolerance, quadrature rules, and the device and precision of its climb."""
+    words = (code_version(), rig.hash, repr(tolerance), repr(sorted(rules.items())), place)
+    digest = hashlib.sha256(" ".join(words).encode())
     for values in (observations.time_s, observations.row, observations.field_sensor_T, start):
         digest.update(numpy_of(values.contiguous()).tobytes())
     return digest.hexdigest()

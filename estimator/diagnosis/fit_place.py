@@ -34,6 +34,11 @@ def climbing_on(device: torch.device, dtype: torch.dtype) -> Iterator[None]:
         _current.reset(token)
 
 
+def place_of_climbs() -> str:
+    """Device and precision of climbs, in words; empty where they are those of the readings."""
+    return "" if (place := _current.get()) is None else f"{place[0]} {place[1]}"
+
+
 def climbed(
     posterior: LogPosterior,
     start: Float[Tensor, "start coordinate"],

@@ -15,7 +15,7 @@ from torch import Tensor
 from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fit_journal import current_journal, key_of
-from estimator.diagnosis.fit_place import climbed
+from estimator.diagnosis.fit_place import climbed, place_of_climbs
 from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
@@ -362,7 +362,7 @@ def fit_rig(
     if tolerance >= policy.ROUGH_TOLERANCE:
         tolerance = max(tolerance, 0.5 * coordinates.n * policy.ROUGH_TO_SD**2)
     journal = current_journal()
-    key = "" if journal is None else key_of(rig, observations, vector, tolerance)
+    key = "" if journal is None else key_of(rig, observations, vector, tolerance, rules, place_of_climbs())
     if journal is not None and (known := journal.optimum(key)) is not None:
         return Fit(posterior, known.to(observations.device))
     is_near = near is not None and near.observations is observations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,10 @@ import torch
 
 from estimator.diagnosis import fitting
 from estimator.diagnosis.diagnose import diagnose
-from estimator.diagnosis.fit_journal import FITS, FitJournal, remembering
+from estimator.diagnosis.fit_journal import FITS, FitJournal, key_of, remembering
 from estimator.diagnosis.limits import Limits
 from estimator.inference import secant
+from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
@@ -96,3 +98,16 @@ def test_an_empty_folder_is_not_left_behind(tmp_path: Path):
     with pytest.raises(ValueError), remembering(tmp_path / "new"):  # noqa: PT011 - any error
         raise ValueError
     assert not (tmp_path / "new").exists()
+
+
+def test_a_fit_on_another_device_or_by_other_rules_is_another(small_rig, small_session):
+    readings = small_session.observations
+    rules = MeasurementModel.build(small_rig, readings).rules
+    finer = {name: replace(rule, axial_nodes=rule.axial_nodes + 1) for name, rule in rules.items()}
+    start = torch.zeros(1, 3, dtype=torch.float64)
+    keys = {
+        key_of(small_rig, readings, start, 0.1, some_rules, place)
+        for some_rules in (rules, finer)
+        for place in ("", "cuda torch.float32")
+    }
+    assert len(keys) == 4

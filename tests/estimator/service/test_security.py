@@ -254,7 +254,7 @@ def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path
     for number in ("many", "-1"):
         with pytest.raises(InvalidInput, match="COILCAL_SERVE_WORKERS"):
             load_settings(None, {"COILCAL_SERVE_WORKERS": number})
-    with pytest.raises(InvalidInput, match=re.escape("received -1 (option --keep-jobs-days)")):
+    with pytest.raises(InvalidInput, match=re.escape("received -1.0 (option --keep-jobs-days)")):
         load_settings(None, {}).with_options(keep_jobs_days=-1.0)
 
 
