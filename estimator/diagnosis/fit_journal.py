@@ -115,7 +115,7 @@ def key_of(
     place: str,
 ) -> str:
     """What identifies a fit: code, rig, readings, starts, tolerance, quadrature rules, and the device and precision of its climb."""
-    words = (code_version(), rig.hash, repr(tolerance), repr(sorted(rules.items())), place)
+    words = (str(code_version()), rig.hash, repr(tolerance), repr(sorted(rules.items())), place)
     digest = hashlib.sha256(" ".join(words).encode())
     for values in (observations.time_s, observations.row, observations.field_sensor_T, start):
         digest.update(numpy_of(values.contiguous()).tobytes())

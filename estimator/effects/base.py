@@ -115,6 +115,8 @@ class Effect(ABC):
             the first reading on: beside a calibration of the same coil it explains no change.
         needs_winding: It says something of a round winding, or has a place beside one; other coils cannot have it.
         stays: The cause that is the same from one instant on, where this one ends at another: the difference of two of these.
+        never_negative: Keys of quantities that are not negative where the cause is what its words say: a current that grows as a coil warms up
+            is none of its losses. A fit with a negative one is something else.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
@@ -130,6 +132,7 @@ class Effect(ABC):
     can_begin: ClassVar[bool] = True
     needs_winding: ClassVar[bool] = False
     stays: ClassVar[Effect | None] = None
+    never_negative: ClassVar[tuple[str, ...]] = ()
     is_correction: ClassVar[bool] = False
 
     @abstractmethod
@@ -174,7 +177,7 @@ class Effect(ABC):
 
     def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
         """Whether what was fitted still is what the cause says, and not a small correction or the limit of something else."""
-        return True
+        return all(float(theta[key]) >= 0.0 for key in self.never_negative)
 
     def beyond_the_moment(self, key: str) -> str | None:
         """What of a session a quantity depends on, so that the field of a single moment cannot show it; None where that field shows it."""

@@ -68,6 +68,7 @@ class CurrentDeadBand(OneCoilCurrent):
     words: ClassVar[str] = "about zero the supply delivers nothing, and a constant less than commanded beyond"
     is_linear: ClassVar[bool] = False
     source: ClassVar[str] = "cross-over of bipolar amplifiers, 0.1 to 1 % of their range"
+    never_negative: ClassVar[tuple[str, ...]] = ("band_A",)
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Current by which each direction falls short."""
@@ -127,6 +128,7 @@ class CurrentCompression(OneCoilCurrent):
     words: ClassVar[str] = "the supply lacks the more of a current, the larger it is"
     is_linear: ClassVar[bool] = False
     source: ClassVar[str] = "linearity of supplies near the limit of their voltage, 0.1 to 2 %"
+    never_negative: ClassVar[tuple[str, ...]] = ("loss_per_A2",)
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Share that is lost per square ampere."""
@@ -230,6 +232,7 @@ class CoilHeating(OneCoilCurrent):
     source: ClassVar[str] = (
         "copper gains 0.39 % of resistance a kelvin; coils of this size warm up by some kelvins"
     )
+    never_negative: ClassVar[tuple[str, ...]] = ("loss_per_K", "loss_per_A2")
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Relative loss of current per kelvin of a thermometer, or per square ampere in the steady state; time constant of the latter."""

@@ -243,3 +243,15 @@ def test_rig_file_with_the_effect_predicts_the_same(plain, observations, name):
         known = model.rig.parameters[parameter.name]
         assert (parameter.prior, parameter.unit) == (known.prior, known.unit)
         assert parameter.value == pytest.approx(float(fit.values[parameter.name]), rel=1e-12, abs=1e-300)
+
+
+@pytest.mark.parametrize(
+    ("name", "key"), [(name, key) for name, effect in EFFECTS.items() for key in effect.never_negative]
+)
+def test_what_is_never_negative_is_something_else_below_zero(plain, name, key):
+    """A current that grows as the coil warms up is no loss; a fit with it counts for nothing (`Fit.still_has`)."""
+    keys = {quantity.key for quantity in EFFECTS[name].quantities(Extent())}
+    theta = {each: torch.tensor(0.0, dtype=torch.float64) for each in keys}
+    assert EFFECTS[name].is_itself(theta, plain.circumstances)
+    assert EFFECTS[name].is_itself({**theta, key: theta[key] + 1e-3}, plain.circumstances)
+    assert not EFFECTS[name].is_itself({**theta, key: theta[key] - 1e-3}, plain.circumstances)
