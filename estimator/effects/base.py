@@ -115,8 +115,8 @@ class Effect(ABC):
             the first reading on: beside a calibration of the same coil it explains no change.
         needs_winding: It says something of a round winding, or has a place beside one; other coils cannot have it.
         stays: The cause that is the same from one instant on, where this one ends at another: the difference of two of these.
-        never_negative: Keys of quantities that are not negative where the cause is what its words say: a current that grows as a coil warms up
-            is none of its losses. A fit with a negative one is something else.
+        never_negative: Keys of quantities that are not negative where the cause is what its words say: a current that grows as a coil warms
+            up is none of its losses. A fit with a negative one is something else.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
