@@ -109,21 +109,24 @@ MOST_TRIMMINGS = 5
 """Fits to the readings that do not miss by far, one after another. Effort: one fit each; most settle after three. Study: not in it."""
 
 MOST_TRIMMED = 0.4
-"""Share of the readings that may miss by far. Argument: of half, the others are not the majority that tells which are right. Study: not in it."""
+"""Share of the readings that may miss by far. Argument: of half, the others are not the majority that tells which are right.
+Study: not in it."""
 
 TRIMMINGS_TO_A_SHARE = 2
 """The first of those fits, to the rest that misses least whatever it misses by. By measurement: a fit to all readings, a quarter of them
 ten times too large, leaves none near. Study: not in it."""
 
 MOST_ROUNDS_OF_FLAGS = 3
-"""How often such readings are looked for, each time without those found before. Effort: a fit each; a finer fit shows finer mistakes. Study: not in it."""
+"""How often such readings are looked for, each time without those found before. Effort: a fit each; a finer fit shows finer mistakes.
+Study: not in it."""
 
 LEAST_EXPLAINED_OF_FAR = 0.8
 """Share of the readings that miss by far that such mistakes must explain. By judgement: where a model is wrong, few of them are as a
 mistake would have them. Study: not in it."""
 
 FEWEST_OF_ONE_MISTAKE = 3
-"""Readings in which a mistake must show clearly before others are believed to have it that it changes little. By judgement. Study: not in it."""
+"""Readings in which a mistake must show clearly before others are believed to have it that it changes little. By judgement. Study:
+not in it."""
 
 # Prior probabilities of the hypotheses
 
