@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
-from estimator.effects.correction import KEY
+from estimator.effects.corrections.correction import KEY
 from estimator.model.bodies import winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN

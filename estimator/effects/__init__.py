@@ -10,34 +10,12 @@ import re
 from importlib.metadata import entry_points
 
 from estimator.effects.base import Effect
-from estimator.effects.bore_corrections import CoilBore, RoomBore
-from estimator.effects.carried import MagnetisedLink
-from estimator.effects.circumstances import Extent
-from estimator.effects.core import CoreRemanence, CrossMagnetisation
-from estimator.effects.drift_corrections import (
-    CurrentWanders,
-    GuidesWander,
-    ResponseWanders,
-    RoomWanders,
-    TurnsWander,
-    ZeroWanders,
-)
-from estimator.effects.guide_correction import GuideErrors
-from estimator.effects.harmonic_corrections import (
-    CoilHarmonics,
-    CoilMultipoles,
-    RoomAnswers,
-    RoomHarmonics,
-)
-from estimator.effects.history_corrections import CurrentRemembered, FieldRemembered, SidesRemembered
-from estimator.effects.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
-from estimator.effects.level_corrections import AxisSteps, GainSteps
-from estimator.effects.memory_correction import MovesRemembered
-from estimator.effects.noise import NoiseGrows, Outliers, PositionJitter
-from estimator.effects.periodic_corrections import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
-from estimator.effects.place_correction import ResponseByPlace
-from estimator.effects.pose_record import PositionUnit, RotationConvention, RowsShifted
-from estimator.effects.record import (
+from estimator.effects.causes.carried import MagnetisedLink
+from estimator.effects.causes.core import CoreRemanence, CrossMagnetisation
+from estimator.effects.causes.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
+from estimator.effects.causes.noise import NoiseGrows, Outliers, PositionJitter
+from estimator.effects.causes.pose_record import PositionUnit, RotationConvention, RowsShifted
+from estimator.effects.causes.record import (
     AxesSwapped,
     CoilsExchanged,
     CurrentSign,
@@ -46,14 +24,13 @@ from estimator.effects.record import (
     SensorsExchanged,
     UnitError,
 )
-from estimator.effects.record_since import (
+from estimator.effects.causes.record_since import (
     AxesSwappedSince,
     CoilsExchangedSince,
     CurrentSignSince,
     RowsShiftedSince,
 )
-from estimator.effects.response_correction import AxisCurves, CurrentPickup, GainCurve, SensorResponse
-from estimator.effects.robot import (
+from estimator.effects.causes.robot import (
     Backlash,
     JointSag,
     JointZeros,
@@ -64,8 +41,8 @@ from estimator.effects.robot import (
     RobotShear,
     SensorBumped,
 )
-from estimator.effects.segments import SegmentGain, SegmentMisplaced, SegmentZero
-from estimator.effects.sensor import (
+from estimator.effects.causes.segments import SegmentGain, SegmentMisplaced, SegmentZero
+from estimator.effects.causes.sensor import (
     AxisGain,
     CrossAxis,
     CubicResponse,
@@ -76,9 +53,9 @@ from estimator.effects.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
-from estimator.effects.sensor_history import OffsetStep, SensorExchanged, SensorLag, ThermalLag
-from estimator.effects.sensor_place import SensorContact
-from estimator.effects.spells import (
+from estimator.effects.causes.sensor_history import OffsetStep, SensorExchanged, SensorLag, ThermalLag
+from estimator.effects.causes.sensor_place import SensorContact
+from estimator.effects.causes.spells import (
     BackgroundSpell,
     CurrentSignSpell,
     CurrentSpell,
@@ -86,8 +63,7 @@ from estimator.effects.spells import (
     MoverSpell,
     OffsetSpell,
 )
-from estimator.effects.stages import CurrentEffect
-from estimator.effects.stated import (
+from estimator.effects.causes.stated import (
     BaseMisplaced,
     CoilMisplaced,
     NoiseMisstated,
@@ -95,16 +71,9 @@ from estimator.effects.stated import (
     SidesMisstated,
     WindingMisstated,
 )
-from estimator.effects.step_corrections import (
-    CurrentSteps,
-    GuidesStep,
-    ResponseSteps,
-    RoomSteps,
-    ZeroSteps,
-)
-from estimator.effects.structure import HiddenWinding, ReversedLayer
-from estimator.effects.superconductor import FilamentMagnetisation
-from estimator.effects.supply import (
+from estimator.effects.causes.structure import HiddenWinding, ReversedLayer
+from estimator.effects.causes.superconductor import FilamentMagnetisation
+from estimator.effects.causes.supply import (
     CoilHeating,
     CurrentAsymmetry,
     CurrentCompression,
@@ -116,15 +85,14 @@ from estimator.effects.supply import (
     CurrentStep,
     NeighbourCoil,
 )
-from estimator.effects.surroundings import (
+from estimator.effects.causes.surroundings import (
     BackgroundDrift,
     BackgroundField,
     BackgroundGradient,
     BackgroundStep,
     PeriodicInterference,
 )
-from estimator.effects.turning_correction import TurnsByAngle
-from estimator.effects.winding import (
+from estimator.effects.causes.winding import (
     AxialPitch,
     CoilOvality,
     CoreSaturation,
@@ -137,6 +105,38 @@ from estimator.effects.winding import (
     TurnsGradient,
     WindingSheared,
 )
+from estimator.effects.circumstances import Extent
+from estimator.effects.corrections.bore import CoilBore, RoomBore
+from estimator.effects.corrections.drift import (
+    CurrentWanders,
+    GuidesWander,
+    ResponseWanders,
+    RoomWanders,
+    TurnsWander,
+    ZeroWanders,
+)
+from estimator.effects.corrections.guide import GuideErrors
+from estimator.effects.corrections.harmonics import (
+    CoilHarmonics,
+    CoilMultipoles,
+    RoomAnswers,
+    RoomHarmonics,
+)
+from estimator.effects.corrections.history import CurrentRemembered, FieldRemembered, SidesRemembered
+from estimator.effects.corrections.levels import AxisSteps, GainSteps
+from estimator.effects.corrections.memory import MovesRemembered
+from estimator.effects.corrections.periodic import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
+from estimator.effects.corrections.place import ResponseByPlace
+from estimator.effects.corrections.response import AxisCurves, CurrentPickup, GainCurve, SensorResponse
+from estimator.effects.corrections.steps import (
+    CurrentSteps,
+    GuidesStep,
+    ResponseSteps,
+    RoomSteps,
+    ZeroSteps,
+)
+from estimator.effects.corrections.turning import TurnsByAngle
+from estimator.effects.stages import CurrentEffect
 from estimator.errors import InvalidInput, closest
 
 # In the order in which a reading comes about; those of one stage are applied in this order.

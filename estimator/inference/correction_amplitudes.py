@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.effects.correction import KEY, Correction
+from estimator.effects.corrections.correction import KEY, Correction
 from estimator.effects.stages import ReadingEffect, RoomEffect, SourceEffect
 from estimator.effects.use import Use, uses_of
 from estimator.model.measurement_model import MeasurementModel

@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from estimator.diagnosis import policy
-from estimator.effects.bore_corrections import BEYOND, TREND
+from estimator.effects.corrections.bore import BEYOND, TREND
 from estimator.field.bore import WAVES, bore_field
 
 LENGTH = 8.0 + 2.0 * BEYOND  # of the cylinder, in radii

@@ -18,8 +18,8 @@ from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.correction import Correction as CorrectionEffect
-from estimator.effects.correction import Limit
+from estimator.effects.corrections.correction import Correction as CorrectionEffect
+from estimator.effects.corrections.correction import Limit
 from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.effects.use import Use
 from estimator.geometry.motion import base_from_motion

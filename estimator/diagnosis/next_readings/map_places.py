@@ -10,7 +10,7 @@ from estimator.diagnosis.next_readings.expected_evidence import continued
 from estimator.diagnosis.next_readings.stops import at_currents
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.correction import Correction
+from estimator.effects.corrections.correction import Correction
 from estimator.errors import InvalidInput
 from estimator.model.hide import cause_of
 from estimator.model.measurement_model import MeasurementModel

@@ -9,8 +9,8 @@ import pytest
 import torch
 
 from estimator.calibration.result import Calibration
-from estimator.effects.supply import CurrentOffset
-from estimator.effects.surroundings import BackgroundField
+from estimator.effects.causes.supply import CurrentOffset
+from estimator.effects.causes.surroundings import BackgroundField
 from estimator.errors import InvalidInput
 from estimator.export.plain_model import plain_model
 from estimator.rig.rig import Rig

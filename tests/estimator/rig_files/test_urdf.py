@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from estimator.effects.causes.robot import JointZeros
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.robot import JointZeros
 from estimator.errors import InvalidInput
 from estimator.export.plain_model import plain_model
 from estimator.geometry.kinematics import base_from_flange

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from estimator.effects import EFFECTS
+from estimator.effects.causes.iron import IronBody, IronPlate, PiercedPlate
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.iron import IronBody, IronPlate, PiercedPlate
 from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
 from tests.hidden.pierced_sheet import pierced_T

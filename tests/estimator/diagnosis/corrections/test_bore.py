@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from estimator.effects import EFFECTS
-from estimator.effects.bore_corrections import RoomBore
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.correction import Correction
+from estimator.effects.corrections.bore import RoomBore
+from estimator.effects.corrections.correction import Correction
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 

@@ -24,7 +24,7 @@ from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.correction import Correction, limit_of_places
+from estimator.effects.corrections.correction import Correction, limit_of_places
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField

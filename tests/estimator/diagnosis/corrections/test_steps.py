@@ -12,7 +12,7 @@ from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.diagnosis.validation import validation_scores
-from estimator.effects.history_corrections import directions
+from estimator.effects.corrections.history import directions
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session

@@ -16,7 +16,7 @@ from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.step import Step
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.effects import EFFECTS
-from estimator.effects.record import DisplacementFrameError
+from estimator.effects.causes.record import DisplacementFrameError
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session

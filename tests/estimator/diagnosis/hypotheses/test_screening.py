@@ -7,7 +7,7 @@ import torch
 
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
 from estimator.diagnosis.hypotheses.screening import in_full, screening
-from estimator.effects.sensor import SensorOffset
+from estimator.effects.causes.sensor import SensorOffset
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong

@@ -11,7 +11,13 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import Correction, InTime, Limit, ShareOfCurrent, limit_of_number
+from estimator.effects.corrections.correction import (
+    Correction,
+    InTime,
+    Limit,
+    ShareOfCurrent,
+    limit_of_number,
+)
 from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion

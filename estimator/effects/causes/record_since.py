@@ -1,6 +1,6 @@
 """Mistakes of the record that begin in mid-session: a plug turned, cables exchanged, a reading lost.
 
-Each is one of `effects.record` and `effects.pose_record` from an instant on. The instant lies between two readings.
+Each is one of `effects.causes.record` and `effects.causes.pose_record` from an instant on. The instant lies between two readings.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, since, switch
+from estimator.effects.causes.pose_record import RowsShifted
+from estimator.effects.causes.record import MOST_BODIES, AxesSwapped, CurrentSign
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.pose_record import RowsShifted
-from estimator.effects.record import MOST_BODIES, AxesSwapped, CurrentSign
 from estimator.effects.stages import CurrentEffect
 from estimator.rig.rig import Rig
 

@@ -15,8 +15,8 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import Correction, Limit, limit_of_places, positions_m
-from estimator.effects.harmonic_corrections import CoilField, room_is_hidden
+from estimator.effects.corrections.correction import Correction, Limit, limit_of_places, positions_m
+from estimator.effects.corrections.harmonics import CoilField, room_is_hidden
 from estimator.effects.stages import RoomEffect
 from estimator.field.bore import WAVES, bore_field
 from estimator.field.coil import AnyWinding

@@ -9,8 +9,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import WHEN, Quantity, Theta, at_least_zero, since
+from estimator.effects.causes.sensor import (
+    AxisGain,
+    CrossAxis,
+    SensorOffset,
+    TemperatureDrift,
+    at_temperature,
+)
 from estimator.effects.circumstances import LONG_AGO_S, Circumstances, Extent
-from estimator.effects.sensor import AxisGain, CrossAxis, SensorOffset, TemperatureDrift, at_temperature
 from estimator.effects.stages import ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.rig.parameters import LogNormal

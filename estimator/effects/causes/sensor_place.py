@@ -9,8 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
+from estimator.effects.causes.sensor import AxisGain, SensorOffset
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.sensor import AxisGain, SensorOffset
 from estimator.effects.stages import ReadingEffect
 
 CUTS = 6  # parts of the readings, between which a side may begin

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import Correction, Limit, limit_of_number
+from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
 from estimator.frames import vector_from_rotation
 from estimator.geometry.motion import base_from_motion

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import InTime, ShareOfCurrent
+from estimator.effects.corrections.correction import InTime, ShareOfCurrent
 from estimator.effects.stages import MotionEffect, ReadingEffect, RoomEffect
 from estimator.frames import Transform
 

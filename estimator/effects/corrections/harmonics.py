@@ -10,7 +10,7 @@ from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, shape
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
-from estimator.effects.correction import Correction, Limit, limit_of_places, positions_m
+from estimator.effects.corrections.correction import Correction, Limit, limit_of_places, positions_m
 from estimator.effects.stages import PerAmpere, RoomEffect, SourceEffect
 from estimator.field import harmonics
 from estimator.field.coil import AnyWinding

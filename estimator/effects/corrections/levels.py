@@ -14,7 +14,7 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape, switch
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import Correction, Limit, limit_of_number
+from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
 
 MOST_LEVELS = 100  # of each axis

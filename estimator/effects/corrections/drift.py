@@ -11,9 +11,9 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.correction import InTime, ShareOfCurrent
+from estimator.effects.corrections.correction import InTime, ShareOfCurrent
+from estimator.effects.corrections.turning import shown_by_turned
 from estimator.effects.stages import MotionEffect, ReadingEffect, RoomEffect
-from estimator.effects.turning_correction import shown_by_turned
 from estimator.frames import Transform
 
 

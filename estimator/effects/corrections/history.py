@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
-from estimator.effects.correction import Correction, Limit, limit_of_number
+from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect
 from estimator.frames import Transform, rotation_from_vector
 

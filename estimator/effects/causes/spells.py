@@ -13,13 +13,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantity, Theta, since, until
+from estimator.effects.causes.record_since import CurrentSignSince
+from estimator.effects.causes.robot import MoverSlipped
+from estimator.effects.causes.sensor import AxisGain
+from estimator.effects.causes.sensor_history import OffsetStep
+from estimator.effects.causes.supply import CurrentStep
+from estimator.effects.causes.surroundings import BackgroundStep
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
-from estimator.effects.record_since import CurrentSignSince
-from estimator.effects.robot import MoverSlipped
-from estimator.effects.sensor import AxisGain
-from estimator.effects.sensor_history import OffsetStep
-from estimator.effects.supply import CurrentStep
-from estimator.effects.surroundings import BackgroundStep
 
 
 class Spell(Effect):

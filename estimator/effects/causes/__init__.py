@@ -1,0 +1,1 @@
+"""Causes of a difference between simulation and measurement, by what they belong to."""
