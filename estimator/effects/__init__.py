@@ -53,7 +53,13 @@ from estimator.effects.causes.sensor import (
     SensorOffset,
     TemperatureDrift,
 )
-from estimator.effects.causes.sensor_history import OffsetStep, SensorExchanged, SensorLag, ThermalLag
+from estimator.effects.causes.sensor_history import (
+    ChannelCrosstalk,
+    OffsetStep,
+    SensorExchanged,
+    SensorLag,
+    ThermalLag,
+)
 from estimator.effects.causes.sensor_place import SensorContact
 from estimator.effects.causes.spells import (
     BackgroundSpell,
@@ -226,6 +232,7 @@ EFFECTS: dict[str, Effect] = {
         AxesSwapped(),
         AxesSwappedSince(),
         SensorLag(),
+        ChannelCrosstalk(),
         SensorsExchanged(),
         RowsShifted(),
         RowsShiftedSince(),

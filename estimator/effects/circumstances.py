@@ -215,6 +215,14 @@ class Circumstances:
         ago_s = torch.where(ago_s > 0.0, ago_s, LONG_AGO_S)
         return row[self.observations.row], ago_s[self.observations.row].to(history.dtype)
 
+    def read_before(self, sensor: str) -> Int[Tensor, " reading"]:
+        """Row in the history of the reading just before each one of a sensor, where that was of another sensor; -1 where it was not."""
+        history = self.observations.history
+        row = torch.arange(-1, len(history) - 1, device=history.device)
+        is_own = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        is_of_another = is_own & ~is_own.roll(1) & (row >= 0)
+        return torch.where(is_of_another, row, -1)[self.observations.row]
+
     def last_turn_A(self, coil: int) -> Float[Tensor, " reading"]:
         """Commanded current from which that of a coil last turned back; 0 before it first did. Every session comes from 0."""
         held_A = torch.nn.functional.pad(self.observations.history.current_A[:, coil], (1, 0))

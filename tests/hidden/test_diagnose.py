@@ -78,6 +78,18 @@ def test_what_is_otherwise_for_a_while_is_named_with_its_beginning_and_its_end(t
         assert ((fitted_s > low_s) & (fitted_s < high_s)).sum() <= 6, (told_s, when_s[name])
 
 
+@pytest.mark.slow
+def test_a_channel_that_keeps_what_another_showed_is_named_with_its_share(tmp_path):
+    hidden = draw_session(603, "channel_crosstalk", 12.0, "recommended")
+    hidden.write(tmp_path)
+    found = diagnose(read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml")), seed=603)
+    (sized,) = found.sized_causes
+    (truth,) = hidden.record.truths
+    assert (sized.cause.name, sized.cause.place) == ("channel_crosstalk", truth.place)
+    share = sized.quantities["share"]
+    assert abs(share.median - truth.parameters[0].value) < 4.0 * share.sd
+
+
 def test_rows_that_were_written_down_wrongly_are_flagged_and_nothing_else_is_named(tmp_path):
     """One axis in another unit for a while: without the flags, six causes pile up for it."""
     hidden = draw_session(314, None, protocol="recommended")

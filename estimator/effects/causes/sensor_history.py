@@ -1,4 +1,4 @@
-"""What a sensor says instead of the field because of what was before: it lags, its body is still cold, it was exchanged."""
+"""What a sensor says instead of the field because of what was before: it lags, keeps what another showed, is still cold, was exchanged."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.effects.base import WHEN, Quantity, Theta, at_least_zero, since
+from estimator.effects.base import WHEN, Quantity, Theta, at_least_zero, normal, since
 from estimator.effects.causes.sensor import (
     AxisGain,
     CrossAxis,
@@ -20,6 +20,7 @@ from estimator.effects.circumstances import LONG_AGO_S, Circumstances, Extent
 from estimator.effects.stages import ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.rig.parameters import LogNormal
+from estimator.rig.rig import Rig
 
 # Shares of the time between readings: 0.1 % to a quarter is left of the reading before.
 LAGS = (0.15, 0.25, 0.4, 0.7)
@@ -88,6 +89,58 @@ class SensorLag(ReadingEffect):
         ):
             shown_T.append(field_T + share * (shown_T[-1] - field_T) if shown_T else field_T)
         return field_sensor_T.index_copy(-2, in_time, torch.stack(shown_T, dim=-2))
+
+
+class ChannelCrosstalk(ReadingEffect):
+    """The sensor keeps a share of what the sensor that was read just before it showed, axis by axis: a multiplexer before one converter.
+
+    shown = field + share (shown by the sensor before - field). What that showed is what was recorded, with its noise, of which a small
+    share enters; a component that was not recorded changes nothing. In a session without any recorded field, such as one to be simulated,
+    it is the field at that sensor.
+    """
+
+    name: ClassVar[str] = "channel_crosstalk"
+    words: ClassVar[str] = "the sensor keeps a share of what was read on the channel before"
+    source: ClassVar[str] = (
+        "multiplexers that switch faster than their converter settles, 0.01 to 5 % of the channel before"
+    )
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Share of the channel before."""
+        return (normal("share", "1", 0.02),)
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Each sensor, where there are two."""
+        return super().places(rig) if len(rig.sensors) > 1 else ()
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Whether another sensor was read before this one."""
+        row = circumstances.read_before(place)
+        return bool((row >= 0)[circumstances.is_of(place)].any())
+
+    def beyond_the_moment(self, key: str) -> str | None:
+        """What was read before is history."""
+        return "the reading of another sensor before"
+
+    def apply(
+        self,
+        field_sensor_T: Float[Tensor, "*#batch reading 3"],
+        theta: Theta,
+        circumstances: Circumstances,
+        sensor: str,
+    ) -> Float[Tensor, "*#batch reading 3"]:
+        """Components as they are read."""
+        row = circumstances.read_before(sensor)
+        history = circumstances.observations.history
+        if history.is_measured.any():
+            before_T = history.field_sensor_T[row.clamp(min=0)].to(field_sensor_T.dtype)
+        elif len(circumstances.observations) == len(history):
+            before_T = field_sensor_T[..., torch.argsort(circumstances.observations.row)[row.clamp(min=0)], :]
+        else:
+            return field_sensor_T
+        is_known = (row >= 0)[:, None] & ~torch.isnan(before_T)
+        change_T = torch.where(is_known, before_T - field_sensor_T, 0.0)
+        return field_sensor_T + theta["share"][..., None, None] * change_T
 
 
 def _starts_within(

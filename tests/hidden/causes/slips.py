@@ -1,4 +1,4 @@
-"""Flaws of movers, supplies and rooms that begin in the session, some of which end in it."""
+"""Flaws of movers, supplies and rooms that begin in the session, some of which end in it; and of channels that share a converter."""
 
 from __future__ import annotations
 
@@ -52,6 +52,18 @@ def sign_spell(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Sce
     )
 
 
+def channel_crosstalk(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene, Truth]:
+    """Two sensors share a converter that keeps a share `size` of the channel it read before: of the reading before, if another sensor's."""
+    is_its, name = afflicted_sensor(scene, rng)
+    shown = scene.readings_T
+    order = np.argsort(scene.schedule.time_s, kind="stable")
+    before = np.empty(len(order), dtype=int)
+    before[order[1:]], before[order[0]] = order[:-1], order[0]
+    is_hit = is_its & (scene.schedule.sensor[before] != scene.schedule.sensor)
+    mixed = np.where(is_hit[:, None], (1.0 - size) * shown + size * shown[before], shown)
+    return replace(scene, field_T=mixed), Truth(name, (Known("share", size, "1"),))
+
+
 def a_while(scene: Scene, rng: np.random.Generator) -> tuple[npt.NDArray[np.bool_], tuple[Known, Known]]:
     """Readings of a sixth to a third of the session, somewhere within it, and when that begins and ends."""
     time_s = scene.schedule.time_s
@@ -68,5 +80,6 @@ CAUSES = (
     Cause("current_spell", Stage.SUPPLY, "1", 0.1, current_spell, freedom=3),
     Cause("background_spell", Stage.SURROUNDINGS, "T", 500e-6, background_spell, freedom=4),
     Cause("gain_spell", Stage.SENSOR, "1", 0.1, gain_spell, freedom=5),
+    Cause("channel_crosstalk", Stage.SENSOR, "1", 0.1, channel_crosstalk, protocols=("recommended",)),
     Cause("current_sign_spell", Stage.SUPPLY, "1", 1.0, sign_spell, is_discrete=True),
 )

@@ -165,3 +165,52 @@ def test_a_step_of_the_zero_starts_between_readings_of_its_own_sensor():
         instants_h = [start["since_h"] for start in EFFECTS["offset_step"].starts(circumstances, sensor)]
         assert instants_h == [t for t in circumstances.instants_h if hours.min() < t < hours.max()]
         assert instants_h
+
+
+TWO_SENSORS = RIG + "  second: {carried_by: mapper, noise_uT: 5}\n"
+IN_TURNS = torch.tensor([0, 1, 1, 0, 1, 0, 0])  # sensors in the order of the rig file
+CROSSTALK = {"channel_crosstalk[second]": {"share": 0.04}}
+
+
+def with_crosstalk_T(before_T: np.ndarray) -> np.ndarray:
+    """Fields of the second sensor mixed by hand with what the first one showed just before: the second and the fifth reading."""
+    expected = FIELD_T.copy()
+    for i in (1, 4):
+        expected[i] += 0.04 * (before_T[i - 1] - expected[i])
+    return expected
+
+
+def test_crosstalk_keeps_a_share_of_what_another_sensor_showed_just_before():
+    recorded_T = FIELD_T + np.random.default_rng(1).normal(size=(N, 3)) * 1e-3
+    both = replace(READINGS.with_field(torch.from_numpy(recorded_T)), sensor=IN_TURNS)
+    assert_same_field(predicted_T(both, CROSSTALK, TWO_SENSORS), with_crosstalk_T(recorded_T))
+    recorded_T[0, 1] = np.nan
+    expected = with_crosstalk_T(recorded_T)
+    expected[1, 1] = FIELD_T[1, 1]  # the component that was not recorded leaves nothing behind
+    partly = both.with_field(torch.from_numpy(recorded_T))
+    assert_same_field(predicted_T(partly, CROSSTALK, TWO_SENSORS), expected)
+
+
+def test_crosstalk_of_a_simulated_session_follows_from_the_fields_in_the_order_of_time():
+    order = torch.tensor([3, 0, 6, 1, 5, 2, 4])
+    blank = replace(READINGS, sensor=IN_TURNS).with_field(torch.full((N, 3), torch.nan, dtype=torch.float64))
+    reading_T = predicted_T(blank.rows(order).alone, CROSSTALK, TWO_SENSORS)
+    assert_same_field(reading_T, with_crosstalk_T(FIELD_T)[order.numpy()])
+
+
+def test_crosstalk_of_a_chosen_reading_knows_the_one_before():
+    recorded_T = FIELD_T + 1e-3
+    both = replace(READINGS.with_field(torch.from_numpy(recorded_T)), sensor=IN_TURNS)
+    chosen = both.rows(torch.tensor([4]))
+    assert_same_field(predicted_T(chosen, CROSSTALK, TWO_SENSORS), with_crosstalk_T(recorded_T)[[4]])
+
+
+def test_crosstalk_needs_two_sensors_one_read_after_the_other():
+    effect = EFFECTS["channel_crosstalk"]
+    assert effect.places(rig_from_text(RIG)) == ()
+    rig = rig_from_text(TWO_SENSORS)
+    assert effect.places(rig) == ("probe", "second")
+    in_turns = Circumstances(rig, replace(READINGS, sensor=IN_TURNS))
+    assert all(effect.concerns(in_turns, place) for place in effect.places(rig))
+    in_a_row = Circumstances(rig, replace(READINGS, sensor=IN_TURNS.sort().values))
+    assert [effect.concerns(in_a_row, place) for place in effect.places(rig)] == [False, True]
