@@ -7,12 +7,9 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from rich.console import Console
-from rich.progress import BarColumn, SpinnerColumn, TextColumn
-from rich.progress import Progress as Bar
-
 from estimator.calibration.calibrate import Stage
-from estimator.cli.output import is_quiet, tell_progress
+from estimator.cli.output import tell_progress
+from estimator.cli.progress_bar import BarReporter, spinner_words_bar
 from estimator.cli.time_left import TimeLeft
 from estimator.cli.words import duration_words
 from estimator.diagnosis.progress import Progress
@@ -20,76 +17,53 @@ from estimator.diagnosis.progress import Progress
 LINE_EVERY_S = 30.0  # in a pipe, so that the log of a long search stays short
 
 
-class SearchReporter:
+class SearchReporter(BarReporter):
     """Shows each stage, and within a search what is being fitted."""
 
     def __init__(self) -> None:
         self._printed_s = time.monotonic()
         self._time_left = TimeLeft()
-        self._bar: Bar | None = None
-        if sys.stderr.isatty() and not is_quiet():
-            columns = (SpinnerColumn(), TextColumn("{task.description}", markup=False), BarColumn())
-            self._bar = Bar(*columns, console=Console(stderr=True), transient=True)
-            self._task = self._bar.add_task("", total=None)
-
-    def __enter__(self) -> SearchReporter:
-        if self._bar is not None:
-            self._bar.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._bar is not None:
-            self._bar.stop()
+        super().__init__(spinner_words_bar, total=None)
 
     @contextmanager
     def aside(self) -> Iterator[None]:
         """Leave the terminal to what is printed during the block."""
-        if self._bar is None:
-            yield
-            return
-        self._bar.stop()
+        self.__exit__()
         try:
             yield
         finally:
-            self._bar.start()
+            self.__enter__()
 
     def stage(self, words: str) -> None:
         """Show a message that stays."""
         self._printed_s = time.monotonic()
-        if self._bar is None:
+        if self.bar is None:
             tell_progress(f"coilcal: {words}")
             sys.stderr.flush()
             return
-        self._bar.console.print(f"coilcal: {words}", markup=False, highlight=False, soft_wrap=True)
-        self._bar.update(self._task, description=words, total=None)
+        self.bar.console.print(f"coilcal: {words}", markup=False, highlight=False, soft_wrap=True)
+        self.update(description=words, total=None)
 
     def sampling(self, stage: Stage) -> None:
         """Show how far the sampling of a posterior is; in a pipe only now and then."""
         sampling = stage.sampling
         if sampling is None:
-            if self._bar is not None:
-                self._bar.update(self._task, description=stage.name, total=None)
+            self.update(description=stage.name, total=None)
             return
         done, target = min(sampling.smallest_ess, sampling.target_ess), sampling.target_ess
         words = (
             f"{stage.name}: effective samples {done:.0f} of {target:.0f}{self._time_left.words(done, target)}"
         )
-        if self._bar is not None:
-            self._bar.update(self._task, description=words, total=target, completed=done)
-        elif time.monotonic() - self._printed_s >= LINE_EVERY_S:
+        self.update(description=words, total=target, completed=done)
+        if self.bar is None and time.monotonic() - self._printed_s >= LINE_EVERY_S:
             self.stage(words)
 
     def progress(self, progress: Progress) -> None:
         """Show how far a series of fits is; in a pipe only now and then."""
-        if self._bar is not None:
-            self._bar.update(
-                self._task,
-                description=progress_words(progress),
-                total=progress.most,
-                completed=progress.n_fitted,
-            )
-        elif time.monotonic() - self._printed_s >= LINE_EVERY_S:
-            self.stage(progress_words(progress))
+        words = progress_words(progress)
+        self.update(description=words, total=progress.most, completed=progress.n_fitted)
+        if self.bar is None and time.monotonic() - self._printed_s >= LINE_EVERY_S:
+            self.stage(words)
 
 
 def progress_words(progress: Progress) -> str:

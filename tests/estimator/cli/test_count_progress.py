@@ -46,8 +46,8 @@ def test_a_terminal_shows_a_bar_after_two_seconds(
     monkeypatch.setenv("COLUMNS", "150")
     with CountReporter() as reporter:
         reporter(CHOOSING, 1, 20)
-        assert reporter._bar is not None
-        assert not reporter._bar.tasks[0].visible
+        assert reporter.bar is not None
+        assert not reporter.bar.tasks[0].visible
         now_s[0] += 3.0
         reporter(CHOOSING, 2, 20)
     assert "choosing stops: 2 of 20" in terminal.getvalue()
