@@ -91,7 +91,7 @@ def test_a_channel_that_keeps_what_another_showed_is_named_with_its_share(tmp_pa
 
 
 def test_rows_that_were_written_down_wrongly_are_flagged_and_nothing_else_is_named(tmp_path):
-    """One axis in another unit for a while: without the flags, six causes pile up for it."""
+    """One axis in another unit for a while: without the flags, eleven causes pile up for it."""
     hidden = draw_session(314, None, protocol="recommended")
     hidden.write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
