@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from estimator.cli.output import is_quiet
 
 if TYPE_CHECKING:
     from rich.progress import Progress, ProgressColumn
+
+Reporter = TypeVar("Reporter", bound="BarReporter")
 
 
 class BarReporter:
@@ -34,7 +36,7 @@ class BarReporter:
             self.bar = Progress(*columns(), console=Console(stderr=True), transient=True)
             self._task = self.bar.add_task(words, **options)
 
-    def __enter__(self) -> Self:
+    def __enter__(self: Reporter) -> Reporter:
         if self.bar is not None:
             self.bar.start()
         return self
