@@ -20,7 +20,7 @@ from estimator.service import serve
 from estimator.service.app import create_app
 from estimator.service.dispatcher import END_S
 from estimator.service.guard import PUBLIC
-from estimator.service.settings import ENVIRONMENT, Settings, load_settings
+from estimator.service.settings import ENVIRONMENT, KEYS, Settings, load_settings
 from estimator.service.tokens import Scope, create_token
 from tests.estimator.cli.test_schedule_files import CONFIGS, ROOT, settings
 from tests.estimator.service.conftest import refusal
@@ -81,9 +81,7 @@ def test_kubernetes_runs_the_same_command_of_the_same_image_with_settings_that_a
     environment = {entry["name"]: entry["value"] for entry in container["env"]}
     assert all(name.startswith(ENVIRONMENT) for name in environment)
     loaded = load_settings(None, environment)
-    assert len([key for key in vars(loaded) if getattr(loaded, key) != getattr(Settings(), key)]) == len(
-        environment
-    )
+    assert len([key for key in KEYS if getattr(loaded, key) != getattr(Settings(), key)]) == len(environment)
     assert loaded.needs_tokens
     mounted = [mount["mountPath"] for mount in container["volumeMounts"]]
     assert str(loaded.data).startswith(mounted[0] + "/")
