@@ -101,7 +101,7 @@ def import_command(
     }
     text = f"{result['readings']} readings ({result['validation']} of them for validation) written to {out}"
     if flags:
-        text += f"\n{told(flags, sensors)} A diagnosis leaves them out; put the record right where you can."
+        text += f"\n{told(flags, sensors)} Put the record right where you can."
     show(result, text, as_json)
 
 

@@ -37,11 +37,19 @@ class BarReporter:
             self._task = self.bar.add_task(words, **options)
 
     def __enter__(self: Reporter) -> Reporter:
-        if self.bar is not None:
-            self.bar.start()
+        self.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Show the bar."""
+        if self.bar is not None:
+            self.bar.start()
+
+    def stop(self) -> None:
+        """Take it away."""
         if self.bar is not None:
             self.bar.stop()
 

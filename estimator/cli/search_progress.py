@@ -28,11 +28,11 @@ class SearchReporter(BarReporter):
     @contextmanager
     def aside(self) -> Iterator[None]:
         """Leave the terminal to what is printed during the block."""
-        self.__exit__()
+        self.stop()
         try:
             yield
         finally:
-            self.__enter__()
+            self.start()
 
     def stage(self, words: str) -> None:
         """Show a message that stays."""

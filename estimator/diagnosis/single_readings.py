@@ -25,6 +25,7 @@ from estimator.effects.use import as_meant
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.flags import Flag, Reason, in_time
 from estimator.readings.observations import Observations
+from estimator.readings.split import spread
 
 FACTORS = {
     0.0: "is zero",
@@ -49,7 +50,7 @@ class Mistake:
     Attributes:
         words: What it does to them, as a clause.
         component: Index of the component that it concerns; None where it concerns all three.
-        expected_T: Each reading as this mistake would have it, in the frame of its sensor.
+        expected_T: Each reading as this mistake would have it, in the frame of its sensor; NaN where it cannot have been made.
         magnifies: Factor by which it makes errors of the readings larger.
         is_exact: Whether it repeats recorded digits, so that it fits exactly or not at all.
         is_reversal: Whether it reverses a current, or all that a sensor reads.
@@ -115,7 +116,7 @@ def _robust(fit: Fit, values: Mapping[str, Tensor], observations: Observations) 
         near = observations.rows(may_fit & (misses <= most))
         if len(near) < int((1.0 - policy.MOST_TRIMMED) * float(may_fit.sum())):
             return fit
-        few = near.rows(_evenly(len(near), policy.MOST_READINGS_SEARCHED))
+        few = spread(near, policy.MOST_READINGS_SEARCHED)
         is_settled = not is_first and len(few) == len(fit.observations)
         fit = fit_rig(fit.rig, few, values, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
         values = fit.values
@@ -218,7 +219,7 @@ def _misses(
     expected_T: Float[Tensor, "reading 3"],
     size_T: Float[Tensor, " reading"],
 ) -> Float[Tensor, " reading"]:
-    """Largest error of each reading's components in their standard deviations; 0 where none was measured."""
+    """Largest error of each reading's components in their standard deviations; 0 where nothing was measured or expected."""
     return ((measured_T - expected_T).abs() / size_T[:, None]).nan_to_num(0.0).amax(dim=1)
 
 
@@ -258,6 +259,7 @@ def _of_the_same(
         if after - before <= ROWS_BESIDE:
             is_between[before:after] = True
     is_better = (by_mistake < as_recorded) & (by_mistake < mistake.magnifies * policy.NEAR_TO_EXPECTED)
+    is_better &= ~mistake.expected_T.isnan().any(dim=1)
     return is_better & (is_between | (as_recorded > policy.NEAR_TO_EXPECTED))
 
 
@@ -311,7 +313,7 @@ def _of_other_readings(
         expected_T = predicted_T[other].masked_fill((other < 0)[:, None], torch.nan)
         way = "before" if rows > 0 else "after"
         words = f"{OF_ANOTHER_ROW} {abs(rows)} {'row' if abs(rows) == 1 else 'rows'} {way}"
-        yield Mistake(words, None, expected_T.nan_to_num(torch.inf))
+        yield Mistake(words, None, expected_T)
     for index, sensor in enumerate(fit.rig.sensors):
         order = in_time(observations, index)
         if not 0 < len(order) < len(observations):
@@ -324,7 +326,7 @@ def _of_other_readings(
         ).abs()
         expected_T = predicted_T[order[torch.where(is_earlier, earlier, after)]]
         is_own = (observations.sensor == index)[:, None]
-        yield Mistake(f"holds the field of {sensor.name}", None, expected_T.masked_fill(is_own, torch.inf))
+        yield Mistake(f"holds the field of {sensor.name}", None, expected_T.masked_fill(is_own, torch.nan))
 
 
 def _beside(observations: Observations, rows: int) -> Int[Tensor, " reading"]:
@@ -336,8 +338,3 @@ def _beside(observations: Observations, rows: int) -> Int[Tensor, " reading"]:
         is_there = (place >= 0) & (place < len(own))
         other[own[is_there]] = own[place[is_there]]
     return other
-
-
-def _evenly(n: int, most: int) -> Int[Tensor, " chosen"]:
-    """At most so many indices, spread evenly."""
-    return torch.linspace(0, n - 1, min(n, most)).round().long()

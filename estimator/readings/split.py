@@ -68,6 +68,13 @@ def time_blocks(observations: Observations, n_blocks: int = FEWEST_BLOCKS) -> In
     return block
 
 
+def spread(observations: Observations, most: int) -> Observations:
+    """At most `most` of the readings, spread evenly over them."""
+    n = len(observations)
+    rows = torch.linspace(0, n - 1, min(most, n), device=observations.device).round().long()
+    return observations.rows(rows.unique())
+
+
 def thinned(observations: Observations, most: int, seed: int) -> Observations:
     """At most `most` of the readings, drawn at random, in their order."""
     if len(observations) <= most:

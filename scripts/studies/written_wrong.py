@@ -2,13 +2,15 @@
 
 Kinds of `tests/hidden/written_wrong.py` spoil sessions in which nothing else is wrong; the kinds `clean`, `single`, `discrete`,
 `outside`, `unknown30` and `unforeseen30` are sessions of the other studies, in which no single row is wrong. Here a fit is asked in every
-session; a diagnosis asks it only where readings miss by far. `make written-wrong` runs it.
+session; a diagnosis asks it only where readings miss by far. So are measured maps, where COILCAL_DATA names their folder.
+`make written-wrong` runs it.
 """
 
 from __future__ import annotations
 
 import argparse
 import multiprocessing
+import os
 import tempfile
 from dataclasses import replace
 from functools import partial
@@ -29,7 +31,9 @@ from estimator.readings.flags import without_flagged
 from estimator.readings.observations import Observations
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
+from scripts.studies.diagnose_real import MICE, MORE, session_of
 from scripts.studies.hidden_cases import one_thread
+from scripts.studies.real_data import DATA_SETS
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.session import draw_session
 from tests.hidden.study import PROTOCOLS, draw_case
@@ -42,7 +46,7 @@ CLEAR_SIGMA = 20.0  # of the noise by which a wrong row differs clearly from wha
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=40, help="sessions of each kind")
-    parser.add_argument("--first-seed", type=int, default=90_000)
+    parser.add_argument("--first-seed", type=int, default=91_000)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.cases)
@@ -58,6 +62,10 @@ def main() -> None:
             if kind in RIGHT_KINDS:
                 found = whole = ""
             print(f"{kind:14} {len(cases):8}  {found:>27}  {whole:>13}  {right}", flush=True)
+    if data := os.environ.get("COILCAL_DATA"):
+        sets = {data_set.name: data_set for data_set in (*DATA_SETS, *MORE, *MICE)}.values()
+        flagged = [len(_flagged(session_of(data_set, Path(data)))) for data_set in sets]
+        print(f"measured maps: {len(flagged)}; readings that are flagged: {sum(flagged)}")
 
 
 class Case(NamedTuple):

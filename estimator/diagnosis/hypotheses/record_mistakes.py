@@ -32,6 +32,7 @@ from estimator.field.winding import Rule
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.readings.split import spread
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
 
@@ -142,17 +143,7 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     """Full fits of the mistakes that fit a few readings best, and no worse than the record as it is."""
     circumstances = base.posterior.model.circumstances
     observations = circumstances.observations
-    rows = (
-        torch.linspace(
-            0,
-            len(observations) - 1,
-            min(policy.MOST_READINGS_COMPARED, len(observations)),
-            device=observations.device,
-        )
-        .round()
-        .long()
-    )
-    few = observations.rows(rows.unique())
+    few = spread(observations, policy.MOST_READINGS_COMPARED)
     present = {cause.name for cause in base.rig.effects}
     rules = base.posterior.model.rules
     as_recorded = LogPosterior(

@@ -46,9 +46,8 @@ def scatter_of(fit: Fit) -> Scatter:
     evidence: dict[str, list[float]] = {}
     best, along = -math.inf, ""
     misses, n_measured = _misses(fit), fit.observations.is_measured.sum(1)
-    size = misses.new_zeros(
-        len(misses)
-    )  # where nothing was measured, nothing misses more or less than elsewhere
+    # Where nothing was measured, nothing misses more or less than elsewhere.
+    size = misses.new_zeros(len(misses))
     is_measured = n_measured > 0
     size[is_measured] = _normal_scores(_lengths(misses, n_measured)[is_measured])
     for name, detail, columns in _sizes(fit, size):

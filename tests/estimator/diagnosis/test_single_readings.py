@@ -80,3 +80,22 @@ def test_where_the_model_is_wrong_nothing_is_flagged(small_rig, measured):
     wrong = with_wrong(small_rig, measured, Cause("spherical_sum", "coil1"), {"weight": 20.0})
     assert flagged(small_rig, measured) == []
     assert flagged(small_rig, wrong) == []
+
+
+@pytest.mark.parametrize("rows", [1, -1])
+def test_rows_that_are_shifted_to_the_end_may_be_the_cause_of_the_library(small_rig, measured, rows):
+    """`rows_shifted_since`, late or early; the first or last row then has the field of no row."""
+    field_T = measured.field_sensor_T.clone()
+    late, early = measured.field_sensor_T[23:-1], measured.field_sensor_T[[*range(25, 36), 35]]
+    field_T[24:] = late if rows == 1 else early
+    readings = measured.with_field(field_T)
+    suspects = suspects_of(fit_of(small_rig, readings.calibration), readings)
+    assert suspects.flags
+    assert suspects.may_be_causes
+
+
+def test_rows_that_are_shifted_for_a_while_are_no_cause_of_the_library(small_rig, measured):
+    field_T = measured.field_sensor_T.clone()
+    field_T[10:18] = measured.field_sensor_T[9:17]
+    readings = measured.with_field(field_T)
+    assert not suspects_of(fit_of(small_rig, readings.calibration), readings).may_be_causes

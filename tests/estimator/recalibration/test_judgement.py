@@ -15,7 +15,7 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
 from estimator.recalibration import comparison, judgement, successor
-from estimator.recalibration.conclusion import Judgement
+from estimator.recalibration.conclusion import Conclusion, Judgement
 from estimator.recalibration.judgement import judge
 from estimator.recalibration.stored import stored_log_density
 from estimator.rig.rig import Rig
@@ -181,3 +181,16 @@ def test_more_current_since_the_last_version_is_no_change_of_the_winding(
     assert names == {"current_gain", "current_offset"}  # with one current, they are the same
     asked = {label.partition("[")[0] for label in judged.checks["log_bayes_factors"]}
     assert not {"hidden_winding", "short_layer", "reversed_layer", "winding_misstated"} & asked
+
+
+def test_a_session_with_rows_that_were_not_measured_is_rejected(
+    small_rig: Rig, small_session: Session
+) -> None:
+    """A block of rows holds the fields of earlier ones: no first calibration is made of it."""
+    readings = small_session.observations
+    field_T = readings.field_sensor_T.clone()
+    field_T[18:24] = field_T[7:13]
+    judged = judge(replace(small_session, observations=readings.with_field(field_T)), small_rig, None, seed=1)
+    assert judged.conclusion is Conclusion.REJECTED
+    assert "hall holds the fields of earlier readings, in readings 19 to 24" in judged.reason
+    assert judged.calibration is None
