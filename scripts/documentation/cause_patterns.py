@@ -143,6 +143,7 @@ SIZES: dict[str, dict[str, float]] = {
     "rows_shifted": {"rows": 1.0},
     "rows_shifted_since": {"rows": 1.0, "since_h": HALF_WAY_H},
     "sensor_lag": {"tau_s": 10.0},
+    "channel_crosstalk": {"share": 0.05},
     "lead_wire": {"gap_m": 0.01, "length_m": 0.2},
     "unit_error": {"field_factor": 1.1},
 }
