@@ -9,7 +9,8 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import leaves_much_of_the_field, rules_and_refusal
 from estimator.diagnosis.result import Diagnosis, Question
-from estimator.diagnosis.single_readings import Suspects, some_miss_by_far, suspects_of
+from estimator.diagnosis.robust_fit import robust_values
+from estimator.diagnosis.single_readings import Suspects, some_miss_by_far, suspects_beside, suspects_of
 from estimator.errors import InvalidInput
 from estimator.readings.digits import flags_of_digits
 from estimator.readings.flags import Flag, merged, without_flagged
@@ -74,7 +75,8 @@ class FirstFit:
         """Such readings after a search, by the rig as described, else by the extended one."""
         readings = self.session.observations
         by_plain = [] if self.refusal is not None else suspects_of(self.plain, readings).flags
-        return by_plain or suspects_of(result.fits.extended, readings).flags
+        extended = result.fits.extended
+        return by_plain or suspects_beside(extended, robust_values(extended), readings).flags
 
     def without_suspects(self, tell: Callable[[str], None]) -> FirstFit:
         """The fit without such readings, unless they may be a cause of the library; a finer fit shows finer mistakes."""

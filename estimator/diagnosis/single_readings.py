@@ -1,18 +1,15 @@
 """Readings that were recorded otherwise than they were measured, found one by one by what the fit of the others predicts for them.
 
 A reading is flagged where it misses by far and one of few mistakes makes it fit: reversed, in another unit, two axes exchanged, of another
-sensor, of a neighbouring row, or with a current that was off or reversed. The fit they are compared with is robust: readings that miss by
-far are trimmed and the fit is repeated. Nothing is flagged unless those mistakes explain most of what misses by far: else it is the model
-that is wrong.
-
-References: the concentration steps of least trimmed squares, Rousseeuw and Van Driessen, Technometrics 41, 212 (1999).
+sensor, of a neighbouring row, or with a current that was off or reversed. The fit they are compared with is robust (`robust_fit`). Nothing
+is flagged unless those mistakes explain most of what misses by far: else it is the model that is wrong.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import torch
@@ -20,12 +17,10 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit, fit_rig, resolution_T
-from estimator.effects.use import as_meant
-from estimator.model.measurement_model import MeasurementModel
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.robust_fit import misses, predict_T, robust_fit, size_of_errors_T
 from estimator.readings.flags import Flag, Reason, in_time
 from estimator.readings.observations import Observations
-from estimator.readings.split import spread
 
 FACTORS = {
     0.0: "is zero",
@@ -40,7 +35,6 @@ FACTORS = {
 OF_ANOTHER_ROW = "holds the field of the reading"
 FEW_NEIGHBOURS = 2  # rows that readings were exchanged with, listed one by one
 ROWS_BESIDE = 8  # how many rows away a field may have been written down
-SD_OF_MEDIAN = 1.4826  # standard deviation over median size, of normal errors
 
 
 @dataclass(frozen=True)
@@ -79,9 +73,9 @@ class Suspects(NamedTuple):
 
 def some_miss_by_far(fit: Fit, observations: Observations) -> bool:
     """Whether a reading is farther from what a fit predicts than errors that are alike ever are."""
-    predicted_T = _predicted_T(fit, fit.values, observations)
-    size_T = _size_of_errors_T(observations, predicted_T)
-    return bool((_misses(observations.field_sensor_T, predicted_T, size_T) > policy.FAR_FROM_EXPECTED).any())
+    predicted_T = predict_T(fit, fit.values, observations)
+    size_T = size_of_errors_T(observations, predicted_T)
+    return bool((misses(observations.field_sensor_T, predicted_T, size_T) > policy.FAR_FROM_EXPECTED).any())
 
 
 def suspects_of(fit: Fit, observations: Observations) -> Suspects:
@@ -91,46 +85,32 @@ def suspects_of(fit: Fit, observations: Observations) -> Suspects:
         fit: Of the rig to some of the readings.
         observations: The readings to look at, a whole session.
     """
-    suspects = _suspects(_robust(fit, fit.values, observations), observations)
-    if suspects.flags:
-        return suspects
-    return _suspects(_robust(fit, fit.posterior.model.nominal, observations), observations)
+    for start in (fit.values, fit.posterior.model.nominal):
+        robust = robust_fit(fit, start, observations)
+        suspects = suspects_beside(robust, robust.values, observations)
+        if suspects.flags:
+            break
+    return suspects
 
 
-def _robust(fit: Fit, values: Mapping[str, Tensor], observations: Observations) -> Fit:
-    """The fit to readings that do not miss by far: first to the better half and some more of them, then to all that are near that fit.
+def suspects_beside(fit: Fit, values: Mapping[str, Tensor], observations: Observations) -> Suspects:
+    """Such readings, each flagged for the mistake that explains most of those left, where values of the rig are known.
 
     Args:
-        fit: To some of the readings, whatever they hold.
-        values: Where the first of those fits starts from.
-        observations: The readings.
+        fit: Of the rig.
+        values: Of its parameters, by the readings that do not miss by far.
+        observations: The readings to look at.
     """
-    may_fit = observations.is_measured.any(dim=1) & ~observations.is_validation
-    for trimming in range(policy.MOST_TRIMMINGS):
-        predicted_T = _predicted_T(fit, values, observations)
-        misses = _misses(
-            observations.field_sensor_T, predicted_T, _size_of_errors_T(observations, predicted_T)
-        )
-        is_first = trimming < policy.TRIMMINGS_TO_A_SHARE
-        most = misses[may_fit].quantile(1.0 - policy.MOST_TRIMMED) if is_first else policy.FAR_FROM_EXPECTED
-        near = observations.rows(may_fit & (misses <= most))
-        if len(near) < int((1.0 - policy.MOST_TRIMMED) * float(may_fit.sum())):
-            return fit
-        few = spread(near, policy.MOST_READINGS_SEARCHED)
-        is_settled = not is_first and len(few) == len(fit.observations)
-        fit = fit_rig(fit.rig, few, values, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
-        values = fit.values
-        if is_settled:
-            break
-    return fit
-
-
-def _suspects(fit: Fit, observations: Observations) -> Suspects:
-    """The readings that miss by far, each flagged for the mistake that explains most of those left."""
-    measured_T, predicted_T = observations.field_sensor_T, _predicted_T(fit, fit.values, observations)
-    size_T = _size_of_errors_T(observations, predicted_T)
-    is_far = _misses(measured_T, predicted_T, size_T) > policy.FAR_FROM_EXPECTED
-    mistakes = list(_mistakes(fit, observations, predicted_T))
+    measured_T, predicted_T = observations.field_sensor_T, predict_T(fit, values, observations)
+    size_T = size_of_errors_T(observations, predicted_T)
+    is_far = misses(measured_T, predicted_T, size_T) > policy.FAR_FROM_EXPECTED
+    if not bool(is_far.any()):
+        return Suspects([], False)
+    mistakes = [
+        *_of_what_was_expected(observations, predicted_T),
+        *_of_other_currents(fit, values, observations, is_far, size_T),
+        *_of_other_readings(fit, observations, predicted_T),
+    ]
     explained = torch.stack([is_far & _explains(m, measured_T, predicted_T, size_T) for m in mistakes])
     left, is_flagged = is_far.clone(), torch.zeros_like(is_far)
     flags, may_be_causes = list[Flag](), False
@@ -145,7 +125,7 @@ def _suspects(fit: Fit, observations: Observations) -> Suspects:
             reason = Reason.HELD if mistake.is_exact else Reason.OTHERWISE
             readings = is_its.nonzero().flatten().tolist()
             flags.append(Flag.of(observations, reason, mistake.words, mistake.component, readings))
-            would_show = _misses(predicted_T, mistake.expected_T, size_T) > policy.FAR_FROM_EXPECTED
+            would_show = misses(predicted_T, mistake.expected_T, size_T) > policy.FAR_FROM_EXPECTED
             is_without = would_show & (observations.sensor == sensor) & ~is_its
             may_be_causes |= _may_be_cause(mistake, observations.time_s, is_its, is_without)
     is_most = float(left.sum()) <= (1.0 - policy.LEAST_EXPLAINED_OF_FAR) * float(is_far.sum())
@@ -188,41 +168,6 @@ def _may_be_cause(
     return not len(later_s) or (mistake.is_reversal and bool((later_s > time_s[is_its].max()).all()))
 
 
-def _predicted_T(
-    fit: Fit, values: Mapping[str, Tensor], observations: Observations
-) -> Float[Tensor, "reading 3"]:
-    """What the rig of a fit predicts for readings, in the frames of their sensors."""
-    fitted, meant = fit.posterior.model, as_meant(fit.rig, observations)
-    model = MeasurementModel.unruled(fit.rig, meant).with_rules(fitted.rules).with_maps(fitted.sources.maps)
-    with torch.no_grad():
-        return model.predict(values).expand(len(observations), 3)
-
-
-def _size_of_errors_T(
-    observations: Observations, predicted_T: Float[Tensor, "reading 3"]
-) -> Float[Tensor, " reading"]:
-    """Standard deviation of the errors of most readings: of each sensor, and where fields are large a share of them."""
-    errors_T = (observations.field_sensor_T - predicted_T).abs()
-    field_T = predicted_T.norm(dim=1)
-    size_T = torch.zeros_like(field_T)
-    digit_T = resolution_T(observations.field_sensor_T[observations.is_measured])
-    for sensor in observations.sensor.unique():
-        own = observations.sensor == sensor
-        typical_T = SD_OF_MEDIAN * errors_T[own].nanmedian()
-        share = SD_OF_MEDIAN * (errors_T[own] / field_T[own, None].clamp(min=1e-12)).nanmedian()
-        size_T[own] = torch.maximum(typical_T, share * field_T[own]).clamp(min=digit_T)
-    return size_T
-
-
-def _misses(
-    measured_T: Float[Tensor, "reading 3"],
-    expected_T: Float[Tensor, "reading 3"],
-    size_T: Float[Tensor, " reading"],
-) -> Float[Tensor, " reading"]:
-    """Largest error of each reading's components in their standard deviations; 0 where nothing was measured or expected."""
-    return ((measured_T - expected_T).abs() / size_T[:, None]).nan_to_num(0.0).amax(dim=1)
-
-
 def _explains(
     mistake: Mistake,
     measured_T: Float[Tensor, "reading 3"],
@@ -231,8 +176,8 @@ def _explains(
 ) -> Bool[Tensor, " reading"]:
     """Readings that a mistake would make fit, of those that it would change by far."""
     size_T = mistake.magnifies * size_T
-    changes = _misses(predicted_T, mistake.expected_T, size_T) > policy.FAR_FROM_EXPECTED
-    fits = _misses(measured_T, mistake.expected_T, size_T) < policy.NEAR_TO_EXPECTED
+    changes = misses(predicted_T, mistake.expected_T, size_T) > policy.FAR_FROM_EXPECTED
+    fits = misses(measured_T, mistake.expected_T, size_T) < policy.NEAR_TO_EXPECTED
     if mistake.is_exact:
         fits &= (measured_T == mistake.expected_T)[:, mistake.component]
     return changes & fits
@@ -252,8 +197,8 @@ def _of_the_same(
     rows = is_clear.nonzero().flatten()
     if mistake.is_exact or len(rows) < policy.FEWEST_OF_ONE_MISTAKE:
         return torch.zeros_like(is_clear)
-    by_mistake = _misses(measured_T, mistake.expected_T, size_T)
-    as_recorded = _misses(measured_T, predicted_T, size_T)
+    by_mistake = misses(measured_T, mistake.expected_T, size_T)
+    as_recorded = misses(measured_T, predicted_T, size_T)
     is_between = torch.zeros_like(is_clear)
     for before, after in pairwise(rows.tolist()):
         if after - before <= ROWS_BESIDE:
@@ -263,10 +208,10 @@ def _of_the_same(
     return is_better & (is_between | (as_recorded > policy.NEAR_TO_EXPECTED))
 
 
-def _mistakes(
-    fit: Fit, observations: Observations, predicted_T: Float[Tensor, "reading 3"]
+def _of_what_was_expected(
+    observations: Observations, predicted_T: Float[Tensor, "reading 3"]
 ) -> Iterator[Mistake]:
-    """All mistakes, those of one component first."""
+    """Mistakes that follow from what is expected of all readings, those of one component first."""
     before = _beside(observations, 1)
     for axis in range(3):
         for factor, words in FACTORS.items():
@@ -282,26 +227,48 @@ def _mistakes(
         order = [0, 1, 2]
         order[first], order[second] = second, first
         yield Mistake(f"has {'xyz'[first]} and {'xyz'[second]} exchanged", None, predicted_T[:, order])
-    yield from _of_other_currents(fit, observations)
-    yield from _of_other_readings(fit, observations, predicted_T)
 
 
-def _of_other_currents(fit: Fit, observations: Observations) -> Iterator[Mistake]:
-    """Fields of another current than recorded: that of one coil off or reversed, those of two coils exchanged."""
-    names = [coil.name for coil in fit.rig.coils]
-    for index, name in enumerate(names):
+def _of_other_currents(
+    fit: Fit,
+    values: Mapping[str, Tensor],
+    observations: Observations,
+    is_far: Bool[Tensor, " reading"],
+    size_T: Float[Tensor, " reading"],
+) -> Iterator[Mistake]:
+    """Fields of other currents than recorded, of those that make one of the readings fit that miss by far."""
+    far = observations.rows(is_far)
+    for words, real_of_recorded, is_reversal in _other_currents([coil.name for coil in fit.rig.coils]):
+        expected_T = predict_T(fit, values, _driven(far, real_of_recorded))
+        if not bool((misses(far.field_sensor_T, expected_T, size_T[is_far]) < policy.NEAR_TO_EXPECTED).any()):
+            continue
+        yield Mistake(
+            words,
+            None,
+            predict_T(fit, values, _driven(observations, real_of_recorded)),
+            is_reversal=is_reversal,
+        )
+
+
+def _driven(observations: Observations, real_of_recorded: Float[Tensor, "coil coil"]) -> Observations:
+    """The readings with other currents than recorded."""
+    return replace(
+        observations, current_A=observations.current_A @ real_of_recorded.to(observations.current_A)
+    )
+
+
+def _other_currents(coils: Sequence[str]) -> Iterator[tuple[str, Float[Tensor, "coil coil"], bool]]:
+    """The current of one coil off or reversed, those of two coils exchanged: in words, as a matrix, whether it is a reversal."""
+    as_recorded = torch.eye(len(coils), dtype=torch.float64)
+    for index, name in enumerate(coils):
         for factor, state in ((-1.0, "reversed"), (0.0, "off")):
-            current_A = observations.current_A.clone()
-            current_A[:, index] *= factor
-            expected_T = _predicted_T(fit, fit.values, replace(observations, current_A=current_A))
-            words = f"fits a current of {name} that was {state}"
-            yield Mistake(words, None, expected_T, is_reversal=factor == -1.0)
-    for first in range(len(names)):
-        for second in range(first + 1, len(names)):
-            current_A = observations.current_A.clone()
-            current_A[:, [first, second]] = observations.current_A[:, [second, first]]
-            expected_T = _predicted_T(fit, fit.values, replace(observations, current_A=current_A))
-            yield Mistake(f"fits currents of {names[first]} and {names[second]} exchanged", None, expected_T)
+            matrix = as_recorded.clone()
+            matrix[index, index] = factor
+            yield f"fits a current of {name} that was {state}", matrix, factor == -1.0
+    for first, second in combinations(range(len(coils)), 2):
+        matrix = as_recorded.clone()
+        matrix[[first, second]] = matrix[[second, first]]
+        yield f"fits currents of {coils[first]} and {coils[second]} exchanged", matrix, False
 
 
 def _of_other_readings(

@@ -1,0 +1,131 @@
+"""Fits to the readings that do not miss by far, whatever the others hold: least trimmed squares.
+
+A fit is made to the better part of the readings, those that miss it least are the better part of the next, and so on.
+
+References: the concentration steps of least trimmed squares, Rousseeuw and Van Driessen, Technometrics 41, 212 (1999).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig, resolution_T
+from estimator.effects.use import as_meant
+from estimator.inference.bounds import step_of_the_free
+from estimator.inference.levenberg_marquardt import prior_gradient
+from estimator.model.measurement_model import MeasurementModel
+from estimator.readings.observations import Observations
+from estimator.readings.split import spread
+
+SD_OF_MEDIAN = 1.4826  # standard deviation over median size, of normal errors
+
+
+def robust_fit(fit: Fit, values: Mapping[str, Tensor], observations: Observations) -> Fit:
+    """The fit to readings that do not miss by far: first to the better half and some more of them, then to all that are near that fit.
+
+    Args:
+        fit: To some of the readings, whatever they hold.
+        values: Where the first of those fits starts from.
+        observations: The readings.
+    """
+    may_fit = observations.is_measured.any(dim=1) & ~observations.is_validation
+    for trimming in range(policy.MOST_TRIMMINGS):
+        is_near = _are_near(predict_T(fit, values, observations), observations, may_fit, trimming)
+        if is_near is None:
+            return fit
+        few = spread(observations.rows(is_near), policy.MOST_READINGS_SEARCHED)
+        is_settled = trimming >= policy.TRIMMINGS_TO_A_SHARE and len(few) == len(fit.observations)
+        fit = fit_rig(fit.rig, few, values, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
+        values = fit.values
+        if is_settled:
+            break
+    return fit
+
+
+def robust_values(fit: Fit) -> Mapping[str, Tensor]:
+    """Values of a rig by the readings of its fit that do not miss by far, with the slopes that the fit has.
+
+    No fit is made again, which takes long where a rig has many causes: each step is that of Gauss and Newton with the predictions of its
+    place and the Jacobian of the first.
+
+    Args:
+        fit: To the readings, whatever some of them hold.
+    """
+    observations, posterior = fit.observations, fit.posterior
+    may_fit = observations.is_measured.any(dim=1)
+    reading = posterior.measured_components(torch.arange(len(observations))[:, None].expand(-1, 3))
+    prior_precision = (fit.optimum.precision - fit.optimum.information)[0]
+    vector, values = fit.vector, fit.values
+    for trimming in range(policy.MOST_TRIMMINGS):
+        field_T = predict_T(fit, values, observations)
+        is_near = _are_near(field_T, observations, may_fit, trimming)
+        if is_near is None:
+            return fit.values
+        residual = (posterior.measured_T - posterior.measured_components(field_T)) * fit.whitening_per_T
+        counts = is_near[reading]
+        residual, jacobian = residual[counts], fit.jacobian[counts]
+        # Errors of the others made the noise of the fit too large.
+        scale = (SD_OF_MEDIAN * residual.abs().median()).clamp(max=1.0)
+        residual, jacobian = residual / scale, jacobian / scale
+        gradient = jacobian.T @ residual + prior_gradient(posterior.coordinates, vector)
+        precision = jacobian.T @ jacobian + prior_precision
+        moved = vector + step_of_the_free(posterior.coordinates, vector, precision, gradient)
+        if not bool(torch.isfinite(posterior.coordinates.log_prior(moved))):
+            break
+        vector, values = moved, posterior.coordinates.values(moved)
+    return values
+
+
+def _are_near(
+    predicted_T: Float[Tensor, "reading 3"],
+    observations: Observations,
+    may_fit: Bool[Tensor, " reading"],
+    trimming: int,
+) -> Bool[Tensor, " reading"] | None:
+    """The readings that the next of these fits is made to; None where they are too few to tell which are right."""
+    size_T = size_of_errors_T(observations, predicted_T)
+    off = misses(observations.field_sensor_T, predicted_T, size_T)
+    is_first = trimming < policy.TRIMMINGS_TO_A_SHARE
+    most = off[may_fit].quantile(1.0 - policy.MOST_TRIMMED) if is_first else policy.FAR_FROM_EXPECTED
+    is_near = may_fit & (off <= most)
+    return is_near if int(is_near.sum()) >= int((1.0 - policy.MOST_TRIMMED) * float(may_fit.sum())) else None
+
+
+def predict_T(
+    fit: Fit, values: Mapping[str, Tensor], observations: Observations
+) -> Float[Tensor, "reading 3"]:
+    """What the rig of a fit predicts for readings, in the frames of their sensors."""
+    fitted, meant = fit.posterior.model, as_meant(fit.rig, observations)
+    model = MeasurementModel.unruled(fit.rig, meant).with_rules(fitted.rules).with_maps(fitted.sources.maps)
+    with torch.no_grad():
+        return model.predict(values).expand(len(observations), 3)
+
+
+def size_of_errors_T(
+    observations: Observations, predicted_T: Float[Tensor, "reading 3"]
+) -> Float[Tensor, " reading"]:
+    """Standard deviation of the errors of most readings: of each sensor, and where fields are large a share of them."""
+    errors_T = (observations.field_sensor_T - predicted_T).abs()
+    field_T = predicted_T.norm(dim=1)
+    size_T = torch.zeros_like(field_T)
+    digit_T = resolution_T(observations.field_sensor_T[observations.is_measured])
+    for sensor in observations.sensor.unique():
+        own = observations.sensor == sensor
+        typical_T = SD_OF_MEDIAN * errors_T[own].nanmedian()
+        share = SD_OF_MEDIAN * (errors_T[own] / field_T[own, None].clamp(min=1e-12)).nanmedian()
+        size_T[own] = torch.maximum(typical_T, share * field_T[own]).clamp(min=digit_T)
+    return size_T
+
+
+def misses(
+    measured_T: Float[Tensor, "reading 3"],
+    expected_T: Float[Tensor, "reading 3"],
+    size_T: Float[Tensor, " reading"],
+) -> Float[Tensor, " reading"]:
+    """Largest error of each reading's components in their standard deviations; 0 where nothing was measured or expected."""
+    return ((measured_T - expected_T).abs() / size_T[:, None]).nan_to_num(0.0).amax(dim=1)
