@@ -16,6 +16,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
+from estimator.inference.positive_definite import inner_products
 
 N_SHRINKS = 101  # grid of the logarithm of the noise
 COARSE = 5  # of it, one in so many is tried first
@@ -67,13 +68,9 @@ class Projector:
         return product
 
     def own_gram(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, "column column"]:
-        """Inner products of vectors with each other after projection. NumPy computes only half of so symmetric a product."""
+        """Inner products of vectors with each other after projection."""
         followed = self.factor.T @ (self.jacobian.T @ columns)
-        if columns.device.type != "cpu":
-            return columns.T @ columns - followed.T @ followed
-        array = columns.numpy()
-        product: Tensor = torch.from_numpy(array.T @ array) - followed.T @ followed
-        return product
+        return inner_products(columns) - followed.T @ followed
 
     def norms(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, " column"]:
         """Lengths of vectors after projection."""

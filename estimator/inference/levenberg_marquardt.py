@@ -11,7 +11,7 @@ from torch import Tensor
 
 from estimator.inference.bounds import along_bounds
 from estimator.inference.likelihood import DERIVATIVES_AT_ONCE, FirstOrder, LogPosterior
-from estimator.inference.positive_definite import diagonal_of, solve
+from estimator.inference.positive_definite import diagonal_of, inner_products, solve
 from estimator.rig.coordinates import Coordinates
 
 SMALLEST_DAMPING, LARGEST_DAMPING = 1e-12, 1e12
@@ -209,13 +209,16 @@ def gradient_and_information(
     jacobian = jacobian_T / sigma_T[..., None]
     chi2 = weight * whitened**2
     gradient = (jacobian.mT @ (weight * whitened)[..., None])[..., 0]
-    gradient = gradient + (log_sigma_jacobian.mT @ (chi2 - 1.0)[..., None])[..., 0]
-    information = jacobian.mT @ (weight[..., None] * jacobian)
+    information = inner_products(weight.sqrt()[..., None] * jacobian)
     by_sensor = chi2.new_zeros(len(vector), len(posterior.n_by_sensor))
     by_sensor.index_add_(1, posterior.sensor, chi2)
     mean_chi2 = (by_sensor / posterior.n_by_sensor.clamp(min=1.0))[:, posterior.sensor]
-    curvature = (2.0 * mean_chi2).clamp(min=0.5)[..., None]
-    return gradient, information + log_sigma_jacobian.mT @ (curvature * log_sigma_jacobian)
+    curvature = (2.0 * mean_chi2).clamp(min=0.5)
+    noises = log_sigma_jacobian.any(-2).any(0).nonzero().flatten()  # few columns change the noise
+    slopes = log_sigma_jacobian[..., noises]
+    gradient[..., noises] += (slopes.mT @ (chi2 - 1.0)[..., None])[..., 0]
+    information[..., noises[:, None], noises] += inner_products(curvature.sqrt()[..., None] * slopes)
+    return gradient, information
 
 
 def prior_gradient_and_precision(

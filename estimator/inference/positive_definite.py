@@ -73,6 +73,20 @@ def log_determinant(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*
     return log_det
 
 
+def inner_products(columns: Float[Tensor, "*batch row column"]) -> Float[Tensor, "*batch column column"]:
+    """Inner products of the columns of a matrix with each other. NumPy computes only half of so symmetric a product.
+
+    Examples:
+        >>> inner_products(torch.tensor([[1.0, 2.0], [0.0, 1.0]]))
+        tensor([[1., 2.],
+                [2., 5.]])
+    """
+    if columns.device.type != "cpu":
+        return columns.mT @ columns
+    array = columns.detach().numpy()
+    return torch.from_numpy(array.swapaxes(-1, -2) @ array)
+
+
 def diagonal_of(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*batch row"]:
     """Diagonal of each matrix."""
     return torch.diagonal(matrix, dim1=-2, dim2=-1)
