@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 
@@ -16,6 +17,7 @@ from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.columns import Columns
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
     leaves_much_of_the_field,
@@ -52,6 +54,7 @@ from estimator.errors import InvalidInput
 from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.split import thinned
 from estimator.rig.rig import Cause, Rig
+from estimator.side_by_side import meanwhile
 from estimator.store.session import Session
 
 
@@ -159,6 +162,7 @@ def _judged(
 ) -> Diagnosis:
     """The diagnosis from readings to be fitted and others to judge the fits."""
     rig, seed, plain, seen, unseen = question.rig, question.seed, first.plain, first.seen, first.unseen
+    symptoms = meanwhile(lambda: Symptoms.of(plain, seed))
     search_result, mistakes, visible, twins = computed_on(
         place, lambda fit: _found(fit, first.refusal, limits, tell, on_progress), plain
     )
@@ -173,7 +177,7 @@ def _judged(
         tell("correcting what is left, without a name")
         outcome = outcome.corrected(unseen, place, tell)
     named, extended = outcome.named, outcome.extended
-    symptoms = Symptoms.of(plain, seed)
+    before = symptoms()
     return Diagnosis(
         question=question,
         verdict=outcome.verdict,
@@ -188,8 +192,8 @@ def _judged(
             plain=plain,
             extended=extended,
             final=outcome.after,
-            before=symptoms,
-            after=symptoms if extended is plain else Symptoms.of(extended, seed),
+            before=before,
+            after=before if extended is plain else Symptoms.of(extended, seed),
             improvement=outcome.improvement,
             correction=outcome.correction,
         ),
@@ -203,27 +207,23 @@ def _judged(
     )
 
 
+class _Found(NamedTuple):
+    """The search, mistakes of the record, and what the session can show and tell apart of any cause."""
+
+    search: Search
+    mistakes: Sequence[RecordMistake]
+    visible: Sequence[Visible]
+    twins: Sequence[tuple[Cause, ...]]
+
+
 def _found(
     plain: Fit,
     refusal: InvalidInput | None,
     limits: Limits,
     tell: Callable[[str], None],
     on_progress: OnProgress,
-) -> tuple[Search, Sequence[RecordMistake], list[Visible], list[tuple[Cause, ...]]]:
-    """The search, mistakes of the record, and what the session can show and tell apart of any cause."""
-    result, mistakes = _searched(plain, refusal, limits, tell, on_progress)
-    visible = smallest_visible(result.base, result.pool)
-    return result, mistakes, visible, indistinguishable(result.base, result.pool)
-
-
-def _searched(
-    plain: Fit,
-    refusal: InvalidInput | None,
-    limits: Limits,
-    tell: Callable[[str], None],
-    on_progress: OnProgress,
-) -> tuple[Search, Sequence[RecordMistake]]:
-    """The search for causes beside mistakes of the record; without such mistakes where they are doubtful.
+) -> _Found:
+    """What a search finds beside mistakes of the record; without such mistakes where they are doubtful.
 
     A geometry that is refused is that of the record: it counts unless a mistake of the record puts it right.
     """
@@ -232,13 +232,27 @@ def _searched(
     if refusal is not None:
         base = refit_outside(base, refusal)
     tell("searching for causes")
-    result = search(base, tell, limits, on_progress)
-    if mistakes and _are_doubtful(mistakes, result):
+    found = _searched(base, mistakes, limits, tell, on_progress)
+    if mistakes and _are_doubtful(mistakes, found.search):
         if refusal is not None:
             raise refusal
         tell("the mistakes of the record are doubtful: searching again with the record as it is")
-        return search(plain, tell, limits, on_progress), []
-    return result, mistakes
+        return _searched(plain, [], limits, tell, on_progress)
+    return found
+
+
+def _searched(
+    base: Fit,
+    mistakes: Sequence[RecordMistake],
+    limits: Limits,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
+) -> _Found:
+    columns = Columns.at(base, limits)
+    visible = meanwhile(lambda: smallest_visible(base, columns.pool))
+    twins = meanwhile(lambda: indistinguishable(base, columns.pool))
+    result = search(columns, tell, limits, on_progress)
+    return _Found(result, mistakes, visible(), twins())
 
 
 def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> bool:

@@ -23,6 +23,7 @@ from estimator.inference.directions import Directions
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
+from estimator.side_by_side import each
 
 DERIVATIVES_AT_ONCE = 2**22  # entries of one array of derivatives; calculations keep a few dozen such arrays
 # Derivatives of one part of the readings: larger parts fall out of a processor's cache and take half as long again.
@@ -164,10 +165,8 @@ class LogPosterior:
         in_a_pass = DERIVATIVES_IN_A_PASS if vector.device.type == "cpu" else DERIVATIVES_AT_ONCE
         at_once = max(1, in_a_pass // max(1, 3 * len(directions.each) * batch.numel()))
         if n_readings > at_once:
-            parts = [
-                self.part(part)._by_two_passes(vector, columns)
-                for part in torch.arange(n_readings, device=vector.device).split(at_once)
-            ]
+            numbers = torch.arange(n_readings, device=vector.device).split(at_once)
+            parts = list(each(lambda part: self.part(part)._by_two_passes(vector, columns), numbers))
             components, jacobians = slice(0, 2), slice(2, 4)
             return FirstOrder(
                 *(

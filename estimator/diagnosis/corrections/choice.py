@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from estimator.diagnosis.widening import Widening
 from estimator.readings.observations import Observations
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
+from estimator.side_by_side import each
 
 
 def best_corrected(
@@ -45,9 +47,8 @@ def best_corrected(
         kinds = [kind.with_at_most(policy.MOST_AMPLITUDES_BESIDE_A_PILE) for kind in kinds]
     limits = {kind.cause.label: kind.limit.words for kind in kinds if kind.limit.words}
     # Columns hardly change as corrections are taken.
-    candidates = [
-        CorrectionCandidate.at(kind, first) for kind in kinds if kind.limit.degree >= kind.effect.lowest
-    ]
+    kinds = [kind for kind in kinds if kind.limit.degree >= kind.effect.lowest]
+    candidates = list(each(lambda kind: CorrectionCandidate.at(kind, first), kinds))
     trial = _linear_trial(first, candidates, tell)
     if standing_in and not is_piled:
         asked = [CorrectionCandidate.at(leader.kind, searched) for leader in trial.leaders]
@@ -132,7 +133,7 @@ def _linear_trial(
     block = pose_blocks(fit.observations, np.random.default_rng(0))
     parts = list[Part]()
     while candidates and len(parts) < policy.MOST_CORRECTIONS:
-        options = [candidate.best_option(fit) for candidate in candidates]
+        options = list(each(partial(CorrectionCandidate.best_option, fit=fit), candidates))
         order = sorted(range(len(options)), key=lambda i: options[i].log_bayes_factor, reverse=True)
         ranked = [candidates[i] for i in order[: policy.MOST_ASKED_AGAIN + 1]]
         if len(ranked) < len(candidates):  # when none was taken

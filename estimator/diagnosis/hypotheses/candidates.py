@@ -19,6 +19,7 @@ from estimator.effects.causes.segments import split_key
 from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.effects.stages import MountEffect, NoiseEffect, ReadingEffect
 from estimator.rig.rig import Cause, Rig
+from estimator.side_by_side import each
 
 MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
 STEP = 1e-3  # of the prior's width: central differences of smooth effects
@@ -102,10 +103,16 @@ def causes_of(rig: Rig, fit: Fit, limits: Limits | None = None) -> list[Cause]:
 def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     """Candidates of every cause at a fit, start by start; starts without finite columns are left out."""
     circumstances = fit.posterior.model.circumstances
+    starts_of = {cause: list(EFFECTS[cause.name].starts(circumstances, cause.place)) for cause in causes}
+    staying = [cause for cause in causes if EFFECTS[cause.name].stays is None]
+    of_staying = each(lambda cause: at_starts(fit, cause, starts_of[cause]), staying)
+    known = dict(zip(staying, of_staying, strict=True))
     result = list[Candidate]()
     for cause in causes:
-        effect = EFFECTS[cause.name]
-        starts = list(effect.starts(circumstances, cause.place))
+        if cause in known:
+            result += known[cause]
+            continue
+        effect, starts = EFFECTS[cause.name], starts_of[cause]
         stays = None if effect.stays is None else Cause(effect.stays.name, cause.place)
         steps = {c.shapes[SINCE]: c for c in result if c.cause == stays}
         is_known = bool(steps) and all(start[key] in steps for start in starts for key in (SINCE, UNTIL))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import torch
 from jaxtyping import Float
@@ -19,11 +18,12 @@ from estimator.effects.stages import NoiseEffect, NoiseEstimate
 from estimator.effects.use import Use
 from estimator.model.measurement_model import NominalPrediction
 from estimator.rig.rig import Cause
+from estimator.side_by_side import each
 
 
 def noise_causes(
     fit: Fit, beside: float, reached: Reached | None = None
-) -> Iterator[tuple[Cause, float, Fit | None]]:
+) -> list[tuple[Cause, float, Fit | None]]:
     """For each noise effect the place with the strongest hint: its cause, log Bayes factor and fit.
 
     Args:
@@ -31,19 +31,18 @@ def noise_causes(
         beside: Hint from which on a full fit is worth its time; below, the hint stands for the log Bayes factor and the fit is None.
         reached: Where an earlier comparison has found causes.
     """
-    for effect in EFFECTS.values():
-        if not isinstance(effect, NoiseEffect):
-            continue
+
+    def asked(effect: NoiseEffect) -> tuple[Cause, float, Fit | None] | None:
         circumstances = fit.posterior.model.circumstances
         uses = [Use(effect, p) for p in effect.places(fit.rig) if effect.concerns(circumstances, p)]
         hints = [(_hint(fit, use), use) for use in uses if use.cause not in fit.rig.effects]
         hint, use = max(hints, key=lambda pair: pair[0], default=(0.0, None))
         if use is None or hint <= policy.LEAST_SCATTER_GAIN:
-            continue
-        if hint < beside:
-            yield use.cause, hint, None
-        else:
-            yield use.cause, *_fitted(fit, use, reached or {})
+            return None
+        return (use.cause, hint, None) if hint < beside else (use.cause, *_fitted(fit, use, reached or {}))
+
+    effects = [effect for effect in EFFECTS.values() if isinstance(effect, NoiseEffect)]
+    return [row for row in each(asked, effects) if row is not None]
 
 
 def _hint(fit: Fit, use: Use[NoiseEffect]) -> float:

@@ -14,10 +14,11 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
-from estimator.diagnosis.linear import Products, log_bayes_factor, log_mean_exp
+from estimator.diagnosis.linear import FreeNoise, Products, Projector, log_bayes_factor, log_mean_exp
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
+from estimator.side_by_side import each
 
 MOST_TOGETHER = 64  # candidates of one batch, which bounds the memory
 
@@ -57,13 +58,18 @@ def products_of(fit: Fit, pool: Sequence[Candidate]) -> Batches:
     alike: dict[tuple[str, ...], list[int]] = {}
     for i, candidate in enumerate(pool):
         alike.setdefault(candidate.keys, []).append(i)
-    batches = []
-    for members in alike.values():
-        for first in range(0, len(members), MOST_TOGETHER):
-            some = members[first : first + MOST_TOGETHER]
-            columns = torch.stack([torch.cat((pool[i].columns, pool[i].shift[:, None]), dim=1) for i in some])
-            batches.append((some, Products.of(columns, fit.projector, fit.residual)))
-    return batches
+    batches = [
+        members[first : first + MOST_TOGETHER]
+        for members in alike.values()
+        for first in range(0, len(members), MOST_TOGETHER)
+    ]
+    projector, residual = fit.projector, fit.residual
+
+    def products(some: list[int]) -> tuple[list[int], Products]:
+        columns = torch.stack([torch.cat((pool[i].columns, pool[i].shift[:, None]), dim=1) for i in some])
+        return some, Products.of(columns, projector, residual)
+
+    return list(each(products, batches))
 
 
 def linear_evidence(fit: Fit, pool: Sequence[Candidate], batches: Batches | None = None) -> list[float]:
@@ -77,27 +83,37 @@ def linear_evidence(fit: Fit, pool: Sequence[Candidate], batches: Batches | None
         batches: Their products at the fit, where they are known.
     """
     result = [0.0] * len(pool)
-    for some, products in products_of(fit, pool) if batches is None else batches:
-        values = _by_subset(fit, [pool[i] for i in some], pool[some[0]].subsets, products)
-        if values.shape[1] > 1:
-            n_parts = values.shape[1] - 1
-            of_some = torch.logsumexp(values[:, :-1], 1) - math.log(n_parts)
-            values = (torch.logaddexp(of_some, values[:, -1]) - math.log(2.0))[:, None]
-        for i, value in zip(some, values[:, 0].tolist(), strict=True):
+    batches = products_of(fit, pool) if batches is None else batches
+    projector, noise = fit.projector, fit.free_noise
+
+    def evidence(batch: tuple[list[int], Products]) -> Tensor:
+        some, products = batch
+        values = _by_subset([pool[i] for i in some], pool[some[0]].subsets, products, projector, noise)
+        if values.shape[1] == 1:
+            return values[:, 0]
+        of_some = torch.logsumexp(values[:, :-1], 1) - math.log(values.shape[1] - 1)
+        return torch.logaddexp(of_some, values[:, -1]) - math.log(2.0)
+
+    for (some, _), values in zip(batches, each(evidence, batches), strict=True):
+        for i, value in zip(some, values.tolist(), strict=True):
             result[i] = value
     return result
 
 
 def _by_subset(
-    fit: Fit, candidates: Sequence[Candidate], subsets: Sequence[tuple[int, ...]], products: Products
+    candidates: Sequence[Candidate],
+    subsets: Sequence[tuple[int, ...]],
+    products: Products,
+    projector: Projector,
+    noise: FreeNoise | None,
 ) -> Float[Tensor, "candidate subset"]:
     """Log Bayes factor against nothing of each subset of the columns of several candidates, by size, smallest first."""
     prior_sd = torch.stack([candidate.prior_sd for candidate in candidates])
-    gram = products.gram(fit.projector)
+    gram = products.gram(projector)
     # At a start away from the null its shift has changed the residual.
     score = products.score[:, :-1] - gram[:, :-1, -1]
     started = products.score[:, -1] - 0.5 * gram[:, -1, -1]
-    gram, noise = gram[:, :-1, :-1], fit.free_noise
+    gram = gram[:, :-1, :-1]
     values = []
     for _, of_one_size in groupby(sorted(subsets, key=len), key=len):
         chosen = torch.tensor(list(of_one_size), device=gram.device)
@@ -149,5 +165,5 @@ def in_full(fit: Fit, screened: float, start: Candidate, reached: Reached | None
         # The Laplace evidence misses the width of shapes, and the linear model their bounds.
         return min(max(value, screened), value + policy.SHAPES_WIDTH), full
     ((_, products),) = products_of(fit, [start])
-    linear_value = float(_by_subset(fit, [start], start.subsets[-1:], products))
+    linear_value = float(_by_subset([start], start.subsets[-1:], products, fit.projector, fit.free_noise))
     return screened + value - linear_value, full

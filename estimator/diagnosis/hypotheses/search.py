@@ -13,12 +13,12 @@ from dataclasses import replace
 from itertools import chain
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
+from estimator.diagnosis.hypotheses.columns import Columns, without_spells
 from estimator.diagnosis.hypotheses.far_off import with_far_off
 from estimator.diagnosis.hypotheses.many_at_once import many_at_once
 from estimator.diagnosis.hypotheses.pairs import pairs
@@ -44,28 +44,25 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import discrepancy
-from estimator.diagnosis.structure.families import families
-from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects.attach import with_effect
-from estimator.effects.circumstances import UNTIL
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
 from estimator.rig.rig import Cause
 
 
 def search(
-    base: Fit, tell: Callable[[str], None], limits: Limits, on_progress: OnProgress = unwatched
+    columns: Columns, tell: Callable[[str], None], limits: Limits, on_progress: OnProgress = unwatched
 ) -> Search:
     """Add causes to a fit while their evidence suffices, then test for each whether another does better beside the rest.
 
     Args:
-        base: Fit of the rig as described.
+        columns: Of causes and curves at the fit of the rig as described.
         tell: Called with a message at each step.
         limits: When the search ends before the evidence does.
         on_progress: Called before and after each fit of a hypothesis.
     """
-    pool = candidates(base, causes_of(base.rig, base, limits))
-    state = _SearchState(base, pool, families(base), tell, limits, on_progress)
+    base = columns.fit
+    state = _SearchState(columns, tell, limits, on_progress)
     fit = state.forward(base)
     if len(state.added(fit)) == 1 and not limits.is_over:
         fit = state.with_two(fit)
@@ -81,7 +78,7 @@ def search(
     if state.is_piled(fit):
         if state.other_structures is not None:
             before = state.base_discrepancy.weighed(fit.weight_over(base))
-            remainder, curves = state.steps[-1].remainder, state.curves(fit)
+            remainder, curves = state.steps[-1].remainder, state.columns.curves_at(fit)
             kept = keeping_their_names(fit, state.added(fit), before, remainder, curves)
         # Without that question each may still be named.
         state.compare_again(fit, state.added(fit) if state.other_structures is None else kept)
@@ -94,9 +91,9 @@ def search(
         tuple(state.steps),
         state.additions_in(fit),
         dropped,
-        tuple(pool),
+        tuple(columns.pool),
         state.base_discrepancy,
-        tuple(state.curves(fit)),
+        tuple(state.columns.curves_at(fit)),
         limits.words if limits.is_over else state.ended_early,
         state.other_structures,
         tuple(kept),
@@ -104,26 +101,20 @@ def search(
 
 
 class _SearchState:
-    """State of a search: its steps, and what they share (columns of the causes, smooth families, blocks)."""
+    """State of a search: its steps, and what they share (columns of causes and curves, blocks)."""
 
     def __init__(
         self,
-        base: Fit,
-        pool: list[Candidate],
-        smooth: list[Family],
+        columns: Columns,
         tell: Callable[[str], None],
         limits: Limits,
         on_progress: OnProgress = unwatched,
     ) -> None:
-        self.base, self.pool, self.smooth = base, pool, smooth
-        self.screened_at = base  # where pool and curves have their columns
-        self.asked = {
-            *base.rig.effects,
-            *causes_of(base.rig, base, limits),
-        }  # others concern the session only beside a cause
+        self.base, self.columns = columns.fit, columns
+        base = columns.fit
         self.block = pose_blocks(base.observations, np.random.default_rng(0))
         self.tell, self.limits, self.on_progress = tell, limits, on_progress
-        self.base_discrepancy = discrepancy(base, smooth)
+        self.base_discrepancy = discrepancy(base, columns.smooth)
         self.n_compared = 0
         self.ended_early = ""
         self.other_structures: OtherStructures | None = None
@@ -206,7 +197,7 @@ class _SearchState:
         if not together:
             return
         self.tell(f"comparing {len(together)} causes that were taken together again, beside all others")
-        steps = comparison_steps(fit, together, self._pool(fit), self.curves(fit))
+        steps = comparison_steps(fit, together, self._pool(fit), self.columns.curves_at(fit))
         for cause, step in zip(together, steps, strict=True):
             self.steps[self._at(cause)] = step
 
@@ -242,7 +233,7 @@ class _SearchState:
         one = next((h for h in fitted if h.cause == step.taken), None)
         if one is None:
             return fit
-        least = least_log_evidence(len({candidate.cause for candidate in self.pool}))
+        least = least_log_evidence(self.columns.n_causes)
         other = next((h for h in fitted if self._paid(one) - self._paid(h) > least), None)
         if other is None:
             return fit
@@ -275,7 +266,7 @@ class _SearchState:
         for hypothesis in step.credible:
             if hypothesis.fit is None or hypothesis.cause == step.taken:
                 continue
-            if not leaves_structure(discrepancy(hypothesis.fit, self.curves(hypothesis.fit))):
+            if not leaves_structure(discrepancy(hypothesis.fit, self.columns.curves_at(hypothesis.fit))):
                 self.tell(f"{hypothesis.name} leaves less structure and replaces it")
                 assert hypothesis.cause is not None
                 self.steps = [replace(step, taken=hypothesis.cause)]
@@ -289,20 +280,20 @@ class _SearchState:
             f"{len(self.added(pile))} causes pile up: asking whether another structure of the source does for them"
         )
         pace = Pace("other structures of the source", self.on_progress)
-        self.other_structures = other_structures(self.base, pile, self.pool, self.limits, pace)
+        self.other_structures = other_structures(self.base, pile, self.columns.pool, self.limits, pace)
         better = self.other_structures.better
         if better is None:
             self.tell("no other structure of the source does as well")
             return pile
         self.tell(f"{better.cause.label} does better: starting again from it")
         self._drop(self.added(pile))
-        self.steps = [self.other_structures.step(self.base, self.pool, self.base_discrepancy)]
+        self.steps = [self.other_structures.step(self.base, self.columns.pool, self.base_discrepancy)]
         self.additions = [Addition((better.cause,), better.alone)]
         return better.alone
 
     def _with_far_off(self, fit: Fit) -> Fit | None:
         """A bent fit with what had bent it, from where all other causes are then screened; None where nothing does."""
-        wider = with_far_off(fit, least_log_evidence(len({candidate.cause for candidate in self.pool})))
+        wider = with_far_off(fit, least_log_evidence(self.columns.n_causes))
         if wider is None or len(self.added(wider)) > self.limits.most_causes:
             return None
         new = [cause for cause in wider.rig.effects if cause not in fit.rig.effects]
@@ -316,9 +307,7 @@ class _SearchState:
             wider = steps[0].taken_fit
             gain = wider.log_evidence - fit.log_evidence
         self.tell(f"taking {', '.join(cause.label for cause in new)} ({odds(gain)} for them)")
-        causes = causes_of(wider.rig, wider, self.limits)
-        self.screened_at, self.pool = wider, candidates(wider, causes)
-        self.smooth, self.asked = families(wider), {*self.base.rig.effects, *causes}
+        self.columns = Columns.at(wider, self.limits)
         self.steps += steps
         self.additions.append(Addition(tuple(new), wider))
         return wider
@@ -347,7 +336,7 @@ class _SearchState:
         if not self.is_piled(wider):
             # One of each kind is shown, should a pile arise; those that may be named are compared with their rivals at the end.
             shown = list({cause.name: cause for cause in reversed(new)}.values())
-            compared = comparison_steps(wider, shown, self._pool(wider), self.curves(wider))
+            compared = comparison_steps(wider, shown, self._pool(wider), self.columns.curves_at(wider))
             for cause, step in zip(shown, compared, strict=True):
                 steps[new.index(cause)] = step
         self.steps += steps
@@ -358,7 +347,7 @@ class _SearchState:
         """The fit with two more causes whose evidence suffices together and beside each other; None where there is no such pair."""
         taken = (*fit.rig.effects, *self.dropped)
         # Steps stand for spells here: pairs of all spells would be many times as many.
-        pool = [c for c in self._pool(fit) if c.cause not in taken and UNTIL not in c.shapes]
+        pool = [candidate for candidate in without_spells(self._pool(fit)) if candidate.cause not in taken]
         n = len({c.cause for c in pool})
         if n < 2 or len(self.added(fit)) + 2 > self.limits.most_causes:
             return None
@@ -393,7 +382,7 @@ class _SearchState:
         """Compare all hypotheses at a fit."""
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
-        remainder = self.base_discrepancy if fit is self.base and fit is self.screened_at else None
+        remainder = self.base_discrepancy if fit is self.base and fit is self.columns.fit else None
         is_piled = self.is_piled(fit)
         limits = (
             replace(self.limits, minutes=0.0) if self.is_settled(fit) else self.limits
@@ -401,7 +390,7 @@ class _SearchState:
         step = take_step(
             fit,
             self._asked_again(fit),
-            self.curves(fit),
+            self.columns.curves_at(fit),
             self.block,
             limits,
             pace,
@@ -432,25 +421,18 @@ class _SearchState:
         return next(i for i, step in enumerate(self.steps) if step.taken == cause)
 
     def _pool(self, fit: Fit) -> list[Candidate]:
-        if fit is self.screened_at:
-            return self.pool
-        weight = fit.weight_over(self.screened_at)
-        others = [cause for cause in causes_of(fit.rig, fit, self.limits) if cause not in self.asked]
-        return [*(candidate.weighed(weight) for candidate in self.pool), *candidates(fit, others)]
+        """Columns of causes at a fit, those included that concern the session only beside a cause that it has."""
+        pool = self.columns.pool_at(fit)
+        if fit is self.columns.fit:
+            return pool
+        known = {*self.base.rig.effects, *self.columns.asked}
+        others = [cause for cause in causes_of(fit.rig, fit, self.limits) if cause not in known]
+        return [*pool, *candidates(fit, others)]
 
     def _asked_again(self, fit: Fit) -> list[Candidate]:
         """The pool without causes of which a fit in a pile has found nothing, and in a pile without spells, which double it."""
         pool = [candidate for candidate in self._pool(fit) if candidate.cause not in self.collapsed]
-        return (
-            [candidate for candidate in pool if UNTIL not in candidate.shapes] if self.is_piled(fit) else pool
-        )
-
-    def curves(self, fit: Fit) -> list[Family]:
-        """Flexible curves, weighed as the readings are at a fit."""
-        weight = fit.weight_over(self.screened_at)
-        if bool(torch.isclose(weight, weight[:1], rtol=1e-12, atol=0.0).all()):
-            return self.smooth  # amplitudes are in units of the noise: a common weight changes nothing
-        return [family.weighed(weight) for family in self.smooth]
+        return without_spells(pool) if self.is_piled(fit) else pool
 
 
 def _alone_in_step(cause: Cause, log_bayes_factor: float, after: Fit) -> Step:

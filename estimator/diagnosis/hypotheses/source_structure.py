@@ -31,6 +31,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.stages import SourceEffect, WindingEffect
 from estimator.rig.rig import Cause
+from estimator.side_by_side import each
 
 # Of the log evidence of a pile; what explains less alone is not what the pile stands in for.
 WORTH_A_START = 0.05
@@ -132,30 +133,33 @@ def other_structures(
     def log_bayes_factor(log_evidence: float, n_added: int) -> float:
         return log_evidence - base.log_evidence - (n_added - 1) * prior_cost
 
-    trials = []
-    causes = structural_causes(base, limits)
-    for i, cause in enumerate(causes):
+    def asked_alone(cause: Cause) -> Asked | None:
+        fit = None if limits.is_over else _best_alone(base, cause, worth)
+        if fit is None or _changes_nothing(base, fit, cause):
+            return None
+        starts = _starts(base, fit, pool, [c for c in piled if c != cause])
+        gain, needed = joint_evidence(fit, starts, least) if starts else (0.0, [])
+        value = log_bayes_factor(fit.log_evidence + gain, 1 + len(needed))
+        return Asked(cause, value, tuple(start.cause for start in needed), fit)
+
+    def asked_with_needed(trial: Asked) -> Asked | None:
         if limits.is_over:
-            break
-        pace.tell(i, 2 * len(causes))
-        alone = _best_alone(base, cause, worth)
-        if alone is None or _changes_nothing(base, alone, cause):
-            continue
-        starts = _starts(base, alone, pool, [c for c in piled if c != cause])
-        gain, needed = joint_evidence(alone, starts, least) if starts else (0.0, [])
-        value = log_bayes_factor(alone.log_evidence + gain, 1 + len(needed))
-        trials.append(Asked(cause, value, tuple(start.cause for start in needed), alone))
-    trials.sort(key=lambda trial: -trial.log_bayes_factor)
-    asked = []
-    for i, trial in enumerate(trials):
-        if limits.is_over:
-            break
-        pace.tell(len(causes) + i, len(causes) + len(trials))
+            return None
         others = [c for c in piled if c != trial.cause]
         beside = _with_needed(base, trial, pile, others, least)
-        needed_causes = tuple(c for c in others if c in beside.rig.effects)
-        value = log_bayes_factor(beside.log_evidence, 1 + len(needed_causes))
-        asked.append(replace(trial, log_bayes_factor=value, needed=needed_causes))
+        needed = tuple(c for c in others if c in beside.rig.effects)
+        value = log_bayes_factor(beside.log_evidence, 1 + len(needed))
+        return replace(trial, log_bayes_factor=value, needed=needed)
+
+    trials, asked = list[Asked](), list[Asked]()
+    causes = structural_causes(base, limits)
+    for i, trial in enumerate(each(asked_alone, causes)):
+        pace.tell(i, 2 * len(causes))
+        trials += [] if trial is None else [trial]
+    trials.sort(key=lambda trial: -trial.log_bayes_factor)
+    for i, trial in enumerate(each(asked_with_needed, trials)):
+        pace.tell(len(causes) + i, len(causes) + len(trials))
+        asked += [] if trial is None else [trial]
     asked.sort(key=lambda trial: -trial.log_bayes_factor)
     result = OtherStructures(piled, log_bayes_factor(pile.log_evidence, len(piled)), tuple(asked))
     if result.better is None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import torch
@@ -30,6 +31,7 @@ from estimator.diagnosis.structure.scatter import Scatter
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
+from estimator.side_by_side import meanwhile
 
 Blocks = Int[np.ndarray, " reading"]
 
@@ -141,6 +143,7 @@ def _leaders_in_full(
     is_quiet = nearest < least - policy.MOST_GAINED_IN_FULL
     hypotheses = list[Hypothesis]()
     best, n_fitted, pictured = 0.0, 0, set[str]()
+    begun = dict[int, Callable[[], tuple[float, Fit]]]()  # by the identity of where each starts
     for i, cause in enumerate(ranked):
         row = screened[cause]
         if (
@@ -157,12 +160,18 @@ def _leaders_in_full(
         is_known = is_quiet and not is_asked and _is_linear(start, fit)
         is_worth_it = is_asked or _is_worth_a_fit(i, highest, best, most_fitted)
         if is_worth_it and not is_known and not limits.is_over:
-            still_to_come = enumerate(ranked[i:], i)
-            n_left = sum(
-                _is_worth_a_fit(k, screened[later].highest, best, most_fitted) for k, later in still_to_come
-            )
-            pace.tell(n_fitted, n_fitted + n_left)
-            value, fitted = in_full(fit, value, start, reached)
+            later = [
+                screened[one]
+                for k, one in enumerate(ranked[i + 1 :], i + 1)
+                if _is_worth_a_fit(k, screened[one].highest, best, most_fitted)
+            ]
+            pace.tell(n_fitted, n_fitted + 1 + len(later))
+            for following in later[:1]:  # another core begins it, though what this one finds may rule it out
+                begun[id(following.start)] = meanwhile(
+                    partial(in_full, fit, following.log_bayes_factor, following.start, reached)
+                )
+            in_time = begun.get(id(start))
+            value, fitted = in_time() if in_time else in_full(fit, value, start, reached)
             best, n_fitted = max(best, value), n_fitted + 1
             pictured |= {effect.idealises} if effect.idealises is not None else set()
         hypotheses.append(Hypothesis(cause, cause.label, value, fit=fitted))

@@ -21,6 +21,7 @@ from estimator.diagnosis.linear import (
     log_mean_exp,
 )
 from estimator.diagnosis.structure.families.collection import Family
+from estimator.side_by_side import each
 
 MOST_COLUMNS = 400  # in one batch: it should fit the processor's cache
 
@@ -85,14 +86,16 @@ def products_of(fit: Fit, families: Sequence[Family]) -> Batches:
     by_width: dict[int, list[int]] = {}
     for i, family in enumerate(families):
         by_width.setdefault(family.columns.shape[1], []).append(i)
-    batches = []
+    batches = list[list[int]]()
     for width, members in by_width.items():
         n_together = max(1, MOST_COLUMNS // width)
-        for first in range(0, len(members), n_together):
-            some = members[first : first + n_together]
-            columns = torch.stack([families[i].columns for i in some])
-            batches.append((some, Products.of(columns, fit.projector, fit.residual)))
-    return batches
+        batches += [members[first : first + n_together] for first in range(0, len(members), n_together)]
+    projector, residual = fit.projector, fit.residual
+
+    def products(some: list[int]) -> tuple[list[int], Products]:
+        return some, Products.of(torch.stack([families[i].columns for i in some]), projector, residual)
+
+    return list(each(products, batches))
 
 
 def evidence_by_amplitude(
@@ -111,9 +114,16 @@ def evidence_by_amplitude(
     """
     rms = fit.residual.new_tensor(policy.AMPLITUDES if amplitudes is None else amplitudes)
     result = rms.new_zeros(len(families), len(rms))
-    for some, products in products_of(fit, families) if batches is None else batches:
-        gram, widths = products.gram(fit.projector), rms.expand(len(some), -1)
-        result[some] = log_bayes_factor_by_width(gram, products.score, widths, fit.free_noise)
+    projector, noise = fit.projector, fit.free_noise
+
+    def evidence(batch: tuple[list[int], Products]) -> Tensor:
+        some, products = batch
+        widths = rms.expand(len(some), -1)
+        return log_bayes_factor_by_width(products.gram(projector), products.score, widths, noise)
+
+    batches = products_of(fit, families) if batches is None else batches
+    for (some, _), values in zip(batches, each(evidence, batches), strict=True):
+        result[some] = values
     return result
 
 
