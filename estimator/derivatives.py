@@ -12,6 +12,12 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.side_by_side import each
+
+LARGE = (
+    2**17
+)  # entries of a Jacobian from which on its paths take less time side by side than one after another
+
 
 def jacobian_of(
     function: Callable[[Tensor], Tensor], point: Float[Tensor, " coordinate"]
@@ -89,9 +95,9 @@ def value_and_jacobian_by_paths(
     """
     with torch.enable_grad():
         asked = directions.any(0).nonzero().flatten().tolist()  # only these have graphs
-        each_one = list(point.detach().clone().unbind())
-        free = {i: each_one[i].requires_grad_() for i in asked}
-        values = function(each_one)
+        coordinates = list(point.detach().clone().unbind())
+        free = {i: coordinates[i].requires_grad_() for i in asked}
+        values = function(coordinates)
         along = values.new_zeros(*values.shape, len(directions))
         if not (values.requires_grad and asked):
             return values.detach(), along
@@ -100,19 +106,24 @@ def value_and_jacobian_by_paths(
             values, list(free.values()), weights, create_graph=True, materialize_grads=True
         )
         gradient = dict(zip(free, gradients, strict=True))
-        for path in paths:
-            each = directions[list(path)]
-            mine = [i for i in each.any(0).nonzero().flatten().tolist() if gradient[i].requires_grad]
+
+        def along_path(path: Sequence[int]) -> Tensor | None:
+            along_each = directions[list(path)]
+            mine = [i for i in along_each.any(0).nonzero().flatten().tolist() if gradient[i].requires_grad]
             if not mine:
-                continue
+                return None
             (rows,) = torch.autograd.grad(
                 [gradient[i] for i in mine],
                 weights,
-                [each[:, i] for i in mine],
+                [along_each[:, i] for i in mine],
                 retain_graph=True,
                 is_grads_batched=True,
                 allow_unused=True,
             )
+            return rows
+
+        is_large = along.numel() >= LARGE
+        for path, rows in zip(paths, (each if is_large else map)(along_path, paths), strict=True):
             if rows is not None:
                 along[..., list(path)] = rows.movedim(0, -1)
     return values.detach(), along

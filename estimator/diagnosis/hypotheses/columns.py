@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import chain
 
 import torch
 
@@ -14,7 +15,9 @@ from estimator.diagnosis.structure.families import families
 from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects.circumstances import UNTIL
 from estimator.rig.rig import Cause
-from estimator.side_by_side import meanwhile
+from estimator.side_by_side import each, meanwhile
+
+TOGETHER = 200  # families that one core weighs at a time
 
 
 @dataclass(frozen=True)
@@ -57,7 +60,9 @@ class Columns:
         weight = fit.weight_over(self.fit)
         if bool(torch.isclose(weight, weight[:1], rtol=1e-12, atol=0.0).all()):
             return list(self.smooth)  # amplitudes are in units of the noise: a common weight changes nothing
-        return [family.weighed(weight) for family in self.smooth]
+        together = [self.smooth[first : first + TOGETHER] for first in range(0, len(self.smooth), TOGETHER)]
+        weighed = each(lambda some: [family.weighed(weight) for family in some], together)
+        return list(chain.from_iterable(weighed))
 
 
 def without_spells(pool: Sequence[Candidate]) -> list[Candidate]:

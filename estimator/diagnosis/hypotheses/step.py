@@ -31,7 +31,7 @@ from estimator.diagnosis.structure.scatter import Scatter
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.rig.rig import Cause
-from estimator.side_by_side import meanwhile
+from estimator.side_by_side import each, meanwhile
 
 Blocks = Int[np.ndarray, " reading"]
 
@@ -122,7 +122,7 @@ def take_step(
     hypotheses = [
         Hypothesis(None, "nothing", 0.0),
         Hypothesis(None, "unexplained", remainder.log_bayes_factor),
-        *(_cross_validated(fit, hypothesis, block) for hypothesis in causes),
+        *each(lambda hypothesis: _cross_validated(fit, hypothesis, block), causes),
     ]
     return _step_that_takes(with_probabilities(hypotheses, len(screened)), remainder, screened, least)
 
