@@ -16,7 +16,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig, resolution_T
 from estimator.effects.use import as_meant
-from estimator.inference.bounds import step_of_the_free
+from estimator.inference.bounds import Inside
 from estimator.inference.levenberg_marquardt import prior_gradient
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -74,7 +74,7 @@ def robust_values(fit: Fit) -> Mapping[str, Tensor]:
         residual, jacobian = residual / scale, jacobian / scale
         gradient = jacobian.T @ residual + prior_gradient(posterior.coordinates, vector)
         precision = jacobian.T @ jacobian + prior_precision
-        moved = vector + step_of_the_free(posterior.coordinates, vector, precision, gradient)
+        moved = vector + Inside(posterior.coordinates, vector).step_of_the_free(precision, gradient)
         if not bool(torch.isfinite(posterior.coordinates.log_prior(moved))):
             break
         vector, values = moved, posterior.coordinates.values(moved)

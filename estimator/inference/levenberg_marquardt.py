@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from estimator.inference.bounds import along_bounds
+from estimator.inference.bounds import Inside
 from estimator.inference.likelihood import DERIVATIVES_AT_ONCE, FirstOrder, LogPosterior
 from estimator.inference.positive_definite import diagonal_of, inner_products, solve
 from estimator.rig.coordinates import Coordinates
@@ -176,7 +176,7 @@ def _trial(
     trial_value = posterior(trial)
     is_bounded = torch.isinf(trial_value)
     for i in is_bounded.nonzero().flatten():
-        step[i] = along_bounds(posterior.coordinates, vector[i], damped[i], step[i])
+        step[i] = Inside(posterior.coordinates, vector[i]).along_bounds(damped[i], step[i])
         trial[i, :n] = vector[i, :n] + step[i]
         trial_value[i] = posterior.at(i)(trial[i])
     return step, trial, trial_value, is_bounded

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.inference.bounds import along_bounds, step_of_the_free
+from estimator.inference.bounds import Inside
 from estimator.inference.levenberg_marquardt import (
     BEHIND,
     LARGEST_DAMPING,
@@ -30,6 +30,7 @@ from estimator.inference.levenberg_marquardt import (
 )
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 from estimator.inference.positive_definite import diagonal_of, solve
+from estimator.rig.coordinates import Coordinates
 
 MANY_DIRECTIONS = 24  # of derivatives, from which on a Jacobian costs much more than a gradient
 PATIENCE = 3.0  # times the steps of `STALLED_AFTER` in which a climb must reach what is known at the pace of the last ones
@@ -76,7 +77,7 @@ def climb_with_secants(
     is_at_bound = False  # the density rises beyond a bound, but no step inside increases it
     is_stalled, before, at_stall = False, [at.value], -math.inf
     while True:
-        newton = step_of_the_free(posterior.coordinates, at.vector[0], model.precision[0], gradient[0])
+        newton = at.inside.step_of_the_free(model.precision[0], gradient[0])
         promised = float(gradient[0] @ newton)
         if at.value + BEHIND * 0.5 * promised < to_beat or _is_behind(before, to_beat):
             is_exact = False
@@ -140,14 +141,23 @@ class _Point:
 
     Attributes:
         vector: Coordinates, one row.
+        inside: The same, for steps inside the bounds of the prior.
         value: Log posterior density.
         is_outside: Whether the prior excludes it, or the model has no value there: then nothing is predicted.
         predicted_T, sigma_T: Predictions and noise.
     """
 
-    def __init__(self, vector: Tensor, log_density: Tensor, predicted_T: Tensor, sigma_T: Tensor) -> None:
+    def __init__(
+        self,
+        coordinates: Coordinates,
+        vector: Tensor,
+        log_density: Tensor,
+        predicted_T: Tensor,
+        sigma_T: Tensor,
+    ) -> None:
         self._log_density, self._free = log_density, vector
         self.vector, self.predicted_T, self.sigma_T = vector.detach(), predicted_T.detach(), sigma_T.detach()
+        self.inside = Inside(coordinates, self.vector[0])
         value = float(log_density.detach())
         self.is_outside = not math.isfinite(value)
         self.value = -math.inf if self.is_outside else value
@@ -160,11 +170,11 @@ class _Point:
         with torch.enable_grad():
             log_prior = coordinates.log_prior(free)
             if not math.isfinite(float(log_prior.detach())):
-                return cls(free, log_prior, nothing, nothing)
+                return cls(coordinates, free, log_prior, nothing, nothing)
             cheap = posterior.for_jacobian
             predicted_T, sigma_T = cheap.predicted(free), cheap.component_sigma_T(free)
             log_density = log_prior + cheap.log_likelihood_of(predicted_T, sigma_T, free)
-        return cls(free, log_density, predicted_T, sigma_T)
+        return cls(coordinates, free, log_density, predicted_T, sigma_T)
 
     def gradient(self) -> Tensor:
         """Exact gradient of the density. Its graph is used up."""
@@ -241,6 +251,6 @@ def _trial(
     there = after(step)
     is_bounded = there.is_outside
     if is_bounded:
-        step = along_bounds(posterior.coordinates, at.vector[0], damped[0], step[0])[None]
+        step = at.inside.along_bounds(damped[0], step[0])[None]
         there = after(step)
     return step, there, is_bounded

@@ -21,8 +21,11 @@ from estimator.rig.rig import Rig
 class LinearPosterior(LogPosterior):
     """The log posterior density where predictions are linear in the coordinates.
 
+    Attributes:
+        full: The density of the full model.
+
     Args:
-        posterior: The density, whose noise and priors stay.
+        posterior: That density, whose noise and priors stay.
         about: Coordinates of the point about which predictions are taken.
         predicted_T: Predictions there.
         jacobian_T: Their derivatives there.
@@ -36,6 +39,7 @@ class LinearPosterior(LogPosterior):
         jacobian_T: Float[Tensor, "component coordinate"],
     ) -> None:
         self.__dict__.update(posterior.__dict__)
+        self.full = posterior
         self._about, self._predicted_T, self._jacobian_T = about, predicted_T, jacobian_T
 
     def predicted(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
@@ -79,7 +83,7 @@ def linear_fit(fit: Fit, rig: Rig, columns_T: dict[str, Float[Tensor, " componen
 
 def density_in_full(fit: Fit) -> float:
     """Log posterior density of the full model at a fit, up to the constant of its rig."""
-    posterior = LogPosterior(fit.posterior.coordinates, fit.posterior.model, fit.observations)
+    posterior = fit.posterior.full if isinstance(fit.posterior, LinearPosterior) else fit.posterior
     with torch.no_grad():
         return float(posterior(fit.vector[None])[0])
 

@@ -7,7 +7,7 @@ import pytest
 import scipy.optimize
 import torch
 
-from estimator.inference.bounds import AT_A_BOUND, step_of_the_free
+from estimator.inference.bounds import AT_A_BOUND, Inside
 from estimator.inference.positive_definite import solve
 from estimator.rig.coordinates import Coordinates
 from estimator.rig_files.read import rig_from_text
@@ -46,9 +46,8 @@ def test_step_is_that_of_a_solver_for_the_coordinates_at_bounds(coordinates: Coo
         root.T @ root + np.diag(1.0 / scale**2),
         rng.normal(size=coordinates.n) * 5.0 / scale,
     )
-    step = step_of_the_free(
-        coordinates, coordinates.vector(by_name), torch.tensor(precision), torch.tensor(gradient)
-    )
+    inside = Inside(coordinates, coordinates.vector(by_name))
+    step = inside.step_of_the_free(torch.tensor(precision), torch.tensor(gradient))
 
     def loss(z: np.ndarray) -> float:
         return float(0.5 * (z * scale) @ precision @ (z * scale) - gradient @ (z * scale))
@@ -66,7 +65,7 @@ def test_step_is_that_of_a_solver_for_the_coordinates_at_bounds(coordinates: Coo
 def test_inside_it_is_newtons_step(coordinates: Coordinates) -> None:
     precision = torch.diag(coordinates.scale**-2)
     gradient = 3.0 / coordinates.scale
-    step = step_of_the_free(coordinates, coordinates.start(), precision, gradient)
+    step = Inside(coordinates, coordinates.start()).step_of_the_free(precision, gradient)
     assert torch.equal(step, solve(precision, gradient))
 
 
@@ -77,6 +76,6 @@ def test_next_to_a_bound_it_is_free(coordinates: Coordinates) -> None:
     steps = []
     for share in (0.5, 2.0):
         vector[column] = 1e-3 - share * AT_A_BOUND * 2e-3
-        steps.append(float(step_of_the_free(coordinates, vector, precision, gradient)[column]))
+        steps.append(float(Inside(coordinates, vector).step_of_the_free(precision, gradient)[column]))
     assert steps[0] == pytest.approx(0.0, abs=1e-12)
     assert steps[1] > 1e-3
