@@ -232,13 +232,13 @@ def _found(
     if refusal is not None:
         base = refit_outside(base, refusal)
     tell("searching for causes")
-    found = _searched(base, mistakes, limits, tell, on_progress)
-    if mistakes and _are_doubtful(mistakes, found.search):
+    with_record_put_right = _searched(base, mistakes, limits, tell, on_progress)
+    if mistakes and _are_doubtful(mistakes, with_record_put_right.search):
         if refusal is not None:
             raise refusal
         tell("the mistakes of the record are doubtful: searching again with the record as it is")
         return _searched(plain, [], limits, tell, on_progress)
-    return found
+    return with_record_put_right
 
 
 def _searched(

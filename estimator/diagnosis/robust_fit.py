@@ -22,6 +22,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.split import spread
 
+STEPS_FOR_A_FIT = 2  # with the slopes of another place, which come as near as a new fit
 SD_OF_MEDIAN = 1.4826  # standard deviation over median size, of normal errors
 
 
@@ -61,7 +62,7 @@ def robust_values(fit: Fit) -> Mapping[str, Tensor]:
     reading = posterior.measured_components(torch.arange(len(observations))[:, None].expand(-1, 3))
     prior_precision = (fit.optimum.precision - fit.optimum.information)[0]
     vector, values = fit.vector, fit.values
-    for trimming in range(policy.MOST_TRIMMINGS):
+    for trimming in range(STEPS_FOR_A_FIT * policy.MOST_TRIMMINGS):
         field_T = predict_T(fit, values, observations)
         is_near = _are_near(field_T, observations, may_fit, trimming)
         if is_near is None:

@@ -100,6 +100,7 @@ def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
         device=options.device,
         on_stage=tell,
     )
+    tell("diagnosed; writing the report")
     write_text(
         out / data_set.name / REPORT,
         diagnosis_report(diagnosis, f"python -m scripts.studies.diagnose_real {data_set.name}"),

@@ -11,6 +11,7 @@ import torch
 
 from estimator import Rig, diagnose, load_rig
 from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.hypotheses.columns import Columns
 from estimator.diagnosis.hypotheses.search import search
 from estimator.diagnosis.limits import Limits
 from estimator.model.measurement_model import MeasurementModel
@@ -41,7 +42,7 @@ def test_the_simulations_own_mistake_is_named_and_taken_back() -> None:
     rig = load_rig(CONFIGS / "paper_twin.yaml")
     readings = few_readings_of_nature(rig)
     literal = fit_rig(rig, readings, {}, MeasurementModel.build(rig, readings).rules)
-    found = search(literal, lambda words: None, Limits())
+    found = search(Columns.at(literal, Limits()), lambda words: None, Limits())
     assert found.final.rig.effects == (SPHERICAL,)
     weight = "spherical_sum[coil1].weight"
     assert float(found.final.values[weight]) == pytest.approx(-1.0, abs=2.5 * found.final.value_sd(weight))

@@ -32,6 +32,7 @@ from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause, Rig
+from estimator.side_by_side import each
 
 
 def at_several_places(fit: Fit, pool: Sequence[Candidate]) -> Fit | None:
@@ -213,8 +214,8 @@ def comparison_steps(
         if cause not in causes
     }
     curve_beside = max(discrepancy(fit, smooth, of_curves).log_bayes_factor, 0.0)
-    steps = []
-    for cause in causes:
+
+    def compared(cause: Cause) -> Step:
         without, others, shift, growth = _without(fit, cause)
         smaller = [(some, p.without(others, shift, growth, are_whitened=True)) for some, p in of_causes]
         screened = screening(without, asked, smaller)
@@ -233,8 +234,9 @@ def comparison_steps(
         ]
         ranked = with_probabilities(hypotheses, len(screened))
         ranked_causes = [hypothesis for hypothesis in ranked if hypothesis.cause is not None]
-        steps.append(Step(tuple(ranked), cause, credible_set(ranked_causes, cause), curve))
-    return steps
+        return Step(tuple(ranked), cause, credible_set(ranked_causes, cause), curve)
+
+    return list(each(compared, causes))
 
 
 def _without(fit: Fit, cause: Cause) -> tuple[Fit, list[int], Tensor, float]:

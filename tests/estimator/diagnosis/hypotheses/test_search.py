@@ -10,9 +10,11 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses import search
-from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.columns import Columns
 from estimator.diagnosis.hypotheses.step import take_step
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.progress import unwatched
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
 from estimator.rig.rig import Cause, Rig
@@ -25,6 +27,11 @@ from tests.hidden.session import draw_session
 pytestmark = pytest.mark.whole
 
 GAIN, OFFSET = Cause("axis_gain", "hall"), Cause("sensor_offset", "hall")
+
+
+def searched(fit, limits=None, tell=lambda words: None, on_progress=unwatched):
+    limits = limits or Limits()
+    return search.search(Columns.at(fit, limits), tell, limits, on_progress)
 
 
 @pytest.fixture(scope="module")
@@ -55,9 +62,10 @@ def test_a_step_of_the_search_is_given_weighed_columns(noisy_and_quiet, monkeypa
 
     monkeypatch.setattr(search, "take_step", spy)
     smooth = families(noisy)
-    search._SearchState(noisy, pool, smooth, lambda words: None, Limits()).step(quiet)
-    ((columns,), curves) = given[0]
-    torch.testing.assert_close(columns.columns, 4.0 * pool[0].columns)
+    columns = Columns(noisy, causes_of(noisy.rig, noisy), pool, smooth)
+    search._SearchState(columns, lambda words: None, Limits()).step(quiet)
+    ((candidate,), curves) = given[0]
+    torch.testing.assert_close(candidate.columns, 4.0 * pool[0].columns)
     for before, after in zip(smooth, curves, strict=True):  # amplitudes stay in units of the noise
         torch.testing.assert_close(after.columns, before.columns)
 
@@ -75,7 +83,7 @@ def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
     readings = with_wrong(rig, readings, GAIN, {"x": 0.1})
     told = []
-    result = search.search(fit_of(small_rig, readings.calibration), told.append, Limits(most_causes=1))
+    result = searched(fit_of(small_rig, readings.calibration), Limits(most_causes=1), told.append)
     taken = [step.taken for step in result.steps]
     assert taken[-1] is None
     assert tuple(taken[:-1]) == result.final.rig.effects
@@ -87,7 +95,7 @@ def test_a_search_ends_at_the_most_causes_with_a_step_that_takes_nothing(
 def test_a_search_without_time_takes_nothing_and_says_why(small_rig, small_session, small_truth):
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration
-    result = search.search(fit_of(small_rig, readings), lambda words: None, Limits(minutes=0.0))
+    result = searched(fit_of(small_rig, readings), Limits(minutes=0.0))
     assert result.final.rig.effects == ()
     assert all(hypothesis.fit is None for hypothesis in result.steps[-1].hypotheses if hypothesis.cause)
     assert result.ended_early == "its time of 0 min was over"
@@ -98,8 +106,8 @@ def test_noise_ends_the_search_of_a_pile(small_rig, small_session, small_truth, 
     """It is asked where no other cause suffices, and with more noise fewer do: the last step fits nothing, and says what is left."""
     rig = small_rig.with_values(small_truth)
     fit = fit_of(small_rig, with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration)
-    pool = candidates(fit, [OFFSET, GAIN])
-    state = search._SearchState(fit, pool, families(fit), lambda words: None, Limits())
+    columns = Columns(fit, causes_of(fit.rig, fit), candidates(fit, [OFFSET, GAIN]), families(fit))
+    state = search._SearchState(columns, lambda words: None, Limits())
     noise = search._alone_in_step(Cause("outliers", "hall"), 20.0, fit)
     state.steps = [noise]
     assert state.step(fit).taken == OFFSET
@@ -116,9 +124,7 @@ def test_a_step_counts_its_fits_and_never_promises_too_few(small_rig, small_sess
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration
     told = []
-    result = search.search(
-        fit_of(small_rig, readings), lambda words: None, Limits(most_causes=0), told.append
-    )
+    result = searched(fit_of(small_rig, readings), Limits(most_causes=0), on_progress=told.append)
     (step,) = result.steps
     n_fitted = sum(hypothesis.fit is not None for hypothesis in step.hypotheses)
     assert n_fitted > 1
@@ -138,7 +144,7 @@ def test_a_search_ends_with_the_same_sets_whether_or_not_quiet_causes_are_fitted
     fit = fit_of(small_rig, readings)
 
     def outcome():
-        found = search.search(fit, lambda words: None, Limits())
+        found = searched(fit)
         sets = [(step.taken, {one.name for one in step.credible}) for step in found.steps]
         n_fitted = sum(one.fit is not None for step in found.steps for one in step.hypotheses)
         return (sets, found.final.rig.effects), n_fitted
@@ -150,16 +156,16 @@ def test_a_search_ends_with_the_same_sets_whether_or_not_quiet_causes_are_fitted
     assert n_spared < n_everything
 
 
-def searched(causes: tuple[str, ...], sigma: float, folder: Path) -> search.Search:
+def searched_session(causes: tuple[str, ...], sigma: float, folder: Path) -> search.Search:
     """Search of a session of one sensor with hidden causes, by independent code."""
     draw_session(150_010, causes, sigma, "paper").write(folder)
     session = read_readings_csv(folder / "readings.csv", load_rig(folder / "rig.yaml"))
-    return search.search(fit_of(session.rig, session.observations.calibration), lambda words: None, Limits())
+    return searched(fit_of(session.rig, session.observations.calibration))
 
 
 def test_two_causes_take_the_place_of_one_with_many_numbers(tmp_path: Path) -> None:
     """An exchanged sensor has gains and zeros of its own from an instant on: for a drift and a wrong gain it is the best single cause."""
-    found = searched(("background_drift", "element_displacement"), 8.0, tmp_path)
+    found = searched_session(("background_drift", "element_displacement"), 8.0, tmp_path)
     assert "sensor_exchanged" in {cause.name for cause in found.dropped}
     sets = [{one.name.partition("[")[0] for one in step.credible} for step in found.steps if step.taken]
     assert len(sets) == 2
@@ -169,5 +175,5 @@ def test_two_causes_take_the_place_of_one_with_many_numbers(tmp_path: Path) -> N
 
 @pytest.mark.slow
 def test_one_cause_with_many_numbers_keeps_its_place_where_it_is_the_truth(tmp_path: Path) -> None:
-    found = searched(("sensor_exchanged",), 20.0, tmp_path)
+    found = searched_session(("sensor_exchanged",), 20.0, tmp_path)
     assert [cause.name for cause in found.final.rig.effects] == ["sensor_exchanged"]

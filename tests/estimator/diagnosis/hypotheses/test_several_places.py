@@ -14,6 +14,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses import several_places
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.columns import Columns
 from estimator.diagnosis.hypotheses.screening import in_full, screening
 from estimator.diagnosis.hypotheses.search import _SearchState, search
 from estimator.diagnosis.hypotheses.search_record import Addition
@@ -153,12 +154,25 @@ def test_what_is_there_beside_a_cause_is_no_rival_of_it(rig, readings):
 def test_a_search_takes_them_in_one_go(base, monkeypatch):
     monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", 0)  # each is not asked again
     told: list[str] = []
-    result = search(base, told.append, Limits())
+    result = search(Columns.at(base, Limits()), told.append, Limits())
     assert set(result.final.rig.effects) == WITH_IT
     assert [step.taken for step in result.steps[:-1]] == list(result.final.rig.effects)
     assert [set(addition.causes) for addition in result.additions] == [WITH_IT]
     assert result.additions[0].fit.log_evidence > base.log_evidence + 100.0
     assert any(words.startswith("taking ") and "," in words for words in told)
+
+
+def test_a_search_says_the_same_on_one_core_and_on_several(base, monkeypatch):
+    found = []
+    for n_cores in (1, 3):
+        monkeypatch.setattr("estimator.side_by_side.n_cores", lambda n_cores=n_cores: n_cores)
+        found.append(search(Columns.at(base, Limits()), lambda words: None, Limits()))
+    one, several = found
+    assert several.final.rig == one.final.rig
+    for first, second in zip(one.steps, several.steps, strict=True):
+        assert [h.name for h in second.hypotheses] == [h.name for h in first.hypotheses]
+        values = [h.log_bayes_factor for h in first.hypotheses]
+        assert [h.log_bayes_factor for h in second.hypotheses] == pytest.approx(values, rel=1e-6, abs=1e-6)
 
 
 def test_those_taken_together_are_all_compared_at_the_end_and_one_of_them_before(base, monkeypatch):
@@ -171,7 +185,7 @@ def test_those_taken_together_are_all_compared_at_the_end_and_one_of_them_before
         return comparison_steps(fit, causes, *others)
 
     monkeypatch.setattr("estimator.diagnosis.hypotheses.search.comparison_steps", spy)
-    result = search(base, lambda words: None, Limits())
+    result = search(Columns.at(base, Limits()), lambda words: None, Limits())
     first = result.final.rig.effects[0]
     assert compared == [[first], list(result.final.rig.effects)]
     assert all(step.discrepancy is not None for step in result.steps)
@@ -190,13 +204,12 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
         readings = with_wrong(rig, readings, cause, {"x_at_z_m": 2e-3, "z_at_z_m": -2e-3, "y_at_x_m": 2e-3})
     base = fit_of(rig, readings)
     asked = [c for c in causes_of(rig, base) if c.name in ("element_displacement", "sensor_misplaced")]
-    state = _SearchState(
-        base, candidates(base, asked), families(base), lambda words: None, Limits(most_causes=10)
-    )
+    columns = Columns(base, causes_of(rig, base), candidates(base, asked), families(base))
+    state = _SearchState(columns, lambda words: None, Limits(most_causes=10))
     fit = fit_of(rig, readings, *apart)
     state.additions.append(Addition(tuple(apart), fit))
-    early = [c for c in state.pool if c.cause != misplaced]
-    state.steps += comparison_steps(fit, apart, early, state.smooth)
+    early = [c for c in columns.pool if c.cause != misplaced]
+    state.steps += comparison_steps(fit, apart, early, columns.smooth)
     assert [step.credible[0].cause for step in state.steps] == apart
     state.compare_again(fit, apart)
     assert [step.taken for step in state.steps] == apart
@@ -205,11 +218,12 @@ def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_th
 
 def test_of_those_taken_together_one_that_is_not_needed_beside_the_others_goes(base, readings, rig, pool):
     """The comparison is dropped too; one that takes the cause again later is new."""
-    state = _SearchState(base, pool, families(base), lambda words: None, Limits(most_causes=10))
+    columns = Columns(base, causes_of(rig, base), pool, families(base))
+    state = _SearchState(columns, lambda words: None, Limits(most_causes=10))
     taken = list(OFFSET.values())
     fit = fit_of(rig, readings, *taken)
     state.additions.append(Addition(tuple(taken), fit))
-    state.steps += comparison_steps(fit, taken, pool, state.smooth)
+    state.steps += comparison_steps(fit, taken, pool, columns.smooth)
     fewer = state.revisited(fit)
     assert set(fewer.rig.effects) == WITH_IT
     assert {step.taken for step in state.steps} == WITH_IT

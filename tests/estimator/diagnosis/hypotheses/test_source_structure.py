@@ -6,7 +6,8 @@ import pytest
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses import source_structure
-from estimator.diagnosis.hypotheses.candidates import candidates
+from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.columns import Columns
 from estimator.diagnosis.hypotheses.search import _SearchState
 from estimator.diagnosis.hypotheses.search_record import Addition
 from estimator.diagnosis.hypotheses.source_structure import (
@@ -74,7 +75,8 @@ def search_of_imitation(
     readings = with_wrong(rig, readings, OFFSET, {"x_T": 100e-6}).calibration
     base = fit_of(small_rig, readings)
     pool = candidates(base, [CORE, OVAL, *PILE])
-    state = _SearchState(base, pool, families(base), lambda words: None, Limits())
+    columns = Columns(base, causes_of(small_rig, base), pool, families(base))
+    state = _SearchState(columns, lambda words: None, Limits())
     pile = fit_of(small_rig, readings, *PILE)
     state.additions = [Addition(PILE, pile)]
     return state, pile

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.columns import Columns
 from estimator.diagnosis.hypotheses.search import search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
@@ -69,5 +70,5 @@ def test_outliers_stand_only_where_wild_readings_lie_anywhere():
 
 def test_a_session_with_a_burst_is_unexplained():
     n = len(plain_fit().observations)
-    found = search(with_more(in_a_burst(n)), lambda words: None, Limits())
+    found = search(Columns.at(with_more(in_a_burst(n)), Limits()), lambda words: None, Limits())
     assert verdict_of(found, named_causes(found, found.added)) is Verdict.UNEXPLAINED
