@@ -20,14 +20,19 @@ import torch
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
+MOST_CORES = (
+    4  # between two operations Python lets one thread run at a time, so that many threads wait for each other
+)
+
 _is_inside: ContextVar[bool] = ContextVar("_is_inside", default=False)
 
 
 def n_cores() -> int:
-    """Number of cores that pieces of a calculation may run on."""
+    """Number of cores that pieces of a calculation run on: a few of those that this process may use."""
     if multiprocessing.parent_process() is not None:
         return 1
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(allowed, MOST_CORES)
 
 
 def each(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:

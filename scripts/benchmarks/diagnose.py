@@ -26,7 +26,9 @@ HIDDEN = (
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--threads", type=int, default=2)
+    parser.add_argument(
+        "--threads", type=int, default=1, help="of one operation; pieces run on all cores anyway"
+    )
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     rig = load_rig(CONFIGS / "paper_simulation.yaml")
