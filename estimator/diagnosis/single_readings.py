@@ -1,61 +1,28 @@
 """Readings that were recorded otherwise than they were measured, found one by one by what the fit of the others predicts for them.
 
-A reading is flagged where it misses by far and one of few mistakes makes it fit: reversed, in another unit, two axes exchanged, of another
-sensor, of a neighbouring row, or with a current that was off or reversed. The fit they are compared with is robust (`robust_fit`). Nothing
-is flagged unless those mistakes explain most of what misses by far: else it is the model that is wrong.
+A reading is flagged where it misses by far and one of few mistakes (`row_mistakes`) makes it fit. The fit they are compared with is robust
+(`robust_fit`). Nothing is flagged unless those mistakes explain most of what misses by far: else it is the model that is wrong.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.robust_fit import misses, predict_T, robust_fit, size_of_errors_T
-from estimator.readings.flags import Flag, Reason, in_time
+from estimator.diagnosis.row_mistakes import OF_ANOTHER_ROW, ROWS_BESIDE, Mistake, mistakes_of
+from estimator.readings.flags import Flag, Reason
 from estimator.readings.observations import Observations
 
-FACTORS = {
-    0.0: "is zero",
-    -1.0: "is reversed",
-    10.0: "is ten times too large",
-    0.1: "is ten times too small",
-    100.0: "is a hundred times too large",
-    0.01: "is a hundred times too small",
-    1000.0: "is a thousand times too large",
-    1e-3: "is a thousand times too small",
-}
-OF_ANOTHER_ROW = "holds the field of the reading"
+MOST_ALTERNATIVES = 2  # mistakes that explain readings as well as the first does, listed beside it
 FEW_NEIGHBOURS = 2  # rows that readings were exchanged with, listed one by one
-ROWS_BESIDE = 8  # how many rows away a field may have been written down
-
-
-@dataclass(frozen=True)
-class Mistake:
-    """One way to write readings down wrongly.
-
-    Attributes:
-        words: What it does to them, as a clause.
-        component: Index of the component that it concerns; None where it concerns all three.
-        expected_T: Each reading as this mistake would have it, in the frame of its sensor; NaN where it cannot have been made.
-        magnifies: Factor by which it makes errors of the readings larger.
-        is_exact: Whether it repeats recorded digits, so that it fits exactly or not at all.
-        is_reversal: Whether it reverses a current, or all that a sensor reads.
-    """
-
-    words: str
-    component: int | None
-    expected_T: Float[Tensor, "reading 3"]
-    magnifies: float = 1.0
-    is_exact: bool = False
-    is_reversal: bool = False
 
 
 class Suspects(NamedTuple):
@@ -106,17 +73,16 @@ def suspects_beside(fit: Fit, values: Mapping[str, Tensor], observations: Observ
     is_far = misses(measured_T, predicted_T, size_T) > policy.FAR_FROM_EXPECTED
     if not bool(is_far.any()):
         return Suspects([], False)
-    mistakes = [
-        *_of_what_was_expected(observations, predicted_T),
-        *_of_other_currents(fit, values, observations, is_far, size_T),
-        *_of_other_readings(fit, observations, predicted_T),
-    ]
+    mistakes = mistakes_of(fit, values, observations, predicted_T, size_T, is_far)
     explained = torch.stack([is_far & _explains(m, measured_T, predicted_T, size_T) for m in mistakes])
     left, is_flagged = is_far.clone(), torch.zeros_like(is_far)
     flags, may_be_causes = list[Flag](), False
     while bool((explained & left).any()):
         number = int((explained & left).sum(dim=1).argmax())
         mistake, is_clear = mistakes[number], explained[number] & left
+        words = _words(
+            mistake, [m for m, fits in zip(mistakes, explained, strict=True) if fits[is_clear].all()]
+        )
         for sensor in observations.sensor[is_clear].unique().tolist():
             is_own = (observations.sensor == sensor) & ~is_flagged
             also = _of_the_same(is_clear & is_own, mistake, measured_T, predicted_T, size_T)
@@ -124,12 +90,23 @@ def suspects_beside(fit: Fit, values: Mapping[str, Tensor], observations: Observ
             is_flagged, left = is_flagged | is_its, left & ~is_its
             reason = Reason.HELD if mistake.is_exact else Reason.OTHERWISE
             readings = is_its.nonzero().flatten().tolist()
-            flags.append(Flag.of(observations, reason, mistake.words, mistake.component, readings))
+            flags.append(Flag.of(observations, reason, words, mistake.component, readings))
             would_show = misses(predicted_T, mistake.expected_T, size_T) > policy.FAR_FROM_EXPECTED
             is_without = would_show & (observations.sensor == sensor) & ~is_its
             may_be_causes |= _may_be_cause(mistake, observations.time_s, is_its, is_without)
     is_most = float(left.sum()) <= (1.0 - policy.LEAST_EXPLAINED_OF_FAR) * float(is_far.sum())
     return Suspects(_in_few_words(observations, flags) if is_most else [], may_be_causes)
+
+
+def _words(mistake: Mistake, alike: Sequence[Mistake]) -> str:
+    """A mistake in words, and others that explain the same readings: symmetry makes a wrong sign of a field and of a place look alike.
+
+    Args:
+        mistake: The mistake.
+        alike: Those that explain these readings, itself included.
+    """
+    others = [other.words for other in alike if other.component in (None, mistake.component)]
+    return ", or ".join(dict.fromkeys((mistake.words, *others[: MOST_ALTERNATIVES + 1])))
 
 
 def _in_few_words(observations: Observations, flags: Sequence[Flag]) -> list[Flag]:
@@ -206,102 +183,3 @@ def _of_the_same(
     is_better = (by_mistake < as_recorded) & (by_mistake < mistake.magnifies * policy.NEAR_TO_EXPECTED)
     is_better &= ~mistake.expected_T.isnan().any(dim=1)
     return is_better & (is_between | (as_recorded > policy.NEAR_TO_EXPECTED))
-
-
-def _of_what_was_expected(
-    observations: Observations, predicted_T: Float[Tensor, "reading 3"]
-) -> Iterator[Mistake]:
-    """Mistakes that follow from what is expected of all readings, those of one component first."""
-    before = _beside(observations, 1)
-    for axis in range(3):
-        for factor, words in FACTORS.items():
-            expected_T = predicted_T.clone()
-            expected_T[:, axis] *= factor
-            yield Mistake(words, axis, expected_T, max(abs(factor), 1.0))
-        held_T = predicted_T.clone()
-        held_T[:, axis] = torch.where(before >= 0, observations.field_sensor_T[before, axis], torch.nan)
-        yield Mistake("repeats the reading before to the last digit", axis, held_T, is_exact=True)
-    for factor, words in FACTORS.items():
-        yield Mistake(words, None, factor * predicted_T, max(abs(factor), 1.0), is_reversal=factor == -1.0)
-    for first, second in ((0, 1), (0, 2), (1, 2)):
-        order = [0, 1, 2]
-        order[first], order[second] = second, first
-        yield Mistake(f"has {'xyz'[first]} and {'xyz'[second]} exchanged", None, predicted_T[:, order])
-
-
-def _of_other_currents(
-    fit: Fit,
-    values: Mapping[str, Tensor],
-    observations: Observations,
-    is_far: Bool[Tensor, " reading"],
-    size_T: Float[Tensor, " reading"],
-) -> Iterator[Mistake]:
-    """Fields of other currents than recorded, of those that make one of the readings fit that miss by far."""
-    far = observations.rows(is_far)
-    for words, real_of_recorded, is_reversal in _other_currents([coil.name for coil in fit.rig.coils]):
-        expected_T = predict_T(fit, values, _driven(far, real_of_recorded))
-        if not bool((misses(far.field_sensor_T, expected_T, size_T[is_far]) < policy.NEAR_TO_EXPECTED).any()):
-            continue
-        yield Mistake(
-            words,
-            None,
-            predict_T(fit, values, _driven(observations, real_of_recorded)),
-            is_reversal=is_reversal,
-        )
-
-
-def _driven(observations: Observations, real_of_recorded: Float[Tensor, "coil coil"]) -> Observations:
-    """The readings with other currents than recorded."""
-    return replace(
-        observations, current_A=observations.current_A @ real_of_recorded.to(observations.current_A)
-    )
-
-
-def _other_currents(coils: Sequence[str]) -> Iterator[tuple[str, Float[Tensor, "coil coil"], bool]]:
-    """The current of one coil off or reversed, those of two coils exchanged: in words, as a matrix, whether it is a reversal."""
-    as_recorded = torch.eye(len(coils), dtype=torch.float64)
-    for index, name in enumerate(coils):
-        for factor, state in ((-1.0, "reversed"), (0.0, "off")):
-            matrix = as_recorded.clone()
-            matrix[index, index] = factor
-            yield f"fits a current of {name} that was {state}", matrix, factor == -1.0
-    for first, second in combinations(range(len(coils)), 2):
-        matrix = as_recorded.clone()
-        matrix[[first, second]] = matrix[[second, first]]
-        yield f"fits currents of {coils[first]} and {coils[second]} exchanged", matrix, False
-
-
-def _of_other_readings(
-    fit: Fit, observations: Observations, predicted_T: Float[Tensor, "reading 3"]
-) -> Iterator[Mistake]:
-    """Fields of the reading some rows before or after, and of another sensor at the same time."""
-    for rows in sorted((*range(-ROWS_BESIDE, 0), *range(1, ROWS_BESIDE + 1)), key=abs):
-        other = _beside(observations, rows)
-        expected_T = predicted_T[other].masked_fill((other < 0)[:, None], torch.nan)
-        way = "before" if rows > 0 else "after"
-        words = f"{OF_ANOTHER_ROW} {abs(rows)} {'row' if abs(rows) == 1 else 'rows'} {way}"
-        yield Mistake(words, None, expected_T)
-    for index, sensor in enumerate(fit.rig.sensors):
-        order = in_time(observations, index)
-        if not 0 < len(order) < len(observations):
-            continue
-        times_s = observations.time_s[order].contiguous()
-        after = torch.searchsorted(times_s, observations.time_s.contiguous()).clamp(max=len(order) - 1)
-        earlier = (after - 1).clamp(min=0)
-        is_earlier = (observations.time_s - times_s[earlier]).abs() < (
-            observations.time_s - times_s[after]
-        ).abs()
-        expected_T = predicted_T[order[torch.where(is_earlier, earlier, after)]]
-        is_own = (observations.sensor == index)[:, None]
-        yield Mistake(f"holds the field of {sensor.name}", None, expected_T.masked_fill(is_own, torch.nan))
-
-
-def _beside(observations: Observations, rows: int) -> Int[Tensor, " reading"]:
-    """For each reading the number of that of the same sensor some rows before; -1 where there is none."""
-    other = torch.full_like(observations.sensor, -1)
-    for sensor in observations.sensor.unique():
-        own = in_time(observations, int(sensor))
-        place = torch.arange(len(own), device=own.device) - rows
-        is_there = (place >= 0) & (place < len(own))
-        other[own[is_there]] = own[place[is_there]]
-    return other

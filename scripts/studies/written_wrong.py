@@ -1,4 +1,4 @@
-"""Fields that were written down wrongly in some rows: which rows are flagged, and which are flagged though they are right.
+"""Fields and places that were written down wrongly in some rows: which rows are flagged, and which are flagged though they are right.
 
 Kinds of `tests/hidden/written_wrong.py` spoil sessions in which nothing else is wrong; the kinds `clean`, `single`, `discrete`,
 `outside`, `unknown30` and `unforeseen30` are sessions of the other studies, in which no single row is wrong. Here a fit is asked in every
@@ -24,6 +24,7 @@ from estimator import load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
+from estimator.diagnosis.robust_fit import predict_T
 from estimator.diagnosis.single_readings import suspects_of
 from estimator.effects import EFFECTS
 from estimator.readings.digits import flags_of_digits
@@ -37,7 +38,7 @@ from scripts.studies.real_data import DATA_SETS
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.session import draw_session
 from tests.hidden.study import PROTOCOLS, draw_case
-from tests.hidden.written_wrong import KINDS, written
+from tests.hidden.written_wrong import KINDS, PLACES, placed, written
 
 RIGHT_KINDS = ("clean", "single", "discrete", "outside", "unknown30", "unforeseen30")
 CLEAR_SIGMA = 20.0  # of the noise by which a wrong row differs clearly from what was measured
@@ -52,7 +53,7 @@ def main() -> None:
     seeds = range(options.first_seed, options.first_seed + options.cases)
     print("kind           sessions  clearly wrong rows, flagged  flagged whole  right rows flagged")
     with multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool:
-        for kind in (*KINDS, *RIGHT_KINDS):
+        for kind in (*KINDS, *PLACES, *RIGHT_KINDS):
             cases = pool.map(partial(run_case, kind), seeds, chunksize=1)
             clear = [case for case in cases if case.clear]
             found = f"{sum(case.found for case in clear)} of {sum(case.clear for case in clear)}"
@@ -83,7 +84,8 @@ def run_case(kind: str, seed: int) -> Case:
     hidden = draw_session(seed, None, protocol=PROTOCOLS[seed % 2])
     session = _imported(hidden)
     sigma_T = float(hidden.scene.noise_T[0])
-    observations, wrong, clear = _spoilt(kind, session.observations, sigma_T, seed)
+    spoil = _misplaced if kind in PLACES else _spoilt
+    observations, wrong, clear = spoil(kind, session, sigma_T, seed)
     flagged = _flagged(replace(session, observations=observations))
     return Case(len(clear), len(clear & flagged), len(flagged - wrong))
 
@@ -95,9 +97,10 @@ def _imported(hidden: HiddenSession) -> Session:
 
 
 def _spoilt(
-    kind: str, observations: Observations, sigma_T: float, seed: int
+    kind: str, session: Session, sigma_T: float, seed: int
 ) -> tuple[Observations, set[int], set[int]]:
     """Readings of the first sensor written down wrongly; numbers of the wrong ones, and of those that are clearly so."""
+    observations = session.observations
     own = np.flatnonzero(observations.sensor.numpy() == 0)
     field_T = observations.field_sensor_T.numpy().copy()
     measured_T = field_T[own].copy()
@@ -107,6 +110,22 @@ def _spoilt(
     clear = own[np.intersect1d(made.wrong, np.flatnonzero(is_clear))]
     spoilt = observations.with_field(torch.from_numpy(field_T))
     return spoilt, set(own[made.wrong].tolist()), set(clear.tolist())
+
+
+def _misplaced(
+    kind: str, session: Session, sigma_T: float, seed: int
+) -> tuple[Observations, set[int], set[int]]:
+    """Places written down wrongly; numbers of the wrong rows, and of those where a fit to the right ones expects clearly another field."""
+    right = session.observations
+    motion = right.motion["arm1"].clone()
+    made = placed(kind, motion[:, :3].numpy(), np.random.default_rng([18, seed]))
+    motion[:, :3] = torch.from_numpy(made.place_m)
+    spoilt = replace(right, motion={**right.motion, "arm1": motion})
+    rules, _ = rules_and_refusal(session.rig, right)
+    fit = fit_rig(session.rig, right.calibration, {}, rules)
+    off_T = (predict_T(fit, fit.values, spoilt) - right.field_sensor_T).abs().amax(dim=1)
+    wrong = set(made.wrong.tolist())
+    return spoilt, wrong, wrong & set((off_T > CLEAR_SIGMA * sigma_T).nonzero().flatten().tolist())
 
 
 def _flagged(session: Session) -> set[int]:

@@ -1,4 +1,4 @@
-"""Fields that were written down otherwise than the instrument showed them, in some rows: by spreadsheets, loggers, operators, registers.
+"""Fields and places that were written down otherwise than they were, in some rows: by spreadsheets, loggers, operators, registers.
 
 The rows are changed after everything else, noise included, so what is right in them stays as it was measured.
 """
@@ -88,6 +88,46 @@ def _neighbour_row(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, R
     return field_T, rows
 
 
+class Placed(NamedTuple):
+    """Places as they were written down, and the rows in which the sensor stood elsewhere."""
+
+    place_m: Fields
+    wrong: Rows
+
+
+def placed(kind: str, place_m: Fields, rng: np.random.Generator) -> Placed:
+    """A laboratory's table with one mistake in the columns of the places, in m."""
+    changed, rows = PLACES[kind](place_m.copy(), rng)
+    return Placed(changed, rows[np.abs(changed - place_m)[rows].max(axis=1) > 0.0])
+
+
+def _minus_lost(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """One coordinate is typed without its sign, or with the wrong one, in some rows."""
+    axis, rows = int(rng.integers(3)), _some(len(place_m), rng)
+    place_m[rows, axis] *= -1.0
+    return place_m, rows
+
+
+def _decimal_point(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """The decimal point of one coordinate is one place off in some rows."""
+    axis, rows = int(rng.integers(3)), _some(len(place_m), rng)
+    place_m[rows, axis] *= rng.choice([0.1, 10.0])
+    return place_m, rows
+
+
+def _other_order(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """Two coordinates are typed in the other order for a while."""
+    first, second = rng.choice(3, size=2, replace=False)
+    rows = _a_while(len(place_m), rng)
+    place_m[rows[:, None], [first, second]] = place_m[rows[:, None], [second, first]]
+    return place_m, rows
+
+
+def _some(n: int, rng: np.random.Generator) -> Rows:
+    """One in thirty to one in seven rows, all over the session."""
+    return np.flatnonzero(rng.random(n) < rng.uniform(0.03, 0.15))
+
+
 def _a_while(n: int, rng: np.random.Generator) -> Rows:
     """A tenth to a quarter of the session."""
     length = int(rng.uniform(0.1, 0.25) * n)
@@ -103,4 +143,10 @@ KINDS: dict[str, Callable[[Fields, np.random.Generator], tuple[Fields, Rows]]] =
     "unsigned": _unsigned,
     "columns": _columns,
     "neighbour_row": _neighbour_row,
+}
+
+PLACES: dict[str, Callable[[Fields, np.random.Generator], tuple[Fields, Rows]]] = {
+    "minus_lost": _minus_lost,
+    "decimal_point": _decimal_point,
+    "other_order": _other_order,
 }

@@ -1,0 +1,218 @@
+"""Ways to write a row of a table down wrongly, each with the fields that rows would then hold.
+
+A field may be reversed, in another unit, with two axes exchanged, of another sensor or of a neighbouring row; or it was measured with
+another current or at another place than the row says.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.robust_fit import misses, predict_T
+from estimator.readings.flags import in_time
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+
+FACTORS = {
+    0.0: "is zero",
+    -1.0: "is reversed",
+    10.0: "is ten times too large",
+    0.1: "is ten times too small",
+    100.0: "is a hundred times too large",
+    0.01: "is a hundred times too small",
+    1000.0: "is a thousand times too large",
+    1e-3: "is a thousand times too small",
+}
+OF_ANOTHER_ROW = "holds the field of the reading"
+ROWS_BESIDE = 8  # how many rows away a field may have been written down
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One way to write readings down wrongly.
+
+    Attributes:
+        words: What it does to them, as a clause.
+        component: Index of the component that it concerns; None where it concerns all three.
+        expected_T: Each reading as this mistake would have it, in the frame of its sensor; NaN where it cannot have been made.
+        magnifies: Factor by which it makes errors of the readings larger.
+        is_exact: Whether it repeats recorded digits, so that it fits exactly or not at all.
+        is_reversal: Whether it reverses a current, or all that a sensor reads.
+    """
+
+    words: str
+    component: int | None
+    expected_T: Float[Tensor, "reading 3"]
+    magnifies: float = 1.0
+    is_exact: bool = False
+    is_reversal: bool = False
+
+
+def mistakes_of(
+    fit: Fit,
+    values: Mapping[str, Tensor],
+    observations: Observations,
+    predicted_T: Float[Tensor, "reading 3"],
+    size_T: Float[Tensor, " reading"],
+    is_far: Bool[Tensor, " reading"],
+) -> list[Mistake]:
+    """All mistakes, those of one component first; of those that need a prediction of their own the ones that make a reading fit.
+
+    Args:
+        fit: Of the rig.
+        values: Of its parameters.
+        observations: The readings.
+        predicted_T: What is expected of them as they are.
+        size_T: Standard deviation of the errors of each.
+        is_far: Those that miss by far.
+    """
+    return [
+        *_of_what_was_expected(observations, predicted_T),
+        *_of_other_settings(fit, values, observations, is_far, size_T),
+        *_of_other_readings(fit, observations, predicted_T),
+    ]
+
+
+def _of_what_was_expected(
+    observations: Observations, predicted_T: Float[Tensor, "reading 3"]
+) -> Iterator[Mistake]:
+    """Mistakes that follow from what is expected of all readings, those of one component first."""
+    before = _beside(observations, 1)
+    for axis in range(3):
+        for factor, words in FACTORS.items():
+            expected_T = predicted_T.clone()
+            expected_T[:, axis] *= factor
+            yield Mistake(words, axis, expected_T, max(abs(factor), 1.0))
+        held_T = predicted_T.clone()
+        held_T[:, axis] = torch.where(before >= 0, observations.field_sensor_T[before, axis], torch.nan)
+        yield Mistake("repeats the reading before to the last digit", axis, held_T, is_exact=True)
+    for factor, words in FACTORS.items():
+        yield Mistake(words, None, factor * predicted_T, max(abs(factor), 1.0), is_reversal=factor == -1.0)
+    for first, second in ((0, 1), (0, 2), (1, 2)):
+        order = [0, 1, 2]
+        order[first], order[second] = second, first
+        yield Mistake(f"has {'xyz'[first]} and {'xyz'[second]} exchanged", None, predicted_T[:, order])
+
+
+def _of_other_settings(
+    fit: Fit,
+    values: Mapping[str, Tensor],
+    observations: Observations,
+    is_far: Bool[Tensor, " reading"],
+    size_T: Float[Tensor, " reading"],
+) -> Iterator[Mistake]:
+    """Fields of other currents or poses than recorded, of those that make one of the readings fit that miss by far."""
+    far = observations.rows(is_far)
+    for setting in (*_other_currents(fit.rig), *_other_poses(fit.rig, far)):
+        expected_T = predict_T(fit, values, setting.of(far))
+        if bool((misses(far.field_sensor_T, expected_T, size_T[is_far]) < policy.NEAR_TO_EXPECTED).any()):
+            everywhere_T = predict_T(fit, values, setting.of(observations))
+            yield Mistake(setting.words, None, everywhere_T, is_reversal=setting.is_reversed_current)
+
+
+class _Setting(NamedTuple):
+    """Currents, or columns of a mover, that were otherwise than recorded.
+
+    Attributes:
+        words: How, as a clause.
+        mover: Whose columns; None for currents.
+        matrix: The recorded ones times this are the real ones.
+        is_reversed_current: Whether the current of one coil is reversed.
+    """
+
+    words: str
+    mover: str | None
+    matrix: Float[Tensor, "column column"]
+    is_reversed_current: bool = False
+
+    def of(self, observations: Observations) -> Observations:
+        """Readings with the real settings."""
+        matrix = self.matrix.to(observations.current_A)
+        if self.mover is None:
+            return replace(observations, current_A=observations.current_A @ matrix)
+        motion = {**observations.motion, self.mover: observations.motion[self.mover] @ matrix}
+        return replace(observations, motion=motion)
+
+
+def _other_currents(rig: Rig) -> Iterator[_Setting]:
+    """The current of one coil off or reversed, those of two coils exchanged."""
+    names, n = [coil.name for coil in rig.coils], len(rig.coils)
+    for i, name in enumerate(names):
+        yield _Setting(f"fits a current of {name} that was reversed", None, _times(-1.0, i, n), True)
+        yield _Setting(f"fits a current of {name} that was off", None, _times(0.0, i, n))
+    for i, k in combinations(range(n), 2):
+        yield _Setting(f"fits currents of {names[i]} and {names[k]} exchanged", None, _exchanged(i, k, n))
+
+
+def _other_poses(rig: Rig, observations: Observations) -> Iterator[_Setting]:
+    """One column of a mover with the other sign, a length ten times too large or too small, two lengths exchanged."""
+    for mover in rig.movers:
+        columns, n = mover.columns, len(mover.columns)
+        is_used = observations.motion[mover.name].any(dim=0).tolist()
+        used = [i for i in range(n) if is_used[i]]
+        lengths = [i for i in used if columns[i].endswith("_m")]
+        for i in used:
+            yield _Setting(f"fits {columns[i]} with the other sign", mover.name, _times(-1.0, i, n))
+        for i in lengths:
+            yield _Setting(f"fits a tenth of {columns[i]}", mover.name, _times(0.1, i, n))
+            yield _Setting(f"fits ten times {columns[i]}", mover.name, _times(10.0, i, n))
+        for i, k in combinations(lengths, 2):
+            words = f"fits {columns[i]} and {columns[k]} exchanged"
+            yield _Setting(words, mover.name, _exchanged(i, k, n))
+
+
+def _times(factor: float, column: int, n: int) -> Float[Tensor, "column column"]:
+    matrix = torch.eye(n, dtype=torch.float64)
+    matrix[column, column] = factor
+    return matrix
+
+
+def _exchanged(first: int, second: int, n: int) -> Float[Tensor, "column column"]:
+    matrix = torch.eye(n, dtype=torch.float64)
+    matrix[[first, second]] = matrix[[second, first]]
+    return matrix
+
+
+def _of_other_readings(
+    fit: Fit, observations: Observations, predicted_T: Float[Tensor, "reading 3"]
+) -> Iterator[Mistake]:
+    """Fields of the reading some rows before or after, and of another sensor at the same time."""
+    for rows in sorted((*range(-ROWS_BESIDE, 0), *range(1, ROWS_BESIDE + 1)), key=abs):
+        other = _beside(observations, rows)
+        expected_T = predicted_T[other].masked_fill((other < 0)[:, None], torch.nan)
+        way = "before" if rows > 0 else "after"
+        words = f"{OF_ANOTHER_ROW} {abs(rows)} {'row' if abs(rows) == 1 else 'rows'} {way}"
+        yield Mistake(words, None, expected_T)
+    for index, sensor in enumerate(fit.rig.sensors):
+        order = in_time(observations, index)
+        if not 0 < len(order) < len(observations):
+            continue
+        times_s = observations.time_s[order].contiguous()
+        after = torch.searchsorted(times_s, observations.time_s.contiguous()).clamp(max=len(order) - 1)
+        earlier = (after - 1).clamp(min=0)
+        is_earlier = (observations.time_s - times_s[earlier]).abs() < (
+            observations.time_s - times_s[after]
+        ).abs()
+        expected_T = predicted_T[order[torch.where(is_earlier, earlier, after)]]
+        is_own = (observations.sensor == index)[:, None]
+        yield Mistake(f"holds the field of {sensor.name}", None, expected_T.masked_fill(is_own, torch.nan))
+
+
+def _beside(observations: Observations, rows: int) -> Int[Tensor, " reading"]:
+    """For each reading the number of that of the same sensor some rows before; -1 where there is none."""
+    other = torch.full_like(observations.sensor, -1)
+    for sensor in observations.sensor.unique():
+        own = in_time(observations, int(sensor))
+        place = torch.arange(len(own), device=own.device) - rows
+        is_there = (place >= 0) & (place < len(own))
+        other[own[is_there]] = own[place[is_there]]
+    return other
