@@ -12,8 +12,8 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextvars import ContextVar, copy_context
-from functools import cache
-from typing import TypeVar
+from functools import cache, partial
+from typing import Generic, TypeVar
 
 import torch
 
@@ -38,11 +38,11 @@ def n_cores() -> int:
 def each(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
     """Results of a function for some items in their order, as `map` gives them, but several are computed at once.
 
-    All are begun at the first. Where one raises an error, those that were not begun are left out.
+    The thread that asks computes too, and never waits for what nobody has begun: it may hold a lock that other work waits for.
 
     Args:
         function: Must not depend on what it did for other items. What it does in turn runs on one core.
-        items: What it is called with.
+        items: What it is called with. Where one raises an error, those that were not begun are left out.
 
     Examples:
         >>> list(each(lambda x: x * x, [1, 2, 3]))
@@ -52,19 +52,22 @@ def each(function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[
     if len(items) < 2 or _is_inside.get() or n_cores() < 2:
         yield from map(function, items)
         return
-    futures = [_begun(function, item) for item in items]
+    pieces = [_Piece(partial(function, item)) for item in items]
     try:
-        for future in futures:
-            yield future.result()
+        for i, piece in enumerate(pieces):
+            later = iter(pieces[i:])
+            while not piece.is_done and (own := next((one for one in later if one.is_free()), None)):
+                own.run()
+            yield piece.result()
     finally:
-        for future in futures:
-            future.cancel()
+        for piece in pieces:
+            piece.is_free()  # nobody begins it any more
 
 
 def meanwhile(function: Callable[[], Result]) -> Callable[[], Result]:
     """Begin a calculation beside what follows; the function that is returned waits for its result.
 
-    On one core it is done when its result is asked for.
+    Where no other core has begun it, it is done when its result is asked for.
 
     Examples:
         >>> later = meanwhile(lambda: 6 * 7)
@@ -73,24 +76,60 @@ def meanwhile(function: Callable[[], Result]) -> Callable[[], Result]:
     """
     if _is_inside.get() or n_cores() < 2:
         return function
-    return _begun(lambda _: function(), None).result
+    piece = _Piece(function)
+
+    def result() -> Result:
+        if piece.is_free():
+            piece.run()
+        return piece.result()
+
+    return result
 
 
-def _begun(function: Callable[[Item], Result], item: Item) -> Future[Result]:
-    """A call in another thread, in the context of this one."""
-    context, has_gradients = copy_context(), torch.is_grad_enabled()
+class _Piece(Generic[Result]):
+    """A call that the first free thread makes, in the context in which it was planned.
 
-    def inside() -> Result:
+    Args:
+        function: What is called.
+    """
+
+    def __init__(self, function: Callable[[], Result]) -> None:
+        self._function, self._context = function, copy_context()
+        self._has_gradients = torch.is_grad_enabled()
+        self._outcome: Future[Result] = Future()
+        self._planned = _threads().submit(self.run)
+
+    def is_free(self) -> bool:
+        """Whether no thread has begun it; from then on none does but the one that asks."""
+        return self._planned.cancel()
+
+    def run(self) -> None:
+        """Make the call and keep what comes of it."""
+        try:
+            self._outcome.set_result(self._context.run(self._inside))
+        except BaseException as error:
+            self._outcome.set_exception(error)
+            if not isinstance(error, Exception):  # an interrupt is not kept until its turn
+                raise
+
+    def _inside(self) -> Result:
         _is_inside.set(True)
-        with torch.set_grad_enabled(has_gradients):
-            return function(item)
+        with torch.set_grad_enabled(self._has_gradients):
+            return self._function()
 
-    return _threads().submit(context.run, inside)
+    @property
+    def is_done(self) -> bool:
+        return self._outcome.done()
+
+    def result(self) -> Result:
+        """What the call gave, once it is made."""
+        return self._outcome.result()
 
 
 @cache
 def _threads() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(n_cores(), thread_name_prefix="side by side")
+    """Threads beside the one that asks."""
+    return ThreadPoolExecutor(n_cores() - 1, thread_name_prefix="side by side")
 
 
 os.register_at_fork(after_in_child=_threads.cache_clear)  # threads do not survive a fork

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from contextvars import ContextVar
 from itertools import islice
 
@@ -56,6 +57,21 @@ def test_more_than_one_runs_at_once_where_there_are_cores(cores):
 
 
 @pytest.mark.usefixtures("cores")
+def test_who_asks_never_waits_for_threads_that_wait_for_it():
+    """Such as for a lock of `cached_property` in Python 3.11, which all objects of a class share."""
+    lock = threading.Lock()
+
+    def with_lock() -> bool:
+        with lock:
+            return True
+
+    with lock:
+        later = [meanwhile(with_lock) for _ in range(8)]
+        assert list(each(abs, range(20))) == list(range(20))
+    assert all(one() for one in later)
+
+
+@pytest.mark.usefixtures("cores")
 def test_an_error_is_raised_and_what_was_not_begun_is_left_out():
     begun = []
 
@@ -63,6 +79,7 @@ def test_an_error_is_raised_and_what_was_not_begun_is_left_out():
         begun.append(number)
         if number == 0:
             raise ValueError("no")
+        time.sleep(1e-3)
         return number
 
     results = each(fails_at_once, range(2000))
