@@ -124,6 +124,10 @@ LEAST_EXPLAINED_OF_FAR = 0.8
 """Share of the readings that miss by far that such mistakes must explain. By judgement: where a model is wrong, few of them are as a
 mistake would have them. Study: not in it."""
 
+BETTER_BY = 1.0
+"""Standard deviations by which a mistake must fit a reading better than none, where it was clearly made in others beside it. By
+measurement: with 0 three right rows of one session were flagged whose place hardly changes by the mistake. Study: not in it."""
+
 FEWEST_OF_ONE_MISTAKE = 3
 """Readings in which a mistake must show clearly before others are believed to have it that it changes little. By judgement. Study:
 not in it."""

@@ -180,6 +180,8 @@ def _of_the_same(
     for before, after in pairwise(rows.tolist()):
         if after - before <= ROWS_BESIDE:
             is_between[before:after] = True
-    is_better = (by_mistake < as_recorded) & (by_mistake < mistake.magnifies * policy.NEAR_TO_EXPECTED)
+    is_better = (by_mistake < as_recorded - policy.BETTER_BY) & (
+        by_mistake < mistake.magnifies * policy.NEAR_TO_EXPECTED
+    )
     is_better &= ~mistake.expected_T.isnan().any(dim=1)
     return is_better & (is_between | (as_recorded > policy.NEAR_TO_EXPECTED))

@@ -136,7 +136,7 @@ def test_cause_outside_the_library_is_unexplained_and_not_misnamed(tmp_path):
 @pytest.mark.slow
 def test_shuffled_names_fail(tmp_path, monkeypatch):
     """The tests above can fail: with the columns of another cause under its name, the right name is not found."""
-    import estimator.diagnosis.hypotheses.search as module
+    import estimator.diagnosis.hypotheses.columns as module
 
     right = module.candidates
 
