@@ -11,6 +11,7 @@ import multiprocessing
 import os
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from contextvars import ContextVar, copy_context
 from functools import cache, partial
 from typing import Generic, TypeVar
@@ -86,6 +87,17 @@ def meanwhile(function: Callable[[], Result]) -> Callable[[], Result]:
     return result
 
 
+@contextmanager
+def one_thread_for_an_operation() -> Iterator[None]:
+    """While it lasts, PyTorch divides no operation among threads: of a few hundred numbers each, they would wait for each other."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
 class _Piece(Generic[Result]):
     """A call that the first free thread makes, in the context in which it was planned.
 
@@ -132,4 +144,5 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(n_cores() - 1, thread_name_prefix="side by side")
 
 
-os.register_at_fork(after_in_child=_threads.cache_clear)  # threads do not survive a fork
+if hasattr(os, "register_at_fork"):  # threads do not survive a fork
+    os.register_at_fork(after_in_child=_threads.cache_clear)

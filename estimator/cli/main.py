@@ -40,7 +40,7 @@ from estimator.cli.simulate import simulate_command
     type=click.IntRange(min=1),
     default=1,
     show_default=True,
-    help="Threads per tensor operation.",
+    help="Threads per tensor operation; a diagnosis uses several cores in another way.",
 )
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.

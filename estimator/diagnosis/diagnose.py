@@ -54,7 +54,7 @@ from estimator.errors import InvalidInput
 from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.split import thinned
 from estimator.rig.rig import Cause, Rig
-from estimator.side_by_side import meanwhile
+from estimator.side_by_side import meanwhile, one_thread_for_an_operation
 from estimator.store.session import Session
 
 
@@ -112,7 +112,7 @@ def diagnose(
     def judged(first: FirstFit) -> Diagnosis:
         return _judged(question, first, limits or Limits(), place, tell, on_progress)
 
-    with remembering(folder) as journal, climbing_on(place, dtype):
+    with remembering(folder) as journal, climbing_on(place, dtype), one_thread_for_an_operation():
         if journal is not None and len(journal):
             tell(f"continuing: {len(journal)} fits were made before")
         tell("fitting the rig as described")

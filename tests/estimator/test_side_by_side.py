@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from contextvars import ContextVar
 from itertools import islice
 
@@ -11,7 +12,7 @@ import pytest
 import torch
 
 from estimator import side_by_side
-from estimator.side_by_side import each, meanwhile
+from estimator.side_by_side import each, meanwhile, one_thread_for_an_operation
 
 word: ContextVar[str] = ContextVar("word", default="nothing")
 
@@ -113,6 +114,15 @@ def test_cores_are_those_of_this_process_but_not_many(monkeypatch):
 def test_a_worker_of_several_uses_one_core(monkeypatch):
     monkeypatch.setattr("multiprocessing.parent_process", object)
     assert side_by_side.n_cores() == 1
+
+
+def test_operations_take_one_thread_for_a_while():
+    torch.set_num_threads(2)
+    with suppress(ValueError), one_thread_for_an_operation():
+        assert torch.get_num_threads() == 1
+        raise ValueError
+    assert torch.get_num_threads() == 2
+    torch.set_num_threads(1)
 
 
 @pytest.mark.usefixtures("cores")
