@@ -17,7 +17,7 @@ from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
 from torch import Tensor
 
-from estimator.field.loop import loop_terms
+from estimator.field.loop import NEAREST_STEPS, loop_terms
 from estimator.units import MU0_T_M_PER_A
 
 BANDS = 8  # between heights; 6 have an error of 0.8 % on the axis, 8 of 0.4 %
@@ -26,7 +26,6 @@ PATTERNS = HEIGHTS + 2  # and across the axis, along x and y
 LOOPS_PER_BAND, LOOPS_PER_HEIGHT = 2, 2
 ACROSS_HEIGHTS, ACROSS_AROUND = 8, 4  # dipoles that point across the axis
 ANGLES = 32  # of the integrals over disks and bands
-AGM_STEPS = 7  # enough next to a loop
 
 
 @dataclass(frozen=True)
@@ -172,7 +171,7 @@ def _along(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tensor
     bends = slope.diff(dim=0).repeat_interleave(LOOPS_PER_HEIGHT, dim=0)
     current_A = torch.cat((sheet_A, disk_A), dim=-1)[..., None] * torch.cat((hats.flatten(0, 1), bends))
     x, y, z = points_m[..., None].unbind(-2)
-    h, axial = loop_terms(x, y, z - height_m[..., None, :], loop_m[..., None, :], AGM_STEPS)
+    h, axial = loop_terms(x, y, z - height_m[..., None, :], loop_m[..., None, :], NEAREST_STEPS)
     h, axial = h @ current_A, axial @ current_A
     return torch.stack((x * h, y * h, axial), dim=-1)
 

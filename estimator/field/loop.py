@@ -36,6 +36,9 @@ class LoopField(NamedTuple):
     axial_T_per_A: Float[Tensor, "..."]
 
 
+NEAREST_STEPS = 7  # of the mean, which suffice next to a wire
+
+
 def loop_terms(
     x_m: Float[Tensor, "..."],
     y_m: Float[Tensor, "..."],

@@ -11,7 +11,7 @@ from numpy.polynomial.legendre import leggauss
 from torch import Tensor
 
 from estimator.field.kernel import is_plain, sums_of_rings
-from estimator.field.loop import loop_terms
+from estimator.field.loop import NEAREST_STEPS, loop_terms
 from estimator.field.node_sum import carrying_first_order, loop_slopes
 from estimator.field.winding import Winding
 from estimator.units import MU0_T_M_PER_A
@@ -22,7 +22,6 @@ FEWEST_RADIAL, RADIAL_PER_RADIUS = 1, 4.0
 CORNER_NODES = 8  # each way, in each of the four parts into which a point cuts a winding's cross-section
 # Distance of the two loops whose difference stands for a ring of dipoles, over the ring's radius.
 DIFFERENCE_STEP = 1e-5
-AGM_STEPS = 7  # enough next to a ring
 POINTS_AT_ONCE = 2048  # whose factors are kept for every ring, which bounds the memory
 
 
@@ -64,7 +63,7 @@ def field_of_rings(
     points_coil_m: Float[Tensor, "*batch point 3"],
     rings: Rings,
     magnetisation_T: Float[Tensor, "pattern ring 2"],
-    steps: int = AGM_STEPS,
+    steps: int = NEAREST_STEPS,
 ) -> Float[Tensor, "*batch point pattern 3"]:
     """Field of a magnetised winding, for several patterns of magnetisation at once.
 
@@ -113,7 +112,7 @@ def field_of_rings_to_first_order(
     points_coil_m: Float[Tensor, "*batch point 3"],
     rings: Rings,
     magnetisation_T: Float[Tensor, "pattern ring 2"],
-    steps: int = AGM_STEPS,
+    steps: int = NEAREST_STEPS,
 ) -> Float[Tensor, "*batch point pattern 3"]:
     """Field of rings of dipoles in the coil frame, in T, with first derivatives in the points, but without second ones.
 
@@ -173,7 +172,7 @@ def field_inside_per_ampere(winding: Winding, rings: Rings) -> Float[Tensor, "ri
                 a, da = _gauss(low_m, high_m, CORNER_NODES)
                 z, dz = _gauss(back_m, front_m, CORNER_NODES)
                 x = torch.tensor(radius_m, dtype=torch.float64)
-                h, axial = loop_terms(x, torch.zeros_like(x), height_m - z[:, None], a, AGM_STEPS)
+                h, axial = loop_terms(x, torch.zeros_like(x), height_m - z[:, None], a, NEAREST_STEPS)
                 weight = density_per_m2 * dz[:, None] * da
                 total[i] += torch.stack(((radius_m * h * weight).sum(), (axial * weight).sum()))
     return total

@@ -32,7 +32,8 @@ from estimator.effects.use import Use, uses_of
 from estimator.field.coil import coil_field_per_ampere, field_of_coil
 from estimator.field.first_order import first_order_field
 from estimator.field.grid_map import GridMap
-from estimator.field.magnetised import AGM_STEPS, field_of_rings, field_of_rings_to_first_order
+from estimator.field.loop import NEAREST_STEPS
+from estimator.field.magnetised import field_of_rings, field_of_rings_to_first_order
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import Rule, Winding
 from estimator.field.zones import Zone
@@ -213,7 +214,7 @@ class Sources:
         idle = [i for i, source in enumerate(self.rig.coils) if not len(self.powered[source.name])]
         there = [i for i in range(len(patterns)) if i not in idle]
         field = field_of_rings_to_first_order if self._is_first_order else field_of_rings
-        steps = self.rules[coil.name].steps if coil.name in self.rules else AGM_STEPS
+        steps = self.rules[coil.name].steps if coil.name in self.rules else NEAREST_STEPS
         flat = field(points_m, rings, patterns[there], steps).flatten(-2)
         flat = flat.expand(*flat.shape[:-2], self.n_rows, -1)
         flat = flat if self.pose_row is None else flat[..., self.pose_row, :]
