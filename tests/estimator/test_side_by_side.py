@@ -91,6 +91,20 @@ def test_an_error_is_raised_and_what_was_not_begun_is_left_out():
 
 
 @pytest.mark.usefixtures("cores")
+def test_each_piece_is_computed_once_however_long_others_take():
+    called = []
+
+    def waits(seconds: float) -> float:
+        called.append(seconds)
+        time.sleep(seconds)
+        return seconds
+
+    seconds = [0.02, 0.2, 0.15, *(1e-3 * number for number in range(30))]
+    assert list(each(waits, seconds)) == seconds
+    assert sorted(called) == sorted(seconds)
+
+
+@pytest.mark.usefixtures("cores")
 def test_context_and_gradients_go_along():
     def seen(_: int) -> tuple[str, bool, bool]:
         free = torch.ones(1).requires_grad_()
