@@ -13,6 +13,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from torch.overrides import TorchFunctionMode
@@ -124,5 +125,6 @@ def far_device() -> Iterator[torch.device]:
     if REAL:
         yield FAR
         return
-    with _Factories(), _FromNumbers():
+    # The modes hold in this thread only.
+    with _Factories(), _FromNumbers(), patch("estimator.side_by_side.n_cores", return_value=1):
         yield FAR
