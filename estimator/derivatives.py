@@ -14,9 +14,8 @@ from torch import Tensor
 
 from estimator.side_by_side import each
 
-LARGE = (
-    2**17
-)  # entries of a Jacobian from which on its paths take less time side by side than one after another
+# Entries of a Jacobian from which on its paths take less time side by side than one after another.
+LARGE = 2**17
 
 
 def jacobian_of(

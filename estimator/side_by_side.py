@@ -21,9 +21,8 @@ import torch
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-MOST_CORES = (
-    4  # between two operations Python lets one thread run at a time, so that many threads wait for each other
-)
+# Between two operations Python lets one thread run at a time, so that many threads wait for each other.
+MOST_CORES = 4
 
 _is_inside: ContextVar[bool] = ContextVar("_is_inside", default=False)
 

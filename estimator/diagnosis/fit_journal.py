@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import torch
@@ -40,6 +41,7 @@ class FitJournal:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._lines: dict[str, str] = {}
+        self._writing = Lock()  # fits end in several threads, and their long lines must not mix
         if path.exists():
             whole = path.read_bytes().rpartition(b"\n")[0] + b"\n"
             path.write_bytes(whole.lstrip(b"\n"))
@@ -77,7 +79,7 @@ class FitJournal:
             }
         )
         self._lines[key] = line
-        with self.path.open("a", encoding="utf-8") as file:
+        with self._writing, self.path.open("a", encoding="utf-8") as file:
             file.write(line + "\n")
             file.flush()
             os.fsync(file.fileno())

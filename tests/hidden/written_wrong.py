@@ -67,17 +67,14 @@ def _gauss(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
 
 def _unsigned(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
     """One operator reads the sign the wrong way, in some rows all over the session."""
-    rows = np.flatnonzero(rng.random(len(field_T)) < rng.uniform(0.03, 0.15))
+    rows = _some(len(field_T), rng)
     field_T[rows] *= -1.0
     return field_T, rows
 
 
 def _columns(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
     """Two columns are exchanged for a while."""
-    first, second = rng.choice(3, size=2, replace=False)
-    rows = _a_while(len(field_T), rng)
-    field_T[rows[:, None], [first, second]] = field_T[rows[:, None], [second, first]]
-    return field_T, rows
+    return _two_exchanged(field_T, rng)
 
 
 def _neighbour_row(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
@@ -117,10 +114,15 @@ def _decimal_point(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, R
 
 def _other_order(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
     """Two coordinates are typed in the other order for a while."""
+    return _two_exchanged(place_m, rng)
+
+
+def _two_exchanged(table: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """Two columns of a table exchanged in a stretch of rows."""
     first, second = rng.choice(3, size=2, replace=False)
-    rows = _a_while(len(place_m), rng)
-    place_m[rows[:, None], [first, second]] = place_m[rows[:, None], [second, first]]
-    return place_m, rows
+    rows = _a_while(len(table), rng)
+    table[rows[:, None], [first, second]] = table[rows[:, None], [second, first]]
+    return table, rows
 
 
 def _some(n: int, rng: np.random.Generator) -> Rows:

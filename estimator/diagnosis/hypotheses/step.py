@@ -166,7 +166,9 @@ def _leaders_in_full(
                 if _is_worth_a_fit(k, screened[one].highest, best, most_fitted)
             ]
             pace.tell(n_fitted, n_fitted + 1 + len(later))
-            for following in later[:1]:  # another core begins it, though what this one finds may rule it out
+            following = later[0] if later else None
+            if following is not None and id(following.start) not in begun:
+                # Another core begins it, though what this one finds may rule it out.
                 begun[id(following.start)] = meanwhile(
                     partial(in_full, fit, following.log_bayes_factor, following.start, reached)
                 )
