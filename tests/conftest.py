@@ -79,6 +79,16 @@ WHOLE = {
 }
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _one_core_for_a_diagnosis():
+    """As for torch. Not at the top, for what is imported there is not checked for shapes."""
+    from estimator import side_by_side
+
+    before, side_by_side.MOST_CORES = side_by_side.MOST_CORES, 1
+    yield
+    side_by_side.MOST_CORES = before
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Each half of `make test` leaves out files that have nothing for it, for importing all takes every worker half a minute."""
     chosen = config.option.markexpr

@@ -81,7 +81,9 @@ def assert_alike(there: Screened, near: Screened) -> None:
         assert there.evidence[cause][2].shapes == pytest.approx(start.shapes, rel=1e-12)
     assert there.curves.by_family == pytest.approx(near.curves.by_family, rel=1e-6, abs=1e-6)
     assert there.curves.family == near.curves.family
-    assert [pair[0] for pair in there.pairs] == pytest.approx([pair[0] for pair in near.pairs], rel=1e-6)
+    assert [pair[0] for pair in there.pairs] == pytest.approx(
+        [pair[0] for pair in near.pairs], rel=1e-6, abs=1e-6
+    )
     assert len(near.pairs) > 1
     assert there.together == pytest.approx(near.together, rel=1e-6)
     assert_close(there.blocks, near.blocks, rtol=1e-6, atol=1e-6)
