@@ -23,7 +23,7 @@ from estimator.inference.directions import Directions
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
-from estimator.side_by_side import each
+from estimator.side_by_side import each, meanwhile
 
 DERIVATIVES_AT_ONCE = 2**22  # entries of one array of derivatives; calculations keep a few dozen such arrays
 # Derivatives of one part of the readings: larger parts fall out of a processor's cache and take half as long again.
@@ -141,13 +141,16 @@ class LogPosterior:
         is_double = self.model.circumstances.observations.dtype is torch.float64  # as differences want
         if vector.shape[:-1].numel() != 1 or not is_double or not is_amplitude.any():
             return self._by_two_passes(vector, columns)
+        of_amplitudes = meanwhile(
+            lambda: self._amplitudes.jacobian_T(
+                self.coordinates, self.model, self.measured_components, vector, columns[is_amplitude]
+            )
+        )
         others = self._by_two_passes(vector, columns[~is_amplitude])
         shape = (*others.predicted_T.shape, len(columns))
         jacobian_T, log_sigma_jacobian = vector.new_zeros(shape), vector.new_zeros(shape)
         jacobian_T[..., ~is_amplitude] = others.jacobian_T
-        jacobian_T[..., is_amplitude] = self._amplitudes.jacobian_T(
-            self.coordinates, self.model, self.measured_components, vector, columns[is_amplitude]
-        )
+        jacobian_T[..., is_amplitude] = of_amplitudes()
         log_sigma_jacobian[..., ~is_amplitude] = others.log_sigma_jacobian
         return others._replace(jacobian_T=jacobian_T, log_sigma_jacobian=log_sigma_jacobian)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 
 import numpy as np
@@ -44,10 +45,12 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.diagnosis.structure.cross_validation import held_out
 from estimator.diagnosis.structure.discrepancy import discrepancy
+from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects.attach import with_effect
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
 from estimator.rig.rig import Cause
+from estimator.side_by_side import meanwhile
 
 
 def search(
@@ -75,15 +78,16 @@ def search(
     if state.added(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
     kept: list[Cause] = []
+    curves = state.columns.curves_at(fit)
     if state.is_piled(fit):
         if state.other_structures is not None:
             before = state.base_discrepancy.weighed(fit.weight_over(base))
-            remainder, curves = state.steps[-1].remainder, state.columns.curves_at(fit)
-            kept = keeping_their_names(fit, state.added(fit), before, remainder, curves)
+            state.compare_shown(fit)
+            kept = keeping_their_names(fit, state.added(fit), before, state.steps[-1].remainder, curves)
         # Without that question each may still be named.
-        state.compare_again(fit, state.added(fit) if state.other_structures is None else kept)
+        state.compare_again(fit, state.added(fit) if state.other_structures is None else kept, curves)
     else:
-        state.compare_again(fit, state.not_compared(fit) if is_revisited else state.added(fit))
+        state.compare_again(fit, state.not_compared(fit) if is_revisited else state.added(fit), curves)
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
     return Search(
         base,
@@ -93,7 +97,7 @@ def search(
         dropped,
         tuple(columns.pool),
         state.base_discrepancy,
-        tuple(state.columns.curves_at(fit)),
+        tuple(curves),
         limits.words if limits.is_over else state.ended_early,
         state.other_structures,
         tuple(kept),
@@ -122,6 +126,7 @@ class _SearchState:
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
         self.reached: dict[Cause, dict[str, Tensor]] = {}  # own parameters of each cause in its last fit
+        self.shown: list[tuple[list[Cause], Callable[[], list[Step]]]] = []  # how a pile compares these
         self.needed: set[Cause] = set()  # a fit in a pile without them was worse: they are not tried again
         self.collapsed: set[Cause] = set()  # fits in a pile found nothing of them: they are not asked again
 
@@ -190,16 +195,30 @@ class _SearchState:
         """Causes of a fit that no step has compared with all hypotheses."""
         return [cause for cause in self.added(fit) if self.steps[self._at(cause)].discrepancy is None]
 
-    def compare_again(self, fit: Fit, causes: Sequence[Cause]) -> None:
+    def compare_again(self, fit: Fit, causes: Sequence[Cause], curves: Sequence[Family]) -> None:
         """Compare those of some causes that were taken together with every other hypothesis, now beside all others; exchange nothing."""
         taken_together = [a.causes for a in self.additions if len(a.causes) > 1]
         together = [cause for cause in dict.fromkeys(chain(*taken_together)) if cause in causes]
         if not together:
             return
         self.tell(f"comparing {len(together)} causes that were taken together again, beside all others")
-        steps = comparison_steps(fit, together, self._pool(fit), self.columns.curves_at(fit))
-        for cause, step in zip(together, steps, strict=True):
-            self.steps[self._at(cause)] = step
+        self._put(comparison_steps(fit, together, self._pool(fit, self.columns), curves))
+
+    def compare_shown(self, fit: Fit) -> None:
+        """Show those that a pile compares with all hypotheses, beside what was taken until then."""
+        for causes, compared in self.shown:
+            left = set(causes).intersection(self.not_compared(fit))
+            if left:
+                self._put([step for step in compared() if step.taken in left])
+
+    def _put(self, compared: Sequence[Step]) -> None:
+        """Put comparisons in the place of the steps in which their causes were taken."""
+        for step in compared:
+            assert step.taken is not None
+            self.steps[self._at(step.taken)] = step
+
+    def _compared(self, fit: Fit, causes: Sequence[Cause], columns: Columns) -> list[Step]:
+        return comparison_steps(fit, causes, self._pool(fit, columns), columns.curves_at(fit))
 
     def revisited(self, fit: Fit) -> Fit:
         """Test each cause again beside the others: exchange it where another does better, drop it where none is needed."""
@@ -284,6 +303,7 @@ class _SearchState:
         better = self.other_structures.better
         if better is None:
             self.tell("no other structure of the source does as well")
+            self.shown = [(causes, meanwhile(compared)) for causes, compared in self.shown]
             return pile
         self.tell(f"{better.cause.label} does better: starting again from it")
         self._drop(self.added(pile))
@@ -314,7 +334,7 @@ class _SearchState:
 
     def _with_several_places(self, fit: Fit) -> Fit | None:
         """The fit with one effect at several more places; None where a cause at one place does better."""
-        return self._taken_together(fit, at_several_places(fit, self._pool(fit)))
+        return self._taken_together(fit, at_several_places(fit, self._pool(fit, self.columns)))
 
     def _with_many(self, fit: Fit) -> Fit | None:
         """The fit with several more causes where causes of many kinds have piled up; None where there are fewer than two."""
@@ -334,11 +354,9 @@ class _SearchState:
         each = [min(wider.log_evidence_for(cause), log_bayes_factor) for cause in new]
         steps = [_alone_in_step(c, value, wider) for c, value in zip(new, each, strict=True)]
         if not self.is_piled(wider):
-            # One of each kind is shown, should a pile arise; those that may be named are compared with their rivals at the end.
+            # Those that may be named are compared with their rivals at the end. Should a pile arise, one of each kind is shown.
             shown = list({cause.name: cause for cause in reversed(new)}.values())
-            compared = comparison_steps(wider, shown, self._pool(wider), self.columns.curves_at(wider))
-            for cause, step in zip(shown, compared, strict=True):
-                steps[new.index(cause)] = step
+            self.shown.append((shown, partial(self._compared, wider, shown, self.columns)))
         self.steps += steps
         self.additions.append(Addition(tuple(new), wider))
         return wider
@@ -347,7 +365,11 @@ class _SearchState:
         """The fit with two more causes whose evidence suffices together and beside each other; None where there is no such pair."""
         taken = (*fit.rig.effects, *self.dropped)
         # Steps stand for spells here: pairs of all spells would be many times as many.
-        pool = [candidate for candidate in without_spells(self._pool(fit)) if candidate.cause not in taken]
+        pool = [
+            candidate
+            for candidate in without_spells(self._pool(fit, self.columns))
+            if candidate.cause not in taken
+        ]
         n = len({c.cause for c in pool})
         if n < 2 or len(self.added(fit)) + 2 > self.limits.most_causes:
             return None
@@ -420,18 +442,20 @@ class _SearchState:
     def _at(self, cause: Cause) -> int:
         return next(i for i, step in enumerate(self.steps) if step.taken == cause)
 
-    def _pool(self, fit: Fit) -> list[Candidate]:
+    def _pool(self, fit: Fit, columns: Columns) -> list[Candidate]:
         """Columns of causes at a fit, those included that concern the session only beside a cause that it has."""
-        pool = self.columns.pool_at(fit)
-        if fit is self.columns.fit:
+        pool = columns.pool_at(fit)
+        if fit is columns.fit:
             return pool
-        known = {*self.base.rig.effects, *self.columns.asked}
+        known = {*self.base.rig.effects, *columns.asked}
         others = [cause for cause in causes_of(fit.rig, fit, self.limits) if cause not in known]
         return [*pool, *candidates(fit, others)]
 
     def _asked_again(self, fit: Fit) -> list[Candidate]:
         """The pool without causes of which a fit in a pile has found nothing, and in a pile without spells, which double it."""
-        pool = [candidate for candidate in self._pool(fit) if candidate.cause not in self.collapsed]
+        pool = [
+            candidate for candidate in self._pool(fit, self.columns) if candidate.cause not in self.collapsed
+        ]
         return without_spells(pool) if self.is_piled(fit) else pool
 
 
