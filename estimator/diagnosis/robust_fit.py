@@ -14,16 +14,14 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit, fit_rig, resolution_T
-from estimator.effects.use import as_meant
+from estimator.diagnosis.expectation import SD_OF_MEDIAN, Expectation, predict_T
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.inference.bounds import Inside
 from estimator.inference.levenberg_marquardt import prior_gradient
-from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.split import spread
 
 STEPS_FOR_A_FIT = 2  # with the slopes of another place, which come as near as a new fit
-SD_OF_MEDIAN = 1.4826  # standard deviation over median size, of normal errors
 
 
 def robust_fit(fit: Fit, values: Mapping[str, Tensor], observations: Observations) -> Fit:
@@ -89,44 +87,8 @@ def _are_near(
     trimming: int,
 ) -> Bool[Tensor, " reading"] | None:
     """The readings that the next of these fits is made to; None where they are too few to tell which are right."""
-    size_T = size_of_errors_T(observations, predicted_T)
-    off = misses(observations.field_sensor_T, predicted_T, size_T)
+    off = Expectation(observations, predicted_T).misses
     is_first = trimming < policy.TRIMMINGS_TO_A_SHARE
     most = off[may_fit].quantile(1.0 - policy.MOST_TRIMMED) if is_first else policy.FAR_FROM_EXPECTED
     is_near = may_fit & (off <= most)
     return is_near if int(is_near.sum()) >= int((1.0 - policy.MOST_TRIMMED) * float(may_fit.sum())) else None
-
-
-def predict_T(
-    fit: Fit, values: Mapping[str, Tensor], observations: Observations
-) -> Float[Tensor, "reading 3"]:
-    """What the rig of a fit predicts for readings, in the frames of their sensors."""
-    fitted, meant = fit.posterior.model, as_meant(fit.rig, observations)
-    model = MeasurementModel.unruled(fit.rig, meant).with_rules(fitted.rules).with_maps(fitted.sources.maps)
-    with torch.no_grad():
-        return model.predict(values).expand(len(observations), 3)
-
-
-def size_of_errors_T(
-    observations: Observations, predicted_T: Float[Tensor, "reading 3"]
-) -> Float[Tensor, " reading"]:
-    """Standard deviation of the errors of most readings: of each sensor, and where fields are large a share of them."""
-    errors_T = (observations.field_sensor_T - predicted_T).abs()
-    field_T = predicted_T.norm(dim=1)
-    size_T = torch.zeros_like(field_T)
-    digit_T = resolution_T(observations.field_sensor_T[observations.is_measured])
-    for sensor in observations.sensor.unique():
-        own = observations.sensor == sensor
-        typical_T = SD_OF_MEDIAN * errors_T[own].nanmedian()
-        share = SD_OF_MEDIAN * (errors_T[own] / field_T[own, None].clamp(min=1e-12)).nanmedian()
-        size_T[own] = torch.maximum(typical_T, share * field_T[own]).clamp(min=digit_T)
-    return size_T
-
-
-def misses(
-    measured_T: Float[Tensor, "reading 3"],
-    expected_T: Float[Tensor, "reading 3"],
-    size_T: Float[Tensor, " reading"],
-) -> Float[Tensor, " reading"]:
-    """Largest error of each reading's components in their standard deviations; 0 where nothing was measured or expected."""
-    return ((measured_T - expected_T).abs() / size_T[:, None]).nan_to_num(0.0).amax(dim=1)

@@ -12,12 +12,12 @@ from itertools import combinations
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.expectation import Expectation, distance, predict_T
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.robust_fit import misses, predict_T
 from estimator.readings.flags import in_time
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -57,43 +57,32 @@ class Mistake:
     is_reversal: bool = False
 
 
-def mistakes_of(
-    fit: Fit,
-    values: Mapping[str, Tensor],
-    observations: Observations,
-    predicted_T: Float[Tensor, "reading 3"],
-    size_T: Float[Tensor, " reading"],
-    is_far: Bool[Tensor, " reading"],
-) -> list[Mistake]:
+def mistakes_of(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> list[Mistake]:
     """All mistakes, those of one component first; of those that need a prediction of their own the ones that make a reading fit.
 
     Args:
         fit: Of the rig.
         values: Of its parameters.
-        observations: The readings.
-        predicted_T: What is expected of them as they are.
-        size_T: Standard deviation of the errors of each.
-        is_far: Those that miss by far.
+        expected: Of the readings as they are, by these values.
     """
     return [
-        *_of_what_was_expected(observations, predicted_T),
-        *_of_other_settings(fit, values, observations, is_far, size_T),
-        *_of_other_readings(fit, observations, predicted_T),
+        *_of_what_was_expected(expected),
+        *_of_other_settings(fit, values, expected),
+        *_of_other_readings(fit.rig, expected),
     ]
 
 
-def _of_what_was_expected(
-    observations: Observations, predicted_T: Float[Tensor, "reading 3"]
-) -> Iterator[Mistake]:
+def _of_what_was_expected(expected: Expectation) -> Iterator[Mistake]:
     """Mistakes that follow from what is expected of all readings, those of one component first."""
-    before = _beside(observations, 1)
+    measured_T, predicted_T = expected.observations.field_sensor_T, expected.predicted_T
+    before = _beside(expected.observations, 1)
     for axis in range(3):
         for factor, words in FACTORS.items():
             expected_T = predicted_T.clone()
             expected_T[:, axis] *= factor
             yield Mistake(words, axis, expected_T, max(abs(factor), 1.0))
         held_T = predicted_T.clone()
-        held_T[:, axis] = torch.where(before >= 0, observations.field_sensor_T[before, axis], torch.nan)
+        held_T[:, axis] = torch.where(before >= 0, measured_T[before, axis], torch.nan)
         yield Mistake("repeats the reading before to the last digit", axis, held_T, is_exact=True)
     for factor, words in FACTORS.items():
         yield Mistake(words, None, factor * predicted_T, max(abs(factor), 1.0), is_reversal=factor == -1.0)
@@ -103,19 +92,13 @@ def _of_what_was_expected(
         yield Mistake(f"has {'xyz'[first]} and {'xyz'[second]} exchanged", None, predicted_T[:, order])
 
 
-def _of_other_settings(
-    fit: Fit,
-    values: Mapping[str, Tensor],
-    observations: Observations,
-    is_far: Bool[Tensor, " reading"],
-    size_T: Float[Tensor, " reading"],
-) -> Iterator[Mistake]:
+def _of_other_settings(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> Iterator[Mistake]:
     """Fields of other currents or poses than recorded, of those that make one of the readings fit that miss by far."""
-    far = observations.rows(is_far)
+    far, size_T = expected.observations.rows(expected.is_far), expected.size_T[expected.is_far]
     for setting in (*_other_currents(fit.rig), *_other_poses(fit.rig, far)):
-        expected_T = predict_T(fit, values, setting.of(far))
-        if bool((misses(far.field_sensor_T, expected_T, size_T[is_far]) < policy.NEAR_TO_EXPECTED).any()):
-            everywhere_T = predict_T(fit, values, setting.of(observations))
+        there_T = predict_T(fit, values, setting.of(far))
+        if bool((distance(far.field_sensor_T, there_T, size_T) < policy.NEAR_TO_EXPECTED).any()):
+            everywhere_T = predict_T(fit, values, setting.of(expected.observations))
             yield Mistake(setting.words, None, everywhere_T, is_reversal=setting.is_reversed_current)
 
 
@@ -182,17 +165,16 @@ def _exchanged(first: int, second: int, n: int) -> Float[Tensor, "column column"
     return matrix
 
 
-def _of_other_readings(
-    fit: Fit, observations: Observations, predicted_T: Float[Tensor, "reading 3"]
-) -> Iterator[Mistake]:
+def _of_other_readings(rig: Rig, expected: Expectation) -> Iterator[Mistake]:
     """Fields of the reading some rows before or after, and of another sensor at the same time."""
+    observations, predicted_T = expected.observations, expected.predicted_T
     for rows in sorted((*range(-ROWS_BESIDE, 0), *range(1, ROWS_BESIDE + 1)), key=abs):
         other = _beside(observations, rows)
         expected_T = predicted_T[other].masked_fill((other < 0)[:, None], torch.nan)
         way = "before" if rows > 0 else "after"
         words = f"{OF_ANOTHER_ROW} {abs(rows)} {'row' if abs(rows) == 1 else 'rows'} {way}"
         yield Mistake(words, None, expected_T)
-    for index, sensor in enumerate(fit.rig.sensors):
+    for index, sensor in enumerate(rig.sensors):
         order = in_time(observations, index)
         if not 0 < len(order) < len(observations):
             continue

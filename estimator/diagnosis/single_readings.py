@@ -15,8 +15,9 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.expectation import Expectation, distance, predict_T
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.robust_fit import misses, predict_T, robust_fit, size_of_errors_T
+from estimator.diagnosis.robust_fit import robust_fit
 from estimator.diagnosis.row_mistakes import OF_ANOTHER_ROW, ROWS_BESIDE, Mistake, mistakes_of
 from estimator.readings.flags import Flag, Reason
 from estimator.readings.observations import Observations
@@ -40,9 +41,7 @@ class Suspects(NamedTuple):
 
 def some_miss_by_far(fit: Fit, observations: Observations) -> bool:
     """Whether a reading is farther from what a fit predicts than errors that are alike ever are."""
-    predicted_T = predict_T(fit, fit.values, observations)
-    size_T = size_of_errors_T(observations, predicted_T)
-    return bool((misses(observations.field_sensor_T, predicted_T, size_T) > policy.FAR_FROM_EXPECTED).any())
+    return bool(Expectation(observations, predict_T(fit, fit.values, observations)).is_far.any())
 
 
 def suspects_of(fit: Fit, observations: Observations) -> Suspects:
@@ -68,13 +67,12 @@ def suspects_beside(fit: Fit, values: Mapping[str, Tensor], observations: Observ
         values: Of its parameters, by the readings that do not miss by far.
         observations: The readings to look at.
     """
-    measured_T, predicted_T = observations.field_sensor_T, predict_T(fit, values, observations)
-    size_T = size_of_errors_T(observations, predicted_T)
-    is_far = misses(measured_T, predicted_T, size_T) > policy.FAR_FROM_EXPECTED
+    expected = Expectation(observations, predict_T(fit, values, observations))
+    is_far = expected.is_far
     if not bool(is_far.any()):
         return Suspects([], False)
-    mistakes = mistakes_of(fit, values, observations, predicted_T, size_T, is_far)
-    explained = torch.stack([is_far & _explains(m, measured_T, predicted_T, size_T) for m in mistakes])
+    mistakes = mistakes_of(fit, values, expected)
+    explained = torch.stack([is_far & _explains(mistake, expected) for mistake in mistakes])
     left, is_flagged = is_far.clone(), torch.zeros_like(is_far)
     flags, may_be_causes = list[Flag](), False
     while bool((explained & left).any()):
@@ -85,14 +83,13 @@ def suspects_beside(fit: Fit, values: Mapping[str, Tensor], observations: Observ
         )
         for sensor in observations.sensor[is_clear].unique().tolist():
             is_own = (observations.sensor == sensor) & ~is_flagged
-            also = _of_the_same(is_clear & is_own, mistake, measured_T, predicted_T, size_T)
+            also = _of_the_same(is_clear & is_own, mistake, expected)
             is_its = is_own & (is_clear | also)
             is_flagged, left = is_flagged | is_its, left & ~is_its
             reason = Reason.HELD if mistake.is_exact else Reason.OTHERWISE
             readings = is_its.nonzero().flatten().tolist()
             flags.append(Flag.of(observations, reason, words, mistake.component, readings))
-            would_show = misses(predicted_T, mistake.expected_T, size_T) > policy.FAR_FROM_EXPECTED
-            is_without = would_show & (observations.sensor == sensor) & ~is_its
+            is_without = _would_show(mistake, expected) & (observations.sensor == sensor) & ~is_its
             may_be_causes |= _may_be_cause(mistake, observations.time_s, is_its, is_without)
     is_most = float(left.sum()) <= (1.0 - policy.LEAST_EXPLAINED_OF_FAR) * float(is_far.sum())
     return Suspects(_in_few_words(observations, flags) if is_most else [], may_be_causes)
@@ -145,27 +142,26 @@ def _may_be_cause(
     return not len(later_s) or (mistake.is_reversal and bool((later_s > time_s[is_its].max()).all()))
 
 
-def _explains(
-    mistake: Mistake,
-    measured_T: Float[Tensor, "reading 3"],
-    predicted_T: Float[Tensor, "reading 3"],
-    size_T: Float[Tensor, " reading"],
-) -> Bool[Tensor, " reading"]:
+def _explains(mistake: Mistake, expected: Expectation) -> Bool[Tensor, " reading"]:
     """Readings that a mistake would make fit, of those that it would change by far."""
-    size_T = mistake.magnifies * size_T
-    changes = misses(predicted_T, mistake.expected_T, size_T) > policy.FAR_FROM_EXPECTED
-    fits = misses(measured_T, mistake.expected_T, size_T) < policy.NEAR_TO_EXPECTED
+    measured_T = expected.observations.field_sensor_T
+    fits = (
+        distance(measured_T, mistake.expected_T, mistake.magnifies * expected.size_T)
+        < policy.NEAR_TO_EXPECTED
+    )
     if mistake.is_exact:
         fits &= (measured_T == mistake.expected_T)[:, mistake.component]
-    return changes & fits
+    return fits & _would_show(mistake, expected, mistake.magnifies)
+
+
+def _would_show(mistake: Mistake, expected: Expectation, magnified: float = 1.0) -> Bool[Tensor, " reading"]:
+    """Readings that a mistake would change by far, with errors that are magnified."""
+    off = distance(expected.predicted_T, mistake.expected_T, magnified * expected.size_T)
+    return off > policy.FAR_FROM_EXPECTED
 
 
 def _of_the_same(
-    is_clear: Bool[Tensor, " reading"],
-    mistake: Mistake,
-    measured_T: Float[Tensor, "reading 3"],
-    predicted_T: Float[Tensor, "reading 3"],
-    size_T: Float[Tensor, " reading"],
+    is_clear: Bool[Tensor, " reading"], mistake: Mistake, expected: Expectation
 ) -> Bool[Tensor, " reading"]:
     """Readings that a mistake explains better than none, where it was clearly made in several others.
 
@@ -174,14 +170,13 @@ def _of_the_same(
     rows = is_clear.nonzero().flatten()
     if mistake.is_exact or len(rows) < policy.FEWEST_OF_ONE_MISTAKE:
         return torch.zeros_like(is_clear)
-    by_mistake = misses(measured_T, mistake.expected_T, size_T)
-    as_recorded = misses(measured_T, predicted_T, size_T)
+    by_mistake = distance(expected.observations.field_sensor_T, mistake.expected_T, expected.size_T)
     is_between = torch.zeros_like(is_clear)
     for before, after in pairwise(rows.tolist()):
         if after - before <= ROWS_BESIDE:
             is_between[before:after] = True
-    is_better = (by_mistake < as_recorded - policy.BETTER_BY) & (
+    is_better = (by_mistake < expected.misses - policy.BETTER_BY) & (
         by_mistake < mistake.magnifies * policy.NEAR_TO_EXPECTED
     )
     is_better &= ~mistake.expected_T.isnan().any(dim=1)
-    return is_better & (is_between | (as_recorded > policy.NEAR_TO_EXPECTED))
+    return is_better & (is_between | (expected.misses > policy.NEAR_TO_EXPECTED))

@@ -11,7 +11,8 @@ from torch import Tensor
 
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import Use
-from estimator.model.measurement_model import MeasurementModel, NominalPrediction
+from estimator.model.measurement_model import MeasurementModel
+from estimator.model.nominal import NominalPrediction
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.inference.linearisation import Innovation, Linearisation
 from estimator.inference.positive_definite import inverse, solve
 from estimator.inference.sweep import Sweep
+from estimator.model.clearance import nearest_m
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -203,12 +204,14 @@ class RunningFit:
         """Model of new readings. Rules of earlier ones serve where no sensor is nearer to a winding: to choose is a third of an update."""
         rig = self.coordinates.rig
         model = MeasurementModel.unruled(rig, block)
-        nearest_m = model.nearest_m()
-        is_nearer = any(distance_m < self._nearest_m.get(name, inf) for name, distance_m in nearest_m.items())
+        distances_m = nearest_m(model)
+        is_nearer = any(
+            distance_m < self._nearest_m.get(name, inf) for name, distance_m in distances_m.items()
+        )
         if not is_nearer and len(rig.wound) == len(rig.coils):
             return model.with_rules(self._rules)
         model = model.choose_rules(nominal_tensors(rig), RULE_TOLERANCE)
-        for name, distance_m in nearest_m.items():
+        for name, distance_m in distances_m.items():
             if distance_m < self._nearest_m.get(name, inf):
                 self._nearest_m[name], self._rules[name] = distance_m, model.rules[name]
         return model

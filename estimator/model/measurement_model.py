@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from estimator.derivatives import jacobian_of, slopes_in
+from estimator.derivatives import slopes_in
 from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
@@ -24,27 +24,23 @@ from estimator.effects.stages import (
     ElementEffect,
     MotionEffect,
     MountEffect,
-    Prediction,
     ReadingEffect,
     RecordEffect,
     SourceEffect,
 )
 from estimator.effects.use import as_meant, uses_of
-from estimator.errors import InvalidInput
-from estimator.field.coil import AnyWinding, distance_to_coil, rule_of_coil
+from estimator.field.coil import distance_to_coil, rule_of_coil
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
 from estimator.frames import Transform, first_derivatives_only
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
+from estimator.model.clearance import refuse_inside, refuse_outside
 from estimator.model.sources import Sources
-from estimator.model.unwound import CLEAR_SHARE, is_among_sources, is_beyond_box, is_near_multipole
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, Region, Rig, UnwoundCoil, WoundCoil
-
-MOST_RADII = 3.0  # farther out a term of degree 8 is beyond 2000 times its amplitude, whose prior then says nothing: likely another unit
+from estimator.rig.rig import AnyCoil, Rig, UnwoundCoil
 
 MOSTLY_APART = 0.75  # share of readings by sensors with elements apart from which on all are evaluated as such, in one call instead of two
 
@@ -197,45 +193,19 @@ class MeasurementModel:
             rows = self.powered[coil.name]
             is_idle = not len(rows)  # until an effect makes it carry current
             rows = self.every_row if is_idle else rows
-            points_m = self._in_coil(coil, rows, values).translation_m
+            points_m = self.in_coil(coil, rows, values).translation_m
             if isinstance(coil, UnwoundCoil):
                 if not is_idle:
-                    self._refuse_outside(coil, rows, points_m, values)
+                    refuse_outside(self, coil, rows, points_m, values)
                 continue
             winding = winding_of(self.rig, coil, values)
             if is_idle:
                 points_m = points_m[distance_to_coil(points_m, winding) > 0.0]
             else:
-                self._refuse_inside(coil, rows, points_m, winding)
+                refuse_inside(self, coil, rows, points_m, winding)
             if len(points_m):
                 rules[coil.name] = rule_of_coil(winding, points_m, tolerance)
         return self.with_rules(rules)
-
-    def clearance_m(self) -> Float[Tensor, " reading"]:
-        """Distance of each reading's sensor from the nearest winding, at nominal values; 0 inside, infinite where no coil has one."""
-        values, rows = self.nominal, self.every_row
-        distances_m = [torch.full_like(self.circumstances.current_A[:1, 0], torch.inf)]
-        distances_m += [
-            distance_to_coil(
-                self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
-            )
-            for coil in self.rig.wound
-        ]
-        nearest_m = torch.stack([each_m.expand(len(rows)) for each_m in distances_m]).amin(0)
-        return nearest_m.clamp(min=0.0)[self.pose_row]
-
-    def nearest_m(self) -> dict[str, float]:
-        """Distance of the nearest sensor from each winding that carries current, at nominal values; 0 inside it."""
-        values = self.nominal
-        return {
-            coil.name: float(
-                distance_to_coil(
-                    self._in_coil(coil, rows, values).translation_m, winding_of(self.rig, coil, values)
-                ).min()
-            )
-            for coil in self.rig.wound
-            if len(rows := self.powered[coil.name])
-        }
 
     def predict(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field components each reading should show, in the frame of its sensor, in tesla.
@@ -262,7 +232,7 @@ class MeasurementModel:
         self, coil: AnyCoil, rows: Int[Tensor, " rows"], values: Values
     ) -> tuple[Float[Tensor, "*batch rows 3"], Float[Tensor, "*#batch #rows 3 3"]]:
         """Sensor position in the coil frame and the rotation sensor_from_coil, at distinct poses."""
-        coil_from_sensor = self._in_coil(coil, rows, values)
+        coil_from_sensor = self.in_coil(coil, rows, values)
         return coil_from_sensor.translation_m, coil_from_sensor.rotation.mT
 
     def readings_in_coil(
@@ -355,40 +325,10 @@ class MeasurementModel:
         gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))
         return torch.stack(gains, dim=-1)[..., self.sensor[self.pose_row]]
 
-    def _in_coil(self, coil: AnyCoil, rows: Int[Tensor, " rows"], values: Values) -> Transform:
-        """coil_from_sensor at distinct poses; one row where both stay where they are."""
+    def in_coil(self, coil: AnyCoil, rows: Int[Tensor, " rows"], values: Values) -> Transform:
+        """Pose coil_from_sensor at distinct poses; one row where both stay where they are."""
         world_from_coil = self.sources.world_from_body(coil, "coil", rows, values)
         return world_from_coil.inverse() @ self.world_from_sensor(rows, values)
-
-    def _refuse_inside(self, coil: WoundCoil, rows: Tensor, points_m: Tensor, winding: AnyWinding) -> None:
-        inside = distance_to_coil(points_m, winding) <= 0.0
-        self._refuse(f"outside the winding of {coil.name}", rows, inside)
-
-    def _refuse_outside(self, coil: UnwoundCoil, rows: Tensor, points_m: Tensor, values: Values) -> None:
-        """Refuse readings where the field of a coil has no meaning: among its sources, or far beyond the sphere of reference."""
-        if isinstance(coil, EquivalentSourceCoil):
-            half = " x ".join(f"{2e3 * half_m:.6g}" for half_m in coil.half_m)
-            beyond = f"no more than {CLEAR_SHARE:g} of the margin, {coil.margin_m * 1e3:.6g} mm, beyond"
-            self._refuse(f"{beyond} the box of {coil.name}, {half} mm", rows, is_beyond_box(coil, points_m))
-            near = is_near_multipole(coil, points_m)
-            self._refuse(f"no nearer to a multipole of {coil.name} than its box does", rows, near)
-            return
-        among = is_among_sources(coil, points_m, values)
-        radius_m = values[f"{coil.name}.reference_radius_m"]
-        where = f"of {coil.name}, {float(radius_m) * 1e3:.6g} mm"
-        self._refuse(f"outside the reference_radius {where}, which holds all its sources", rows, among)
-        if coil.region is Region.INTERIOR:
-            is_far = points_m.norm(dim=-1) > MOST_RADII * radius_m
-            self._refuse(f"within {MOST_RADII:g} times the reference_radius {where}", rows, is_far)
-
-    def _refuse(self, rule: str, rows: Tensor, is_refused: Tensor) -> None:
-        refused = is_refused.nonzero().flatten()
-        if len(refused):
-            reading = int(torch.isin(self.pose_row, rows[refused]).nonzero().flatten()[0])
-            raise InvalidInput(
-                f"sensors must lie {rule}; at the rig's nominal values {len(refused)} of "
-                f"{len(rows)} poses do not, the first at reading {reading} (rig {self.rig.name!r})"
-            )
 
 
 @dataclass(frozen=True)
@@ -410,42 +350,6 @@ class _Part:
         """The chosen readings of a model, with a model of them alone."""
         readings = is_part.nonzero().flatten()
         return cls(readings, model.pose_row[readings].unique(), model.part(readings))
-
-
-@dataclass(frozen=True)
-class NominalPrediction(Prediction):
-    """Predictions of a model at the nominal values of its rig.
-
-    Attributes:
-        model: Of the readings.
-    """
-
-    model: MeasurementModel
-
-    @cached_property
-    def field_sensor_T(self) -> Float[Tensor, "reading 3"]:
-        """Components as they should be read."""
-        field_T = self.model.predict(self.model.nominal)
-        return field_T.expand(len(self.model.circumstances), 3)
-
-    def gradient_T_per_m(self, mover: str) -> Float[Tensor, "reading 3 3"]:
-        """Change of each component per displacement of a mover along its axes."""
-        return gradient_T_per_m(self.model, self.model.nominal, mover)
-
-
-def gradient_T_per_m(model: MeasurementModel, values: Values, mover: str) -> Float[Tensor, "reading 3 3"]:
-    """Change of each component that a model predicts per displacement of a mover along its axes, at some values (no batch)."""
-    model = model.with_mode(SumMode.FIRST_ORDER)
-    sources = model.sources
-    poses = sources.flange[mover]
-
-    def moved(shift_m: Tensor) -> Tensor:
-        displaced = Transform(poses.rotation, poses.translation_m + shift_m)
-        there = replace(sources, flange={**sources.flange, mover: displaced})
-        return replace(model, sources=there).predict(values).expand(len(model.circumstances), 3)
-
-    gradient: Tensor = jacobian_of(moved, poses.translation_m.new_zeros(3))
-    return gradient
 
 
 def nominal_tensors(rig: Rig, like: Tensor | None = None) -> dict[str, Tensor]:

@@ -15,7 +15,8 @@ from estimator.effects.stages import NoiseEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.model.hide import cause_of, full_names, with_hidden
-from estimator.model.measurement_model import MeasurementModel, NominalPrediction, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.nominal import NominalPrediction
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
 from estimator.readings.segments import segments_in_turn

@@ -22,9 +22,9 @@ import torch
 
 from estimator import load_rig
 from estimator.diagnosis import policy
+from estimator.diagnosis.expectation import predict_T
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
-from estimator.diagnosis.robust_fit import predict_T
 from estimator.diagnosis.single_readings import suspects_of
 from estimator.effects import EFFECTS
 from estimator.readings.digits import flags_of_digits

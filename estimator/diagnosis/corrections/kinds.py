@@ -23,7 +23,8 @@ from estimator.effects.corrections.correction import Limit
 from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.effects.use import Use
 from estimator.geometry.motion import base_from_motion
-from estimator.model.measurement_model import MeasurementModel, gradient_T_per_m, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.nominal import gradient_T_per_m
 from estimator.rig.coordinates import Values
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig

@@ -16,7 +16,7 @@ from estimator.effects.attach import with_effect
 from estimator.effects.base import Kind
 from estimator.effects.stages import NoiseEffect, NoiseEstimate
 from estimator.effects.use import Use
-from estimator.model.measurement_model import NominalPrediction
+from estimator.model.nominal import NominalPrediction
 from estimator.rig.rig import Cause
 from estimator.side_by_side import each
 

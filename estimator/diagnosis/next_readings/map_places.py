@@ -12,6 +12,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.corrections.correction import Correction
 from estimator.errors import InvalidInput
+from estimator.model.clearance import clearance_m
 from estimator.model.hide import cause_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -87,4 +88,4 @@ def _width_m(session: Observations, mover: str) -> float:
 
 
 def _clearance_m(rig: Rig, readings: Observations) -> torch.Tensor:
-    return MeasurementModel.unruled(rig, readings).clearance_m()
+    return clearance_m(MeasurementModel.unruled(rig, readings))

@@ -23,7 +23,7 @@ from estimator.diagnosis.structure.covariates import covariates
 from estimator.diagnosis.structure.smooth import legendre, unit_interval
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import uses_of
-from estimator.model.measurement_model import NominalPrediction
+from estimator.model.nominal import NominalPrediction
 
 LEAST_SHARE = 0.05  # of a component's variance that the fit leaves it; below, the fit runs through it
 

@@ -11,6 +11,7 @@ from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit
+from estimator.model.clearance import nearest_m
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -83,11 +84,11 @@ def test_rules_are_kept_until_a_sensor_comes_nearer_and_stay_exact(
     )
     running = RunningFit(rig)
     one_by_one = [observations.rows(torch.tensor([row])).alone for row in range(len(observations))]
-    nearest_m, n_nearer = math.inf, 0
+    least_m, n_nearer = math.inf, 0
     for reading in one_by_one:
-        (distance_m,) = MeasurementModel.unruled(rig, reading).nearest_m().values()
-        n_nearer += distance_m < nearest_m
-        nearest_m = min(nearest_m, distance_m)
+        (distance_m,) = nearest_m(MeasurementModel.unruled(rig, reading)).values()
+        n_nearer += distance_m < least_m
+        least_m = min(least_m, distance_m)
         kept = running._model(reading).predict(nominal_tensors(rig))
         exact = choose(MeasurementModel.unruled(rig, reading), nominal_tensors(rig), 0.0).predict(
             nominal_tensors(rig)

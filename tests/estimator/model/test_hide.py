@@ -74,7 +74,8 @@ def test_outliers_scatter_as_often_and_as_far_as_they_are_said_to() -> None:
 
 
 def test_a_mover_that_scatters_disturbs_the_readings_by_its_distance_times_the_gradient() -> None:
-    from estimator.model.measurement_model import MeasurementModel, NominalPrediction
+    from estimator.model.measurement_model import MeasurementModel
+    from estimator.model.nominal import NominalPrediction
 
     observations = session_with((), (3.0, -3.0), 1).observations
     gradient = NominalPrediction(

@@ -14,7 +14,7 @@ from estimator.effects.stages import (
     WindingEffect,
     WindingMagnetisation,
 )
-from estimator.model.measurement_model import NominalPrediction
+from estimator.model.nominal import NominalPrediction
 from tests.physics.effects.laboratory import POINTS_M, SOURCES, label_of, model_of, readings
 
 UNIFORM = (

@@ -11,7 +11,7 @@ from estimator.diagnosis.structure.families.collection import Collection
 from estimator.diagnosis.structure.families.memory import lingering_T
 from estimator.diagnosis.structure.families.unit_field import unit_field_T
 from estimator.diagnosis.structure.smooth import legendre, unit_interval
-from estimator.model.measurement_model import gradient_T_per_m
+from estimator.model.nominal import gradient_T_per_m
 
 
 def add_history(collection: Collection) -> None:

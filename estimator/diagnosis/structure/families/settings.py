@@ -13,7 +13,7 @@ from estimator.diagnosis.structure.families.collection import Collection, by_sen
 from estimator.diagnosis.structure.families.unit_field import unit_field_T
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.geometry.motion import base_from_motion
-from estimator.model.measurement_model import gradient_T_per_m
+from estimator.model.nominal import gradient_T_per_m
 
 RANGES = "the range of a sensor"
 # Factor on the end of a range: fields of opposite currents are as large to rounding, and stay on one side.

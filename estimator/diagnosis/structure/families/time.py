@@ -15,7 +15,7 @@ from estimator.diagnosis.structure.families.collection import Collection, by_sen
 from estimator.diagnosis.structure.families.unit_field import unit_field_T
 from estimator.diagnosis.structure.smooth import legendre
 from estimator.effects.circumstances import Circumstances
-from estimator.model.measurement_model import gradient_T_per_m
+from estimator.model.nominal import gradient_T_per_m
 from estimator.readings.observations import SECONDS_PER_HOUR
 
 PERIODS_AT_ONCE = 32  # which bounds the memory

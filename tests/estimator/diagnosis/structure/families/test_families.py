@@ -13,7 +13,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
-from estimator.model.measurement_model import gradient_T_per_m
+from estimator.model.nominal import gradient_T_per_m
 from tests.estimator.diagnosis.sessions import plain_fit
 
 pytestmark = pytest.mark.whole
