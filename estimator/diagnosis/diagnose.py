@@ -80,7 +80,8 @@ def diagnose(
     Args:
         session: Readings. Those marked as validation are kept out of the fits; where none is marked, a fifth is, in blocks.
         rig: Another description of the session's rig.
-        validation: Another session of the same rig; validates the extension instead.
+        validation: Another session of the same rig; validates the extension instead. Readings of it that cannot have been measured as they
+            were recorded do not count either (`findings.judging_flags`).
         out: Folder for `diagnosis.json` and `rig_extended.yaml`, and for `calibration` where the posterior is sampled. Fits that an
             interrupted diagnosis has left there are not made again.
         seed: Of the split, the thinning, the starts and the sampling.
@@ -161,7 +162,7 @@ def _judged(
     on_progress: OnProgress,
 ) -> Diagnosis:
     """The diagnosis from readings to be fitted and others to judge the fits."""
-    rig, seed, plain, seen, unseen = question.rig, question.seed, first.plain, first.seen, first.unseen
+    rig, seed, plain, seen = question.rig, question.seed, first.plain, first.seen
     symptoms = meanwhile(lambda: Symptoms.of(plain, seed))
     search_result, mistakes, visible, twins = computed_on(
         place, lambda fit: _found(fit, first.refusal, limits, tell, on_progress), plain
@@ -170,6 +171,7 @@ def _judged(
     tell("validating on readings not used for fitting")
     if len(seen) > len(plain.observations):
         outcome = outcome.fitted_to(thinned(seen, policy.MOST_READINGS_FITTED, seed))
+    unseen, judging_flags = first.judging(outcome.extended)
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
         outcome = outcome.checked_by(unseen)
@@ -187,6 +189,7 @@ def _judged(
             causes=tuple(named),
             stand_ins=tuple(stand_ins(search_result, named, extended)),
             flags=first.flags,
+            judging_flags=tuple(judging_flags),
         ),
         fits=Fits(
             plain=plain,

@@ -78,6 +78,20 @@ class FirstFit:
         extended = result.fits.extended
         return by_plain or suspects_beside(extended, robust_values(extended), readings).flags
 
+    def judging(self, extended: Fit) -> tuple[Observations, list[Flag]]:
+        """The readings that judge the fits, and what was flagged and left out of those of another session.
+
+        Args:
+            extended: Of the rig with the causes that were found.
+        """
+        if self.validation is None:
+            return self.unseen, []
+        readings = self.validation.observations
+        by_digits = flags_of_digits(readings)
+        suspects = suspects_beside(extended, extended.values, without_flagged(readings, by_digits))
+        flags = merged(readings, by_digits if suspects.may_be_causes else (*by_digits, *suspects.flags))
+        return without_flagged(readings, flags), flags
+
     def without_suspects(self, tell: Callable[[str], None]) -> FirstFit:
         """The fit without such readings, unless they may be a cause of the library; a finer fit shows finer mistakes."""
         first = self

@@ -80,11 +80,17 @@ def held_back(diagnosis: Diagnosis) -> list[str]:
 
 def _flagged(diagnosis: Diagnosis) -> str:
     """Readings that cannot have been measured as they were recorded, and what was done with them; empty where there are none."""
-    flags = diagnosis.findings.flags
+    flags, others = diagnosis.findings.flags, diagnosis.findings.judging_flags
     are_left_out = any(not flag.is_everywhere for flag in flags)
-    return told(flags, diagnosis.sensor_names) + (
-        " They were left out; what follows is of the others." if are_left_out else ""
+    left_out = "They were left out; what follows is of the others." if are_left_out else ""
+    of_others = told(others, diagnosis.sensor_names, " of the session for validation")
+    sentences = (
+        told(flags, diagnosis.sensor_names),
+        left_out,
+        of_others,
+        "They judge nothing." if others else "",
     )
+    return " ".join(words for words in sentences if words)
 
 
 def _is_only_flagged(diagnosis: Diagnosis) -> bool:

@@ -72,6 +72,7 @@ class Findings:
         causes: The named causes, in order.
         stand_ins: Further causes of the extended rig. They are not named, for something unknown may look like them.
         flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
+        judging_flags: The same of another session, which judges the fits.
     """
 
     search: Search
@@ -79,6 +80,7 @@ class Findings:
     causes: tuple[NamedCause, ...] = ()
     stand_ins: tuple[Cause, ...] = ()
     flags: tuple[Flag, ...] = ()
+    judging_flags: tuple[Flag, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -254,6 +256,9 @@ class Diagnosis:
                 for c in self.findings.stand_ins
             ],
             "flagged": [flag.to_json(self.sensor_names) for flag in self.findings.flags],
+            "flagged_in_validation": [
+                flag.to_json(self.sensor_names) for flag in self.findings.judging_flags
+            ],
             "indistinguishable": [[self.label(cause) for cause in group] for group in left_open.twins],
             "next_measurement": [
                 {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
@@ -11,6 +12,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.validation import ValidationScores
 from estimator.effects import EFFECTS
+from estimator.readings.flags import Flag
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
@@ -40,8 +42,7 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
                 "readings know it better than either quantity.",
             )
         )
-    if diagnosis.findings.flags:
-        tables.append(_flags_table(diagnosis))
+    tables += _flags_tables(diagnosis)
     if diagnosis.improvement is not None:
         tables.append(_validation_table(diagnosis))
         tables += [table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows]
@@ -61,19 +62,31 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
     return tables
 
 
-def _flags_table(diagnosis: Diagnosis) -> Table:
-    """Readings that cannot have been measured as they were recorded."""
+def _flags_tables(diagnosis: Diagnosis) -> list[Table]:
+    """Readings that cannot have been measured as they were recorded, of the session and of another one that judges the fits."""
+    findings, words = diagnosis.findings, "that are not as they were measured"
+    return [
+        _flags_table(title, flags, diagnosis.sensor_names)
+        for title, flags in (
+            (f"Readings {words}", findings.flags),
+            (f"Readings {words}, of the session for validation", findings.judging_flags),
+        )
+        if flags
+    ]
+
+
+def _flags_table(title: str, flags: Sequence[Flag], sensors: Sequence[str]) -> Table:
     rows = [
         [
-            flag.subject(diagnosis.sensor_names),
+            flag.subject(sensors),
             flag.words,
             str(len(flag.readings)),
             "" if flag.is_everywhere else flag.where(),
         ]
-        for flag in diagnosis.findings.flags
+        for flag in flags
     ]
     return Table(
-        "Readings that are not as they were measured",
+        title,
         ["fields", "what is wrong", "number", "where"],
         rows,
         "Readings are counted from 1 in the order of the file; diagnosis.json lists each. They were left out, but for what is wrong in all "

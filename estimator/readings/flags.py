@@ -160,11 +160,11 @@ def without_flagged(observations: Observations, flags: Sequence[Flag]) -> Observ
     return replace(observations, field_sensor_T=field_T)
 
 
-def told(flags: Sequence[Flag], sensors: Sequence[str]) -> str:
-    """A sentence about readings that were flagged; empty where none was."""
+def told(flags: Sequence[Flag], sensors: Sequence[str], of_what: str = "") -> str:
+    """A sentence about readings that were flagged, of this or of something else; empty where none was."""
     if not flags:
         return ""
-    return f"Readings are not as they were measured: {'; '.join(flag.clause(sensors) for flag in flags)}."
+    return f"Readings{of_what} are not as they were measured: {'; '.join(flag.clause(sensors) for flag in flags)}."
 
 
 def in_time(observations: Observations, sensor: int) -> Int[Tensor, " own"]:

@@ -10,11 +10,38 @@ from torch import Tensor
 from estimator import diagnose
 from estimator.diagnosis import outcome
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.headline import headline
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.observations import Observations
 from tests.estimator.diagnosis.sessions import session_with
 
 pytestmark = pytest.mark.whole
+
+
+def test_rows_of_the_other_session_that_were_written_down_wrongly_judge_nothing() -> None:
+    """One decimal point would change the log predictive density by millions."""
+    hidden, currents_A = (("axis_gain.x", 0.02),), (3.0, -3.0, 1.5)
+    other = session_with(hidden, currents_A, 2)
+    field_T = other.observations.field_sensor_T.clone()
+    rows = field_T.abs().amax(dim=1).topk(2).indices.sort().values.tolist()
+    field_T[rows] *= 10.0
+    wrong = replace(other, observations=other.observations.with_field(field_T))
+    session = session_with(hidden, currents_A, 1)
+    diagnosis, right = (diagnose(session, validation=validation, seed=1) for validation in (wrong, other))
+    (flag,) = diagnosis.findings.judging_flags
+    assert (flag.words, list(flag.readings)) == ("is ten times too large", rows)
+    assert not diagnosis.findings.flags
+    assert diagnosis.verdict == right.verdict != "unexplained"
+    assert [named.cause.name for named in diagnosis.causes] == ["axis_gain"]
+    assert diagnosis.improvement is not None
+    assert right.improvement is not None
+    assert diagnosis.improvement.elpd_difference == pytest.approx(right.improvement.elpd_difference, abs=20.0)
+    (record,) = diagnosis.to_json()["flagged_in_validation"]
+    assert record["readings"] == [row + 1 for row in rows]
+    words = " ".join(headline(diagnosis))
+    opening = "Readings of the session for validation are not as they were measured: hall is ten times too large, in readings "
+    assert opening in words
+    assert "They judge nothing." in words
 
 
 def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.MonkeyPatch) -> None:
