@@ -31,6 +31,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.outcome import Outcome
+from estimator.diagnosis.outlying import outliers_of
 from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.result import (
@@ -190,6 +191,7 @@ def _judged(
             stand_ins=tuple(stand_ins(search_result, named, extended)),
             flags=first.flags,
             judging_flags=tuple(judging_flags),
+            outliers=tuple(outliers_of(outcome.after, first.session.observations)),
         ),
         fits=Fits(
             plain=plain,

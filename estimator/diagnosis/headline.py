@@ -15,7 +15,7 @@ from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL, Extent
-from estimator.readings.flags import told
+from estimator.readings.flags import COMPONENTS, told
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
 from estimator.rig.parameters import Normal
@@ -36,6 +36,7 @@ def headline(diagnosis: Diagnosis) -> list[str]:
     sentences = [
         _flagged(diagnosis),
         _what(diagnosis),
+        _outliers(diagnosis),
         source,
         _cost(diagnosis),
         "" if source else _next(diagnosis),
@@ -91,6 +92,21 @@ def _flagged(diagnosis: Diagnosis) -> str:
         "They judge nothing." if others else "",
     )
     return " ".join(words for words in sentences if words)
+
+
+def _outliers(diagnosis: Diagnosis) -> str:
+    """How many components are probably outliers, and which is the farthest; empty where none is."""
+    outliers = diagnosis.findings.outliers
+    if not outliers:
+        return ""
+    far = outliers[0]
+    where = f"{COMPONENTS[far.component]} of {far.sensor} in reading {far.reading + 1}"
+    few = (
+        "One component is probably an outlier"
+        if len(outliers) == 1
+        else f"{len(outliers)} components are probably outliers, the farthest"
+    )
+    return f"{few}: {where}, {size_with_unit(abs(far.miss_T), 'T')} off."
 
 
 def _is_only_flagged(diagnosis: Diagnosis) -> bool:

@@ -20,6 +20,7 @@ from estimator.diagnosis.hypotheses.search_record import Addition, Search
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, p_of_structure
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
+from estimator.diagnosis.outlying import Outlier
 from estimator.diagnosis.search_json import search_to_json
 from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
 from estimator.diagnosis.structure.symptoms import Symptoms
@@ -73,6 +74,7 @@ class Findings:
         stand_ins: Further causes of the extended rig. They are not named, for something unknown may look like them.
         flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
         judging_flags: The same of another session, which judges the fits.
+        outliers: Components that are probably wrong, where the extended rig has outliers, those that miss most first.
     """
 
     search: Search
@@ -81,6 +83,7 @@ class Findings:
     stand_ins: tuple[Cause, ...] = ()
     flags: tuple[Flag, ...] = ()
     judging_flags: tuple[Flag, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -256,6 +259,7 @@ class Diagnosis:
                 for c in self.findings.stand_ins
             ],
             "flagged": [flag.to_json(self.sensor_names) for flag in self.findings.flags],
+            "outliers": [outlier.to_json() for outlier in self.findings.outliers],
             "flagged_in_validation": [
                 flag.to_json(self.sensor_names) for flag in self.findings.judging_flags
             ],

@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
 from estimator.diagnosis.impact import impact_sd
+from estimator.diagnosis.outlying import Outlier
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.validation import ValidationScores
 from estimator.effects import EFFECTS
-from estimator.readings.flags import Flag
+from estimator.readings.flags import COMPONENTS, Flag
 from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
@@ -20,6 +21,7 @@ from estimator.units import split_quotient
 
 MOST_HYPOTHESES = 8
 MOST_STEPS = 6
+MOST_OUTLIERS = 20
 MOST_IMPACT_COLUMNS = 6
 
 
@@ -43,6 +45,8 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             )
         )
     tables += _flags_tables(diagnosis)
+    if diagnosis.findings.outliers:
+        tables.append(_outliers_table(diagnosis.findings.outliers))
     if diagnosis.improvement is not None:
         tables.append(_validation_table(diagnosis))
         tables += [table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows]
@@ -91,6 +95,32 @@ def _flags_table(title: str, flags: Sequence[Flag], sensors: Sequence[str]) -> T
         rows,
         "Readings are counted from 1 in the order of the file; diagnosis.json lists each. They were left out, but for what is wrong in all "
         "readings of a sensor. The words say what fits the other readings, not who made the mistake.",
+    )
+
+
+def _outliers_table(outliers: Sequence[Outlier]) -> Table:
+    """Components that are probably wrong, those that miss most first."""
+    rows = [
+        [
+            str(outlier.reading + 1),
+            f"{COMPONENTS[outlier.component]} of {outlier.sensor}",
+            size_with_unit(outlier.miss_T, "T"),
+            f"{outlier.miss_sd:.1f}",
+            f"{outlier.probability:.3f}",
+        ]
+        for outlier in outliers[:MOST_OUTLIERS]
+    ]
+    more = (
+        f" {len(outliers) - MOST_OUTLIERS} more are in diagnosis.json."
+        if len(outliers) > MOST_OUTLIERS
+        else ""
+    )
+    return Table(
+        "Readings that are probably outliers",
+        ["reading", "component", "measured − predicted", "in standard deviations", "probability"],
+        rows,
+        "Readings are counted from 1 in the order of the file. Outliers count little in the fit. The probability follows from their share "
+        f"and width, as fitted.{more}",
     )
 
 

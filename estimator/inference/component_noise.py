@@ -54,7 +54,7 @@ class ComponentNoise:
         return ComponentNoise(self.use, concerned, self.exposure[components])
 
     def where_concerned(
-        self, changed: Float[Tensor, "*batch component"], unchanged: Float[Tensor, "*#batch component"]
+        self, changed: Float[Tensor, "*#batch #component"], unchanged: Float[Tensor, "*#batch component"]
     ) -> Float[Tensor, "*batch component"]:
         """Changed numbers of the components that it concerns, unchanged ones of all others."""
         return changed if self.concerned is None else torch.where(self.concerned, changed, unchanged)

@@ -1,0 +1,84 @@
+"""Readings that are probably outliers, where the fit says that a share of the readings is wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+
+from estimator.diagnosis.fitting import Fit
+from estimator.effects.stages import NoiseEffect
+from estimator.effects.use import as_meant, uses_of
+from estimator.inference.likelihood import LogPosterior
+from estimator.model.measurement_model import MeasurementModel
+from estimator.readings.flags import COMPONENTS
+from estimator.readings.observations import Observations
+
+PROBABLY = 0.5
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A component of a reading that is probably wrong.
+
+    Attributes:
+        reading: Number of the reading in the session, from 0.
+        sensor: Name of its sensor.
+        component: Index of the component.
+        miss_T: Measured less predicted.
+        miss_sd: The same in standard deviations of the readings that are right.
+        probability: That it is wrong.
+    """
+
+    reading: int
+    sensor: str
+    component: int
+    miss_T: float
+    miss_sd: float
+    probability: float
+
+    def to_json(self) -> dict[str, Any]:
+        """The outlier in the form of JSON; readings are counted from 1."""
+        return {
+            "reading": self.reading + 1,
+            "sensor": self.sensor,
+            "component": COMPONENTS[self.component],
+            "miss_T": self.miss_T,
+            "miss_sd": self.miss_sd,
+            "probability": self.probability,
+        }
+
+
+def outliers_of(fit: Fit, observations: Observations) -> list[Outlier]:
+    """Components that are probably outliers, those that miss most first; none where the rig of the fit has no outliers.
+
+    Each is wrong with the probability of the fit's mixture: the share that is wrong, and how wide its errors are.
+
+    Args:
+        fit: Of the rig.
+        observations: The readings, a whole session.
+    References: Bayes' rule for a mixture of two normals, as in Hogg, Bovy and Lang, arXiv:1008.4686 (2010), section 3.
+    """
+    if not any(use.effect.is_contaminating for use in uses_of(fit.rig, NoiseEffect)):
+        return []
+    fitted, observations = fit.posterior.model, as_meant(fit.rig, observations)
+    model = (
+        MeasurementModel.unruled(fit.rig, observations)
+        .with_rules(fitted.rules)
+        .with_maps(fitted.sources.maps)
+    )
+    posterior = LogPosterior(fit.posterior.coordinates, model, observations)
+    with torch.no_grad():
+        miss_T = posterior.measured_T - posterior.predicted(fit.vector)
+        miss_sd = miss_T / posterior.component_sigma_T(fit.vector)
+        share, ratio = posterior.contamination(fit.values)
+        good = torch.log1p(-share) - 0.5 * miss_sd**2
+        bad = torch.log(share / ratio) - 0.5 * (miss_sd / ratio) ** 2
+        probability = torch.sigmoid(bad - good)
+    probable = (probability > PROBABLY).nonzero().flatten()
+    probable = probable[miss_sd[probable].abs().argsort(descending=True)]
+    readings, components = observations.is_measured.nonzero()[probable].unbind(1)
+    names = [fit.rig.sensors[sensor].name for sensor in observations.sensor[readings].tolist()]
+    numbers = (numbers[probable].tolist() for numbers in (miss_T, miss_sd, probability))
+    return list(map(Outlier, readings.tolist(), names, components.tolist(), *numbers))

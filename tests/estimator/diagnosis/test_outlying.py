@@ -1,0 +1,59 @@
+"""Components that are probably outliers are listed where a share of the readings is wrong, and nowhere else."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from scipy import stats
+
+from estimator.diagnosis.outlying import outliers_of
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of
+
+pytestmark = pytest.mark.whole
+
+WRONG = {(3, 0): 4e-4, (11, 2): -2e-4, (20, 1): 1e-4}  # reading and component, and by how much, in T
+SHARE, RATIO = 0.02, 30.0
+
+
+@pytest.fixture(scope="module")
+def session(small_session: Session) -> Session:
+    field_T = small_session.observations.field_sensor_T.clone()
+    field_T[5, 1] = torch.nan  # a component that was not measured
+    for (reading, component), error_T in WRONG.items():
+        field_T[reading, component] += error_T
+    return replace(small_session, observations=small_session.observations.with_field(field_T))
+
+
+@pytest.fixture(scope="module")
+def fit(small_rig: Rig, session: Session):
+    rig = with_effect(
+        small_rig, Cause("outliers", "hall"), session.observations, {"share": SHARE, "ratio": RATIO}, False
+    )
+    return fit_of(rig, session.observations.calibration)
+
+
+def test_the_wrong_components_are_listed_the_farthest_first(fit, session):
+    outliers = outliers_of(fit, session.observations)
+    assert [(o.reading, o.component) for o in outliers] == list(WRONG)
+    assert {o.sensor for o in outliers} == {"hall"}
+    for outlier, error_T in zip(outliers, WRONG.values(), strict=True):
+        sigma_T = float(fit.posterior.sigma_T(fit.vector)[0])
+        assert outlier.miss_T == pytest.approx(error_T, abs=5.0 * sigma_T)
+        assert outlier.miss_sd == pytest.approx(outlier.miss_T / sigma_T, rel=1e-9)
+    assert outliers[0].to_json()["reading"] == 4
+
+
+def test_its_probability_is_that_of_a_mixture_of_two_normals(fit, session):
+    for outlier in outliers_of(fit, session.observations):
+        good = (1.0 - SHARE) * stats.norm.pdf(outlier.miss_sd)
+        bad = SHARE * stats.norm.pdf(outlier.miss_sd, scale=RATIO)
+        assert outlier.probability == pytest.approx(bad / (good + bad), rel=1e-6)
+
+
+def test_without_that_cause_none_is_listed(small_rig, session):
+    assert outliers_of(fit_of(small_rig, session.observations.calibration), session.observations) == []
