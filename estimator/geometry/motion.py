@@ -11,6 +11,7 @@ from torch import Tensor
 from estimator.derivatives import jacobian_of
 from estimator.frames import Transform, rotation_from_vector, vector_from_rotation
 from estimator.geometry.kinematics import base_from_flange
+from estimator.least_squares import least_squares
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, DisplacementFrame, MotionKind, Mover, Rig
 
@@ -104,7 +105,7 @@ def _joints_reaching(
     joints_rad = near
     for _ in range(NEWTON_STEPS):
         jacobian = jacobian_of(pose_error, joints_rad)
-        joints_rad = joints_rad - torch.linalg.lstsq(jacobian, pose_error(joints_rad)).solution
+        joints_rad = joints_rad - least_squares(jacobian, pose_error(joints_rad))
     return joints_rad
 
 

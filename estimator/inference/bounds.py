@@ -14,6 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.inference.positive_definite import solve, solve_each
+from estimator.least_squares import least_squares
 from estimator.rig.coordinates import Coordinates
 
 APPROACH = 0.9  # of the way to a bound in one step
@@ -76,9 +77,7 @@ class Inside:
             is_held |= pushes
             constraints = self._slopes[is_held]
             directions = solve_each(precision, constraints.mT)
-            free = (
-                step - directions @ torch.linalg.lstsq(constraints @ directions, constraints @ step).solution
-            )
+            free = step - directions @ least_squares(constraints @ directions, constraints @ step)
 
     def along_bounds(
         self, damped: Float[Tensor, "continuous continuous"], step: Float[Tensor, " continuous"]
@@ -116,6 +115,6 @@ class Inside:
                 system = constraints @ directions
                 if not (torch.isfinite(system).all() and torch.isfinite(violation).all()):
                     return step  # no first-order model of the bounds so far out: the step is refused and the damping grows
-                multipliers = torch.linalg.lstsq(system, violation[:, None]).solution[:, 0]
+                multipliers = least_squares(system, violation)
                 bounded_step = bounded_step - directions @ multipliers
         return bounded_step
