@@ -126,7 +126,7 @@ class _SearchState:
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
         self.reached: dict[Cause, dict[str, Tensor]] = {}  # own parameters of each cause in its last fit
-        self.shown: list[tuple[list[Cause], Callable[[], list[Step]]]] = []  # how a pile compares these
+        self.shown: list[tuple[list[Cause], Callable[[], list[Step]]]] = []  # causes that a pile shows, and how each is compared
         self.needed: set[Cause] = set()  # a fit in a pile without them was worse: they are not tried again
         self.collapsed: set[Cause] = set()  # fits in a pile found nothing of them: they are not asked again
 
@@ -205,7 +205,7 @@ class _SearchState:
         self._put(comparison_steps(fit, together, self._pool(fit, self.columns), curves))
 
     def compare_shown(self, fit: Fit) -> None:
-        """Show those that a pile compares with all hypotheses, beside what was taken until then."""
+        """For the report of a pile: one of each kind that was taken together, compared with all hypotheses as the fit was then."""
         for causes, compared in self.shown:
             left = set(causes).intersection(self.not_compared(fit))
             if left:
@@ -218,6 +218,7 @@ class _SearchState:
             self.steps[self._at(step.taken)] = step
 
     def _compared(self, fit: Fit, causes: Sequence[Cause], columns: Columns) -> list[Step]:
+        """Some causes of a fit compared with all hypotheses, with columns that were computed at a similar fit."""
         return comparison_steps(fit, causes, self._pool(fit, columns), columns.curves_at(fit))
 
     def revisited(self, fit: Fit) -> Fit:
