@@ -126,9 +126,8 @@ class _SearchState:
         self.additions: list[Addition] = []
         self.dropped: list[Cause] = []
         self.reached: dict[Cause, dict[str, Tensor]] = {}  # own parameters of each cause in its last fit
-        self.shown: list[
-            tuple[list[Cause], Callable[[], list[Step]]]
-        ] = []  # causes that a pile shows, and how each is compared
+        # Causes that the report of a pile shows, and how they are compared.
+        self.shown: list[tuple[list[Cause], Callable[[], list[Step]]]] = []
         self.needed: set[Cause] = set()  # a fit in a pile without them was worse: they are not tried again
         self.collapsed: set[Cause] = set()  # fits in a pile found nothing of them: they are not asked again
 
