@@ -47,7 +47,7 @@ CLEAR_SIGMA = 20.0  # of the noise by which a wrong row differs clearly from wha
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--cases", type=int, default=40, help="sessions of each kind")
-    parser.add_argument("--first-seed", type=int, default=91_000)
+    parser.add_argument("--first-seed", type=int, default=92_000)
     parser.add_argument("--workers", type=int, default=2)
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.cases)

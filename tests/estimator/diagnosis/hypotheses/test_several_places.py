@@ -189,6 +189,20 @@ def test_those_taken_together_are_all_compared_at_the_end(base, monkeypatch):
     assert all(step.discrepancy is not None for step in result.steps)
 
 
+def test_a_pile_compares_one_of_each_kind_that_was_taken_together(base, readings, rig, pool):
+    columns = Columns(base, causes_of(rig, base), pool, families(base))
+    state = _SearchState(columns, lambda words: None, Limits(most_causes=10))
+    fit = fit_of(rig, readings, *(OFFSET[name] for name in ("one", "four")))
+    assert state._taken_together(base, fit) is fit
+    assert state.not_compared(fit) == list(fit.rig.effects)
+    state.compare_shown(fit)
+    first, other = fit.rig.effects
+    assert state.not_compared(fit) == [other]
+    (expected,) = comparison_steps(fit, [first], columns.pool_at(fit), columns.curves_at(fit))
+    shown = next(step for step in state.steps if step.taken == first)
+    assert [h.name for h in shown.hypotheses] == [h.name for h in expected.hypotheses]
+
+
 def test_of_those_taken_together_one_that_another_does_better_than_is_told_at_the_end(rig, small_session):
     """A displaced sensor was taken for displaced elements, which the other sensors have."""
     apart = [Cause("element_displacement", name) for name in ("one", "two", "three")]
