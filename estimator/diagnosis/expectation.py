@@ -13,7 +13,6 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, resolution_T
 from estimator.effects.use import as_meant
-from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 
 SD_OF_MEDIAN = 1.4826  # standard deviation over median size, of normal errors
@@ -69,7 +68,5 @@ def predict_T(
     fit: Fit, values: Mapping[str, Tensor], observations: Observations
 ) -> Float[Tensor, "reading 3"]:
     """What the rig of a fit predicts for readings, in the frames of their sensors."""
-    fitted, meant = fit.posterior.model, as_meant(fit.rig, observations)
-    model = MeasurementModel.unruled(fit.rig, meant).with_rules(fitted.rules).with_maps(fitted.sources.maps)
     with torch.no_grad():
-        return model.predict(values).expand(len(observations), 3)
+        return fit.model_of(as_meant(fit.rig, observations)).predict(values).expand(len(observations), 3)

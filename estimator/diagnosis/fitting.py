@@ -65,6 +65,12 @@ class Fit:
         posterior = LogPosterior(self.posterior.coordinates, model, readings)
         return Fit(posterior, self.optimum.to(readings.device))
 
+    def model_of(self, readings: Observations) -> MeasurementModel:
+        """Model of other readings of the same rig, with the quadrature rules and maps of this fit."""
+        fitted = self.posterior.model
+        model = MeasurementModel.unruled(self.rig, readings)
+        return model.with_rules(fitted.rules).with_maps(fitted.sources.maps)
+
     @cached_property
     def log_evidence(self) -> float:
         """Laplace evidence with normalised priors of the effects, up to a constant that rigs share if they differ only in effects."""

@@ -11,7 +11,6 @@ from estimator.diagnosis.fitting import Fit
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import as_meant, uses_of
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.flags import COMPONENTS
 from estimator.readings.observations import Observations
 
@@ -62,13 +61,8 @@ def outliers_of(fit: Fit, observations: Observations) -> list[Outlier]:
     """
     if not any(use.effect.is_contaminating for use in uses_of(fit.rig, NoiseEffect)):
         return []
-    fitted, observations = fit.posterior.model, as_meant(fit.rig, observations)
-    model = (
-        MeasurementModel.unruled(fit.rig, observations)
-        .with_rules(fitted.rules)
-        .with_maps(fitted.sources.maps)
-    )
-    posterior = LogPosterior(fit.posterior.coordinates, model, observations)
+    observations = as_meant(fit.rig, observations)
+    posterior = LogPosterior(fit.posterior.coordinates, fit.model_of(observations), observations)
     with torch.no_grad():
         miss_T = posterior.measured_T - posterior.predicted(fit.vector)
         miss_sd = miss_T / posterior.component_sigma_T(fit.vector)

@@ -130,8 +130,8 @@ def validation_scores(
     fit: Fit, unseen: Observations, widened: Float[Tensor, "coordinate coordinate"] | None = None
 ) -> ValidationScores:
     """Errors, log predictive density and coverage of a fit's predictions; Laplace, or a widened covariance, gives the uncertainty."""
-    fitted, unseen = fit.posterior.model, as_meant(fit.rig, unseen)
-    model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fitted.rules).with_maps(fitted.sources.maps)
+    unseen = as_meant(fit.rig, unseen)
+    model = fit.model_of(unseen)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
     with torch.no_grad():
         predicted_T = model.predict(fit.values).expand(len(unseen), 3)
