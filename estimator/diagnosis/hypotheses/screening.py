@@ -66,7 +66,7 @@ def products_of(fit: Fit, pool: Sequence[Candidate]) -> Batches:
     projector, residual = fit.projector, fit.residual
 
     def products(some: list[int]) -> tuple[list[int], Products]:
-        columns = torch.stack([torch.cat((pool[i].columns, pool[i].shift[:, None]), dim=1) for i in some])
+        columns = torch.stack([torch.cat((pool[i].columns.T, pool[i].shift[None])) for i in some])
         return some, Products.of(columns, projector, residual)
 
     return list(each(products, batches))

@@ -93,7 +93,7 @@ def products_of(fit: Fit, families: Sequence[Family]) -> Batches:
     projector, residual = fit.projector, fit.residual
 
     def products(some: list[int]) -> tuple[list[int], Products]:
-        return some, Products.of(torch.stack([families[i].columns for i in some]), projector, residual)
+        return some, Products.of(torch.stack([families[i].columns.T for i in some]), projector, residual)
 
     return list(each(products, batches))
 

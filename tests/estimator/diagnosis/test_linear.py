@@ -204,8 +204,8 @@ def test_products_of_a_smaller_model_are_those_of_its_own_jacobian_residual_and_
     left = (residual - jacobian @ shift) / growth
     for are_whitened in (True, False):
         own = columns / growth if are_whitened else columns
-        expected = Products.of(own[None], smaller, left)
-        products = Products.of(columns[None], Projector.of(jacobian, prior), residual)
+        expected = Products.of(own.T[None], smaller, left)
+        products = Products.of(columns.T[None], Projector.of(jacobian, prior), residual)
         found = products.without(others, shift, growth, are_whitened)
         torch.testing.assert_close(found.gram(smaller), smaller.gram(own, own)[None])
         torch.testing.assert_close(found.score, expected.score)

@@ -30,7 +30,8 @@ class Family:
     @classmethod
     def of(cls, name: str, whitened: Float[Tensor, "component column"], detail: str = "") -> Family:
         """The family of columns given at any common scale."""
-        return cls(name, whitened / whitened.square().sum(1).mean().sqrt().clamp(min=1e-300), detail)
+        rms = torch.linalg.vector_norm(whitened) / whitened.shape[0] ** 0.5
+        return cls(name, whitened / rms.clamp(min=1e-300), detail)
 
     def weighed(self, weight: Float[Tensor, " component"]) -> Family:
         """The family with each component's weight multiplied; amplitudes stay in units of the noise."""
