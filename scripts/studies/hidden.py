@@ -20,13 +20,14 @@ from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.store.importers.readings_csv import read_readings_csv
 from scripts.studies.hidden_cases import Row, diagnosed, gather, noise_T, options_of, row_of, share, truth_of
 from tests.hidden.handed_in import HiddenSession
-from tests.hidden.study import KINDS, credible_sets, draw_case, true_quantities
+from tests.hidden.study import FIRST_KINDS, KINDS, credible_sets, draw_case, true_quantities
 
 LUCKY_SD = 3.09  # standard deviations that a normal number exceeds once in a thousand
 
 
 def main() -> None:
     parser = options_of(__doc__, KINDS, 300, 30_000, "out/hidden.jsonl")
+    parser.set_defaults(kinds=",".join(FIRST_KINDS))
     show(gather(parser.parse_args(), run_case))
 
 
@@ -80,6 +81,11 @@ def show(rows: list[Row]) -> None:
         both = sum(has_found_all(row) for row in by_kind["pair"])
         print(f"pair: {len(by_kind['pair'])} sessions, both found in {share(both, len(by_kind['pair']))}")
         show_coverage(by_kind["pair"])
+    if iron := by_kind["iron"]:
+        holds = sum(any(truth_of(row) in names for names in credible_sets(row)) for row in iron)
+        print(
+            f"iron: {len(iron)} sessions, truth in the credible set of a cause in {share(holds, len(iron))}"
+        )
     learnt = [row for row in by_kind["outside"] if row["truth"][0]["label"] in EFFECTS]
     if learnt:
         show_single("outside once, in the library by now", learnt)

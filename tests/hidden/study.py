@@ -13,7 +13,9 @@ from tests.hidden.library import UNFORESEEN, names
 from tests.hidden.open_session import draw_open_session, within
 from tests.hidden.session import draw_session
 
-KINDS = ("single", "clean", "pair", "outside", "discrete")
+FIRST_KINDS = ("single", "clean", "pair", "outside", "discrete")
+KINDS = (*FIRST_KINDS, "iron")  # new ones at the end: seeds count them
+IRON = ("iron_body", "iron_plate", "second_iron_body", "magnetised_link")
 OPEN_KINDS = (
     "open",
     "clean_open",
@@ -52,6 +54,8 @@ def draw_case(kind: str, seed: int, library: Collection[str] = ()) -> HiddenSess
             causes = (str(rng.choice(names(protocol, is_known=False))),)
         elif kind == "discrete":
             causes = (str(rng.choice(DISCRETE)),)
+        elif kind == "iron":
+            causes = (str(rng.choice(IRON)),)
         try:
             return draw_session(seed, causes, SIGMA, protocol)
         except ValueError:

@@ -19,11 +19,14 @@ def test_both_pieces_are_named_where_they_are(tmp_path):
     hidden.write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
     diagnosis = diagnose(session, seed=SEED)
-    assert diagnosis.verdict is Verdict.NAMED
-    assert [named.cause.name for named in diagnosis.findings.causes] == ["iron_body", "second_iron_body"]
+    # At this size something that no list holds may be beside either name, but no other cause of the list.
+    assert diagnosis.verdict in (Verdict.NAMED, Verdict.INDISTINGUISHABLE)
+    named = {named.cause.name: named.alternatives for named in diagnosis.findings.causes}
+    assert named == {"iron_body": (), "second_iron_body": ()}
     (truth,) = hidden.truth()["causes"]
-    for which, name in (("first", "iron_body"), ("second", "second_iron_body")):
-        for axis in "xyz":
-            fitted_m = float(diagnosis.fits.extended.values[f"{name}[room].{axis}_m"])
-            true_m = truth["parameters"][f"{which}_{axis}_m"]["value"]
-            assert fitted_m == pytest.approx(true_m, abs=PLACE_TOLERANCE_M)
+    values = diagnosis.fits.extended.values
+    fitted_m = sorted([float(values[f"{name}[room].{axis}_m"]) for axis in "xyz"] for name in named)
+    true_m = sorted(
+        [truth["parameters"][f"{which}_{axis}_m"]["value"] for axis in "xyz"] for which in ("first", "second")
+    )
+    assert fitted_m == [pytest.approx(place_m, abs=PLACE_TOLERANCE_M) for place_m in true_m]

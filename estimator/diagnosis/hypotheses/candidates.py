@@ -18,6 +18,7 @@ from estimator.effects.base import Quantity
 from estimator.effects.causes.segments import split_key
 from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.effects.stages import MountEffect, NoiseEffect, ReadingEffect
+from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.side_by_side import each
 
@@ -37,6 +38,7 @@ class Candidate:
         shift: Whitened change of the predictions at the start; rounding where the start is the null.
         columns: Whitened change of the predictions per unit of each quantity.
         prior_sd: Of the quantities.
+        one_sided: Numbers of the quantities that start at the lower bound of their prior.
     """
 
     cause: Cause
@@ -46,6 +48,7 @@ class Candidate:
     shift: Float[Tensor, " component"]
     columns: Float[Tensor, "component column"]
     prior_sd: Float[Tensor, " column"]
+    one_sided: tuple[int, ...] = ()
 
     @property
     def is_at_null(self) -> bool:
@@ -176,8 +179,12 @@ def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[C
     whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).mT
     keys, units = tuple(q.key for q in quantities), tuple(q.unit for q in quantities)
     prior_sd = steps.new_tensor([q.prior.sd for q in quantities])
+    first = [starts[0].get(key, rig.parameters[f"{cause.label}.{key}"].value) for key in keys]
+    one_sided = tuple(
+        i for i, q in enumerate(quantities) if isinstance(q.prior, Normal) and first[i] <= q.prior.lower
+    )
     return [
-        Candidate(cause, shapes, keys, units, shift, columns, prior_sd)
+        Candidate(cause, shapes, keys, units, shift, columns, prior_sd, one_sided)
         for shapes, shift, columns in zip(starts, shifts, whitened, strict=True)
         if bool(torch.isfinite(columns).all() and torch.isfinite(shift).all())
     ]

@@ -114,8 +114,8 @@ def _by_subset(
     score = products.score[:, :-1] - gram[:, :-1, -1]
     started = products.score[:, -1] - 0.5 * gram[:, -1, -1]
     gram = gram[:, :-1, :-1]
-    values = []
-    for _, of_one_size in groupby(sorted(subsets, key=len), key=len):
+    values, ordered = [], sorted(subsets, key=len)
+    for _, of_one_size in groupby(ordered, key=len):
         chosen = torch.tensor(list(of_one_size), device=gram.device)
         values.append(
             log_bayes_factor(
@@ -126,7 +126,13 @@ def _by_subset(
                 started[:, None],
             )
         )
-    return torch.cat(values, dim=1)
+    evidence = torch.cat(values, dim=1)
+    for i in candidates[0].one_sided:
+        # What cannot be negative explains nothing where it would have to be.
+        alone = [k for k, subset in enumerate(ordered) if subset == (i,)]
+        most = torch.where(score[:, i] < 0.0, 0.0, torch.inf)
+        evidence[:, alone] = evidence[:, alone].minimum(most[:, None])
+    return evidence
 
 
 Reached = Mapping[Cause, Mapping[str, Tensor]]  # by cause: what its own parameters were in its last fit

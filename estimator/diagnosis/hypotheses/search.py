@@ -229,8 +229,9 @@ class _SearchState:
                 return fit
             rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
             without = fit_rig(rig, fit.observations, fit.values, rules, near=fit)
+            self._reach(cause, fit)
             self.tell(f"testing {cause.label} again, beside the others")
-            step = self.step(without)
+            step = self.step(without, cause)
             if step.taken is None:
                 self._drop([cause])
                 fit = without
@@ -393,7 +394,7 @@ class _SearchState:
         for cause in (first.cause, second.cause):
             rig = both.rig.without_cause(cause)
             without = fit_rig(rig, fit.observations, both.values, rules, near=both)
-            step = self.step(without)
+            step = self.step(without, cause)
             if step.taken is None:
                 return None
             steps.append(step)
@@ -402,8 +403,8 @@ class _SearchState:
         self.additions.append(Addition(tuple(step.taken for step in steps if step.taken), both))
         return both
 
-    def step(self, fit: Fit) -> Step:
-        """Compare all hypotheses at a fit."""
+    def step(self, fit: Fit, left_out: Cause | None = None) -> Step:
+        """Compare all hypotheses at a fit, from which a cause may have been left out that it is asked to have again."""
         self.n_compared += 1
         pace = Pace(f"step {self.n_compared}", self.on_progress)
         remainder = self.base_discrepancy if fit is self.base and fit is self.columns.fit else None
@@ -421,15 +422,19 @@ class _SearchState:
             is_piled,
             remainder,
             self.reached,
+            left_out,
         )
         for hypothesis in step.hypotheses:
             if hypothesis.fit is not None and hypothesis.cause is not None:
-                own = f"{hypothesis.cause.label}."
-                values = hypothesis.fit.values
-                self.reached[hypothesis.cause] = {n: v for n, v in values.items() if n.startswith(own)}
+                self._reach(hypothesis.cause, hypothesis.fit)
                 if is_piled and hypothesis.log_bayes_factor <= 0.0:
                     self.collapsed.add(hypothesis.cause)
         return step
+
+    def _reach(self, cause: Cause, fit: Fit) -> None:
+        """Remember where a fit has found a cause."""
+        values = fit.values
+        self.reached[cause] = {n: v for n, v in values.items() if n.startswith(f"{cause.label}.")}
 
     def _without_idle(self, fit: Fit) -> Fit:
         """The fit without causes that are no longer needed."""

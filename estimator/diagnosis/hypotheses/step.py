@@ -20,6 +20,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.hypotheses.instants import at_finer_instant
 from estimator.diagnosis.hypotheses.noise import noise_causes
+from estimator.diagnosis.hypotheses.places import at_known_place, at_nearer_place
 from estimator.diagnosis.hypotheses.screening import Reached, Screened, in_full, screening
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.progress import Pace
@@ -99,6 +100,7 @@ def take_step(
     is_piled: bool,
     remainder: Discrepancy | None = None,
     reached: Reached | None = None,
+    left_out: Cause | None = None,
 ) -> Step:
     """Compare all hypotheses at a fit and choose the cause to take.
 
@@ -112,12 +114,15 @@ def take_step(
         is_piled: Whether causes of many kinds have piled up: fewer are then fitted in full, and noise only where no other cause is left.
         remainder: Structure in the residual, where it is known already.
         reached: Where an earlier comparison has found causes.
+        left_out: A cause that the fit had before; it is fitted in full again.
     """
     remainder = remainder or discrepancy(fit, smooth)
     screened = screening(fit, [c for c in pool if c.cause not in fit.rig.effects])
     least = least_log_evidence(len(screened))
+    if not (is_piled or limits.is_over):
+        screened = _at_nearer_places(fit, screened, least, reached or {})
     most_fitted = policy.MOST_FITTED_IN_A_PILE if is_piled else policy.MOST_FITTED
-    causes = _leaders_in_full(fit, screened, least, most_fitted, limits, pace, reached)
+    causes = _leaders_in_full(fit, screened, least, most_fitted, limits, pace, reached, left_out)
     causes += _of_noise(fit, causes, least, is_piled, limits, reached)
     hypotheses = [
         Hypothesis(None, "nothing", 0.0),
@@ -125,6 +130,22 @@ def take_step(
         *each(lambda hypothesis: _cross_validated(fit, hypothesis, block), causes),
     ]
     return _step_that_takes(with_probabilities(hypotheses, len(screened)), remainder, screened, least)
+
+
+def _at_nearer_places(
+    fit: Fit, screened: Mapping[Cause, Screened], least: float, reached: Reached
+) -> dict[Cause, Screened]:
+    """What was screened, with those causes at their best places that could be the best one there."""
+    rows = {
+        cause: at_known_place(fit, row, reached[cause]) if cause in reached else row
+        for cause, row in screened.items()
+    }
+    bar = max((row.highest for row in rows.values()), default=0.0)
+    asked = {
+        cause: row for cause, row in rows.items() if policy.MOST_LOST_AWAY * row.highest > max(bar, least)
+    }
+    nearer = each(partial(at_nearer_place, fit), list(asked.values()))
+    return {**rows, **dict(zip(asked, nearer, strict=True))}
 
 
 def _leaders_in_full(
@@ -135,6 +156,7 @@ def _leaders_in_full(
     limits: Limits,
     pace: Pace,
     reached: Reached | None,
+    left_out: Cause | None,
 ) -> list[Hypothesis]:
     """All screened causes; the leaders, and those that could still be the best one, by a full fit."""
     ranked = sorted(screened, key=lambda cause: -screened[cause].log_bayes_factor)
@@ -156,7 +178,7 @@ def _leaders_in_full(
         effect, fitted = EFFECTS[cause.name], None
         # The shapes of another picture of the same thing move far in a fit, as those of the first did.
         is_rival = effect.idealises in pictured and highest > 0.0
-        is_asked = is_rival or (fit.is_bent and effect.starts_far_off)
+        is_asked = is_rival or cause == left_out or (fit.is_bent and effect.starts_far_off)
         is_known = is_quiet and not is_asked and _is_linear(start, fit)
         is_worth_it = is_asked or _is_worth_a_fit(i, highest, best, most_fitted)
         if is_worth_it and not is_known and not limits.is_over:

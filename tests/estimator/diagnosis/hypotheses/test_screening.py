@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
-from estimator.diagnosis.hypotheses.screening import in_full, screening
+from estimator.diagnosis.hypotheses.candidates import Candidate, at_starts, candidates
+from estimator.diagnosis.hypotheses.screening import in_full, linear_evidence, screening
 from estimator.effects.causes.sensor import SensorOffset
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
@@ -50,3 +50,18 @@ def test_one_segment_and_all_but_one_quantity_are_asked_besides_singles_and_pair
     assert len(set(subsets)) == len(subsets)
     assert subsets[-1] == tuple(range(n))
     assert {subset for subset in subsets[:-1] if len(subset) > 2} == alone
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_what_cannot_be_negative_explains_nothing_where_it_would_have_to_be(
+    small_rig: Rig, small_session: Session, side: float
+) -> None:
+    """Iron draws a field together; readings with the opposite answer are no iron, however well a negative piece of it would fit."""
+    right = small_session.observations
+    iron = Cause("iron_body", "room")
+    wrong = with_wrong(small_rig, right, iron, {"volume_m3": 2e-5, "x_m": 0.03, "y_m": -0.02, "z_m": 0.05})
+    change_T = wrong.field_sensor_T - right.field_sensor_T
+    plain = fit_of(small_rig, right.with_field(right.field_sensor_T + side * change_T))
+    there = at_starts(plain, iron, [{"x_m": 0.03, "y_m": -0.02, "z_m": 0.05}])
+    (value,) = linear_evidence(plain, there)
+    assert value > 20.0 if side > 0.0 else value == 0.0
