@@ -44,8 +44,8 @@ STRUCTURE_TOLERANCE = 0.1
 evidence are to beat, and most crawl along valleys that lead nowhere; the one that does better is fitted to the end. Study: not in it."""
 
 CORRECTED_TO_SD = 0.08
-"""How near its maximum the fit of a corrected model to all readings that count ends: root mean square over its numbers, in standard
-deviations. Effort: no name depends on it, and hundreds of amplitudes crawl. Study: not in it."""
+"""How near its maximum the fit of a corrected model to all readings that count ends, and the one before it to those of the search: root
+mean square over its numbers, in standard deviations. Effort: no name depends on it, and hundreds of amplitudes crawl. Study: not in it."""
 
 NEAR_BOUND = 1e-3
 """Distance from a bound of the prior, in its standard deviations, at which the density may still rise beyond: the last Newton step leaves

@@ -58,21 +58,15 @@ def best_corrected(
             trial, corrects_already = other, True  # with or without a correction beside them
         elif other.parts and not trial.parts:
             trial = other
-    best = trial.in_full(limits, corrects_already)
+    is_last = causes.observations is first.observations
+    best = trial.in_full(limits, corrects_already, None if is_last else _tolerance(trial.fit))
     if not best.is_taken:
         return best
-    if causes.observations is not best.fit.observations:
-        rules = best.fit.posterior.model.rules
-        best = replace(
-            best,
-            final=fit_rig(
-                best.fit.rig,
-                causes.observations,
-                best.fit.values,
-                rules,
-                tolerance=0.5 * len(best.fit.rig.free) * policy.CORRECTED_TO_SD**2,
-            ),
-        )
+    if not is_last:
+        corrected, readings = best.fit, causes.observations
+        rules = corrected.posterior.model.rules
+        final = fit_rig(corrected.rig, readings, corrected.values, rules, tolerance=_tolerance(corrected))
+        best = replace(best, final=final)
     if not len(unseen):
         return best
     widened = Widening(best.final, best.final.covariance).over_blocks(best.fit)
@@ -80,6 +74,11 @@ def best_corrected(
     if gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T:
         return replace(best, gain=gain, refusal="unseen readings are predicted worse with what was tried")
     return replace(best, gain=gain)
+
+
+def _tolerance(fit: Fit) -> float:
+    """Gain in log density below which the fit of a corrected model stops where no name depends on it."""
+    return 0.5 * len(fit.rig.free) * policy.CORRECTED_TO_SD**2
 
 
 @dataclass(frozen=True)
@@ -98,7 +97,9 @@ class _LinearTrial:
     parts: tuple[Part, ...]
     leaders: Sequence[CorrectionCandidate]
 
-    def in_full(self, limits: dict[str, str], corrects_already: bool) -> Correction:
+    def in_full(
+        self, limits: dict[str, str], corrects_already: bool, tolerance: float | None = None
+    ) -> Correction:
         """Correction by this trial after a full fit.
 
         Refused where the full fit has no more evidence than the fit before, or predicts places held out no better.
@@ -106,12 +107,13 @@ class _LinearTrial:
         Args:
             limits: By kind and place why no higher degree was asked.
             corrects_already: Whether the fit before them stands in their place then, for its causes stand in for something unknown.
+            tolerance: Gain in log density below which the full fit stops, where a fit to more readings follows.
         """
         before = self.before
         if not self.parts:
             refusal = "no correction has clear evidence and predicts places held out better"
             return Correction(before, (), limits, "" if corrects_already else refusal, before)
-        fit = full_fit(self.fit, before)
+        fit = full_fit(self.fit, before, tolerance)
         gain = held_out(before, fit, pose_blocks(fit.observations, np.random.default_rng(0)))
         if gain.elpd_difference <= 0.0 or fit.log_evidence <= before.log_evidence:
             refusal = "fitted in full, what was tried predicts places held out no better"

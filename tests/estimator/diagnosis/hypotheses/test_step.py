@@ -104,3 +104,20 @@ def test_no_more_causes_are_fitted_than_a_comparison_allows(
     assert n_fitted(few) == 1 < n_fitted(many)
     assert not any(one.fit for one in few.hypotheses if is_noise(one.cause))
     assert few.taken is not None
+
+
+@pytest.mark.whole
+def test_what_a_fit_had_before_is_fitted_in_full_again_though_the_linear_model_shows_little(
+    small_rig: Rig, small_session: Session, quiet: Discrepancy
+) -> None:
+    fit = fit_of(small_rig, small_session.observations)  # with nothing wrong
+    pool = candidates(fit, causes_of(small_rig, fit))
+    block = pose_blocks(small_session.observations, np.random.default_rng(0))
+    left_out = Cause("axis_gain", "hall")
+
+    def fitted(*more: Cause | None) -> set[Cause | None]:
+        step = take_step(fit, pool, [], block, Limits(), Pace("a step", unwatched), False, quiet, None, *more)
+        return {hypothesis.cause for hypothesis in step.hypotheses if hypothesis.fit is not None}
+
+    assert left_out not in fitted()
+    assert fitted(left_out) == fitted() | {left_out}
