@@ -119,9 +119,11 @@ def scopes_by_route(app: FastAPI) -> dict[tuple[str, str], Scope | None]:
 
 
 def _scope_of(dependant: Dependant) -> Scope | None:
+    """Scope that a route asks for by itself, or by what it depends on."""
     for part in dependant.dependencies:
-        if isinstance(part.call, Needs):
-            return part.call.scope
+        scope = part.call.scope if isinstance(part.call, Needs) else _scope_of(part)
+        if scope is not None:
+            return scope
     return None
 
 

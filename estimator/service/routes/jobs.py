@@ -193,99 +193,89 @@ def job_of(core: Core, job_id: str) -> Job:
     return row
 
 
+class Submission:
+    """What a request for a job comes with besides its body: who asks, and the key that makes a repeated request the same job.
+
+    Args:
+        request, response: Of the call.
+        core: Of the service.
+        caller: Who asks.
+        key: Given by the client.
+    """
+
+    def __init__(
+        self, request: Request, response: Response, core: CoreOf, caller: Writer, key: Key = None
+    ) -> None:
+        self._request, self._response, self._caller, self._key = request, response, caller, key
+        self.core = core
+
+    def queue(
+        self, kind: Kind, session_ids: list[str], rig_id: str | None, options: dict[str, Any]
+    ) -> JobInfo:
+        """Queue a job on closed sessions; one with the same key that is there already is given back."""
+        core = self.core
+        sessions = [closed_row_of(core, session_id) for session_id in session_ids]
+        if rig_id is not None:
+            rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
+            for session in sessions:
+                load_session(core.sessions.path(session.id)).check_rig(rig)
+        asked = {
+            "kind": kind,
+            "user": self._caller.user,
+            "session_id": session_ids[0],
+            "rig_id": rig_id,
+            "options": options,
+            "idempotency_key": self._key,
+        }
+        with core.database.writing() as db:
+            job, is_new = core.queue.add(db, asked)
+            if is_new:
+                audited(db, self._request, self._caller, f"job.{kind}", job.id)
+            else:
+                self._response.status_code = 200
+        core.jobs.wake()
+        return info_of(job)
+
+
+Submitted = Annotated[Submission, Depends()]
+
+
 @router.post("/calibrate", status_code=201, responses=KNOWN)
-def calibrate(
-    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewCalibration, key: Key = None
-) -> JobInfo:
+def calibrate(submission: Submitted, body: NewCalibration) -> JobInfo:
     """Queue a calibration: point estimate, posterior, model."""
     options = {"seed": body.seed, **body.model_dump(include={"settings", "has_integer_counts"})}
-    return _queued(
-        request, response, core, caller.user, "calibrate", [body.session_id], body.rig_id, options, key
-    )
+    return submission.queue("calibrate", [body.session_id], body.rig_id, options)
 
 
 @router.post("/diagnose", status_code=201, responses=KNOWN)
-def diagnose(
-    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewDiagnosis, key: Key = None
-) -> JobInfo:
+def diagnose(submission: Submitted, body: NewDiagnosis) -> JobInfo:
     """Queue a diagnosis: what the simulation gets wrong, named, and the rig extended by it."""
     limits = {"has_posterior", "minutes", "most_causes", "most_readings"}
     options = {"seed": body.seed, **body.model_dump(include=limits)}
-    return _queued(
-        request, response, core, caller.user, "diagnose", [body.session_id], body.rig_id, options, key
-    )
+    return submission.queue("diagnose", [body.session_id], body.rig_id, options)
 
 
 @router.post("/recalibrate", status_code=201, responses=KNOWN)
-def recalibrate(
-    request: Request,
-    response: Response,
-    core: CoreOf,
-    caller: Writer,
-    body: NewRecalibration,
-    key: Key = None,
-) -> JobInfo:
+def recalibrate(submission: Submitted, body: NewRecalibration) -> JobInfo:
     """Queue the judgement of a session: does the current version still hold, and what replaces it."""
-    session = closed_row_of(core, body.session_id)
-    version = rig_row_of(core, body.rig_id or session.rig_id)
+    session = closed_row_of(submission.core, body.session_id)
+    version = rig_row_of(submission.core, body.rig_id or session.rig_id)
     options = {"registry": version.name, **body.model_dump(include={"seed", "settings"})}
-    return _queued(
-        request, response, core, caller.user, "recalibrate", [body.session_id], body.rig_id, options, key
-    )
+    return submission.queue("recalibrate", [body.session_id], body.rig_id, options)
 
 
 @router.post("/batch", status_code=201, responses=KNOWN)
-def batch(
-    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewBatch, key: Key = None
-) -> JobInfo:
+def batch(submission: Submitted, body: NewBatch) -> JobInfo:
     """Queue the calibration of many sessions, with the probabilities of the hypotheses."""
     options = body.model_dump(exclude={"rig_id"})
-    return _queued(request, response, core, caller.user, "batch", body.session_ids, body.rig_id, options, key)
+    return submission.queue("batch", body.session_ids, body.rig_id, options)
 
 
 @router.post("/design", status_code=201, responses=KNOWN)
-def design(
-    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewDesign, key: Key = None
-) -> JobInfo:
+def design(submission: Submitted, body: NewDesign) -> JobInfo:
     """Queue a proposal of the next readings: to tell causes apart, to shrink an interval, or to map a correction."""
     options = body.model_dump(exclude={"session_id", "rig_id"})
-    return _queued(
-        request, response, core, caller.user, "design", [body.session_id], body.rig_id, options, key
-    )
-
-
-def _queued(
-    request: Request,
-    response: Response,
-    core: Core,
-    user: str,
-    kind: Kind,
-    session_ids: list[str],
-    rig_id: str | None,
-    options: dict[str, Any],
-    key: str | None,
-) -> JobInfo:
-    sessions = [closed_row_of(core, session_id) for session_id in session_ids]
-    if rig_id is not None:
-        rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
-        for session in sessions:
-            load_session(core.sessions.path(session.id)).check_rig(rig)
-    asked = {
-        "kind": kind,
-        "user": user,
-        "session_id": session_ids[0],
-        "rig_id": rig_id,
-        "options": options,
-        "idempotency_key": key,
-    }
-    with core.database.writing() as db:
-        job, is_new = core.queue.add(db, asked)
-        if is_new:
-            audited(db, request, request.scope["caller"], f"job.{kind}", job.id)
-        else:
-            response.status_code = 200
-    core.jobs.wake()
-    return info_of(job)
+    return submission.queue("design", [body.session_id], body.rig_id, options)
 
 
 @router.get("")
