@@ -18,7 +18,9 @@ from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
 
-LEAST_SHARE = 1e-12  # of a variance: added so that rounding leaves a correlation matrix positive definite
+LEAST_SHARE = (
+    1e-12  # of a variance: what rounding may leave of a direction of a correlation matrix, or make negative
+)
 
 
 @dataclass(frozen=True)
@@ -167,12 +169,11 @@ def stretch(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Fl
                 [0., 1.]])
     """
     sd = torch.sqrt(torch.diagonal(covariance))
-    unit = torch.ones_like(sd).diag()
-    correlation = covariance / (sd[:, None] * sd) + LEAST_SHARE * unit
-    root = sd[:, None] * torch.linalg.cholesky(correlation)
-    whitened = torch.linalg.solve_triangular(root, other, upper=False)
-    whitened = torch.linalg.solve_triangular(root, whitened.T, upper=False)
+    share, turn = torch.linalg.eigh(covariance / (sd[:, None] * sd))
+    root = turn * torch.sqrt(share.clamp(min=LEAST_SHARE))
+    whitener = turn / torch.sqrt(share.clamp(min=LEAST_SHARE))
+    whitened = whitener.T @ (other / (sd[:, None] * sd)) @ whitener
     ratio, axes = torch.linalg.eigh(0.5 * (whitened + whitened.T))
     growth = (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
-    stretched: Tensor = torch.linalg.solve_triangular(root, root @ growth, upper=False, left=False)
+    stretched: Tensor = sd[:, None] * (root @ growth @ whitener.T) / sd
     return stretched

@@ -10,7 +10,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
-from estimator.diagnosis.widening import Widening, envelope
+from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
@@ -140,3 +140,11 @@ def test_widening_over_blocks_is_nowhere_surer_than_readings_held_out_by_place_o
         more = (wider.covariance - least) / (scale[:, None] * scale)
         assert torch.linalg.eigvalsh(0.5 * (more + more.T)).min() > -1e-6 * more.abs().max()
     assert max(wider.factors.values()) > 1.5
+
+
+def test_directions_that_rounding_made_negative_do_not_stop_an_envelope() -> None:
+    """Two zeros that readings cannot tell apart have a correlation so near to one that a Cholesky factorization fails."""
+    covariance = torch.tensor([[1.0, 1.0 + 1e-11], [1.0 + 1e-11, 1.0]], dtype=torch.float64)
+    assert float(torch.linalg.eigvalsh(covariance)[0]) < -LEAST_SHARE
+    wider = envelope(covariance, torch.full((2, 2), 4.0, dtype=torch.float64))
+    torch.testing.assert_close(wider, torch.full((2, 2), 4.0, dtype=torch.float64), atol=1e-5, rtol=0.0)
