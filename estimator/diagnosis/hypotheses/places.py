@@ -1,6 +1,6 @@
 """The place from which something acts, between the coarse places that a cause starts from.
 
-A piece of iron two radii from its nearest start shows a tenth of its evidence there, and is not fitted.
+A piece of iron between two of them showed a quarter of its evidence at the nearer one, and was not fitted.
 """
 
 from __future__ import annotations
