@@ -227,11 +227,8 @@ class _SearchState:
         for cause in self.added(fit):
             if self.limits.is_over:
                 return fit
-            rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
-            without = fit_rig(rig, fit.observations, fit.values, rules, near=fit)
-            self._reach(cause, fit)
             self.tell(f"testing {cause.label} again, beside the others")
-            step = self.step(without, cause)
+            without, step = self._without(fit, cause)
             if step.taken is None:
                 self._drop([cause])
                 fit = without
@@ -392,9 +389,7 @@ class _SearchState:
             return None
         steps = []
         for cause in (first.cause, second.cause):
-            rig = both.rig.without_cause(cause)
-            without = fit_rig(rig, fit.observations, both.values, rules, near=both)
-            step = self.step(without, cause)
+            _, step = self._without(both, cause)
             if step.taken is None:
                 return None
             steps.append(step)
@@ -430,6 +425,13 @@ class _SearchState:
                 if is_piled and hypothesis.log_bayes_factor <= 0.0:
                     self.collapsed.add(hypothesis.cause)
         return step
+
+    def _without(self, fit: Fit, cause: Cause) -> tuple[Fit, Step]:
+        """The fit without one of its causes, and all hypotheses compared there; the cause starts where it was."""
+        rig, rules = fit.rig.without_cause(cause), fit.posterior.model.rules
+        without = fit_rig(rig, fit.observations, fit.values, rules, near=fit)
+        self._reach(cause, fit)
+        return without, self.step(without, cause)
 
     def _reach(self, cause: Cause, fit: Fit) -> None:
         """Remember where a fit has found a cause."""
