@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 
@@ -15,7 +16,13 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Search
-from estimator.diagnosis.validation import Improvement, improvement_of, is_refuted
+from estimator.diagnosis.validation import (
+    Improvement,
+    improvement_between,
+    improvement_of,
+    is_refuted,
+    validation_scores,
+)
 from estimator.diagnosis.verdict import NamedCause, Verdict, extended_fit, judged
 from estimator.diagnosis.widening import Widening
 from estimator.readings.observations import Observations
@@ -104,27 +111,34 @@ class Outcome:
         is_base = self.extended is self.search.base
         left = self.search.base_discrepancy if is_base else self.search.remainder
         widening = Widening.of(self.extended, self.after, left)
-
-        def best(first: Fit, last: Fit, causes: Fit) -> Correction:
-            return best_corrected(first, last, causes, unseen.to(causes.observations.device), tell)
-
+        best = partial(best_corrected, tell=tell)
         correction = computed_on(place, best, self.extended, self.searched, self.after)
-        extended, after, improvement = self.extended, self.after, self.improvement
+        with_causes = replace(self, widening=widening, correction=correction)
+        if not correction.is_taken:
+            return with_causes._scored_by(unseen)
+        final = correction.final
+        with_correction = replace(
+            with_causes,
+            extended=correction.fit,
+            after=final,
+            widening=widening.carried_to(final).over_blocks(correction.fit),
+        )._scored_by(unseen)
+        if with_correction.improvement is None:
+            return with_correction
+        told = on_known_sides(final, unseen)
+        before, after = validation_scores(self.after, told), with_correction.improvement.after
+        correction = correction.judged_by(improvement_between(self.after, final, before, after))
         if correction.is_taken:
-            extended, after = correction.fit, correction.final
-            widening = widening.carried_to(after).over_blocks(extended)
-        if len(unseen):
-            improvement = improvement_of(
-                self.before, after, on_known_sides(after, unseen), widening.covariance
-            )
-        return replace(
-            self,
-            extended=extended,
-            after=after,
-            improvement=improvement,
-            widening=widening,
-            correction=correction,
-        )
+            return replace(with_correction, correction=correction)
+        return replace(with_causes, correction=correction)._scored_by(unseen)
+
+    def _scored_by(self, unseen: Observations) -> Outcome:
+        """This outcome with the improvement on unseen readings, as sure as its widened intervals are; the same where there are none."""
+        if not len(unseen):
+            return self
+        told = on_known_sides(self.after, unseen)
+        covariance = None if self.widening is None else self.widening.covariance
+        return replace(self, improvement=improvement_of(self.before, self.after, told, covariance))
 
     def _fitted_to(self, readings: Observations, fit: Fit) -> Fit:
         """A fit's rig, fitted to other readings."""

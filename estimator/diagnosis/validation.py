@@ -88,10 +88,15 @@ def improvement_of(
         unseen: The readings.
         widened: Covariance that stands for the later fit's own, where something unexplained has widened it.
     """
-    scores_before, scores_after = (
-        validation_scores(before, unseen),
-        validation_scores(after, unseen, widened),
+    return improvement_between(
+        before, after, validation_scores(before, unseen), validation_scores(after, unseen, widened)
     )
+
+
+def improvement_between(
+    before: Fit, after: Fit, scores_before: ValidationScores, scores_after: ValidationScores
+) -> Improvement:
+    """Compare two fits by their scores on the same readings."""
     difference = scores_after.log_density - scores_before.log_density
     n = len(difference)
     se = float(difference.std() * math.sqrt(n)) if n > 1 else math.nan

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, reduce
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -50,27 +50,27 @@ class Widening:
         """
         block = pose_blocks(searched.observations, np.random.default_rng(0))
         others = (searched.covariance_beside(remainder.columns), jackknife_covariance(searched, block))
-        return cls(fit, reduce(envelope, others, fit.covariance))
+        return cls(fit, envelope(fit.covariance, *others))
 
     def carried_to(self, fit: Fit) -> Widening:
-        """The widening of a fit with further terms: of what both have it is nowhere surer than this one.
+        """The widening of a fit with further terms: no parameter that both fits have is surer than this one says.
 
-        Given that, the further terms keep their posterior. So they go along with what is stretched, and the field that all predict
-        together grows no less sure where the terms can make up for it.
+        One parameter after another is made as uncertain as it was, and all others go along as the posterior ties them together. So the
+        field that all predict together grows no less sure where the others can make up for it. Ties of this widening are not carried:
+        where the further terms have moved the fit far, they are no longer those of the field.
 
         Args:
             fit: With corrections.
         """
         names, own = fit.posterior.coordinates.names, self.fit.posterior.coordinates.names
-        shared = [name for name in own if name in names]
-        rows, own_rows = [names.index(name) for name in shared], [own.index(name) for name in shared]
-        among = fit.covariance[rows][:, rows]
-        more = stretch(among, self.covariance[own_rows][:, own_rows]) - among.new_ones(len(rows)).diag()
-        # How all terms go along with those that both fits have.
-        following = torch.linalg.solve(among, fit.covariance[rows]).T
-        stretched = among.new_ones(len(names)).diag()
-        stretched[:, rows] += following @ more
-        return Widening(fit, stretched @ fit.covariance @ stretched.T)
+        wanted = {names.index(name): self.covariance[i, i] for i, name in enumerate(own) if name in names}
+        covariance = fit.covariance
+        for row in sorted(wanted, key=lambda row: float(covariance[row, row] / wanted[row])):
+            lacking = wanted[row] - covariance[row, row]
+            if lacking > 0.0:
+                along = covariance[row] / covariance[row, row]
+                covariance = covariance + lacking * along[:, None] * along
+        return Widening(fit, covariance)
 
     def over_blocks(self, searched: Fit) -> Widening:
         """The widening that is also nowhere surer than predictions of readings held out allow, by place and by time.
@@ -86,7 +86,7 @@ class Widening:
             time_blocks(searched.observations),
         )
         others = (jackknife_covariance(searched, block) for block in blocks)
-        return Widening(self.fit, reduce(envelope, others, self.covariance))
+        return Widening(self.fit, envelope(self.fit.covariance, self.covariance, *others))
 
     @cached_property
     def factors(self) -> dict[str, float]:
@@ -148,20 +148,23 @@ def _mean_by_counts(
     return mean[group]
 
 
-def envelope(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
-    """The smallest covariance, in the principal axes of the pair, that is in no direction below either.
+def envelope(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    """A covariance that is in no direction below any of these; with one other the smallest, in the principal axes of the pair.
 
     Examples:
         >>> envelope(torch.diag(torch.tensor([1.0, 4.0])), torch.diag(torch.tensor([9.0, 1.0])))
         tensor([[9., 0.],
                 [0., 4.]])
     """
-    stretched = stretch(covariance, other)
+    stretched = stretch(covariance, *others)
     return stretched @ covariance @ stretched.T
 
 
-def stretch(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
-    """The linear map from a covariance to its envelope with another; directions that are wide enough stay.
+def stretch(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
+    """The linear map from a covariance to its envelope with others; directions that are wide enough stay.
+
+    All others are seen in units of the first covariance. It should therefore be that of a fit: one that was stretched by much in some
+    directions has lost the digits of the rest, and a second stretch would make predictions uncertain by what was lost.
 
     Examples:
         >>> stretch(torch.diag(torch.tensor([1.0, 4.0])), torch.diag(torch.tensor([9.0, 1.0])))
@@ -172,8 +175,11 @@ def stretch(covariance: Float[Tensor, "n n"], other: Float[Tensor, "n n"]) -> Fl
     share, turn = torch.linalg.eigh(covariance / (sd[:, None] * sd))
     root = turn * torch.sqrt(share.clamp(min=LEAST_SHARE))
     whitener = turn / torch.sqrt(share.clamp(min=LEAST_SHARE))
-    whitened = whitener.T @ (other / (sd[:, None] * sd)) @ whitener
-    ratio, axes = torch.linalg.eigh(0.5 * (whitened + whitened.T))
-    growth = (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
+    growth = sd.new_ones(len(sd)).diag()
+    for other in others:
+        inward = torch.linalg.solve(growth, whitener.T / sd)
+        whitened = inward @ other @ inward.T
+        ratio, axes = torch.linalg.eigh(0.5 * (whitened + whitened.T))
+        growth = growth @ (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
     stretched: Tensor = sd[:, None] * (root @ growth @ whitener.T) / sd
     return stretched

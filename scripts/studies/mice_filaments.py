@@ -19,6 +19,8 @@ from estimator import load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.validation import improvement_of
+from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -97,7 +99,11 @@ def fitted(words: str, rig: Rig, seen: Observations, unseen: Observations, start
 def show_corrected(fit: Fit, unseen: Observations) -> None:
     """What corrections do beside all causes, to unseen readings and the share of them inside 90 % intervals."""
     begin = time.process_time()
-    correction = best_corrected(fit, fit, fit, unseen, lambda words: print(f"  {words}", flush=True))
+    correction = best_corrected(fit, fit, fit, lambda words: print(f"  {words}", flush=True))
+    if correction.is_taken:
+        widening = Widening(correction.final, correction.final.covariance).over_blocks(correction.fit)
+        gain = improvement_of(fit, correction.final, unseen, widening.covariance)
+        correction = correction.judged_by(gain)
     print(
         f"  {correction.words(lambda cause: cause.label)} ({time.process_time() - begin:.0f} s of a processor)"
     )

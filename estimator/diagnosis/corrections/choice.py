@@ -1,6 +1,6 @@
 """Which corrections are taken: the best by its evidence in the linear model, if it predicts blocks of places held out better.
 
-Then the rest is asked again. What was taken is fitted in full once, and at the end unseen readings may drop it.
+Then the rest is asked again. What was taken is fitted in full once. Unseen readings may drop it afterwards.
 """
 
 from __future__ import annotations
@@ -18,24 +18,18 @@ from estimator.diagnosis.corrections.result import Correction, Part
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.source_structure import is_pile
 from estimator.diagnosis.structure.cross_validation import held_out
-from estimator.diagnosis.validation import improvement_of
-from estimator.diagnosis.widening import Widening
-from estimator.readings.observations import Observations
 from estimator.readings.split import pose_blocks
 from estimator.reporting.numbers import odds
 from estimator.side_by_side import each
 
 
-def best_corrected(
-    extended: Fit, searched: Fit, causes: Fit, unseen: Observations, tell: Callable[[str], None]
-) -> Correction:
-    """The correction of the extended rig, or of that with all causes that were taken where these are worth it; judged by unseen readings.
+def best_corrected(extended: Fit, searched: Fit, causes: Fit, tell: Callable[[str], None]) -> Correction:
+    """The correction of the extended rig, or of that with all causes that were taken where these are worth it.
 
     Args:
         extended: With the named causes, fitted to the readings of the search.
         searched: With all causes that were taken, named or not, and that unseen readings have not refuted, fitted to the same.
         causes: The extended rig, fitted to the readings that count.
-        unseen: Readings that no fit has seen; may be empty.
         tell: Called with a message for each correction that is taken.
     """
     standing_in = [cause for cause in searched.rig.effects if cause not in extended.rig.effects]
@@ -60,20 +54,12 @@ def best_corrected(
             trial = other
     is_last = causes.observations is first.observations
     best = trial.in_full(limits, corrects_already, None if is_last else _tolerance(trial.fit))
-    if not best.is_taken:
+    if is_last or not best.is_taken:
         return best
-    if not is_last:
-        corrected, readings = best.fit, causes.observations
-        rules = corrected.posterior.model.rules
-        final = fit_rig(corrected.rig, readings, corrected.values, rules, tolerance=_tolerance(corrected))
-        best = replace(best, final=final)
-    if not len(unseen):
-        return best
-    widened = Widening(best.final, best.final.covariance).over_blocks(best.fit)
-    gain = improvement_of(causes, best.final, unseen, widened.covariance)
-    if gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T:
-        return replace(best, gain=gain, refusal="unseen readings are predicted worse with what was tried")
-    return replace(best, gain=gain)
+    corrected, readings = best.fit, causes.observations
+    rules = corrected.posterior.model.rules
+    final = fit_rig(corrected.rig, readings, corrected.values, rules, tolerance=_tolerance(corrected))
+    return replace(best, final=final)
 
 
 def _tolerance(fit: Fit) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.diagnosis.fitting import Fit
@@ -62,6 +62,12 @@ class Correction:
         each = [f"{label(part.cause)} to degree {part.degree}" for part in self.parts]
         by = " and ".join(each) or "the causes that stand in"
         return f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+
+    def judged_by(self, gain: Improvement) -> Correction:
+        """The correction after its gain on unseen readings, which drop it where it predicts them worse."""
+        is_worse = gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T
+        words = "unseen readings are predicted worse with what was tried"
+        return replace(self, gain=gain, refusal=words if is_worse else self.refusal)
 
     @property
     def limit_words(self) -> str:

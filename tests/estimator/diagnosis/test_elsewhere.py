@@ -10,7 +10,6 @@ import pytest
 import torch
 from torch.testing import assert_close
 
-from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.fit_place import climbing_on
@@ -26,7 +25,7 @@ from estimator.diagnosis.structure.families import families
 from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
-from tests.estimator.diagnosis.small_fits import fit_of, unheard, with_wrong
+from tests.estimator.diagnosis.small_fits import corrected, fit_of, with_wrong
 from tests.far import far_device
 
 pytestmark = pytest.mark.whole
@@ -133,10 +132,6 @@ def test_on_the_processor_nothing_is_moved(plain: Fit) -> None:
 
 @pytest.mark.slow
 def test_correction_on_another_device_is_the_same(plain: Fit) -> None:
-    def corrected(fit: Fit):
-        none = fit.observations.rows(fit.observations.row[:0])
-        return best_corrected(fit, fit, fit, none, unheard)
-
     near = corrected(plain)
     assert near.parts
     with far_device() as far:

@@ -148,3 +148,26 @@ def test_directions_that_rounding_made_negative_do_not_stop_an_envelope() -> Non
     assert float(torch.linalg.eigvalsh(covariance)[0]) < -LEAST_SHARE
     wider = envelope(covariance, torch.full((2, 2), 4.0, dtype=torch.float64))
     torch.testing.assert_close(wider, torch.full((2, 2), 4.0, dtype=torch.float64), atol=1e-5, rtol=0.0)
+
+
+def test_envelope_of_many_keeps_the_digits_of_what_is_sure() -> None:
+    """Two scatters that are huge in directions of which readings know nothing leave predictions as sure as their sum does."""
+    generator = torch.Generator().manual_seed(3)
+    readings = torch.randn(60, 12, generator=generator, dtype=torch.float64)
+    readings[:, 6:] = (
+        readings[:, :6] + 1e-3 * readings[:, 6:]
+    )  # each number has a double that is nearly itself
+    covariance = torch.linalg.inv(readings.T @ readings + 1e-8 * torch.eye(12, dtype=torch.float64))
+    shifts = torch.randn(2, 5, 12, generator=generator, dtype=torch.float64)
+    shifts[:, :, :6] *= 1e4
+    shifts[:, :, 6:] -= shifts[:, :, :6]
+    others = [shift.T @ shift for shift in shifts]
+
+    def variance(of: torch.Tensor) -> torch.Tensor:
+        return ((readings @ of) * readings).sum(1)
+
+    each = torch.stack([variance(of) for of in (covariance, *others)])
+    assert (variance(envelope(covariance, *others)) <= 1.01 * each.sum(0)).all()
+    assert (variance(envelope(covariance, *others)) >= 0.99 * each.amax(0)).all()
+    one_by_one = envelope(envelope(covariance, others[0]), others[1])
+    assert (variance(one_by_one) > 2.0 * each.sum(0)).any()  # what the lost digits cost

@@ -19,7 +19,7 @@ from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.structure.cross_validation import log_predictive
 from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.structure.families import families
-from estimator.diagnosis.validation import validation_scores
+from estimator.diagnosis.validation import improvement_of, validation_scores
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -163,14 +163,15 @@ def test_a_pile_that_leaves_nothing_corrects_by_itself(
     observations = with_wrong(small_rig, observations, GAIN, {"x": 0.05})
     observations = with_wrong(small_rig, observations, offset, {"z_T": 100e-6})
     bare, pile = (fit_of(small_rig, observations.calibration, *causes) for causes in ((), (GAIN, offset)))
-    correction = best_corrected(bare, pile, bare, observations.validation, unheard)
+    correction = best_corrected(bare, pile, bare, unheard)
     assert correction.is_taken
     assert correction.parts == ()
     assert correction.fit is pile
     assert "by the causes that stand in;" in correction.words(str)
-    assert correction.gain is not None
-    assert correction.gain.after.errors.vector_T < 0.5 * correction.gain.before.errors.vector_T
-    alone = best_corrected(pile, pile, pile, observations.validation, unheard)
+    gain = improvement_of(bare, correction.final, observations.validation)
+    assert correction.judged_by(gain).is_taken
+    assert gain.after.errors.vector_T < 0.5 * gain.before.errors.vector_T
+    alone = best_corrected(pile, pile, pile, unheard)
     assert not alone.is_taken  # nothing beyond what is named already
 
 
@@ -183,7 +184,7 @@ def test_few_causes_that_stand_in_correct_where_they_do_better_than_what_correct
     observations = with_wrong(small_rig, observations, offset, {"z_T": 100e-6})
     bare, few = (fit_of(small_rig, observations.calibration, *causes) for causes in ((), (GAIN, offset)))
     assert corrected(bare).parts
-    correction = best_corrected(bare, few, bare, observations.validation, unheard)
+    correction = best_corrected(bare, few, bare, unheard)
     assert correction.is_taken
     assert correction.parts == ()
     assert correction.fit is few
@@ -210,8 +211,9 @@ def test_correction_that_predicts_unseen_readings_worse_is_dropped(plain: Fit, f
     """Unseen readings of a session without the dipole refute it; they are the ones that count."""
     clean = with_dipole(flawed.validation, -0.0425)
     opposite = flawed.validation.with_field(2.0 * flawed.validation.field_sensor_T - clean.field_sensor_T)
-    assert best_corrected(plain, plain, plain, flawed.validation, unheard).is_taken
-    dropped = best_corrected(plain, plain, plain, opposite, unheard)
+    taken = corrected(plain)
+    assert taken.judged_by(improvement_of(plain, taken.final, flawed.validation)).is_taken
+    dropped = taken.judged_by(improvement_of(plain, taken.final, opposite))
     assert not dropped.is_taken
     assert "unseen" in dropped.refusal
     assert dropped.gain is not None
@@ -231,6 +233,24 @@ def test_coil_keeps_the_interval_that_what_was_left_gave_it_and_the_field_stays_
         for c in (corrected_fit.covariance, after.covariance)
     ]
     assert field_sd[1] < 1.5 * field_sd[0]
+
+
+def test_ties_of_numbers_in_a_fit_that_corrections_have_moved_do_not_open_the_field(plain, corrected_fit):
+    """What the earlier fit tied together, so that the field stayed sure, would leave it open in the later one."""
+    names = corrected_fit.posterior.coordinates.names
+    own = plain.posterior.coordinates.names
+    rows = [names.index(name) for name in own]
+    sd = corrected_fit.covariance[rows][:, rows].diagonal().sqrt()
+    sign = torch.tensor([(-1.0) ** i for i in range(len(own))], dtype=torch.float64)
+    tied = sign * sign[:, None] + 1e-6 * torch.eye(len(own), dtype=torch.float64)  # all numbers as one
+    wide = 900.0 * sd * sd[:, None] * tied
+    after = Widening(plain, wide).carried_to(corrected_fit).covariance
+    assert (after[rows][:, rows].diagonal() > 0.999 * wide.diagonal()).all()
+    jacobian = corrected_fit.jacobian
+    before_sd, after_sd = (
+        ((jacobian @ c) * jacobian).sum(-1).sqrt() for c in (corrected_fit.covariance, after)
+    )
+    assert (after_sd < 30.0 * before_sd).all()
 
 
 def test_posterior_of_a_corrected_rig_is_drawn_without_sampling_its_amplitudes(
