@@ -43,6 +43,13 @@ UNITS: dict[str, Unit] = {
     )
 }
 
+# Units of causes and results, which no rig file states; by the suffix of a key.
+DERIVED_UNITS = {
+    "A_m2": Unit("A m2", "moment", 1.0),
+    "m3": Unit("m3", "volume", 1.0),
+    "mm3": Unit("mm3", "volume", 1e-9),
+}
+
 
 def split_unit(key: str) -> tuple[str, Unit | None]:
     """Split a key into quantity and unit; the unit is None if the key carries none.
@@ -59,14 +66,19 @@ def split_unit(key: str) -> tuple[str, Unit | None]:
 
 
 def split_quotient(key: str) -> tuple[str, Unit | None, str]:
-    """Split a key whose unit may be a quotient into quantity, unit of the numerator and symbol of the denominator.
+    """Split a key whose unit may be derived, such as a quotient, into quantity, unit of the numerator and symbol of the denominator.
 
     Examples:
+        >>> split_quotient("moment_x_A_m2")
+        ('moment_x', Unit(symbol='A m2', dimension='moment', to_si=1.0), '')
         >>> split_quotient("drift_x_T_per_h")
         ('drift_x', Unit(symbol='T', dimension='field', to_si=1.0), 'h')
         >>> split_quotient("loss_per_A2"), split_quotient("axial_loops")
         (('loss', None, 'A2'), ('axial_loops', None, ''))
     """
+    for suffix, derived in DERIVED_UNITS.items():
+        if key.endswith(f"_{suffix}"):
+            return key.removesuffix(f"_{suffix}"), derived, ""
     head, _, denominator = key.rpartition("_per_")
     quantity, unit = split_unit(head or key)
     return quantity, unit, denominator if head else ""

@@ -13,7 +13,7 @@ from estimator.batching.jobs import PLAIN
 from estimator.batching.result import BatchResult
 from estimator.calibration.calibrate import versions
 from estimator.reporting import plots
-from estimator.reporting.numbers import displays, with_sd
+from estimator.reporting.numbers import displays, percent, probability, with_sd
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 
 MOST_PARAMETERS = 12
@@ -105,7 +105,9 @@ def _wrong(best: pd.DataFrame) -> list[str]:
     sentences = []
     for name, rows in best[best["hypothesis"] != PLAIN].groupby("hypothesis", sort=False):
         where = [
-            " ".join(filter(None, (short[row["session"]], row["coil"], f"({row['probability']:.0%})")))
+            " ".join(
+                filter(None, (short[row["session"]], row["coil"], f"({probability(row['probability'])})"))
+            )
             for _, row in rows.head(MOST_LISTED).iterrows()
         ]
         more = f" and {len(rows) - MOST_LISTED} more" if len(rows) > MOST_LISTED else ""
@@ -159,7 +161,7 @@ def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> li
             short[row["session"]] + (f", {row['coil']}" if row["coil"] else ""),
             str(row["hypothesis"]),
             f"{row['log_evidence']:.1f}",
-            f"{row['probability']:.1%}",
+            percent(row["probability"], 1),
             f"{row['calibration_rmse_T'] * 1e6:.4g} µT",
             f"{row['validation_rmse_T'] * 1e6:.4g} µT" if pd.notna(row["validation_rmse_T"]) else "—",
             "sampled" if row["is_sampled"] else "Laplace",

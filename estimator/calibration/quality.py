@@ -18,7 +18,7 @@ from estimator.calibration import policy
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.result import Calibration
 from estimator.readings.observations import Observations
-from estimator.reporting.numbers import displays, size_with_unit
+from estimator.reporting.numbers import displays, percent, size_with_unit
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
 
@@ -73,7 +73,7 @@ def assessment(
         return Assessment(
             Quality.UNUSABLE,
             (
-                f"the model misses {missed:.0%} of the field, {_size(error['vector_T'])} where the expected noise leaves "
+                f"the model misses {percent(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves "
                 f"{_size(expected_T)}.",
             ),
             "Do not use it. Run coilcal diagnose, which asks for wrong signs, units and frames first, and then for what else is wrong.",
@@ -84,7 +84,7 @@ def assessment(
         *_misfit(calibration.rig, error["vector_T"], expected_T),
     ]
     if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
-        reasons.append(f"only {coverage90:.0%} of the readings' components lie in their 90 % intervals.")
+        reasons.append(f"only {percent(coverage90)} of the readings' components lie in their 90 % intervals.")
     if (next_degree_log_evidence or 0.0) > CLEAR_LOG_EVIDENCE:
         reasons.append(
             f"a coil without a winding has a finer field than its degree allows ({next_degree_log_evidence:+.3g} in log evidence for one "
@@ -172,4 +172,4 @@ def _size(field_T: float) -> str:
 
 
 def _share(share: float | None) -> str:
-    return "an unknown share" if share is None else f"{share:.2%}"
+    return "an unknown share" if share is None else percent(share, 2)

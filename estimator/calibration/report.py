@@ -10,7 +10,7 @@ import numpy as np
 from estimator.calibration.figures import pictures
 from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
-from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
+from estimator.reporting.numbers import displays, percent, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Rig, UnwoundCoil
 from estimator.units import split_quotient
@@ -60,10 +60,10 @@ def _verdict(calibration: Calibration) -> list[str]:
         f"{quality['verdict'].capitalize()}: {first}",
         *others,
         quality["next"],
-        f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({error['relative']:.2%} of the field) on "
-        f"{readings}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({nominal['relative']:.2%}).",
+        f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({percent(error['relative'], 2)} of the field) on "
+        f"{readings}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({percent(nominal['relative'], 2)}).",
         _noise_share(calibration, role),
-        f"Its 90 % intervals hold {summary['coverage90'][role]:.1%} of the components of these readings.",
+        f"Its 90 % intervals hold {percent(summary['coverage90'][role], 1)} of the components of these readings.",
     ]
     for entry in _most_probable(summary["loop_counts"]):
         sentences.append(
@@ -228,7 +228,7 @@ def _error_table(summary: Mapping[str, Any]) -> Table:
                     _microtesla(metrics["component_T"]),
                     _microtesla(metrics["paper_metric_T"]),
                     _microtesla(metrics["max_T"]),
-                    f"{metrics['relative']:.3%}",
+                    percent(metrics["relative"], 3),
                     f"{np.degrees(angle):.3f}°" if angle is not None else "—",
                 ]
             )
@@ -246,7 +246,7 @@ def _error_table(summary: Mapping[str, Any]) -> Table:
 
 def _sensor_table(summary: Mapping[str, Any]) -> Table:
     rows = [
-        [name, _microtesla(metrics["vector_T"]), f"{metrics['relative']:.3%}"]
+        [name, _microtesla(metrics["vector_T"]), percent(metrics["relative"], 3)]
         for name, metrics in summary["rmse_by_sensor"]["calibration"].items()
     ]
     return Table("Errors by sensor", ["sensor", "vector rms", "of rms field"], rows)

@@ -115,7 +115,7 @@ def calibrate_command(
 
 
 def _text(summary: Any, out: Path) -> str:
-    from estimator.reporting.numbers import displays
+    from estimator.reporting.numbers import displays, percent
 
     quality = summary["quality"]
     lines = [
@@ -139,8 +139,8 @@ def _text(summary: Any, out: Path) -> str:
         if errors:
             nominal = summary["rmse_nominal"][role]
             lines.append(
-                f"{role}: error {errors['vector_T'] * 1e6:.4g} uT rms of the vector ({errors['relative']:.3%} of the field), "
-                f"nominal model {nominal['vector_T'] * 1e6:.4g} uT; coverage of 90 % intervals {summary['coverage90'][role]:.1%}"
+                f"{role}: error {errors['vector_T'] * 1e6:.4g} uT rms of the vector ({percent(errors['relative'], 3)} of the field), "
+                f"nominal model {nominal['vector_T'] * 1e6:.4g} uT; coverage of 90 % intervals {percent(summary['coverage90'][role], 1)}"
             )
     lines += [
         f"{name} lies {distance:+.1f} prior standard deviations from its prior's centre: narrow prior or missing physics"

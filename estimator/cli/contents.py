@@ -17,11 +17,11 @@ from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
 from estimator.diagnosis.verdict import UNKNOWN
 from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.recalibration.registry import LOG, VERSIONS, Registry
-from estimator.reporting.numbers import displays, interval_with_unit
+from estimator.reporting.numbers import displays, interval_with_unit, probability, quantity_words
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import FIELD
 from estimator.store.session import Session, is_growing, is_session, load_session
-from estimator.units import split_quotient, split_unit
+from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 JOBS, RESULT_FILE = "jobs", "result.json"  # of `estimator.batching`, which needs an extra
@@ -210,7 +210,7 @@ def _diagnosis(path: Path) -> Contents:
             others = [other["name"] for other in cause.get("alternatives", [])]
             others += [UNKNOWN] if cause.get("may_be_unknown") else []
             rivals = "".join(f", or {name}" for name in others)
-            lines.append(f"  {cause['name']}[{cause['place']}] ({cause['probability']:.0%}){rivals}")
+            lines.append(f"  {cause['name']}[{cause['place']}] ({probability(cause['probability'])}){rivals}")
             lines += _size_lines(cause)
         if told["next_measurement"]:
             lines.append(f"to tell more, measure {told['next_measurement'][0]['action']}")
@@ -227,11 +227,11 @@ def _diagnosis(path: Path) -> Contents:
 def _size_lines(cause: dict[str, Any]) -> list[str]:
     """Sizes of a cause as `coilcal diagnose` prints them, and the difference of two that is known best."""
     lines = [
-        f"    {split_quotient(key)[0].replace('_', ' '):16} {_with_interval(told)}"
+        f"    {quantity_words(key):16} {_with_interval(told)}"
         for key, told in list(cause["parameters"].items())[:MOST_LINES]
     ]
     if known := cause.get("difference"):
-        plus, minus = (split_quotient(known[side])[0].replace("_", " ") for side in ("plus", "minus"))
+        plus, minus = (quantity_words(known[side]) for side in ("plus", "minus"))
         lines.append(f"    known best: {plus} − {minus} {_with_interval(known)}")
     return lines
 

@@ -166,8 +166,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     from estimator.diagnosis.hypotheses.step import leaves_structure
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.diagnosis.verdict import Verdict
-    from estimator.reporting.numbers import interval_with_unit, odds
-    from estimator.units import split_quotient
+    from estimator.reporting.numbers import interval_with_unit, odds, percent, probability, quantity_words
 
     left_open, improvement = diagnosis.left_open, diagnosis.improvement
     lines = [f"verdict: {diagnosis.verdict}"]
@@ -176,13 +175,13 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     lines += [f"  {sentence}" for sentence in headline(diagnosis)]
     for cause in diagnosis.sized_causes:
         rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
-        alternatives = "".join(f", or {name} ({rival.probability:.0%})" for name, rival in rivals)
-        outside = f", or something not in the library ({cause.p_not_in_library:.0%})"
-        lines.append(f"  {cause.name} ({cause.probability:.0%}){alternatives}{outside}")
+        alternatives = "".join(f", or {name} ({probability(rival.probability)})" for name, rival in rivals)
+        outside = f", or something not in the library ({probability(cause.p_not_in_library)})"
+        lines.append(f"  {cause.name} ({probability(cause.probability)}){alternatives}{outside}")
         for name, quantity in cause.quantities.items():
             low, high = quantity.ci90
             size = interval_with_unit(quantity.median, low, high, quantity.unit)
-            lines.append(f"    {split_quotient(name)[0].replace('_', ' '):16} {size}")
+            lines.append(f"    {quantity_words(name):16} {size}")
         if cause.difference is not None:
             lines.append(f"    known best: {difference_words(cause.difference)}")
     lines += [f"  {sentence}" for sentence in held_back(diagnosis)]
@@ -211,7 +210,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
         before, after = improvement.before, improvement.after
         lines.append(
             f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.errors.vector_T * 1e6:.4g} uT rms of the vector; coverage "
-            f"of 90 % intervals {before.coverage90:.1%} -> {after.coverage90:.1%}; log predictive density "
+            f"of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.coverage90, 1)}; log predictive density "
             f"{improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
         )
     lines.append(f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}, {out / REPORT}")

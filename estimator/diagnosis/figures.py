@@ -7,7 +7,9 @@ from itertools import pairwise
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from matplotlib.figure import Figure
+from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.result import Diagnosis
@@ -148,22 +150,30 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
         return
     first = tests[0].covariate
     first_after = after[first.name].covariate
-    factor, unit = _display(first.unit)
-    for fit, covariate, when in (
-        (diagnosis.fits.plain, first, "before"),
-        (diagnosis.fits.extended, first_after, "after"),
-    )[: 2 if diagnosis.fits.extended.rig.effects else 1]:
-        figure = plots.residual_against(
+    factor, unit = _display(first.unit, first.by_reading)
+    drawn = {
+        when: plots.residual_against(
             covariate.by_reading.numpy() * factor,
             _residual_T(fit),
             _sigma_T(fit),
             f"{first.name} ({unit})" if unit != "1" else first.name,
             title=when,
-        ).figure
+        )
+        for fit, covariate, when in (
+            (diagnosis.fits.plain, first, "before"),
+            (diagnosis.fits.extended, first_after, "after"),
+        )[: 2 if diagnosis.fits.extended.rig.effects else 1]
+    }
+    if len({ax.get_ylabel() for ax in drawn.values()}) == 1:  # one scale, so that the eye can compare
+        ends = np.array([ax.get_ylim() for ax in drawn.values()])
+        for ax in drawn.values():
+            ax.set_ylim(ends[:, 0].min(), ends[:, 1].max())
+    for when, ax in drawn.items():
+        figure = ax.figure
         assert isinstance(figure, Figure)
         yield Picture(
             f"Residual along the most significant covariate, {when}",
-            "Points are means of neighbouring readings. Means that leave the band by several of their error bars show structure.",
+            "The lines are means of neighbouring readings. Means that leave the band by several of their error bars show structure.",
             figure,
         )
 
@@ -211,8 +221,9 @@ def _sigma_T(fit: Fit) -> np.ndarray:
     return by_sensor[fit.observations.sensor][:, None].expand(-1, 3).numpy()
 
 
-def _display(unit: str) -> tuple[float, str]:
-    """Factor and unit for display."""
-    shown = SHOWN_IN.get(unit, unit)
+def _display(unit: str, values: Float[Tensor, " reading"]) -> tuple[float, str]:
+    """Factor and unit for display; a field of the size of the coil's own is shown in mT, a small one in µT."""
+    is_strong = unit == "T" and float(values.abs().max()) > UNITS["mT"].to_si
+    shown = "mT" if is_strong else SHOWN_IN.get(unit, unit)
     factor = UNITS[unit].to_si / UNITS[shown].to_si if unit in UNITS and shown in UNITS else 1.0
     return factor, shown.replace("u", "µ")

@@ -1,4 +1,4 @@
-"""The first box of a report: what is wrong and how sure that is, what it cost, and what to do next, in at most four sentences."""
+"""The first box of a report: what is wrong and how sure that is, what it cost, and what to do next, in a few sentences."""
 
 from __future__ import annotations
 
@@ -17,10 +17,16 @@ from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL, Extent
 from estimator.readings.flags import COMPONENTS, told
 from estimator.readings.observations import SECONDS_PER_HOUR
-from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
+from estimator.reporting.numbers import (
+    displays,
+    interval_with_unit,
+    odds,
+    probability,
+    quantity_words,
+    size_with_unit,
+)
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
-from estimator.units import split_quotient
 
 MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_SIZES = 2
@@ -36,6 +42,7 @@ def headline(diagnosis: Diagnosis) -> list[str]:
     sentences = [
         _flagged(diagnosis),
         _what(diagnosis),
+        _how_large(diagnosis),
         _outliers(diagnosis),
         source,
         _cost(diagnosis),
@@ -149,11 +156,12 @@ def _doubts(diagnosis: Diagnosis) -> str:
         return ""
     others = [hypothesis for hypothesis in last if hypothesis.name != "nothing"][:MOST_ALTERNATIVES]
     names = ", ".join(
-        f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {h.probability:.0%}" for h in others
+        f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {probability(h.probability)}"
+        for h in others
     )
     return (
-        f"Nothing is sure enough to be named, but it is only {nothing:.0%} probable that nothing is wrong. The best other answers: "
-        f"{names}."
+        f"Nothing is sure enough to be named, but it is only {probability(nothing)} probable that nothing is wrong. "
+        f"The best other answers: {names}."
     )
 
 
@@ -231,16 +239,25 @@ def _causes(diagnosis: Diagnosis) -> list[str]:
         places = ", ".join(named.cause.place for named in same)
         label = diagnosis.label(first.cause) if len(same) == 1 else f"{name}[{places}]"
         least = min(named.probability for named in same)
-        sizes = _sizes(diagnosis, first.cause) if len(same) == 1 else ""
         is_probable = any(named.may_be_unknown for named in same)
         hedge = "either " if first.alternatives else "probably " if is_probable else ""
         phrases.append(
-            f"{hedge}{EFFECTS[name].words} ({label}, {least:.0%}{sizes}){_others(diagnosis, first)}"
+            f"{hedge}{EFFECTS[name].words} ({label}, {probability(least)}){_others(diagnosis, first)}"
         )
     return phrases
 
 
-def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
+def _how_large(diagnosis: Diagnosis) -> str:
+    """The sizes of the named causes; empty where none has a clear one."""
+    sizes = [(diagnosis.label(named.cause), _sizes(diagnosis, named.cause)) for named in diagnosis.causes]
+    sizes = [(label, words) for label, words in sizes if words]
+    if len(diagnosis.causes) == 1:
+        sizes = [("", words) for _, words in sizes]
+    each = [f"{label} {', '.join(words)}".strip() for label, words in sizes]
+    return f"Size, with 90 % credible intervals: {'; '.join(each)}." if each else ""
+
+
+def _sizes(diagnosis: Diagnosis, cause: Cause) -> list[str]:
     """The clearest numbers of a cause with their 90 % intervals, and when it began; other shapes say where, not how much."""
     sized = next(sized_cause for sized_cause in diagnosis.sized_causes if sized_cause.cause == cause)
     shapes = {quantity.key for quantity in EFFECTS[cause.name].quantities(Extent()) if quantity.is_shape}
@@ -261,17 +278,7 @@ def _sizes(diagnosis: Diagnosis, cause: Cause) -> str:
     ]
     if when_s:
         words.append(f"{' to '.join(when_s)} s after the first reading")
-    return f"; {', '.join(words)}" if words else ""
-
-
-def quantity_words(key: str) -> str:
-    """Name of a quantity without its unit.
-
-    Examples:
-        >>> quantity_words("drift_x_T_per_h")
-        'drift x'
-    """
-    return split_quotient(key)[0].replace("_", " ")
+    return words
 
 
 def difference_words(difference: Difference) -> str:
@@ -283,12 +290,13 @@ def difference_words(difference: Difference) -> str:
 
 def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
     others = [
-        f"{diagnosis.label(o.cause)} {o.probability:.0%}" for o in named.alternatives[:MOST_ALTERNATIVES]
+        f"{diagnosis.label(o.cause)} {probability(o.probability)}"
+        for o in named.alternatives[:MOST_ALTERNATIVES]
     ]
     n_more = len(named.alternatives) - len(others)
     others += [f"{n_more} more causes"] if n_more > 0 else []
     if named.p_not_in_library >= 0.005:
-        others.append(f"{UNKNOWN} {named.p_not_in_library:.0%}")
+        others.append(f"{UNKNOWN} {probability(named.p_not_in_library)}")
     return f", or {', or '.join(others)}" if others else ""
 
 

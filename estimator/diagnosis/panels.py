@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis.drawing import outline_of, rounded
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.headline import difference_words, headline, quantity_words
+from estimator.diagnosis.headline import difference_words, headline
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.next_readings.stops import best_to_shrink, candidate_stops
@@ -35,7 +35,13 @@ from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
-from estimator.reporting.numbers import displays, interval_with_unit, odds, size_with_unit
+from estimator.reporting.numbers import (
+    displays,
+    interval_with_unit,
+    odds,
+    quantity_words,
+    size_with_unit,
+)
 from estimator.rig.rig import Cause, Coil
 
 MOST_MAPS, MOST_PATTERNS, MOST_RUNNERS, MOST_RACES, MOST_PLANS = 2, 6, 12, 6, 3

@@ -7,6 +7,7 @@ from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.headline import headline, held_back, tension_words
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.tables import appendix, tables
+from estimator.reporting.numbers import percent
 from estimator.reporting.page import ReportPage, render_report
 
 
@@ -39,7 +40,7 @@ def warnings_of(diagnosis: Diagnosis) -> list[str]:
         warnings.append("No readings were kept out of the fits, so the extension is not validated.")
     elif not policy.LEAST_COVERAGE90 < improvement.after.coverage90 < policy.MOST_COVERAGE90:
         warnings.append(
-            f"The 90 % predictive intervals of the extended model contain {improvement.after.coverage90:.0%} of the components of "
+            f"The 90 % predictive intervals of the extended model contain {percent(improvement.after.coverage90)} of the components of "
             "unseen readings."
         )
     if diagnosis.findings.stand_ins:

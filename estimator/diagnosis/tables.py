@@ -14,10 +14,16 @@ from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.validation import ValidationScores
 from estimator.effects import EFFECTS
 from estimator.readings.flags import COMPONENTS, Flag
-from estimator.reporting.numbers import displays, size_with_unit, to_digit_of, with_sd
+from estimator.reporting.numbers import (
+    displays,
+    percent,
+    quantity_words,
+    size_with_unit,
+    to_digit_of,
+    with_sd,
+)
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
-from estimator.units import split_quotient
 
 MOST_HYPOTHESES = 8
 MOST_STEPS = 6
@@ -151,11 +157,9 @@ def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, s
             display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
             if p.unit == "1" and abs(p.median) < 1.0:
                 factor, unit = 100.0, "%"
-            elif p.unit.startswith("T/") and not p.unit.startswith("T/m"):
-                factor, unit = 1e6, f"µ{p.unit}"
             else:
                 factor, unit = display.factor, display.unit or p.unit
-            parameters.append((_label(diagnosis, cause), key, p, factor, unit))
+            parameters.append((_label(diagnosis, cause), quantity_words(key), p, factor, unit))
     return parameters
 
 
@@ -164,7 +168,7 @@ def _numbers(diagnosis: Diagnosis, cause: Cause) -> dict[str, Interval]:
     numbers = diagnosis.quantities(cause)
     sized = next((sized_cause for sized_cause in diagnosis.sized_causes if sized_cause.cause == cause), None)
     if sized is not None and (known := sized.difference) is not None:
-        numbers[f"{split_quotient(known.plus)[0]} − {known.minus}"] = known.interval
+        numbers[f"{quantity_words(known.plus)} − {known.minus}"] = known.interval
     return numbers
 
 
@@ -188,11 +192,11 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
             [
                 name,
                 size_with_unit(scores.errors.vector_T, "T", 4),
-                f"{scores.errors.relative:.3%}",
+                percent(scores.errors.relative, 3),
                 size_with_unit(scores.errors.max_T, "T", 4),
                 f"{math.degrees(angle):.3f}°" if math.isfinite(angle) else "—",
-                f"{scores.coverage50:.0%}",
-                f"{scores.coverage90:.0%}",
+                percent(scores.coverage50),
+                percent(scores.coverage90),
                 f"{scores.elpd:.1f}",
             ]
         )
@@ -315,7 +319,7 @@ def _signed(value: float) -> str:
 def _percent(share: float | None) -> str:
     if share is None:
         return "—"
-    return f"{share:.1%}" if share > 1e-3 else "< 0.1 %"
+    return percent(share, 1) if share > 1e-3 else "< 0.1 %"
 
 
 def _words(hypothesis: Hypothesis) -> str:
@@ -337,7 +341,7 @@ def _why(diagnosis: Diagnosis, step: Step, hypothesis: Hypothesis) -> str:
     if hypothesis.name == "unexplained":
         return "tested again at the end"
     if best is None or step.taken is None:
-        return "not needed" if hypothesis.cause is not None else ""
+        return "not needed" if hypothesis.cause is not None else "no cause was taken"
     if hypothesis.held_out is not None and hypothesis.held_out.is_loss:
         return "predicts unseen blocks worse"
     behind = best.log_bayes_factor - hypothesis.log_bayes_factor
@@ -353,9 +357,8 @@ def _visible_table(diagnosis: Diagnosis) -> Table:
     }
     sizes: dict[str, list[str]] = {}
     for quantity in visible:
-        name = split_quotient(quantity.key)[0]
         sizes.setdefault(diagnosis.label(quantity.cause), []).append(
-            f"{name} {size_with_unit(quantity.size, quantity.unit)}"
+            f"{quantity_words(quantity.key)} {size_with_unit(quantity.size, quantity.unit)}"
         )
     rows = [[label, "; ".join(words)] for label, words in sizes.items()]
     twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)

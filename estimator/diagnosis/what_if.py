@@ -20,9 +20,9 @@ from estimator.model.hide import cause_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.split import thinned
+from estimator.reporting.numbers import quantity_words
 from estimator.rig.rig import Coil
 from estimator.store.session import Session
-from estimator.units import split_quotient
 
 MOST_READINGS = 200
 
@@ -133,7 +133,7 @@ def what_if(fit: Fit, label: str) -> WhatIf:
         patterns.append(
             Pattern(
                 key=key,
-                words=split_quotient(key)[0].replace("_", " "),
+                words=quantity_words(key),
                 unit=best.units[i],
                 typical=float(best.prior_sd[i]),
                 visible=policy.VISIBLE_SIGMA / norm if norm > 0.0 else None,

@@ -13,11 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Num
 
-from estimator.units import UNITS, split_quotient
+from estimator.units import DERIVED_UNITS, UNITS, split_quotient
 
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 EVEN = 0.3  # of log evidence, about 4 to 3
-SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT"}
+SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT", "m3": "mm3"}
+PREFIXED = ("T", "m", "rad", "A", "A m2", "s")  # units, and numerators of units, that take a prefix
+SUPERSCRIPTS = str.maketrans("23", "²³")
 
 
 @dataclass(frozen=True)
@@ -61,12 +63,23 @@ def displays(names: Sequence[str]) -> dict[str, Display]:
         unique = (parts for parts, alike in zip(own, n_alike, strict=True) if alike[parts] == 1)
         parts = next(unique, own[-1])
         symbol = SHOWN_IN.get(unit.symbol, unit.symbol) if unit else ""
-        factor = unit.to_si / UNITS[symbol].to_si if unit else 1.0
+        shown = UNITS.get(symbol) or DERIVED_UNITS.get(symbol.replace(" ", "_"))
+        factor = unit.to_si / shown.to_si if unit and shown else 1.0
         words = plain(" ".join(parts).replace("_", " "))
         if denominator:
-            symbol = f"{symbol or '1'}/{denominator.replace('2', '²')}"
-        result[name] = Display(words, symbol.replace("u", "µ"), round(factor, 9))
+            symbol = f"{symbol or '1'}/{denominator}"
+        result[name] = Display(words, symbol.replace("u", "µ").translate(SUPERSCRIPTS), round(factor, 9))
     return result
+
+
+def quantity_words(key: str) -> str:
+    """Name of a quantity without its unit.
+
+    Examples:
+        >>> quantity_words("drift_x_T_per_h"), quantity_words("moment_x_A_m2")
+        ('drift x', 'moment x')
+    """
+    return split_quotient(key)[0].replace("_", " ")
 
 
 def are_counts(values: Num[np.ndarray, " draw"], display: Display) -> bool:
@@ -89,16 +102,25 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
     Examples:
         >>> size_with_unit(1.234e-5, "T"), size_with_unit(0.00171, "1"), size_with_unit(3.2e-4, "T/h")
         ('12 µT', '0.17 %', '320 µT/h')
-        >>> size_with_unit(0.0345678, "T", 4)
-        '34.57 mT'
+        >>> size_with_unit(0.0345678, "T", 4), size_with_unit(9.1e-8, "m3"), size_with_unit(0.085, "A m2")
+        ('34.57 mT', '91 mm³', '85 mA m²')
     """
+    if unit == "1" and abs(value) >= 1.0:
+        return f"{value:.3g}"
+    factor, symbol = _unit_of(value, unit)
+    return f"{float(f'{value / factor:.{digits}g}'):g}{symbol}"
+
+
+def _unit_of(value: float, unit: str) -> tuple[float, str]:
+    """The unit of a value's order: its size in `unit`, and its symbol behind a space; nothing for numbers of one and more."""
     if unit == "1":
-        return f"{100.0 * value:.{digits}g} %" if abs(value) < 1.0 else f"{value:.3g}"
-    if unit.partition("/")[0] in ("T", "m", "rad", "A"):
+        return (0.01, " %") if abs(value) < 1.0 else (1.0, "")
+    factor, prefix = 1.0, ""
+    if unit.partition("/")[0] in PREFIXED:
         factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])
-        scaled = value / factor
-        return f"{float(f'{scaled:.{digits}g}'):g} {prefix}{unit}"
-    return f"{value:.{digits}g} {unit}"
+    elif unit == "m3":
+        factor, unit = 1e-9, "mm3"
+    return factor, f" {prefix}{unit}".translate(SUPERSCRIPTS)
 
 
 def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
@@ -112,19 +134,33 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
         >>> interval_with_unit(2.0, 1.5, 2.4, "1")
         '2.0 (1.5 to 2.4)'
     """
-    if unit == "1":
-        factor, symbol = (0.01, " %") if abs(value) < 1.0 else (1.0, "")
-    elif unit.partition("/")[0] in ("T", "m", "rad", "A"):
-        factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])
-        symbol = f" {prefix}{unit}"
-    else:
-        factor, symbol = 1.0, f" {unit}"
+    factor, symbol = _unit_of(value, unit)
     half_width = 0.5 * (high - low) / factor
     if half_width <= 0.0:
         return f"{value / factor:.4g}{symbol}".replace("-", "−")
     decimals = max(0, -math.floor(math.log10(half_width)))
     middle, lower, upper = (f"{end / factor:.{decimals}f}" for end in (value, low, high))
     return f"{middle}{symbol} ({lower} to {upper}{symbol})".replace("-", "−")
+
+
+def percent(share: float, decimals: int = 0) -> str:
+    """A share in per cent, with the space that the SI asks for.
+
+    Examples:
+        >>> percent(0.907), percent(0.9071, 1)
+        ('91 %', '90.7 %')
+    """
+    return f"{100.0 * share:.{decimals}f} %"
+
+
+def probability(share: float) -> str:
+    """A probability in per cent; what is rounded is neither certain nor impossible.
+
+    Examples:
+        >>> probability(0.88), probability(0.9992), probability(0.0004)
+        ('88 %', '> 99 %', '< 1 %')
+    """
+    return "> 99 %" if share > 0.995 else "< 1 %" if share < 0.005 else percent(share)
 
 
 def odds(log_evidence: float) -> str:

@@ -331,7 +331,7 @@ def test_a_session_with_a_cause_is_said_first_and_not_covered_by_parameters_that
     first, *others = _verdict(fitted, table, _best(table), names)
     (name,) = set(table["hypothesis"][wrong])
     assert first.startswith(f"Most probable is {name} in ")
-    assert "(100%): look at it with coilcal diagnose." in first
+    assert "(> 99 %): look at it with coilcal diagnose." in first
     assert not any(sentence.startswith("Every parameter agrees") for sentence in others)
 
 

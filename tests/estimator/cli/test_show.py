@@ -103,7 +103,7 @@ def test_a_diagnosis_and_a_broken_one(run: Run, tmp_path: Path) -> None:
     (tmp_path / "diagnosis.json").write_text(json.dumps(told_so))
     assert told(run, tmp_path)[1][:3] == [
         "verdict: named",
-        "axis_gain[hall] (88%)",
+        "axis_gain[hall] (88 %)",
         "x                1.0 % (0.8 to 1.2 %)",
     ]
     difference = {"difference": {"plus": "x", "minus": "z_at_x", **quantity}}
@@ -111,7 +111,7 @@ def test_a_diagnosis_and_a_broken_one(run: Run, tmp_path: Path) -> None:
     assert "known best: x − z at x 1.0 % (0.8 to 1.2 %)" in told(run, tmp_path)[1]
     others = {"alternatives": [{"name": "backlash"}], "may_be_unknown": True}
     (tmp_path / "diagnosis.json").write_text(json.dumps(told_so | {"causes": [cause | others]}))
-    assert "axis_gain[hall] (88%), or backlash, or something not in the library" in told(run, tmp_path)[1]
+    assert "axis_gain[hall] (88 %), or backlash, or something not in the library" in told(run, tmp_path)[1]
     (tmp_path / "diagnosis.json").write_text('{"verdict": "named"}')
     broken = run("show", tmp_path)
     assert broken.exit_code == 3
