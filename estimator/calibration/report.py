@@ -10,7 +10,7 @@ import numpy as np
 from estimator.calibration.figures import pictures
 from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
-from estimator.reporting.numbers import displays, percent, size_with_unit, to_digit_of, with_sd
+from estimator.reporting.numbers import displays, percent, probability, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Rig, UnwoundCoil
 from estimator.units import split_quotient
@@ -67,7 +67,7 @@ def _verdict(calibration: Calibration) -> list[str]:
     ]
     for entry in _most_probable(summary["loop_counts"]):
         sentences.append(
-            f"{entry['coil']} has {entry['axial']} x {entry['radial']} loops with probability {entry['probability']:.2f}."
+            f"{entry['coil']} has {entry['axial']} x {entry['radial']} loops with probability {probability(entry['probability'])}."
         )
     for coil, told in summary.get("amplitudes", {}).items():
         sentences.append(
@@ -156,7 +156,9 @@ def _tables(calibration: Calibration) -> list[Table]:
             display[name].unit or "1",
             with_sd(prior.centre * factor, prior.sd * factor) if prior else "derived",
         ]
-        rows.append(row + ([f"{truth[name] * factor:.6g}" if name in truth else "—"] if truth else []))
+        rows.append(
+            row + ([to_digit_of(0.0, truth[name] * factor) if name in truth else "—"] if truth else [])
+        )
     tables = [Table("Parameters", header, rows, "Medians and central 90 % intervals of the posterior.")]
     if determined := summary.get("amplitudes"):
         tables.append(_amplitude_table(calibration.rig, summary["parameters"], determined))

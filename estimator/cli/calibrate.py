@@ -115,7 +115,7 @@ def calibrate_command(
 
 
 def _text(summary: Any, out: Path) -> str:
-    from estimator.reporting.numbers import displays, percent
+    from estimator.reporting.numbers import displays, percent, probability
 
     quality = summary["quality"]
     lines = [
@@ -133,7 +133,7 @@ def _text(summary: Any, out: Path) -> str:
         lines.append(f"{name:38} {middle:>12} {low:>13} {high:>13}  {show_as.unit or '1'}")
     for counts in summary["loop_counts"][:3]:
         lines.append(
-            f"{counts['coil']}: {counts['axial']} x {counts['radial']} loops with probability {counts['probability']:.3f}"
+            f"{counts['coil']}: {counts['axial']} x {counts['radial']} loops with probability {probability(counts['probability'])}"
         )
     for role, errors in summary["rmse"].items():
         if errors:

@@ -18,13 +18,15 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
         diagnosis: The result of `estimator.diagnose`.
         command: Command that produced it, shown as provenance.
     """
+    lead, *figures = pictures(diagnosis)
     page = ReportPage(
         title=f"Diagnosis of {diagnosis.rig.name}",
         subtitle=diagnosis.question.source,
         verdict=headline(diagnosis),
         warnings=warnings_of(diagnosis),
+        lead=[lead],
         tables=tables(diagnosis),
-        figures=pictures(diagnosis),
+        figures=figures,
         appendix=appendix(diagnosis),
         provenance={"command": command, "seed": str(diagnosis.question.seed), "rig": diagnosis.rig.hash},
     )

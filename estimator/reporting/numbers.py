@@ -186,14 +186,14 @@ def with_sd(value: float, sd: float) -> str:
 
     Examples:
         >>> with_sd(50.98123, 0.0312), with_sd(48.0, 0.0), with_sd(1234.5, 87.2)
-        ('50.981 ± 0.031', '48 (certain)', '1234 ± 87')
+        ('50.981 ± 0.031', '48 ± 0', '1234 ± 87')
         >>> with_sd(-0.5, 0.1)
         '−0.50 ± 0.10'
     """
     if not (math.isfinite(value) and math.isfinite(sd)):
         return "not known"
     if sd == 0.0:
-        return f"{value:.6g} (certain)"
+        return f"{value:.6g} ± 0"
     return f"{to_digit_of(sd, value)} ± {to_digit_of(sd, sd)}"
 
 

@@ -90,7 +90,8 @@ class ReportPage:
         subtitle: Date and source of the readings.
         verdict: Sentences with the main results; the first is printed large.
         warnings: Sentences that the reader must not overlook; without any, their box is left out.
-        tables: Tables below the verdict.
+        lead: Figures below the verdict, which show what it says at one look.
+        tables: Tables below them.
         figures: Figures below the tables.
         appendix: Tables below the figures, with details.
         provenance: Command, versions, hashes, seed.
@@ -100,6 +101,7 @@ class ReportPage:
     subtitle: str
     verdict: Sequence[str]
     warnings: Sequence[str] = ()
+    lead: Sequence[Picture] = ()
     tables: Sequence[Table] = ()
     figures: Sequence[Picture] = ()
     appendix: Sequence[Table] = ()

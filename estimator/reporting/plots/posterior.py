@@ -155,7 +155,7 @@ def _bars(ax: Axes, height: float, scaled: np.ndarray, colours: tuple[str, str])
 
 def _learnt(prior_sd: float, sd: float) -> str:
     if sd == 0.0:
-        return "certain"
+        return "all draws agree"
     narrower = prior_sd / sd
     if narrower < LEARNT_LITTLE:
         return "little learnt"

@@ -189,7 +189,9 @@ def test_one_kind_of_cause_in_several_places_is_told_once(diagnosis: Diagnosis) 
     page = diagnosis_report(
         replace(diagnosis, findings=findings, verdict=Verdict.NAMED, left_open=left_open), ""
     )
-    assert "The sensor shows a constant in no field (sensor_offset[probe0, probe1, probe2], &gt; 99 %)." in page
+    assert (
+        "The sensor shows a constant in no field (sensor_offset[probe0, probe1, probe2], &gt; 99 %)." in page
+    )
 
 
 def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Diagnosis) -> None:

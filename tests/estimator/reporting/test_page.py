@@ -25,6 +25,7 @@ def page() -> ReportPage:
         subtitle="2026-01-01",
         verdict=["Predicts to 35 µT.", "Radius 51 mm."],
         warnings=["Spin is open."],
+        lead=[Picture("Map", "It should be dark.", figure)],
         tables=[
             Table("Parameters", ["name", "median"], [["radius", "51.0 mm"], ["spin", "—"]], "What was found.")
         ],
@@ -59,6 +60,7 @@ def test_a_report_says_everything_in_the_order_a_reader_needs() -> None:
         "2026-01-01",
         "Predicts",
         "Spin is open",
+        "It should be dark",
         "Parameters",
         "51.0 mm",
         "Look for drift",
@@ -88,6 +90,7 @@ def test_text_of_users_is_escaped_everywhere() -> None:
             NAUGHTY,
             [NAUGHTY],
             [NAUGHTY],
+            [Picture(f'{NAUGHTY}" onerror="x', NAUGHTY, figure)],
             [Table(NAUGHTY, [NAUGHTY], [[NAUGHTY]], NAUGHTY)],
             [Picture(f'{NAUGHTY}" onerror="x', NAUGHTY, figure)],
             [Table(NAUGHTY, [NAUGHTY], [[NAUGHTY]], NAUGHTY)],
@@ -96,7 +99,7 @@ def test_text_of_users_is_escaped_everywhere() -> None:
     )
     assert "<script" not in text
     assert "<b>" not in text
-    assert text.count("&lt;script&gt;") == 18
+    assert text.count("&lt;script&gt;") == 21
     assert not [attributes for _, attributes in Tags(text).seen if "onerror" in attributes]
 
 
