@@ -13,6 +13,7 @@ from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.least_growth import least_growth
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.readings.split import pose_blocks, time_blocks
@@ -55,22 +56,20 @@ class Widening:
     def carried_to(self, fit: Fit) -> Widening:
         """The widening of a fit with further terms: no parameter that both fits have is surer than this one says.
 
-        One parameter after another is made as uncertain as it was, and all others go along as the posterior ties them together. So the
-        field that all predict together grows no less sure where the others can make up for it. Ties of this widening are not carried:
-        where the further terms have moved the fit far, they are no longer those of the field.
+        Ties between parameters are not carried: where the further terms have moved the fit far, numbers that made up for each other no
+        longer do. Of all covariances with such intervals the one is taken that the later fit contradicts least, and the further terms go
+        along as its posterior has it. So the field that all predict together grows little less sure.
 
         Args:
             fit: With corrections.
         """
         names, own = fit.posterior.coordinates.names, self.fit.posterior.coordinates.names
-        wanted = {names.index(name): self.covariance[i, i] for i, name in enumerate(own) if name in names}
-        covariance = fit.covariance
-        for row in sorted(wanted, key=lambda row: float(covariance[row, row] / wanted[row])):
-            lacking = wanted[row] - covariance[row, row]
-            if lacking > 0.0:
-                along = covariance[row] / covariance[row, row]
-                covariance = covariance + lacking * along[:, None] * along
-        return Widening(fit, covariance)
+        shared = [name for name in own if name in names]
+        rows, own_rows = [names.index(name) for name in shared], [own.index(name) for name in shared]
+        among = fit.covariance[rows][:, rows]
+        growth = least_growth(among, self.covariance.diagonal()[own_rows])
+        following = torch.linalg.solve(among, fit.covariance[rows]).T
+        return Widening(fit, fit.covariance + following @ growth @ following.T)
 
     def over_blocks(self, searched: Fit) -> Widening:
         """The widening that is also nowhere surer than predictions of readings held out allow, by place and by time.
