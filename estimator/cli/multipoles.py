@@ -37,13 +37,13 @@ def multipoles_command(
 
     refuse_existing(out, overwrite)
     session = load_session(session_path)
-    rig, found = with_multipoles(load_rig(rig_path) if rig_path else session.rig, session.observations)
+    rig, multipoles = with_multipoles(load_rig(rig_path) if rig_path else session.rig, session.observations)
     write_text(out, rig_text(rig))
-    places_mm = [[round(1e3 * x_m, 4) for x_m in place_m] for place_m in found.places_m]
+    places_mm = [[round(1e3 * x_m, 4) for x_m in place_m] for place_m in multipoles.places_m]
     lines = [
         f"multipole at ({', '.join(f'{x_mm:.2f}' for x_mm in place_mm)}) mm: log evidence {gain:+.1f}"
-        for place_mm, gain in zip(places_mm, found.gains, strict=True)
+        for place_mm, gain in zip(places_mm, multipoles.gains, strict=True)
     ]
     lines = lines or ["readings ask for no multipole that they resolve; the rig is as it was"]
-    told = {"file": str(out), "places_mm": places_mm, "log_evidence_gains": list(found.gains)}
+    told = {"file": str(out), "places_mm": places_mm, "log_evidence_gains": list(multipoles.gains)}
     show(told, "\n".join([*lines, f"rig: {out}"]), as_json)

@@ -77,15 +77,15 @@ def search(
         fit = state.with_alternative(fit)
     if state.added(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
-    kept: list[Cause] = []
+    named: list[Cause] = []
     curves = state.columns.curves_at(fit)
     if state.is_piled(fit):
         if state.other_structures is not None:
             before = state.base_discrepancy.weighed(fit.weight_over(base))
             state.compare_shown(fit)
-            kept = keeping_their_names(fit, state.added(fit), before, state.steps[-1].remainder, curves)
+            named = keeping_their_names(fit, state.added(fit), before, state.steps[-1].remainder, curves)
         # Without that question each may still be named.
-        state.compare_again(fit, state.added(fit) if state.other_structures is None else kept, curves)
+        state.compare_again(fit, state.added(fit) if state.other_structures is None else named, curves)
     else:
         state.compare_again(fit, state.not_compared(fit) if is_revisited else state.added(fit), curves)
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
@@ -100,7 +100,7 @@ def search(
         tuple(curves),
         limits.words if limits.is_over else state.ended_early,
         state.other_structures,
-        tuple(kept),
+        tuple(named),
     )
 
 
@@ -241,7 +241,7 @@ class _SearchState:
         return fit
 
     def with_two(self, fit: Fit) -> Fit:
-        """Where the only cause has many numbers: two with fewer in its place, where these are more probable together.
+        """The fit with two causes of few numbers in the place of one with many, where they are more probable together.
 
         A cause with many numbers explains what two causes did and is taken first, for it is the best single one. The best other that was
         fitted, and paid so much less that a second can pay beside it, is then asked with one.
@@ -249,21 +249,21 @@ class _SearchState:
         step = self.steps[0]
         alone = [h for h in step.hypotheses if h.fit is not None and len(self.added(h.fit)) == 1]
         fitted = [h for h in alone if not is_noise(h.cause)]
-        one = next((h for h in fitted if h.cause == step.taken), None)
-        if one is None:
+        taken = next((h for h in fitted if h.cause == step.taken), None)
+        if taken is None:
             return fit
         least = least_log_evidence(self.columns.n_causes)
-        other = next((h for h in fitted if self._paid(one) - self._paid(h) > least), None)
+        other = next((h for h in fitted if self._paid(taken) - self._paid(h) > least), None)
         if other is None:
             return fit
         assert other.cause is not None
         assert other.fit is not None
-        self.tell(f"testing {other.name} with another cause in place of {one.name}")
+        self.tell(f"testing {other.name} with another cause in place of {taken.name}")
         second = self.step(other.fit)
         if second.taken is None or len(self.added(second.taken_fit)) > self.limits.most_causes:
             return fit
         beside = next(h for h in second.hypotheses if h.cause == second.taken)
-        gain = other.log_bayes_factor + beside.log_bayes_factor - one.log_bayes_factor
+        gain = other.log_bayes_factor + beside.log_bayes_factor - taken.log_bayes_factor
         if gain < least - policy.LEAST_LOG_ODDS:  # the prior of one more cause
             return fit
         self.tell(f"{other.name} and {beside.name} together are more probable and replace it")
@@ -280,7 +280,7 @@ class _SearchState:
         return float(after - before) - hypothesis.log_bayes_factor
 
     def with_alternative(self, fit: Fit) -> Fit:
-        """Where the only cause leaves structure: a search from another of its credible set that leaves none, if there is one."""
+        """A search from another cause of the credible set, one that leaves no structure as the only cause does; or the same fit."""
         step = self.steps[0]
         for hypothesis in step.credible:
             if hypothesis.fit is None or hypothesis.cause == step.taken:

@@ -183,9 +183,9 @@ def _leaders_in_full(
         is_worth_it = is_asked or _is_worth_a_fit(i, highest, best, most_fitted)
         if is_worth_it and not is_known and not limits.is_over:
             later = [
-                screened[one]
-                for k, one in enumerate(ranked[i + 1 :], i + 1)
-                if _is_worth_a_fit(k, screened[one].highest, best, most_fitted)
+                screened[other]
+                for k, other in enumerate(ranked[i + 1 :], i + 1)
+                if _is_worth_a_fit(k, screened[other].highest, best, most_fitted)
             ]
             pace.tell(n_fitted, n_fitted + 1 + len(later))
             following = later[0] if later else None
