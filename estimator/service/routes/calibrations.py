@@ -88,11 +88,15 @@ def get_calibration(core: CoreOf, caller: Reader, calibration_id: Id) -> Calibra
     return info_of(calibration_of(core, calibration_id)[0])
 
 
-@router.get("/{calibration_id}/summary", responses={304: {"description": "It has not changed."}})
-def get_summary(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> dict[str, Any]:  # noqa: ARG001
+@router.get(
+    "/{calibration_id}/summary",
+    response_model=dict[str, Any],
+    responses={304: {"description": "It has not changed."}},
+)
+def get_summary(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """The content of summary.json."""
     calibration = calibration_of(core, calibration_id)[2]
-    return with_etag(request, calibration_id, lambda: JSONResponse(dict(calibration.summary())))  # type: ignore[return-value]
+    return with_etag(request, calibration_id, lambda: JSONResponse(dict(calibration.summary())))
 
 
 @router.get(

@@ -357,15 +357,17 @@ def get_report(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Re
     return answer
 
 
-@router.get("/{job_id}/panels", responses={304: {"description": "They have not changed."}})
-def get_panels(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Panels:  # noqa: ARG001
+@router.get(
+    "/{job_id}/panels", response_model=Panels, responses={304: {"description": "They have not changed."}}
+)
+def get_panels(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Response:  # noqa: ARG001
     """What the page shows of a diagnosis, as numbers: maps, hypotheses, shifts of parameters and plans."""
     job = _done(core, job_id)
     path = core.jobs.folder(job_id) / DIAGNOSIS / PANELS
     if job.kind != "diagnose" or not path.exists():
         raise Problem(409, "job", "must be a diagnosis that has panels", job.kind, job_id)
     content = path.read_bytes()
-    return with_etag(request, f"{job_id}-panels", lambda: Response(content, media_type="application/json"))  # type: ignore[return-value]
+    return with_etag(request, f"{job_id}-panels", lambda: Response(content, media_type="application/json"))
 
 
 @router.get("/{job_id}/events", response_class=EventSourceResponse)
