@@ -43,11 +43,12 @@ UNITS: dict[str, Unit] = {
     )
 }
 
-# Units of causes and results, which no rig file states; by the suffix of a key.
+# Units of causes and results, by the suffix of a key.
 DERIVED_UNITS = {
     "A_m2": Unit("A m2", "moment", 1.0),
     "m3": Unit("m3", "volume", 1.0),
     "mm3": Unit("mm3", "volume", 1e-9),
+    "h": Unit("h", "time", 3600.0),
 }
 
 
@@ -76,9 +77,9 @@ def split_quotient(key: str) -> tuple[str, Unit | None, str]:
         >>> split_quotient("loss_per_A2"), split_quotient("axial_loops")
         (('loss', None, 'A2'), ('axial_loops', None, ''))
     """
-    for suffix, derived in DERIVED_UNITS.items():
-        if key.endswith(f"_{suffix}"):
-            return key.removesuffix(f"_{suffix}"), derived, ""
     head, _, denominator = key.rpartition("_per_")
+    for suffix, derived in DERIVED_UNITS.items():
+        if not head and key.endswith(f"_{suffix}"):
+            return key.removesuffix(f"_{suffix}"), derived, ""
     quantity, unit = split_unit(head or key)
     return quantity, unit, denominator if head else ""

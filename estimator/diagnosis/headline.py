@@ -211,17 +211,17 @@ def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
         f"; {diagnosis.label(structure.cause)} {structure.log_bayes_factor:.0f} beside {len(structure.needed)} of them"
         for structure in others.asked[:MOST_STRUCTURES]
     )
-    pile = (
-        f"{len(search.added)} causes of {n_kinds} kinds pile up{leaving if leaves_structure(left) else ''}, and none of "
-        f"{len(others.asked)} other ways to build the source explains more than the first {len(others.pile)} by as few "
-        f"(log evidence {others.log_bayes_factor:.0f}{reached})"
+    pile = f"{len(search.added)} causes of {n_kinds} kinds pile up{leaving if leaves_structure(left) else ''}"
+    rivals = (
+        f"None of {len(others.asked)} other ways to build the source explains more than the first {len(others.pile)} by as few "
+        f"(log evidence {others.log_bayes_factor:.0f}{reached})."
     )
     of_all = search.base_discrepancy.family
     if is_of_coil(_plain(of_all)):
-        return f"The model of the source itself seems wrong, so check how it is built: {pile}."
+        return f"The model of the source itself seems wrong, so check how it is built: {pile}, and none of them is believed. {rivals}"
     return (
-        f"None of these is believed, for {pile}: together they stand in for something that is not in the library. Look first at what "
-        f"depends on {_plain(of_all)}: most of what the rig as described leaves does."
+        f"Look first at what depends on {_plain(of_all)}: most of what the rig as described leaves does. {pile}, and none of them is "
+        f"believed: together they stand in for something that is not in the library. {rivals}"
     )
 
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+
 from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.headline import headline, held_back, tension_words
@@ -9,6 +12,9 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.tables import appendix, tables
 from estimator.reporting.numbers import percent
 from estimator.reporting.page import ReportPage, render_report
+from estimator.rig.rig import Cause
+
+MOST_LISTED = 6  # causes that a warning names one by one
 
 
 def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
@@ -46,12 +52,21 @@ def warnings_of(diagnosis: Diagnosis) -> list[str]:
             "unseen readings."
         )
     if diagnosis.findings.stand_ins:
-        labels = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
         warnings.append(
-            f"The extended rig also has {labels}: the fit needs them, but they may stand in for something unknown."
+            f"The extended rig also has {_listed(diagnosis, diagnosis.findings.stand_ins)}: the fit needs them, but they may stand in for "
+            "something unknown."
         )
     for cause in diagnosis.findings.search.dropped:
         warnings.append(
             f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained the same structure."
         )
     return warnings
+
+
+def _listed(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
+    """Causes by their labels, or, where they are many, by their kinds."""
+    if len(causes) <= MOST_LISTED:
+        return ", ".join(diagnosis.label(cause) for cause in causes)
+    kinds = Counter(cause.name for cause in causes)
+    each = (name if number == 1 else f"{name} at {number} places" for name, number in kinds.items())
+    return f"{len(causes)} causes ({', '.join(each)})"

@@ -33,23 +33,14 @@ MOST_IMPACT_COLUMNS = 6
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
     """Tables below the headline: what was found, what it gains, what it moves, what to measure next."""
-    tables = []
-    rows = [
-        [label, key, with_sd(p.median * f, p.sd * f), f"{to_digit_of(p.sd * f, p.ci90[0] * f)} to "
-         f"{to_digit_of(p.sd * f, p.ci90[1] * f)}", unit]
-        for label, key, p, f, unit in _parameters(diagnosis)
-    ]  # fmt: skip
-    if rows:
-        header = ["cause", "quantity", "value ± sd", "90 % credible interval", "unit"]
-        tables.append(
-            Table(
-                "What was found",
-                header,
-                rows,
-                "Quantities of the causes in the extended rig (rig_extended.yaml). A difference, such as x − z, is listed where the "
-                "readings know it better than either quantity.",
-            )
-        )
+    named = [cause for cause in diagnosis.fits.final.rig.effects if cause not in diagnosis.findings.stand_ins]
+    tables = _sizes_tables(
+        diagnosis,
+        named,
+        "What was found",
+        "Quantities of the causes in the extended rig (rig_extended.yaml). A difference, such as x − z, is listed where the readings know "
+        "it better than either quantity.",
+    )
     tables += _flags_tables(diagnosis)
     if diagnosis.findings.outliers:
         tables.append(_outliers_table(diagnosis.findings.outliers))
@@ -70,6 +61,17 @@ def tables(diagnosis: Diagnosis) -> list[Table]:
             )
         )
     return tables
+
+
+def _sizes_tables(diagnosis: Diagnosis, causes: Sequence[Cause], title: str, caption: str) -> list[Table]:
+    """A table of the quantities of some causes; none where they have no quantities."""
+    rows = [
+        [label, key, with_sd(p.median * f, p.sd * f), f"{to_digit_of(p.sd * f, p.ci90[0] * f)} to "
+         f"{to_digit_of(p.sd * f, p.ci90[1] * f)}", unit]
+        for label, key, p, f, unit in _parameters(diagnosis, causes)
+    ]  # fmt: skip
+    header = ["cause", "quantity", "value ± sd", "90 % credible interval", "unit"]
+    return [Table(title, header, rows, caption)] if rows else []
 
 
 def _flags_tables(diagnosis: Diagnosis) -> list[Table]:
@@ -131,11 +133,18 @@ def _outliers_table(outliers: Sequence[Outlier]) -> Table:
 
 
 def appendix(diagnosis: Diagnosis) -> list[Table]:
-    """Tables below the figures: symptoms, hypotheses step by step, and what the readings can show."""
+    """Tables below the figures: symptoms, hypotheses step by step, what stands in, and what the readings can show."""
+    standing_in = _sizes_tables(
+        diagnosis,
+        diagnosis.findings.stand_ins,
+        "What stands in for something unknown",
+        "Quantities of causes that the extended rig (rig_extended.yaml) needs, though none of them is believed.",
+    )
     comparisons = enumerate(diagnosis.comparisons[:MOST_STEPS], start=1)
     return [
         _symptoms_table(diagnosis),
         *(_hypotheses_table(diagnosis, step, number, title) for number, (title, step) in comparisons),
+        *standing_in,
         _visible_table(diagnosis),
     ]
 
@@ -150,16 +159,16 @@ def _symptoms_table(diagnosis: Diagnosis) -> Table:
     )
 
 
-def _parameters(diagnosis: Diagnosis) -> list[tuple[str, str, Interval, float, str]]:
+def _parameters(diagnosis: Diagnosis, causes: Sequence[Cause]) -> list[tuple[str, str, Interval, float, str]]:
     parameters = []
-    for cause in _names_first(diagnosis):
+    for cause in causes:
         for key, p in _numbers(diagnosis, cause).items():
             display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
             if p.unit == "1" and abs(p.median) < 1.0:
                 factor, unit = 100.0, "%"
             else:
                 factor, unit = display.factor, display.unit or p.unit
-            parameters.append((_label(diagnosis, cause), quantity_words(key), p, factor, unit))
+            parameters.append((diagnosis.label(cause), quantity_words(key), p, factor, unit))
     return parameters
 
 

@@ -17,7 +17,7 @@ from estimator.units import DERIVED_UNITS, UNITS, split_quotient
 
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 EVEN = 0.3  # of log evidence, about 4 to 3
-SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT", "m3": "mm3"}
+SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT", "m3": "mm3", "h": "s"}
 PREFIXED = ("T", "m", "rad", "A", "A m2", "s")  # units, and numerators of units, that take a prefix
 SUPERSCRIPTS = str.maketrans("23", "²³")
 
@@ -104,6 +104,8 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
         ('12 µT', '0.17 %', '320 µT/h')
         >>> size_with_unit(0.0345678, "T", 4), size_with_unit(9.1e-8, "m3"), size_with_unit(0.085, "A m2")
         ('34.57 mT', '91 mm³', '85 mA m²')
+        >>> size_with_unit(0.0054, "h"), size_with_unit(2.5, "h")
+        ('19 s', '2.5 h')
     """
     if unit == "1" and abs(value) >= 1.0:
         return f"{value:.3g}"
@@ -120,6 +122,8 @@ def _unit_of(value: float, unit: str) -> tuple[float, str]:
         factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])
     elif unit == "m3":
         factor, unit = 1e-9, "mm3"
+    elif unit == "h" and abs(value) < 1.0:
+        factor, unit = 1.0 / DERIVED_UNITS["h"].to_si, "s"
     return factor, f" {prefix}{unit}".translate(SUPERSCRIPTS)
 
 
@@ -128,7 +132,7 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
 
     Examples:
         >>> interval_with_unit(-2.0, -2.0, -2.0, "1"), interval_with_unit(0.13831, 0.13831, 0.13831, "h")
-        ('−2', '0.1383 h')
+        ('−2', '497.9 s')
         >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-4, -2.12e-4, -2.07e-4, "T")
         ('0.9 % (0.3 to 1.5 %)', '−210 µT (−212 to −207 µT)')
         >>> interval_with_unit(2.0, 1.5, 2.4, "1")
