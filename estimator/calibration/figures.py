@@ -13,7 +13,7 @@ from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.room_field import RoomField, at_one_moment
+from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
 from estimator.reporting import plots
 from estimator.reporting.page import Picture
 from estimator.rig.rig import AnyCoil, Coil, HarmonicCoil
@@ -231,8 +231,13 @@ def _field_in_coil_frame(
     room = RoomField(rig, best, world_from_coil.apply(points_m))
     current_A = torch.tensor([float(powered is coil) for powered in rig.coils], dtype=torch.float64)
     field = room.field_T(best, current_A)
-    strength = room.field_T(calibration.draw_values(PLANE_DRAWS), current_A).norm(dim=-1)
-    lower, upper = torch.quantile(strength, torch.tensor([0.05, 0.95], dtype=torch.float64), dim=0)
+    draws = calibration.draw_values(PLANE_DRAWS)
+    strength = some_at_a_time(
+        lambda values: room.field_T(values, current_A).norm(dim=-1), draws, len(points_m), 1
+    )
+    lower, upper = torch.quantile(
+        torch.atleast_2d(strength), torch.tensor([0.05, 0.95], dtype=torch.float64), dim=0
+    )
     half_width = 0.5 * (upper - lower) / field.norm(dim=-1)
     return world_from_coil.unrotate(field).numpy(), half_width.numpy()
 

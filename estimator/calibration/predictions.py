@@ -12,6 +12,7 @@ from torch import Tensor
 from estimator.calibration.result import INTERVAL_DRAWS, Calibration
 from estimator.effects.stages import MotionEffect
 from estimator.effects.use import uses_of
+from estimator.model.room_field import some_at_a_time
 from estimator.rig.coordinates import Values
 
 FIELD = ("field_T", "field_lower_T", "field_upper_T")
@@ -63,7 +64,8 @@ def answers(
         for answer, value in zip(answered, best, strict=True):
             answer[names[0]] = value
         if wanted.has_intervals:
-            draws = at(calibration.draw_values(INTERVAL_DRAWS)).split(sizes, dim=-1 - n_axes)
+            values_of_draws = calibration.draw_values(INTERVAL_DRAWS)
+            draws = some_at_a_time(at, values_of_draws, sum(sizes), n_axes + 1).split(sizes, dim=-1 - n_axes)
             for answer, values, question in zip(answered, draws, questions, strict=True):
                 shape = answer[names[0]].shape
                 answer[names[1]], answer[names[2]] = calibration.ends(values, shape, question.level)

@@ -23,7 +23,7 @@ from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
-from estimator.model.room_field import RoomField
+from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import MotionKind, Rig
@@ -119,8 +119,9 @@ class Calibration:
         """
         _check_level(level)
         room = self.room(points_m, motion)
-        values = self.draw_values(INTERVAL_DRAWS, points_m)
-        fields = room.field_T(values, self.currents(currents_A, points_m))
+        current_A = self.currents(currents_A, points_m)
+        draws = self.draw_values(INTERVAL_DRAWS, points_m)
+        fields = some_at_a_time(lambda values: room.field_T(values, current_A), draws, len(points_m), 2)
         return self.ends(fields, (len(points_m), 3), level)
 
     def gradient_interval(
@@ -133,8 +134,11 @@ class Calibration:
         """Credible interval of each dB_i / dx_j, in T/m; as `field_interval`."""
         _check_level(level)
         room = self.room(points_m, motion)
-        values = self.draw_values(INTERVAL_DRAWS, points_m)
-        gradients = room.gradient_T_per_m(values, self.currents(currents_A, points_m))
+        current_A = self.currents(currents_A, points_m)
+        draws = self.draw_values(INTERVAL_DRAWS, points_m)
+        gradients = some_at_a_time(
+            lambda values: room.gradient_T_per_m(values, current_A), draws, len(points_m), 3
+        )
         return self.ends(gradients, (len(points_m), 3, 3), level)
 
     def ends(

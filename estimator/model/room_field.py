@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import torch
@@ -25,6 +25,8 @@ from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Coil, FieldSum, Rig, UnwoundCoil
+
+DRAWS_AND_POINTS = 20_000  # at a time: an oval coil holds a dozen arrays of 256 numbers for each
 
 
 class RoomField:
@@ -133,6 +135,28 @@ class RoomField:
             )
         gradient = torch.stack(columns, dim=-1)
         return torch.where(self.is_inside[:, None, None], torch.nan, gradient)
+
+
+def some_at_a_time(
+    at: Callable[[Values], Float[Tensor, "..."]], draws: Values, n_points: int, n_axes: int
+) -> Float[Tensor, "..."]:
+    """What a function of the values says for many draws, some at a time: memory stays bounded where effects sum over loops of their own.
+
+    Args:
+        at: Of values with one batch axis or none, for all points.
+        draws: Values along one batch axis; those that are fixed may have none.
+        n_points: Points that it is asked at.
+        n_axes: Axes of what it says for one draw.
+    Returns: With the draws on the first axis; without it where nothing depends on them.
+    """
+    n_draws = max((len(value) for value in draws.values() if value.dim()), default=1)
+    n_each = max(1, DRAWS_AND_POINTS // max(n_points, 1))
+    said = []
+    for first in range(0, n_draws, n_each):
+        said.append(at({k: v[first : first + n_each] if v.dim() else v for k, v in draws.items()}))
+        if said[0].dim() == n_axes:
+            return said[0]
+    return torch.cat(said)
 
 
 def at_one_moment(

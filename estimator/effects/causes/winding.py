@@ -19,6 +19,7 @@ from estimator.field.straight import MU0_OVER_4PI, segment_field
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
 from estimator.rig.parameters import LogNormal
 
+POINTS_AT_ONCE = 1000  # in all of a batch: more would push the dozen arrays of an oval coil out of the cache
 OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
 LAYER_NODES = 8  # along the missing part of a layer
 
@@ -134,6 +135,17 @@ class CoilOvality(SourceEffect):
         self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
         """Field of oval minus round loops per ampere, to first order in the ovality, by Biot and Savart on few loops."""
+        batch = torch.broadcast_shapes(points_coil_m.shape[:-2], winding.radius_m.shape)
+        n_points = max(1, POINTS_AT_ONCE // math.prod(batch))
+        parts = [
+            self._apply(some_m, winding, rule, theta) for some_m in points_coil_m.split(n_points, dim=-2)
+        ]
+        return parts[0] if len(parts) == 1 else torch.cat(parts, dim=-2)
+
+    def _apply(
+        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
+    ) -> Float[Tensor, "*#batch pose 3"]:
+        """The same for few points."""
         few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
         loops = torch.broadcast_tensors(*loops_of(winding, few))
         height, radius, weight = (value.flatten(-2) for value in loops)

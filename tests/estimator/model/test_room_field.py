@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.model import room_field
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.room_field import RoomField
+from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, Values
 from estimator.rig.rig import FieldSum, Rig
@@ -156,3 +157,25 @@ def test_batches_of_parameter_sets_and_of_currents_equal_one_by_one(rig, points_
     assert together.shape == (3, 12, 3)
     for i, current in enumerate(currents):
         torch.testing.assert_close(together[i], room.field_T(values_of(rig), current), rtol=1e-12, atol=1e-20)
+
+
+def test_draws_some_at_a_time_give_what_all_give_together(
+    rig: Rig, points_m: Tensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a block that ends in the middle, and without a batch where nothing depends on the draws."""
+    values = values_of(rig)
+    room = RoomField(rig, values, points_m)
+    radius_m = values["coil1.radius_m"] * torch.linspace(0.99, 1.01, 7, dtype=torch.float64)
+    draws = {**values, "coil1.radius_m": radius_m}
+    together = room.field_T(draws, CURRENT_A)
+    monkeypatch.setattr(room_field, "DRAWS_AND_POINTS", 3 * len(points_m))
+    asked: list[int] = []
+
+    def at(some: Values) -> Tensor:
+        asked.append(len(some["coil1.radius_m"]))
+        return room.field_T(some, CURRENT_A)
+
+    torch.testing.assert_close(some_at_a_time(at, draws, len(points_m), 2), together)
+    assert asked == [3, 3, 1]
+    best = room.field_T(values, CURRENT_A)
+    assert torch.equal(some_at_a_time(lambda _: best, draws, len(points_m), 2), best)
