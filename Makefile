@@ -53,7 +53,7 @@ unit: $(INSTALLED)
 # Studies behind the numbers in README and docs/results.md, minutes to an hour each; `make test` leaves them out.
 
 slow: $(INSTALLED)        # statistics with bounds that can fail
-	$(RUN) pytest -n 2 -m slow
+	$(RUN) pytest -n 2 -m slow --jaxtyping-packages=
 
 paper: $(INSTALLED)       # every table of the paper, our numbers beside its own; twenty minutes, continues where it was interrupted
 	$(RUN) scripts.paper.reproduce --out out/paper

@@ -106,7 +106,7 @@ def assessment(
         Quality.GOOD,
         (
             f"it misses {_share(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves {_size(expected_T)}, "
-            "and no number lies far from its prior.",
+            f"and no number lies more than {policy.FAR_SD} widths of its prior from what is expected.",
         ),
         "Run coilcal diagnose to look closer for what a fit may have followed.",
     )

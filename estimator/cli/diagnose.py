@@ -202,7 +202,8 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
                 f"  {odds(scatter.log_bayes_factor)} that how far readings miss depends on {scatter.along}"
             )
     if (correction := diagnosis.fits.correction) is not None:
-        lines.append(f"  {correction.words(diagnosis.label)}")
+        words = f"  {correction.words(diagnosis.label)}"
+        lines += [words] if words not in lines else []  # the first box says it where it is what to do
     if left_open.twins:
         groups = "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in left_open.twins)
         lines.append(f"  this session cannot tell apart: {groups}")

@@ -69,7 +69,7 @@ def import_command(
 ) -> None:
     """Import FILES with readings into a session.
 
-    The format `readings` is coilcal's own CSV, described in the README; the others are field maps of public repositories.
+    The format `readings` is coilcal's own CSV (docs/how-to/import-your-data.md); the others are field maps of public repositories.
     """
     from estimator.model.preflight import check_readings, check_units
     from estimator.readings.digits import flags_of_digits

@@ -9,6 +9,7 @@ from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.sizes import Difference
+from estimator.diagnosis.structure.covariates import predicted_T
 from estimator.diagnosis.structure.families.position import is_of_coil
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
@@ -32,6 +33,9 @@ MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_SIZES = 2
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_TENSIONS = 3  # that are listed one by one
+MOSTLY = (
+    0.75  # of the squares beyond the noise, for one component to be told: a fit spreads some over the others
+)
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
 
@@ -139,13 +143,35 @@ def _what(diagnosis: Diagnosis) -> str:
     elif leaves_structure(search.scatter) and not leaves_structure(remainder):
         dependence = f"how far readings miss depends on {_plain(search.scatter.along)}"
     else:
-        if remainder.log_bayes_factor <= 0.0:
-            remainder = search.base_discrepancy
-        dependence = (
-            f"it is {remainder.rms_sigma:.2g} times the noise and depends on {_plain(remainder.family)}"
-        )
+        is_of_all = remainder.log_bayes_factor <= 0.0 or not diagnosis.fits.extended.rig.acting
+        remainder = search.base_discrepancy if is_of_all else remainder
+        left = f"beside what the extended rig adds, {remainder.rms_sigma:.2g} times the fitted noise is left, which"
+        whole = "what it misses" if is_of_all else left
+        dependence = f"{_misses(diagnosis)}; {whole} depends on {_plain(remainder.family)}"
     unknown = f"Something is wrong that no known cause explains: {dependence}"
     return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
+
+
+def _misses(diagnosis: Diagnosis) -> str:
+    """How much the rig as described misses, beside the noise, and where most of it is."""
+    residual = diagnosis.fits.before.lack_of_fit
+    noise = "readings that were repeated scatter by" if residual.noise_from == "repeats" else "noise is"
+    rms, noise_rms = (size_with_unit(size_T, "T") for size_T in (residual.rms_T, residual.noise_T))
+    return f"the rig as described misses by {rms} rms where {noise} {noise_rms}{_mostly(diagnosis)}"
+
+
+def _mostly(diagnosis: Diagnosis) -> str:
+    """The one component of a sensor in which most is wrong; empty where there is none."""
+    fit, noise_T = diagnosis.fits.plain, diagnosis.fits.before.lack_of_fit.noise_T
+    residual_T = (fit.observations.field_sensor_T - predicted_T(fit)).nan_to_num()
+    excess = {
+        f"{axis} of {sensor.name}": float(of_axis.square().sum()) - noise_T**2 * int((of_axis != 0.0).sum())
+        for i, sensor in enumerate(diagnosis.rig.sensors)
+        for axis, of_axis in zip(COMPONENTS, residual_T[fit.observations.sensor == i].T, strict=True)
+    }
+    most = max(excess, key=excess.__getitem__)
+    total = sum(max(each, 0.0) for each in excess.values())
+    return f", mostly in {most}" if excess[most] > MOSTLY * total > 0.0 else ""
 
 
 def _doubts(diagnosis: Diagnosis) -> str:

@@ -230,7 +230,7 @@ class MeasurementModel:
 
     def sensor_in_coil(
         self, coil: AnyCoil, rows: Int[Tensor, " rows"], values: Values
-    ) -> tuple[Float[Tensor, "*batch rows 3"], Float[Tensor, "*#batch #rows 3 3"]]:
+    ) -> tuple[Float[Tensor, "*batch #rows 3"], Float[Tensor, "*#batch #rows 3 3"]]:
         """Sensor position in the coil frame and the rotation sensor_from_coil, at distinct poses."""
         coil_from_sensor = self.in_coil(coil, rows, values)
         return coil_from_sensor.translation_m, coil_from_sensor.rotation.mT

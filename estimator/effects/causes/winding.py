@@ -145,7 +145,7 @@ class CoilOvality(SourceEffect):
     def _apply(
         self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
     ) -> Float[Tensor, "*#batch pose 3"]:
-        """The same for few points."""
+        """Field of oval minus round loops at few points."""
         few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
         loops = torch.broadcast_tensors(*loops_of(winding, few))
         height, radius, weight = (value.flatten(-2) for value in loops)

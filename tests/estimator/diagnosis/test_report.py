@@ -33,6 +33,7 @@ from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
 from estimator.readings.plan import load_plan
+from estimator.reporting.numbers import size_with_unit
 from estimator.reporting.plots import Role
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
@@ -233,6 +234,9 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
         in page
     )
     assert f"{label} x " in page.partition("What stands in for something unknown")[2]
+    rms = size_with_unit(diagnosis.fits.before.lack_of_fit.rms_T, "T")
+    assert f"the rig as described misses by {rms} rms where noise is" in page
+    assert ", mostly in x of hall; " in page
     assert "What was found" not in page
     assert f"parameter {label} (stands in)" in page.partition("Impact of each cause")[2]
     assert "taken; stands in" in page

@@ -104,11 +104,27 @@ def _add_periods(collection: Collection, circumstances: Circumstances, seen: Ten
         phase = math.pi * some[:, None] * circumstances.hours / circumstances.duration_h
         waves = torch.stack((torch.cos(phase), torch.sin(phase)), dim=-1) * seen[:, None]
         periods_s = 2.0 * SECONDS_PER_HOUR * circumstances.duration_h / some
+        session_s = SECONDS_PER_HOUR * circumstances.duration_h
         details = [
-            ", ".join(filter(None, (f"about {period_s:.3g} s", sensor))) for period_s in periods_s.tolist()
+            ", ".join(filter(None, (_period_words(period_s, session_s), sensor)))
+            for period_s in periods_s.tolist()
         ]
         for vectors in (collection.axes, collection.along_field):
             collection.add_alike("a period in time", waves, vectors, details)
+
+
+def _period_words(period_s: float, session_s: float) -> str:
+    """A period, which is none but a slow change where the session is shorter.
+
+    Examples:
+        >>> _period_words(60.0, 3600.0), _period_words(7200.0, 3600.0)
+        ('about 60 s', 'so long that it is one slow change in the session')
+    """
+    return (
+        f"about {period_s:.3g} s"
+        if period_s <= session_s
+        else "so long that it is one slow change in the session"
+    )
 
 
 def _add_wandering(collection: Collection, circumstances: Circumstances, seen: Tensor, sensor: str) -> None:
