@@ -109,7 +109,8 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
     if wider := summary.get("widening"):
         warnings.append(
             "The diagnosis leaves something in the readings unexplained: standard deviations are up to "
-            f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their probabilities."
+            f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their "
+            "probabilities, which would hold only if nothing were left: do not rely on them."
         )
     for direction in summary["undetermined"]:
         warnings.append(undetermined_sentence(direction["words"], direction["data_over_prior_sd"]))
