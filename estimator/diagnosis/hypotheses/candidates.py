@@ -147,9 +147,24 @@ def _spells(
 
 def at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
     """Candidates of one cause, start by start; those without finite columns are left out."""
-    is_alike = not isinstance(EFFECTS[cause.name], MountEffect)  # whose columns depend on the start
-    groups = filter(None, [starts] if is_alike else [[shapes] for shapes in starts])
-    return [candidate for together in groups for candidate in _at_starts(fit, cause, together)]
+    if len(starts) > 1 and isinstance(EFFECTS[cause.name], MountEffect):
+        return _steps(fit, cause, starts)
+    return _at_starts(fit, cause, starts) if starts else []
+
+
+def _steps(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
+    """Candidates of what moves a body at one instant, each the first of them without the readings before its own instant.
+
+    A reading depends on where the body was when it was taken, so that one prediction serves all instants.
+    """
+    hours = fit.posterior.model.circumstances.hours
+
+    def since(candidate: Candidate, start: dict[str, float]) -> Candidate:
+        is_after = fit.posterior.measured_components((hours >= start[SINCE])[:, None].expand(-1, 3))
+        return replace(candidate.weighed(is_after.to(candidate.shift)), shapes=start)
+
+    earliest = min(starts, key=lambda start: start[SINCE])
+    return [since(candidate, start) for candidate in _at_starts(fit, cause, [earliest]) for start in starts]
 
 
 def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:

@@ -65,3 +65,23 @@ def test_what_cannot_be_negative_explains_nothing_where_it_would_have_to_be(
     there = at_starts(plain, iron, [{"x_m": 0.03, "y_m": -0.02, "z_m": 0.05}])
     (value,) = linear_evidence(plain, there)
     assert value > 20.0 if side > 0.0 else value == 0.0
+
+
+def test_a_bump_is_asked_from_every_instant_as_a_prediction_from_that_instant_says(
+    small_rig: Rig, small_session: Session
+) -> None:
+    """One prediction serves all instants, though the sensor sits elsewhere in other readings from each of them."""
+    plain = fit_of(small_rig, small_session.observations)
+    bumped = Cause("sensor_bumped", "hall")
+    circumstances = plain.posterior.model.circumstances
+    starts = [{"since_h": instant_h} for instant_h in circumstances.instants_h]
+    together = at_starts(plain, bumped, starts)
+    alone = [candidate for start in starts for candidate in at_starts(plain, bumped, [start])]
+    assert len(together) == len(alone) > 2
+    moved = [int(candidate.columns.abs().sum(1).count_nonzero()) for candidate in together]
+    assert sorted(moved, reverse=True) == moved
+    assert moved[0] > moved[-1] > 0
+    for shared, itself in zip(together, alone, strict=True):
+        assert shared.shapes == itself.shapes
+        assert torch.allclose(shared.columns, itself.columns, rtol=1e-12, atol=0.0)
+        assert torch.allclose(shared.shift, itself.shift, atol=1e-9)
