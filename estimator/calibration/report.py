@@ -106,12 +106,21 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
     warnings = []
     if not summary["is_converged"]:
         warnings.append(f"Sampling did not converge: {_sampling(summary)}. The intervals are provisional.")
+    has_real_counts = not summary["has_integer_counts"] and any(
+        name.endswith("_loops") for name in summary["parameters"]
+    )
     if wider := summary.get("widening"):
+        largest = max(factor for name, factor in wider.items() if not name.endswith("_loops"))
         warnings.append(
             "The diagnosis leaves something in the readings unexplained: standard deviations are up to "
-            f"{max(wider.values()):.3g} times those of sampling alone. Whole loop counts keep their "
-            "probabilities, which would hold only if nothing were left: do not rely on them."
+            f"{largest:.3g} times those of sampling alone."
         )
+        if has_real_counts:
+            warnings.append(
+                "Too many loop counts are plausible with that for a table of them: they are real numbers here."
+            )
+    elif has_real_counts:
+        warnings.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
     for direction in summary["undetermined"]:
         warnings.append(undetermined_sentence(direction["words"], direction["data_over_prior_sd"]))
     for name, distance in summary["prior_tension"].items():
@@ -119,8 +128,6 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
             f"{split_quotient(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "
             "the prior's centre: the prior is too narrow, or the model lacks something and this parameter stands in for it."
         )
-    if not summary["has_integer_counts"] and any(name.endswith("_loops") for name in summary["parameters"]):
-        warnings.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
     estimate = summary["point_estimate"]
     if estimate["starts_agreeing"] < 0.5 * estimate["starts"]:
         warnings.append(

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from estimator.calibration.calibrate import calibrate
+from estimator.calibration.calibrate import Stage, calibrate
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.widening import Widening
+from estimator.diagnosis.widening import Widening, have_whole_counts
 from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import SamplerSettings
-from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
@@ -33,6 +32,7 @@ def extended_posterior(
     settings: SamplerSettings | None = None,
     device: str = "cpu",
     precision: str = "double",
+    on_stage: Callable[[Stage], None] | None = None,
 ) -> Calibration:
     """Calibrate the extended rig; widen the draws where something remains unexplained.
 
@@ -43,10 +43,10 @@ def extended_posterior(
         session: Readings; those marked as validation are kept out.
         rig: The extended rig.
         widening: By how much to widen; None where nothing remains unexplained.
-        out, seed, settings: As in `calibrate`; what `out` holds is replaced.
+        out, seed, settings, on_stage: As in `calibrate`; what `out` holds is replaced.
         device, precision: Likewise, but where amplitudes are integrated out, which is done in double precision.
-    Returns: The calibrated model. Where its draws were widened, `summary()["widening"]` holds the factor by which the standard deviation
-        of each parameter grew.
+    Returns: The calibrated model. Where its draws were widened, loop counts are real numbers, and `summary()["widening"]` holds the factor
+        by which the standard deviation of each parameter grew, but for those that had a single value.
     """
     amplitudes = [] if widening is None else _amplitudes(rig)
     held = rig.with_fixed(amplitudes) if amplitudes else rig
@@ -61,19 +61,24 @@ def extended_posterior(
         settings=settings,
         device=device,
         precision=precision,
+        on_stage=on_stage,
     )
     if widening is None:
         return sampled
     if amplitudes:
         drawn = drawn_beside(widening.fit, amplitudes, sampled.draws, seed)
         sampled = replace(sampled, rig=rig, draws={**sampled.draws, **drawn})
-    coordinates = Coordinates(rig, integer_counts=sampled.summary()["has_integer_counts"])
-    wider = replace(sampled, draws=widening.spread(coordinates, sampled.draws))
+    wider = replace(sampled, draws=widening.spread(sampled.draws, seed))
     factors = {
-        name: float(wider.draws[name].std() / draws.std()) if draws.std() > 0.0 else 1.0
+        name: float(wider.draws[name].std() / draws.std())
         for name, draws in sampled.draws.items()
+        if draws.std() > 0.0
     }
-    wider = replace(wider, summary_json={**sampled.summary(), **summary(session, wider), "widening": factors})
+    of_wider = {
+        "has_integer_counts": sampled.summary()["has_integer_counts"] and have_whole_counts(rig, wider.draws),
+        "widening": factors,
+    }
+    wider = replace(wider, summary_json={**sampled.summary(), **summary(session, wider), **of_wider})
     if out is not None:
         wider.save(out)
     return wider

@@ -11,13 +11,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.derivatives import jacobian_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.least_growth import least_growth
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy
+from estimator.diagnosis.whole_counts import with_whole_counts
 from estimator.readings.split import pose_blocks, time_blocks
-from estimator.rig.coordinates import Coordinates
+from estimator.rig.rig import Rig
 
 LEAST_SHARE = (
     1e-12  # of a variance: what rounding may leave of a direction of a correlation matrix, or make negative
@@ -93,58 +93,55 @@ class Widening:
         names = [parameter.name for parameter in self.fit.rig.free]
         return {n: max(1.0, self.fit.value_sd(n, self.covariance) / self.fit.value_sd(n)) for n in names}
 
-    def spread(self, coordinates: Coordinates, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Posterior draws of the same model, stretched about their mean until their covariance is nowhere below this one.
+    def spread(self, draws: Mapping[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:
+        """Posterior draws of the same model with noise added, until their covariance is nowhere below this one.
 
-        Whole loop counts and their probabilities stay: the draws of each are stretched about their own mean. No draw leaves the bounds of
-        its prior.
+        Loop counts stay whole where a table can hold those that are plausible then. They lose the probabilities that they had: what a wrong
+        model says of each whole number does not hold, least where it is sure of one. No draw leaves the bounds of its prior.
 
         Args:
-            coordinates: Of the rig that was sampled.
             draws: Of every free parameter, walker by step.
+            seed: Of the noise.
         """
-        flat = {name: torch.from_numpy(array.reshape(-1)) for name, array in draws.items()}
-        vector = coordinates.vector(flat)
-        continuous, counts = vector.tensor_split([coordinates.n_continuous], dim=1)
-        mean = _mean_by_counts(counts, continuous)
-        deviation = continuous - mean
-        sampled = deviation.T @ deviation / len(deviation)
-        wider = mean + deviation @ stretch(sampled, self._given_counts(coordinates)).T
-        values = coordinates.values(torch.cat((wider, counts), dim=1))
+        coordinates, generator = self.fit.posterior.coordinates, torch.Generator().manual_seed(seed)
+        vector = coordinates.vector({name: torch.from_numpy(draws[name].reshape(-1)) for name in draws})
+        lacking = _root_of_lack(self.fit.covariance, vector.T.cov(correction=0), self.covariance)
+        if not lacking.any():
+            return dict(draws)
+        wider = vector + torch.randn(vector.shape, generator=generator, dtype=vector.dtype) @ lacking.T
+        if have_whole_counts(self.fit.rig, draws):
+            values = with_whole_counts(coordinates, wider, self.fit.vector, generator)
+        else:
+            values = coordinates.values(wider)
         lower, upper = coordinates.bounds()
         return {
             name: values[name].clamp(lower[i], upper[i]).reshape(draws[name].shape).numpy()
             for i, name in enumerate(coordinates.names)
         }
 
-    def _given_counts(self, coordinates: Coordinates) -> Float[Tensor, "continuous continuous"]:
-        """The covariance in other coordinates of the same parameters, given the whole counts."""
-        own_coordinates = self.fit.posterior.coordinates
-        names = coordinates.names
 
-        def transformed(vector: Tensor) -> Tensor:
-            return coordinates.vector({name: own_coordinates.values(vector)[name] for name in names})
-
-        jacobian = jacobian_of(transformed, self.fit.vector)
-        covariance = jacobian @ self.covariance @ jacobian.T
-        n = coordinates.n_continuous
-        cross = covariance[:n, n:]
-        given: Tensor = covariance[:n, :n] - cross @ torch.linalg.solve(covariance[n:, n:], cross.T)
-        return given
+def have_whole_counts(rig: Rig, draws: Mapping[str, np.ndarray]) -> bool:
+    """Whether every free loop count of the rig is a whole number in every draw."""
+    counts = [draws[parameter.name] for parameter in rig.free if parameter.is_count]
+    return all(bool((count == count.round()).all()) for count in counts)
 
 
-def _mean_by_counts(
-    counts: Float[Tensor, "draw count"], continuous: Float[Tensor, "draw coordinate"]
-) -> Float[Tensor, "draw coordinate"]:
-    """Mean of the coordinates over all draws with the same counts, for each draw."""
-    if not counts.shape[1]:
-        return continuous.mean(dim=0).expand_as(continuous)
-    _, group, size = torch.unique(counts, dim=0, return_inverse=True, return_counts=True)
-    total = torch.zeros(len(size), continuous.shape[1], dtype=continuous.dtype).index_add(
-        0, group, continuous
-    )
-    mean: Tensor = total / size[:, None]
-    return mean[group]
+def _root_of_lack(
+    unit: Float[Tensor, "n n"], covariance: Float[Tensor, "n n"], wanted: Float[Tensor, "n n"]
+) -> Float[Tensor, "n n"]:
+    """Square root of the least covariance that makes another, once added, nowhere below a third one; seen in units of the first."""
+    root, whitener = _roots(unit)
+    lack, axes = torch.linalg.eigh(whitener.T @ (wanted - covariance) @ whitener)
+    square_root: Tensor = root @ (axes * torch.sqrt(lack * (lack > LEAST_SHARE)))
+    return square_root
+
+
+def _roots(covariance: Float[Tensor, "n n"]) -> tuple[Float[Tensor, "n n"], Float[Tensor, "n n"]]:
+    """A square root of a covariance, and what makes it a unit matrix from both sides."""
+    sd = torch.sqrt(torch.diagonal(covariance))
+    share, turn = torch.linalg.eigh(covariance / (sd[:, None] * sd))
+    size = torch.sqrt(share.clamp(min=LEAST_SHARE))
+    return sd[:, None] * turn * size, turn / size / sd[:, None]
 
 
 def envelope(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
@@ -170,15 +167,12 @@ def stretch(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> 
         tensor([[3., 0.],
                 [0., 1.]])
     """
-    sd = torch.sqrt(torch.diagonal(covariance))
-    share, turn = torch.linalg.eigh(covariance / (sd[:, None] * sd))
-    root = turn * torch.sqrt(share.clamp(min=LEAST_SHARE))
-    whitener = turn / torch.sqrt(share.clamp(min=LEAST_SHARE))
-    growth = sd.new_ones(len(sd)).diag()
+    root, whitener = _roots(covariance)
+    growth = torch.eye(len(covariance), dtype=covariance.dtype)
     for other in others:
-        inward = torch.linalg.solve(growth, whitener.T / sd)
+        inward = torch.linalg.solve(growth, whitener.T)
         whitened = inward @ other @ inward.T
         ratio, axes = torch.linalg.eigh(0.5 * (whitened + whitened.T))
         growth = growth @ (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
-    stretched: Tensor = sd[:, None] * (root @ growth @ whitener.T) / sd
+    stretched: Tensor = root @ growth @ whitener.T
     return stretched

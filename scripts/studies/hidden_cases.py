@@ -16,7 +16,7 @@ from typing import Any
 
 from scipy.stats import binomtest
 
-from estimator import Diagnosis, diagnose, load_rig
+from estimator import Diagnosis, Session, diagnose, load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.study import credible_sets, label
@@ -88,13 +88,18 @@ def _guarded(run: Callable[[str, int], Row], case: Case) -> Row:
 
 def diagnosed(hidden: HiddenSession, seed: int) -> tuple[Diagnosis, float]:
     """The diagnosis, which sees only the rig file and the table of readings, and the seconds that it took."""
+    return diagnosed_session(hidden, seed)[1:]
+
+
+def diagnosed_session(hidden: HiddenSession, seed: int) -> tuple[Session, Diagnosis, float]:
+    """The session as it was read, with its diagnosis and the seconds that this took."""
     with tempfile.TemporaryDirectory() as folder:
         hidden.write(Path(folder))
         rig = load_rig(Path(folder) / "rig.yaml")
         session = read_readings_csv(Path(folder) / "readings.csv", rig)
     begin = time.perf_counter()
     diagnosis = diagnose(session, seed=seed)
-    return diagnosis, time.perf_counter() - begin
+    return session, diagnosis, time.perf_counter() - begin
 
 
 def row_of(kind: str, hidden: HiddenSession, diagnosis: Diagnosis, seconds: float) -> Row:

@@ -36,29 +36,36 @@ def widened(
     return extended_posterior(small_session, small_rig, wider, out=folder, seed=1, settings=small_settings)
 
 
-def test_draws_are_wider_and_counts_are_not(small_calibration: Calibration, widened: Calibration):
+def test_draws_are_wider_and_no_count_is_as_sure(small_calibration: Calibration, widened: Calibration):
+    """Radius and height gain more than threefold, for they go along with a count that is no longer sure."""
     factors = widened.summary()["widening"]
     for name in (RADIUS, HEIGHT):
         assert widened.draws[name].std() == pytest.approx(factors[name] * small_calibration.draws[name].std())
-        assert factors[name] == pytest.approx(3.0, rel=0.1)
-    assert (widened.draws[COUNT] == small_calibration.draws[COUNT]).all()
+        assert 3.0 < factors[name] < 8.0
+    surest = [
+        calibration.summary()["loop_counts"][0]["probability"] for calibration in (small_calibration, widened)
+    ]
+    assert surest[0] > surest[1] + 0.1
+    assert widened.summary()["has_integer_counts"]
     assert "widening" not in small_calibration.summary()
 
 
-def test_field_is_three_times_as_uncertain_and_not_more(small_calibration: Calibration, widened: Calibration):
+def test_field_is_about_three_times_as_uncertain(small_calibration: Calibration, widened: Calibration):
     """Correlations that the readings impose are kept; widened one by one, the parameters would widen the field far more."""
     widths = [
         torch.diff(torch.stack(calibration.field_interval(POINTS_M, {"coil1": 3.0})), dim=0)
         for calibration in (small_calibration, widened)
     ]
-    assert (widths[1] / widths[0]).numpy() == pytest.approx(3.0, rel=0.15)
+    ratio = (widths[1] / widths[0]).numpy()
+    assert (ratio > 2.8).all()
+    assert (ratio < 4.2).all()
 
 
 def test_summary_and_page_say_the_wider_intervals(widened: Calibration):
     low, high = widened.summary()["parameters"][RADIUS]["ci90"]
     assert high - low == pytest.approx(2.0 * 1.645 * widened.draws[RADIUS].std(), rel=0.1)
     assert re.search(
-        r"up to (2\.\d+|3|3\.\d+) times", calibration_report(widened, "coilcal diagnose session.zarr")
+        r"up to [3-7](\.\d+)? times", calibration_report(widened, "coilcal diagnose session.zarr")
     )
 
 
