@@ -81,12 +81,13 @@ def calibrate_command(
     from estimator.inference.ensemble import SamplerSettings
     from estimator.rig_files.read import load_rig
     from estimator.store.files import write_text
+    from estimator.store.only_writer import only_writer
     from estimator.store.session import load_session
 
     session = load_session(session_path)
     rig = load_rig(rig_path) if rig_path else None
     settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
-    with StageReporter() as reporter:
+    with only_writer(out), StageReporter() as reporter:
         calibration = calibrate(
             session,
             rig,

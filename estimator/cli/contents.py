@@ -215,7 +215,7 @@ def _diagnosis(path: Path) -> Contents:
         if told["next_measurement"]:
             lines.append(f"to tell more, measure {told['next_measurement'][0]['action']}")
         if told["ended_early"]:
-            lines.append(f"the search ended early: {told['ended_early']}")
+            lines.append(f"the diagnosis ended early: {told['ended_early']}")
     except (OSError, ValueError, KeyError, TypeError) as error:
         words = reason(error) if isinstance(error, OSError) else f"{type(error).__name__} {error}"
         raise CorruptStore(f"diagnosis must be readable; {path / DIAGNOSIS} is damaged: {words}") from error
@@ -227,7 +227,7 @@ def _diagnosis(path: Path) -> Contents:
 def _size_lines(cause: dict[str, Any]) -> list[str]:
     """Sizes of a cause as `coilcal diagnose` prints them, and the difference of two that is known best."""
     lines = [
-        f"    {quantity_words(key):16} {_with_interval(told)}"
+        f"    {quantity_words(key, cause['parameters']):16} {_with_interval(told)}"
         for key, told in list(cause["parameters"].items())[:MOST_LINES]
     ]
     if known := cause.get("difference"):

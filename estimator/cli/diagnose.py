@@ -101,6 +101,7 @@ def diagnose_command(
     from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, REPORT
     from estimator.rig_files.read import load_rig
     from estimator.store.files import write_text
+    from estimator.store.only_writer import only_writer
     from estimator.store.session import load_session
 
     was_cut_short = (out / FITS).exists()
@@ -113,11 +114,10 @@ def diagnose_command(
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
     unfinished = out.with_name(f".{out.name}.unfinished")
-    if was_cut_short and not (unfinished / FITS).exists():
-        unfinished.mkdir(exist_ok=True)
-        shutil.copy(out / FITS, unfinished / FITS)
     limits = Limits(policy.MOST_CAUSES if most_causes is None else most_causes, minutes)
-    with SearchReporter() as reporter, _stopping(limits, reporter.stage):
+    with only_writer(unfinished, out), SearchReporter() as reporter, _stopping(limits, reporter.stage):
+        if was_cut_short and not (unfinished / FITS).exists():
+            shutil.copy(out / FITS, unfinished / FITS)
         diagnosis = diagnose(
             session,
             rig,
@@ -132,12 +132,14 @@ def diagnose_command(
             on_stage=reporter.stage,
             on_progress=reporter.progress,
         )
-    command = command_of(click.get_current_context())
-    write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
-    if diagnosis.posterior is not None:
-        write_text(unfinished / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
-    shutil.rmtree(out, ignore_errors=True)
-    unfinished.rename(out)
+        command = command_of(click.get_current_context())
+        write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
+        if diagnosis.posterior is not None:
+            write_text(
+                unfinished / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command)
+            )
+        shutil.rmtree(out, ignore_errors=True)
+        unfinished.rename(out)
     show(diagnosis.to_json(), _text(diagnosis, out), as_json)
 
 
@@ -181,7 +183,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
         for name, quantity in cause.quantities.items():
             low, high = quantity.ci90
             size = interval_with_unit(quantity.median, low, high, quantity.unit)
-            lines.append(f"    {quantity_words(name):16} {size}")
+            lines.append(f"    {quantity_words(name, cause.quantities):16} {size}")
         if cause.difference is not None:
             lines.append(f"    known best: {difference_words(cause.difference)}")
     lines += [f"  {sentence}" for sentence in held_back(diagnosis)]

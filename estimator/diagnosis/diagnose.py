@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import NamedTuple
 
 import torch
 
+from estimator.calibration.calibrate import Stage
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.elsewhere import computed_on
@@ -89,6 +91,7 @@ def diagnose(
         has_posterior: Sample the posterior of the extended rig from all readings but those for validation. It needs a coil that carried
             current, and a cause or something unexplained, which widens the posterior.
         limits: When the search ends before the evidence does. A diagnosis that was cut short says so; another with the same `out` goes on.
+            One that was stopped neither corrects what is left nor samples.
         most_readings: Readings that causes are searched with, thinned evenly where there are more.
         device: Where fits, columns of causes, evidences and corrections are computed, such as `cuda`, and where sampling predicts
             readings; verdict, validation and reports stay on the processor.
@@ -110,9 +113,10 @@ def diagnose(
     if dtype is not torch.float64:
         check_precision(rig, session.observations)
     question, folder = Question(rig, session.source, seed), None if out is None else Path(out)
+    limits = limits or Limits()
 
     def judged(first: FirstFit) -> Diagnosis:
-        return _judged(question, first, limits or Limits(), place, tell, on_progress)
+        return _judged(question, first, limits, place, tell, on_progress)
 
     with remembering(folder) as journal, climbing_on(place, dtype), one_thread_for_an_operation():
         if journal is not None and len(journal):
@@ -121,31 +125,62 @@ def diagnose(
         first = FirstFit.of(question, session, validation, most_readings)
         first = first.without_suspects(tell)
         result = judged(first)
-        if _is_in_doubt(result) and (flags := first.flags_by(result)):
+        if not limits.stopped.is_set() and _is_in_doubt(result) and (flags := first.flags_by(result)):
             tell("searching again without readings that were recorded otherwise than they were measured")
             first = first.without(flags).without_suspects(tell)
             result = judged(first)
     session = first.session
     seen = session.observations.calibration
     is_changed = bool(result.fits.final.rig.effects) or result.verdict is Verdict.UNEXPLAINED
-    if has_posterior and is_changed and bool((seen.current_A != 0.0).any()):
+    if has_posterior and is_changed and bool((seen.current_A != 0.0).any()) and not limits.stopped.is_set():
         tell("sampling the posterior of the extended rig")
-        sampled = extended_posterior(
-            session,
-            result.extended_rig,
-            result.left_open.widening,
-            out=None if folder is None else folder / CALIBRATION_FOLDER,
-            seed=seed,
-            device=device,
-            precision=precision,
-        )
-        result = replace(result, posterior=sampled)
+        inside = None if folder is None else folder / CALIBRATION_FOLDER
+        result = _with_posterior(result, session, limits, inside, device, precision)
+    if limits.stopped.is_set():
+        result = _cut_short(result, limits)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         result.save(folder)
         if not result.findings.search.ended_early:
             (folder / FITS).unlink(missing_ok=True)
     return result
+
+
+class _Stopped(Exception):
+    """The posterior is no longer wanted."""
+
+
+def _with_posterior(
+    result: Diagnosis, session: Session, limits: Limits, out: Path | None, device: str, precision: str
+) -> Diagnosis:
+    """A diagnosis with the posterior of its extended rig; as it was where it is stopped meanwhile."""
+
+    def unless_stopped(_: Stage) -> None:
+        if limits.stopped.is_set():
+            raise _Stopped
+
+    try:
+        sampled = extended_posterior(
+            session,
+            result.extended_rig,
+            result.left_open.widening,
+            out=out,
+            seed=result.question.seed,
+            device=device,
+            precision=precision,
+            on_stage=unless_stopped,
+        )
+    except _Stopped:
+        if out is not None:
+            shutil.rmtree(out, ignore_errors=True)
+        return result
+    return replace(result, posterior=sampled)
+
+
+def _cut_short(result: Diagnosis, limits: Limits) -> Diagnosis:
+    """A diagnosis that says that it was stopped, also where that came after its search."""
+    search_result = replace(result.findings.search, ended_early=limits.words)
+    return replace(result, findings=replace(result.findings, search=search_result))
 
 
 def _is_in_doubt(result: Diagnosis) -> bool:
@@ -176,7 +211,9 @@ def _judged(
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
         outcome = outcome.checked_by(unseen)
-    if outcome.verdict is Verdict.UNEXPLAINED:
+    if outcome.verdict is Verdict.UNEXPLAINED and limits.stopped.is_set():
+        outcome = outcome.widened(unseen)
+    elif outcome.verdict is Verdict.UNEXPLAINED:
         tell("correcting what is left, without a name")
         outcome = outcome.corrected(unseen, place, tell)
     named, extended = outcome.named, outcome.extended

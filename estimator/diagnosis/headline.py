@@ -53,7 +53,7 @@ def headline(diagnosis: Diagnosis) -> list[str]:
         "" if source else _next(diagnosis),
     ]
     if ended := search.ended_early:
-        sentences.append(f"The search ended early, for {ended}; the same command goes on with it.")
+        sentences.append(f"The diagnosis ended early, for {ended}; the same command goes on with it.")
     return [sentence for sentence in sentences if sentence]
 
 
@@ -294,7 +294,7 @@ def _sizes(diagnosis: Diagnosis, cause: Cause) -> list[str]:
     )
     words = [] if sized.difference is None else [difference_words(sized.difference)]
     words += [
-        f"{quantity_words(key)} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
+        f"{quantity_words(key, sized.quantities)} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
         for _, key, interval in clear[: MOST_SIZES - len(words)]
     ]
     when_s = [

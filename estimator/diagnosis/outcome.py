@@ -100,6 +100,20 @@ class Outcome:
         improvement = improvement_of(self.before, after, unseen)
         return replace(checked, extended=base, searched=base, after=after, improvement=improvement)
 
+    def widened(self, unseen: Observations) -> Outcome:
+        """The outcome with intervals that are widened by what is left, and without a correction.
+
+        Args:
+            unseen: Readings that no fit has seen; may be empty.
+        """
+        return replace(self, widening=self._widening)._scored_by(unseen)
+
+    @property
+    def _widening(self) -> Widening:
+        is_base = self.extended is self.search.base
+        left = self.search.base_discrepancy if is_base else self.search.remainder
+        return Widening.of(self.extended, self.after, left)
+
     def corrected(self, unseen: Observations, place: torch.device, tell: Callable[[str], None]) -> Outcome:
         """The outcome with intervals that are widened by what is left, and with what corrects it, where that predicts better.
 
@@ -108,11 +122,9 @@ class Outcome:
             place: Device on which corrections are computed.
             tell: Called with a message for each correction that is taken.
         """
-        is_base = self.extended is self.search.base
-        left = self.search.base_discrepancy if is_base else self.search.remainder
-        widening = Widening.of(self.extended, self.after, left)
         best = partial(best_corrected, tell=tell)
         correction = computed_on(place, best, self.extended, self.searched, self.after)
+        widening = self._widening
         with_causes = replace(self, widening=widening, correction=correction)
         if not correction.is_taken:
             return with_causes._scored_by(unseen)

@@ -38,7 +38,7 @@ class Search:
         pool: Columns of every cause at the base fit.
         base_discrepancy: Structure in the residual of the base fit.
         curves: Flexible curves, weighed as the readings are at the final fit.
-        ended_early: Why it ended before the evidence did; empty where it did not.
+        ended_early: Why it, or the diagnosis after it, ended before the evidence did; empty where it did not.
         other_structures: Other structures of the source, where causes of many kinds had piled up; else None.
         kept: Causes of a pile that keep their names; elsewhere that is not asked here.
     """

@@ -8,6 +8,8 @@ from pathlib import Path
 import pytest
 from click.testing import Result
 
+from estimator.store.only_writer import only_writer
+
 SIMULATE = "simulate --rig rig.yaml --plan plan.yaml"
 IMPORT = "import readings.csv --rig rig.yaml"
 PREDICT = "predict calibration --out new.csv --current coil1=2"
@@ -134,6 +136,19 @@ def test_a_mistake_gives_one_sentence_and_exit_code_2_and_leaves_nothing(
     message: str,
 ) -> None:
     assert refused(run(*command.split())) == message.format(here=in_workspace)
+
+
+@pytest.mark.parametrize(("command", "written"), [("calibrate", "out"), ("diagnose", ".out.unfinished")])
+def test_two_programs_do_not_write_one_output(
+    run: Callable[..., Result],
+    refused: Callable[[Result], str],
+    in_workspace: Path,
+    command: str,
+    written: str,
+) -> None:
+    with only_writer(in_workspace / written):
+        words = refused(run(command, "session.zarr", "--out", "out"))
+    assert words == "output must be written by one program at a time; another writes out"
 
 
 @pytest.mark.parametrize(

@@ -87,9 +87,9 @@ def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
     words, errors = running.communicate(timeout=PATIENCE_S)
     assert running.returncode == 0
     assert "the report of the best so far follows" in errors
-    assert "The search ended early, for it was stopped; the same command goes on" in words
+    assert "The diagnosis ended early, for it was stopped; the same command goes on" in words
     assert diagnosed(out)["ended_early"] == "it was stopped"
-    assert "The search ended early" in (out / "report.html").read_text(encoding="utf-8")
+    assert "The diagnosis ended early" in (out / "report.html").read_text(encoding="utf-8")
     again = start(session, out)
     assert again.stderr is not None
     assert any("coilcal: continuing: " in line for line in again.stderr)  # it does before its first fit

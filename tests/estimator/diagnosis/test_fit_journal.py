@@ -79,6 +79,29 @@ def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(sessi
     assert {cause.cause.name for cause in patient.causes} & {"sensor_offset", "background_field"}
 
 
+@pytest.mark.parametrize("at", ["searching for causes", "sampling the posterior"])
+def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str):
+    """Also where its search was over."""
+    limits = Limits()
+
+    def stop(stage: str) -> None:
+        if stage.startswith(at):
+            limits.stopped.set()
+
+    stopped = diagnose(
+        session, seed=1, out=tmp_path / "out", has_posterior=True, limits=limits, on_stage=stop
+    )
+    assert limits.stopped.is_set()
+    assert stopped.posterior is None
+    assert stopped.fits.correction is None
+    assert stopped.findings.search.ended_early == "it was stopped"
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "diagnosis.json",
+        FITS,
+        "rig_extended.yaml",
+    ]
+
+
 def test_another_rig_other_readings_and_another_start_are_other_fits(small_rig, session, tmp_path):
     readings = session.observations.calibration
     with remembering(tmp_path):
