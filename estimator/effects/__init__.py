@@ -12,6 +12,7 @@ from importlib.metadata import entry_points
 from estimator.effects.base import Effect
 from estimator.effects.causes.carried import MagnetisedLink
 from estimator.effects.causes.core import CoreRemanence, CrossMagnetisation
+from estimator.effects.causes.force import CoilPulled
 from estimator.effects.causes.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.causes.noise import NoiseGrows, Outliers, PositionJitter
 from estimator.effects.causes.pose_record import PositionUnit, RotationConvention, RowsShifted
@@ -210,6 +211,7 @@ EFFECTS: dict[str, Effect] = {
         SegmentMisplaced(),
         MountTilt(),
         SensorBumped(),
+        CoilPulled(),
         SensorMisplaced(),
         CoilMisplaced(),
         ElementDisplacement(),

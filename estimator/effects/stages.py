@@ -267,9 +267,9 @@ class MountEffect(Effect):
     is_at_reference: ClassVar[bool]
 
     def columns(
-        self, circumstances: Circumstances, theta: Mapping[str, float]
+        self, circumstances: Circumstances, theta: Mapping[str, float], body: str
     ) -> Float[Tensor, "reading column"]:
-        """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
+        """What the error of a body depends on besides the pose; shapes that are fixed come as plain numbers."""
         return circumstances.current_A.new_zeros(len(circumstances), 0)
 
     @abstractmethod
