@@ -124,7 +124,11 @@ def _place_words(body: Body) -> str:
 
 
 def _mover_words(mover: Mover) -> str:
-    return f"{mover.motion}; columns {', '.join(mover.columns)}"
+    columns, turning = list(mover.columns), ""
+    if mover.table is None:
+        columns, rotation = columns[:3], columns[3:]
+        turning = f", and {', '.join(rotation)} where it turns"
+    return f"{mover.motion}; columns {', '.join(columns)}{turning}"
 
 
 def _shown(value: float, unit: str) -> str:

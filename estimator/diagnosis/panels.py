@@ -81,7 +81,7 @@ def panels_text(made: Panels) -> str:
 
 def _answer(sized: SizedCause) -> Answer:
     sizes = [
-        f"{quantity_words(key)} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
+        f"{quantity_words(key, sized.quantities)} {interval_with_unit(interval.median, *interval.ci90, interval.unit)}"
         for key, interval in sized.quantities.items()
         if interval.sd > 0.0
     ]

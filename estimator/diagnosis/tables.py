@@ -145,8 +145,26 @@ def appendix(diagnosis: Diagnosis) -> list[Table]:
         _symptoms_table(diagnosis),
         *(_hypotheses_table(diagnosis, step, number, title) for number, (title, step) in comparisons),
         *standing_in,
+        *_limits_tables(diagnosis),
         _visible_table(diagnosis),
     ]
+
+
+def _limits_tables(diagnosis: Diagnosis) -> list[Table]:
+    """Corrections that could not be asked, or not to a higher degree; no table where there are none."""
+    correction = diagnosis.fits.correction
+    rows = [
+        [label, EFFECTS[label.partition("[")[0]].words, words]
+        for label, words in (correction.limits if correction is not None else {}).items()
+    ]
+    caption = (
+        "They were asked to a lower degree or not at all, whatever they have to do with what is left. For those that want other places "
+        "coilcal design --map proposes some."
+    )
+    title = "Corrections that other readings would allow"
+    return (
+        [Table(title, ["correction", "meaning", "what these readings lack"], rows, caption)] if rows else []
+    )
 
 
 def _symptoms_table(diagnosis: Diagnosis) -> Table:
@@ -162,13 +180,14 @@ def _symptoms_table(diagnosis: Diagnosis) -> Table:
 def _parameters(diagnosis: Diagnosis, causes: Sequence[Cause]) -> list[tuple[str, str, Interval, float, str]]:
     parameters = []
     for cause in causes:
-        for key, p in _numbers(diagnosis, cause).items():
+        numbers = _numbers(diagnosis, cause)
+        for key, p in numbers.items():
             display = displays([f"{cause.label}.{key}"])[f"{cause.label}.{key}"]
             if p.unit == "1" and abs(p.median) < 1.0:
                 factor, unit = 100.0, "%"
             else:
                 factor, unit = display.factor, display.unit or p.unit
-            parameters.append((diagnosis.label(cause), quantity_words(key), p, factor, unit))
+            parameters.append((diagnosis.label(cause), quantity_words(key, numbers), p, factor, unit))
     return parameters
 
 
@@ -224,7 +243,7 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
         "(standard error over readings). The columns in 50 % and in 90 % give the share of components inside those predictive intervals."
     )
     if (correction := diagnosis.fits.correction) is not None:
-        caption += f" {correction.words(diagnosis.label)} {correction.limit_words}".rstrip()
+        caption += f" {correction.words(diagnosis.label)}"
     return Table("Improvement on readings not used for fitting", header, rows, caption)
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,14 +72,21 @@ def displays(names: Sequence[str]) -> dict[str, Display]:
     return result
 
 
-def quantity_words(key: str) -> str:
+def quantity_words(key: str, beside: Collection[str] = ()) -> str:
     """Name of a quantity without its unit.
+
+    Args:
+        key: Its key.
+        beside: Keys of all quantities of its cause; one without a unit is called a gain where another one would have the same name.
 
     Examples:
         >>> quantity_words("drift_x_T_per_h"), quantity_words("moment_x_A_m2")
         ('drift x', 'moment x')
+        >>> quantity_words("x", ["x", "x_T"]), quantity_words("x_T", ["x", "x_T"])
+        ('gain x', 'x')
     """
-    return split_quotient(key)[0].replace("_", " ")
+    words = split_quotient(key)[0].replace("_", " ")
+    return f"gain {words}" if f"{key}_T" in beside else words
 
 
 def are_counts(values: Num[np.ndarray, " draw"], display: Display) -> bool:

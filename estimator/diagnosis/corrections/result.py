@@ -69,17 +69,6 @@ class Correction:
         words = "unseen readings are predicted worse with what was tried"
         return replace(self, gain=gain, refusal=words if is_worse else self.refusal)
 
-    @property
-    def limit_words(self) -> str:
-        """What stands in the way of a better correction, and what to measure; empty where nothing does."""
-        kinds: dict[str, list[str]] = {}
-        for label, words in self.limits.items():
-            kinds.setdefault(words, []).append(label)
-        if not kinds:
-            return ""
-        each = "; ".join(f"{' and '.join(labels)}: {words}" for words, labels in kinds.items())
-        return f"Other readings would allow more. {each}. Run coilcal design --map, which proposes places."
-
     def to_json(self) -> dict[str, Any]:
         """Content of `correction` in `diagnosis.json`."""
         return {

@@ -168,4 +168,4 @@ WORDS: Mapping[str, str] = {
 
 def words(answer: str) -> str:
     """The answer as the end of a sentence that begins with `The residual`."""
-    return WORDS.get(answer, f"moves with {answer}")
+    return WORDS.get(answer, f"depends on the position as seen from {answer}, or on its current")
