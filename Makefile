@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 ON_DEVICES = tests/estimator/test_devices.py tests/contract/test_devices_of_effects.py tests/estimator/field/test_fused.py \
 	tests/estimator/diagnosis/test_elsewhere.py tests/estimator/inference/test_collapsed.py tests/estimator/model/test_equivalent_sources.py
 
-.PHONY: demo demo-service test docs lint types imports checks unit slow paper two-arms coverage hidden open-world written-wrong unexplained-posteriors leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device test-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
+.PHONY: demo demo-service test docs lint types imports checks unit slow paper two-arms coverage hidden open-world written-wrong unexplained-posteriors coils-and-probe leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device test-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -73,8 +73,11 @@ open-world: $(INSTALLED)  # causes of the library and others at natural sizes, o
 written-wrong: $(INSTALLED)   # rows written down wrongly, and rows of other sessions: which are flagged; ten minutes
 	$(RUN) scripts.studies.written_wrong
 
+coils-and-probe: $(INSTALLED)  # two coils that pull each other, a screw beside the probe, other flaws and none: what is named; ten minutes
+	$(RUN) scripts.studies.coils_and_probe
+
 unexplained-posteriors: $(INSTALLED)  # whether posteriors hold the truth where the cause is in no library; hours, continues where it was interrupted
-	$(RUN) scripts.studies.unexplained_posteriors --kinds unknown30 --cases 60 --out out/unexplained_posteriors.jsonl
+	$(RUN) scripts.studies.unexplained_posteriors --kinds unknown30 --cases 60 --first-seed 230000 --out out/unexplained_posteriors.jsonl
 
 leave-one-out: $(INSTALLED)   # each cause taken out of the library, hidden and diagnosed; hours, continues where it was interrupted
 	$(RUN) scripts.studies.leave_one_out --sigma 30 --out out/leave_one_out_30.jsonl

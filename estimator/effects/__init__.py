@@ -13,7 +13,7 @@ from estimator.effects.base import Effect
 from estimator.effects.causes.carried import MagnetisedLink
 from estimator.effects.causes.core import CoreRemanence, CrossMagnetisation
 from estimator.effects.causes.force import CoilPulled
-from estimator.effects.causes.iron import IronBody, IronPlate, PiercedPlate, SecondIronBody
+from estimator.effects.causes.iron import IronBody, IronOnSensor, IronPlate, PiercedPlate, SecondIronBody
 from estimator.effects.causes.noise import NoiseGrows, Outliers, PositionJitter
 from estimator.effects.causes.pose_record import PositionUnit, RotationConvention, RowsShifted
 from estimator.effects.causes.record import (
@@ -211,6 +211,7 @@ EFFECTS: dict[str, Effect] = {
         SegmentMisplaced(),
         MountTilt(),
         SensorBumped(),
+        IronOnSensor(),
         CoilPulled(),
         SensorMisplaced(),
         CoilMisplaced(),

@@ -262,9 +262,11 @@ class MountEffect(Effect):
 
     Attributes:
         is_at_reference: It was so when the reference pose was taken, which therefore is right.
+        goes_with_current: It depends on the currents of the moment, so that a prediction asks for its columns at each.
     """
 
     is_at_reference: ClassVar[bool]
+    goes_with_current: ClassVar[bool] = False
 
     def columns(
         self, circumstances: Circumstances, theta: Mapping[str, float], body: str
@@ -273,7 +275,7 @@ class MountEffect(Effect):
         return circumstances.current_A.new_zeros(len(circumstances), 0)
 
     @abstractmethod
-    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+    def apply(self, columns: Float[Tensor, "*#batch pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the body."""
 
 
@@ -285,6 +287,27 @@ class ElementEffect(Effect):
     @abstractmethod
     def apply(self, theta: Theta) -> Float[Tensor, "*batch 3 3"]:
         """Position of the x, y and z element in the sensor frame."""
+
+
+class HolderEffect(Effect):
+    """Adds to the field at a sensor what something beside it, which moves with it, makes of the field where that is."""
+
+    kind = Kind.SENSOR
+
+    @abstractmethod
+    def place_m(self, theta: Theta) -> Float[Tensor, "*batch 3"]:
+        """Its place in the sensor frame."""
+
+    @abstractmethod
+    def answer_T(
+        self, field_there_T: Float[Tensor, "*#batch reading 3"], theta: Theta
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Field that it adds at the sensor, in the sensor frame.
+
+        Args:
+            field_there_T: Field where it is, without it, in the sensor frame.
+            theta: Its quantities.
+        """
 
 
 class ReadingEffect(Effect):

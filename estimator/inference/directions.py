@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimator.effects import EFFECTS
 from estimator.effects.base import Kind
-from estimator.effects.stages import ElementEffect, MotionEffect, MountEffect, RecordEffect
+from estimator.effects.stages import ElementEffect, HolderEffect, MotionEffect, MountEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -122,7 +122,7 @@ def _path(rig: Rig, name: str, owner: int) -> str:
     label, _, key = name.partition(".")
     cause, _, place = label.partition("[")
     if place:
-        moves = isinstance(EFFECTS[cause], MotionEffect | MountEffect | ElementEffect)
+        moves = isinstance(EFFECTS[cause], MotionEffect | MountEffect | ElementEffect | HolderEffect)
         return POSES if moves else label if owner == EVERY else cause
     if label in {coil.name for coil in rig.coils}:
         return label

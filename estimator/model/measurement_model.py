@@ -22,6 +22,7 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
     CurrentEffect,
     ElementEffect,
+    HolderEffect,
     MotionEffect,
     MountEffect,
     ReadingEffect,
@@ -268,6 +269,18 @@ class MeasurementModel:
 
     def _at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         world_from_sensor = self.world_from_sensor(self.every_row, values)
+        field_T = self._without_holders_T(values, world_from_sensor)
+        for use in uses_of(self.rig, HolderEffect):
+            theta, own = use.theta(values), use.index(self.rig.sensors)
+            place_m = use.effect.place_m(theta)[..., None, :] * (self.sensor == own)[:, None]
+            there_T = self._field_at(values, _shifted(world_from_sensor, place_m))
+            is_own = (self.sensor == own)[self.pose_row][:, None]
+            field_T = field_T + is_own * use.effect.answer_T(there_T, theta)
+        return field_T
+
+    def _without_holders_T(
+        self, values: Values, world_from_sensor: Transform
+    ) -> Float[Tensor, "*batch reading 3"]:
         if not self._has_elements.any():
             return self._field_at(values, world_from_sensor)
         if self._has_elements.double().mean() >= MOSTLY_APART:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.func import jvp
 
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import MotionEffect
+from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.coil import distance_to_coil, rule_of_coil
@@ -68,6 +68,7 @@ class RoomField:
                     f"motion of {name} must be six numbers, or six for each of {len(points_m)} points; "
                     f"received shape {tuple(rows.shape)}"
                 )
+        self._motion = _motion_of(rig, motion, points_m)
         at_rest = at_one_moment(rig, len(points_m), motion, points_m)
         rules: dict[str, Rule] = {}
         zones: dict[str, tuple[Zone, ...]] = {}
@@ -112,9 +113,22 @@ class RoomField:
         world_from_point = Transform(
             torch.eye(3, dtype=points_m.dtype, device=points_m.device)[None], points_m
         )
-        delivered_A = self.sources.delivered_A(current_A, values)
-        field_T = self.sources.field_T(values, delivered_A, world_from_point)
+        sources = self._at_currents(current_A)
+        delivered_A = sources.delivered_A(current_A, values)
+        field_T = sources.field_T(values, delivered_A, world_from_point)
         return torch.where(self.is_inside[:, None], torch.nan, field_T)
+
+    def _at_currents(self, current_A: Float[Tensor, "*#batch #point coil"]) -> Sources:
+        """The sources with what gives way to currents where these take it."""
+        moved = [use.label for use in uses_of(self.rig, MountEffect) if use.effect.goes_with_current]
+        if not moved:
+            return self.sources
+        n_moments = max(current_A.shape[-2], *map(len, self._motion.values()), 1)
+        by_moment_A = current_A.expand(*current_A.shape[:-2], n_moments, -1)
+        columns = columns_of(self.rig, Circumstances(self.rig, _readings(self._motion, by_moment_A)))
+        shape = (*by_moment_A.shape[:-1], -1)
+        of_moved = {label: columns[label].reshape(shape) for label in moved}
+        return replace(self.sources, columns={**self.sources.columns, **of_moved})
 
     def gradient_T_per_m(
         self, values: Values, current_A: Float[Tensor, "*#batch coil"]
@@ -174,22 +188,33 @@ def at_one_moment(
         like: A tensor on the device and in the precision that are wanted; double precision on the processor by default.
     """
     zero = torch.zeros(6, dtype=torch.float64) if like is None else like.new_zeros(6)
-    rows = {m.name: (motion or {}).get(m.name, zero).reshape(-1, 6) for m in rig.movers}
+    rows = _motion_of(rig, motion or {}, zero)
     flange = {m.name: base_from_motion(m, rows[m.name]) for m in rig.movers}
     every_point = torch.arange(n_points, device=zero.device)
     powered = {coil.name: every_point for coil in rig.coils}
     n_moments = max(map(len, rows.values()), default=1) if uses_of(rig, MotionEffect) else 1
-    moments = [Circumstances(rig, _one_reading(rig, rows, i, zero)) for i in range(n_moments)]
+    off_A = zero.new_zeros(1, len(rig.coils))
+    each = [{name: row[min(i, len(row) - 1)][None] for name, row in rows.items()} for i in range(n_moments)]
+    moments = [Circumstances(rig, _readings(at, off_A)) for at in each]
     by_moment = [columns_of(rig, moment) for moment in moments]
-    columns = {label: torch.cat([each[label] for each in by_moment]) for label in by_moment[0]}
+    columns = {label: torch.cat([columns[label] for columns in by_moment]) for label in by_moment[0]}
     return Sources(rig, moments[0], n_points, None, flange, columns, powered, rules={})
 
 
-def _one_reading(rig: Rig, rows: Mapping[str, Float[Tensor, "row 6"]], i: int, like: Tensor) -> Observations:
-    """A session of one moment without currents, with every mover at its row of that number, or at its only one."""
-    zeros = like.new_zeros(1)
-    motion = {name: motion[min(i, len(motion) - 1)][None] for name, motion in rows.items()}
-    index, flag = zeros.to(torch.int64), zeros.to(torch.bool)
-    return Observations(
-        zeros, index, zeros.expand(len(rig.coils))[None], motion, zeros.expand(3)[None], flag, index, {}
-    )
+def _motion_of(
+    rig: Rig, motion: Mapping[str, Float[Tensor, "... 6"]], like: Tensor
+) -> dict[str, Float[Tensor, "row 6"]]:
+    """Rows of every mover; zeros for one that is not named."""
+    return {m.name: motion.get(m.name, like.new_zeros(6)).reshape(-1, 6) for m in rig.movers}
+
+
+def _readings(
+    motion: Mapping[str, Float[Tensor, "#moment 6"]], current_A: Float[Tensor, "*batch moment coil"]
+) -> Observations:
+    """A session whose readings have these currents, one after another, with every mover at its row of the moment."""
+    n_moments = current_A.shape[-2]
+    flat_A = current_A.reshape(-1, current_A.shape[-1])
+    n = len(flat_A)
+    zeros, index = flat_A.new_zeros(n), torch.zeros(n, dtype=torch.int64, device=flat_A.device)
+    places = {name: rows.expand(n_moments, 6).repeat(n // n_moments, 1) for name, rows in motion.items()}
+    return Observations(zeros, index, flat_A, places, flat_A.new_zeros(n, 3), index.bool(), index, {})

@@ -148,7 +148,10 @@ class Sources:
     def world_from_body(self, body: Body, kind: str, rows: Int[Tensor, " rows"], values: Values) -> Transform:
         """Pose of a coil or a sensor at some rows; one row where it stays where it is."""
         flange = {name: poses.rows(rows) for name, poses in self.flange.items()}
-        columns = {label: whole if len(whole) == 1 else whole[rows] for label, whole in self.columns.items()}
+        columns = {
+            label: whole if whole.shape[-2] == 1 else whole[..., rows, :]
+            for label, whole in self.columns.items()
+        }
         return world_from_body(self.rig, body, kind, flange, values, columns)
 
     def _driven(

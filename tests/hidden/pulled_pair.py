@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 from itertools import product
 from pathlib import Path
+from typing import Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -47,6 +48,13 @@ COIL = """
       tilt_x_deg: {{prior: {{normal: {{mean: 0, sd: 1}}}}}}
       tilt_y_deg: {{prior: {{normal: {{mean: 0, sd: 1}}}}}}
 """
+
+
+class Truth(Protocol):
+    """What a probe sees."""
+
+    def field_T(self, currents_A: Array, at_m: Array) -> Array:
+        """In the world, at points, at one setting of the currents."""
 
 
 class PulledPair:
@@ -103,7 +111,7 @@ def nominal_poses() -> list[tuple[Rotation, Array]]:
     return [(rotation, -DISTANCE_M * rotation.apply([0.0, 0.0, 1.0])) for rotation in rotations]
 
 
-def write(folder: Path, pair: PulledPair, places: int, rng: np.random.Generator) -> None:
+def write(folder: Path, truth: Truth, places: int, rng: np.random.Generator) -> None:
     """The rig file, and readings at some places for each setting of the currents, in random order, with noise."""
     rig = RIG
     for name, (rotation, at_m) in zip(NAMES, nominal_poses(), strict=True):
@@ -121,7 +129,7 @@ def write(folder: Path, pair: PulledPair, places: int, rng: np.random.Generator)
     rows = []
     for currents_A in settings_A:
         at_m = rng.uniform(-HALF_WIDTH_M, HALF_WIDTH_M, (places, 3))
-        field_T = pair.field_T(currents_A, at_m) + NOISE_T * rng.standard_normal((places, 3))
+        field_T = truth.field_T(currents_A, at_m) + NOISE_T * rng.standard_normal((places, 3))
         rows += [
             [*currents_A, *place, 0.0, 0.0, 0.0, *reading]
             for place, reading in zip(at_m, field_T, strict=True)

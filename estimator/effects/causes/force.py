@@ -31,6 +31,7 @@ class CoilPulled(MountEffect):
     source: ClassVar[str] = (
         "a collaborative arm gives way by 10 to 100 micrometres under a newton, a printed bracket by half a millimetre"
     )
+    goes_with_current: ClassVar[bool] = True
     is_linear: ClassVar[bool] = False
     needs_winding: ClassVar[bool] = True
     never_negative: ClassVar[tuple[str, ...]] = ("compliance_m_per_N",)
@@ -46,10 +47,6 @@ class CoilPulled(MountEffect):
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether another coil carried current at the same time as this one."""
         return bool((_others_A(circumstances, place) != 0.0).any())
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """A field that is a sum over coils has no place for what two do together."""
-        return "the currents of two coils at once"
 
     def columns(
         self, circumstances: Circumstances, theta: Mapping[str, float], body: str
@@ -74,7 +71,7 @@ class CoilPulled(MountEffect):
             total = total + turns * _others_A(circumstances, body)[:, i, None] * by_turns_N
         return total
 
-    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+    def apply(self, columns: Float[Tensor, "*#batch pose column"], theta: Theta) -> Transform:
         """nominal_from_real of the coil."""
         shift = theta["compliance_m_per_N"][..., None, None] * columns
         return Transform(torch.eye(3, dtype=shift.dtype, device=shift.device).expand(1, 3, 3), shift)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, at_least_zero, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import PerAmpere, RoomEffect
+from estimator.effects.stages import HolderEffect, PerAmpere, RoomEffect
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
@@ -23,6 +23,8 @@ BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the positions beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
 NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
+ON_HOLDER_RADIUS_M = 6e-3  # likely, of an equivalent ball of iron
+FARTHEST_ON_HOLDER_M, DISTANCES_ON_HOLDER_M = 0.06, (0.012, 0.035)  # from the sensor
 LIKELY_RADIUS_M, LIKELY_RADIUS = 0.03, 0.3  # of an equivalent ball of iron; the second of the reach
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
 
@@ -232,6 +234,54 @@ def _sheet(
     return -torch.where(is_behind, field, turned)
 
 
+class IronOnSensor(HolderEffect):
+    """A small piece of soft iron on the sensor's holder is magnetised by the field there and answers as a dipole."""
+
+    name: ClassVar[str] = "iron_on_sensor"
+    words: ClassVar[str] = "a piece of iron moves with the sensor"
+    source: ClassVar[str] = "a screw or a nut of a probe's holder is like a ball of 1 to 6 mm"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Radius cubed of an equivalent ball of iron, and where it sits in the sensor's frame."""
+        return (
+            at_least_zero("volume_m3", "m3", ON_HOLDER_RADIUS_M**3),
+            *(shape(f"{axis}_m", "m", -FARTHEST_ON_HOLDER_M, FARTHEST_ON_HOLDER_M) for axis in "xyz"),
+        )
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Whether the sensor moved; what moves with one that stands still stands in the room."""
+        sensor = next(sensor for sensor in circumstances.rig.sensors if sensor.name == place)
+        if sensor.carried_by is None:
+            return False
+        motion = circumstances.observations.motion[sensor.carried_by]
+        return bool((motion != motion[:1]).any())
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Along the axes of the sensor's frame and between each three of them, at two distances."""
+        signs = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
+        directions = [each for each in signs if sum(map(abs, each)) in (1, 3)]
+        return tuple(
+            {
+                f"{axis}_m": distance_m * each / math.hypot(*direction)
+                for axis, each in zip("xyz", direction, strict=True)
+            }
+            for direction in directions
+            for distance_m in DISTANCES_ON_HOLDER_M
+        )
+
+    def place_m(self, theta: Theta) -> Float[Tensor, "*batch 3"]:
+        """Place of its middle, in the sensor frame."""
+        return torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)
+
+    def answer_T(
+        self, field_there_T: Float[Tensor, "*#batch reading 3"], theta: Theta
+    ) -> Float[Tensor, "*batch reading 3"]:
+        """Field of the dipole 4 pi a^3 / mu0 times the field there."""
+        return theta["volume_m3"][..., None, None] * _dipole(
+            -self.place_m(theta)[..., None, :], field_there_T
+        )
+
+
 class _SoftIron(RoomEffect):
     """A small piece of soft iron is magnetised by the coils and answers as a dipole."""
 
@@ -271,10 +321,17 @@ class _SoftIron(RoomEffect):
         """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
         body_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
         at_body = per_ampere.at_each(body_m)[..., 0, :]
-        r = points_m - body_m
-        r2 = (r**2).sum(-1, keepdim=True)
-        dipole = (3.0 * r * (r * at_body).sum(-1, keepdim=True) - r2 * at_body) * r2**-2.5
-        return theta["volume_m3"][..., None, None] * dipole
+        return theta["volume_m3"][..., None, None] * _dipole(points_m - body_m, at_body)
+
+
+def _dipole(
+    from_body_m: Float[Tensor, "*#batch #pose 3"], at_body: Float[Tensor, "*#batch #pose 3"]
+) -> Float[Tensor, "*batch pose 3"]:
+    """Field of a ball of unit radius that a field magnetises (Jackson, Classical Electrodynamics, 3rd ed., section 5.11)."""
+    square = (from_body_m**2).sum(-1, keepdim=True)
+    along = (from_body_m * at_body).sum(-1, keepdim=True)
+    field: Tensor = (3.0 * from_body_m * along - square * at_body) * square**-2.5
+    return field
 
 
 class IronBody(_SoftIron):

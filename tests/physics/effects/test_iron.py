@@ -6,6 +6,7 @@ import magpylib
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
 from estimator.effects.causes.iron import IronBody, IronPlate, PiercedPlate
@@ -320,3 +321,33 @@ def test_a_plate_is_itself_while_no_sensor_went_through_it(share, is_clear):
     distance_m = along_m.min() + share * np.ptp(along_m)
     theta = {key: torch.tensor(value) for key, value in (turned | {"distance_m": distance_m}).items()}
     assert IronPlate().is_itself(theta, Circumstances(rig_from_text(RIG), ONE)) is is_clear
+
+
+def test_iron_on_the_sensor_is_magnetised_where_the_sensor_takes_it():
+    """Coil and room magnetise it alike: a dipole of magpylib for every reading, beside a sensor that turns."""
+    turns = Rotation.random(len(POINTS_M), rng=np.random.default_rng(8))
+    beside_m, radius_m = np.array([0.004, -0.007, 0.009]), 2.5e-3
+    room_T = np.array([1e-5, 0.0, 4e-5])
+    there_m = POINTS_M + turns.apply(beside_m)
+    moments_A_m2 = 4.0 * np.pi * radius_m**3 / MU0_T_M_PER_A * (3.0 * winding().field_T(there_m) + room_T)
+    of_iron_T = np.concatenate(
+        [
+            dipole_T(moment, there, at[None])
+            for moment, there, at in zip(moments_A_m2, there_m, POINTS_M, strict=True)
+        ]
+    )
+    iron = {"volume_m3": radius_m**3, **dict(zip(("x_m", "y_m", "z_m"), beside_m, strict=True))}
+    field = {"background_field[room]": {"x_T": room_T[0], "z_T": room_T[2]}}
+    turned = readings(POINTS_M, (3.0, 0.0), turn_rad=turns.as_rotvec())
+    both_T = predicted_T(turned, {"iron_on_sensor[probe]": iron, **field})
+    assert_same_field(both_T - predicted_T(turned, field), turns.inv().apply(of_iron_T), rtol=1e-8)
+
+
+def test_iron_beside_a_sensor_that_stands_still_stands_in_the_room():
+    iron = EFFECTS["iron_on_sensor"]
+    rig = rig_from_text(RIG)
+    assert iron.concerns(Circumstances(rig, ONE), "probe")
+    still = readings(np.repeat(POINTS_M[:1], 5, axis=0), (1.0, 0.0))
+    assert not iron.concerns(Circumstances(rig, still), "probe")
+    fixed = rig_from_text(RIG.replace("carried_by: mapper, noise", "world_from_sensor: {x_mm: 10}, noise"))
+    assert not iron.concerns(Circumstances(fixed, ONE), "probe")
