@@ -25,12 +25,14 @@ from estimator.reporting.numbers import (
     probability,
     quantity_words,
     size_with_unit,
+    to_digit_of,
 )
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
 
 MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_SIZES = 2
+PLACE = ("x_m", "y_m", "z_m")  # keys of a place
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_TENSIONS = 3  # that are listed one by one
 MOSTLY = (
@@ -284,7 +286,7 @@ def _how_large(diagnosis: Diagnosis) -> str:
 
 
 def _sizes(diagnosis: Diagnosis, cause: Cause) -> list[str]:
-    """The clearest numbers of a cause with their 90 % intervals, and when it began; other shapes say where, not how much."""
+    """The clearest numbers of a cause with their 90 % intervals, when it began, and its place if it has one."""
     sized = next(sized_cause for sized_cause in diagnosis.sized_causes if sized_cause.cause == cause)
     shapes = {quantity.key for quantity in EFFECTS[cause.name].quantities(Extent()) if quantity.is_shape}
     clear = sorted(
@@ -304,6 +306,11 @@ def _sizes(diagnosis: Diagnosis, cause: Cause) -> list[str]:
     ]
     if when_s:
         words.append(f"{' to '.join(when_s)} s after the first reading")
+    where = [sized.quantities[key] for key in PLACE if key in shapes and key in sized.quantities]
+    if len(where) == len(PLACE):
+        each = (to_digit_of(1e3 * at.sd, 1e3 * at.median) for at in where)
+        frame = "room" if EFFECTS[cause.name].kind is Kind.ROOM else f"frame of {cause.place}"
+        words.append(f"at ({', '.join(each)}) mm in the {frame}")
     return words
 
 

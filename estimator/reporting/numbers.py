@@ -85,6 +85,8 @@ def quantity_words(key: str, beside: Collection[str] = ()) -> str:
         >>> quantity_words("x", ["x", "x_T"]), quantity_words("x_T", ["x", "x_T"])
         ('gain x', 'x')
     """
+    if key == "volume_m3":  # of `iron_body`, in files that others read
+        return "radius cubed"
     words = split_quotient(key)[0].replace("_", " ")
     return f"gain {words}" if f"{key}_T" in beside else words
 

@@ -23,6 +23,6 @@ def test_a_screw_beside_the_probe_is_named_with_its_place(tmp_path, seed):
     (cause,) = found["causes"]
     assert cause["name"] == "iron_on_sensor"
     told = cause["parameters"]
-    for key, truth in zip(("x_m", "y_m", "z_m", "volume_m3"), (*place_m, radius_m**3), strict=True):
+    for key, truth in zip(("x_m", "y_m", "z_m", "radius_cubed_m3"), (*place_m, radius_m**3), strict=True):
         assert abs(told[key]["median"] - truth) < 4.0 * told[key]["sd"]
     assert found["gain"]["after"]["vector_T"] < 1.1 * np.sqrt(3.0) * NOISE_T

@@ -244,7 +244,7 @@ class IronOnSensor(HolderEffect):
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Radius cubed of an equivalent ball of iron, and where it sits in the sensor's frame."""
         return (
-            at_least_zero("volume_m3", "m3", ON_HOLDER_RADIUS_M**3),
+            at_least_zero("radius_cubed_m3", "m3", ON_HOLDER_RADIUS_M**3),
             *(shape(f"{axis}_m", "m", -FARTHEST_ON_HOLDER_M, FARTHEST_ON_HOLDER_M) for axis in "xyz"),
         )
 
@@ -277,7 +277,7 @@ class IronOnSensor(HolderEffect):
         self, field_there_T: Float[Tensor, "*#batch reading 3"], theta: Theta
     ) -> Float[Tensor, "*batch reading 3"]:
         """Field of the dipole 4 pi a^3 / mu0 times the field there."""
-        return theta["volume_m3"][..., None, None] * _dipole(
+        return theta["radius_cubed_m3"][..., None, None] * _dipole(
             -self.place_m(theta)[..., None, :], field_there_T
         )
 

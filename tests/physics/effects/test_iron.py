@@ -336,7 +336,7 @@ def test_iron_on_the_sensor_is_magnetised_where_the_sensor_takes_it():
             for moment, there, at in zip(moments_A_m2, there_m, POINTS_M, strict=True)
         ]
     )
-    iron = {"volume_m3": radius_m**3, **dict(zip(("x_m", "y_m", "z_m"), beside_m, strict=True))}
+    iron = {"radius_cubed_m3": radius_m**3, **dict(zip(("x_m", "y_m", "z_m"), beside_m, strict=True))}
     field = {"background_field[room]": {"x_T": room_T[0], "z_T": room_T[2]}}
     turned = readings(POINTS_M, (3.0, 0.0), turn_rad=turns.as_rotvec())
     both_T = predicted_T(turned, {"iron_on_sensor[probe]": iron, **field})
