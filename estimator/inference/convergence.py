@@ -66,9 +66,10 @@ def convergence(chain: np.ndarray) -> Convergence:
         for i in range(n):
             series = chain[:, :, i].T
             if np.ptp(series) > 0.0:
-                values[0, i] = arviz.ess(series, method="bulk")
-                values[1, i] = arviz.ess(series, method="tail")
-                with np.errstate(divide="ignore"):  # R-hat is infinite where walkers never move
+                # R-hat is infinite where walkers never move; halves of a chain in which a count never changes say nothing.
+                with np.errstate(divide="ignore", invalid="ignore"):
+                    values[0, i] = arviz.ess(series, method="bulk")
+                    values[1, i] = arviz.ess(series, method="tail")
                     values[2, i] = arviz.rhat(series, method="rank")
     return Convergence(values[0], values[1], values[2], steps * walkers)
 

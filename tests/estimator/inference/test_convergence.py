@@ -106,3 +106,10 @@ def test_a_user_whose_home_cannot_be_written_samples_too() -> None:
         [sys.executable, "-c", call], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
     )
     assert ended.returncode == 0, ended.stderr
+
+
+def test_a_count_that_changes_once_for_all_walkers_is_no_fault() -> None:
+    """Each half of the chain is constant; warnings are errors here."""
+    chain = np.zeros((200, 8, 1))
+    chain[:100] = 1.0
+    assert not convergence(chain).largest_rhat < 1.01
