@@ -11,7 +11,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import jackknife_covariance
 from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
 from estimator.diagnosis.structure.families import families
-from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, have_whole_counts
+from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, have_whole_counts, within_prior
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.rig import Rig
@@ -63,6 +63,25 @@ def test_nothing_is_made_surer(fit):
     factors = Widening.of(fit, fit, discrepancy(fit, families(fit))).factors
     assert set(factors) == {parameter.name for parameter in fit.rig.free}
     assert all(1.0 <= factor < 2.0 for factor in factors.values())
+
+
+def test_no_widening_says_less_than_the_priors_do_nor_more_than_the_fit(fit) -> None:
+    prior_precision = (fit.optimum.precision - fit.optimum.information)[0]
+    generator = torch.Generator().manual_seed(4)
+    scale = fit.covariance.diagonal().sqrt()
+    for size in (0.0, 3.0, 1e3):
+        far = size * scale * torch.randn(2, len(scale), generator=generator, dtype=torch.float64)
+        wide = envelope(fit.covariance, far.T @ far)
+        within = within_prior(fit, wide)
+        for more, unit in (
+            (1.05 * torch.linalg.inv(within) - prior_precision, scale),
+            (within - fit.covariance, 1.0 / scale),
+        ):
+            in_units = unit[:, None] * more * unit
+            share = torch.linalg.eigvalsh(0.5 * (in_units + in_units.T))
+            assert share.min() > -1e-6 * max(1.0, float(share.max()))
+    torch.testing.assert_close(within_prior(fit, fit.covariance), fit.covariance, rtol=1e-8, atol=0.0)
+    assert float((wide.diagonal() / within.diagonal()).max()) > 100.0
 
 
 def test_envelope_is_in_no_direction_surer_than_either():
