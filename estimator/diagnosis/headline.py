@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from estimator.calibration.quality import tensions
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures
@@ -62,6 +64,8 @@ def headline(diagnosis: Diagnosis) -> list[str]:
 def tension_words(diagnosis: Diagnosis) -> str:
     """Numbers of the rig file that lie far from what it expects of them, even with the causes that were found; empty where none does."""
     values = {name: float(value) for name, value in diagnosis.fits.final.values.items()}
+    if diagnosis.posterior is not None:  # whole loop counts may pull other numbers farther than real ones do
+        values |= {name: float(np.median(draws)) for name, draws in diagnosis.posterior.draws.items()}
     far = tensions(diagnosis.rig.free, values)
     if not far:
         return ""
@@ -130,7 +134,7 @@ def _is_only_flagged(diagnosis: Diagnosis) -> bool:
 def _what(diagnosis: Diagnosis) -> str:
     """What is wrong, where, and how sure that is."""
     if diagnosis.verdict is Verdict.NAMED and _is_only_flagged(diagnosis):
-        return _doubts(diagnosis) or f"Nothing else is wrong{_would_have_shown(diagnosis)}."
+        return _doubts(diagnosis) or f"Nothing else is wrong{_would_have_shown(diagnosis, 'these readings')}."
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
         return _doubts(diagnosis) or f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
     wrong = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
@@ -147,7 +151,9 @@ def _what(diagnosis: Diagnosis) -> str:
     else:
         is_of_all = remainder.log_bayes_factor <= 0.0 or not diagnosis.fits.extended.rig.acting
         remainder = search.base_discrepancy if is_of_all else remainder
-        left = f"beside what the extended rig adds, {remainder.rms_sigma:.2g} times the fitted noise is left, which"
+        is_corrected = diagnosis.fits.correction is not None and diagnosis.fits.correction.is_taken
+        when = ", before it is corrected," if is_corrected else ""
+        left = f"beside the causes that were taken{when} {remainder.rms_sigma:.2g} times the fitted noise is left, which"
         whole = "what it misses" if is_of_all else left
         dependence = f"{_misses(diagnosis)}; {whole} depends on {_plain(remainder.family)}"
     unknown = f"Something is wrong that no known cause explains: {dependence}"
@@ -155,11 +161,19 @@ def _what(diagnosis: Diagnosis) -> str:
 
 
 def _misses(diagnosis: Diagnosis) -> str:
-    """How much the rig as described misses, beside the noise, and where most of it is."""
-    residual = diagnosis.fits.before.lack_of_fit
-    noise = "readings that were repeated scatter by" if residual.noise_from == "repeats" else "noise is"
-    rms, noise_rms = (size_with_unit(size_T, "T") for size_T in (residual.rms_T, residual.noise_T))
-    return f"the rig as described misses by {rms} rms where {noise} {noise_rms}{_mostly(diagnosis)}"
+    """How much the rig as described misses, what the extended rig leaves of it, and where most of it is.
+
+    The extended rig says more of the noise than the rig file does, which may state more than there is.
+    """
+    before, after = (symptoms.lack_of_fit for symptoms in (diagnosis.fits.before, diagnosis.fits.after))
+    rms = f"the rig as described misses by {size_with_unit(before.rms_T, 'T')} rms"
+    if before is not after:
+        return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T')}{_mostly(diagnosis)}"
+    noise_rms = size_with_unit(before.noise_T, "T")
+    if before.rms_T <= before.noise_T:
+        return f"{rms}, not at random, though noise of {noise_rms} would be as large{_mostly(diagnosis)}"
+    noise = "readings that were repeated scatter by" if before.noise_from == "repeats" else "noise is"
+    return f"{rms} where {noise} {noise_rms}{_mostly(diagnosis)}"
 
 
 def _mostly(diagnosis: Diagnosis) -> str:
@@ -206,11 +220,21 @@ def _pulled(diagnosis: Diagnosis) -> tuple[str, float]:
 
 
 def _plain(dependence: str) -> str:
-    """What something depends on, without the family that it belongs to."""
-    return dependence.removeprefix("one circumstance, ").removeprefix("two circumstances, ")
+    """What something depends on, without the family that it belongs to.
+
+    Examples:
+        >>> _plain("two circumstances, temperature and field strength"), _plain("wandering in time")
+        ('temperature and field strength together', 'time, wandering')
+    """
+    first, _, rest = dependence.partition(", ")
+    if first == "two circumstances":
+        return f"{rest} together"
+    if first == "wandering in time":
+        return ", ".join(filter(None, ("time, wandering", rest)))
+    return rest if first == "one circumstance" else dependence
 
 
-def _would_have_shown(diagnosis: Diagnosis) -> str:
+def _would_have_shown(diagnosis: Diagnosis, readings: str = "they") -> str:
     """The smallest visible size of the first cause of the library that shows, of a coil, a sensor and a mover each."""
     first: dict[Kind, Visible] = {}
     easiest_first = sorted(diagnosis.left_open.visible, key=lambda visible: visible.size / visible.prior_sd)
@@ -222,7 +246,7 @@ def _would_have_shown(diagnosis: Diagnosis) -> str:
         for kind in (Kind.COIL, Kind.SENSOR, Kind.MOVER)
         if kind in first
     ]
-    return f"; they would have shown, for example, {', '.join(shown)}" if shown else ""
+    return f"; {readings} would have shown, for example, {', '.join(shown)}" if shown else ""
 
 
 def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:

@@ -269,10 +269,16 @@ class MountEffect(Effect):
     goes_with_current: ClassVar[bool] = False
 
     def columns(
+        self, circumstances: Circumstances, theta: Mapping[str, float]
+    ) -> Float[Tensor, "reading column"]:
+        """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
+        return circumstances.current_A.new_zeros(len(circumstances), 0)
+
+    def columns_of(
         self, circumstances: Circumstances, theta: Mapping[str, float], body: str
     ) -> Float[Tensor, "reading column"]:
-        """What the error of a body depends on besides the pose; shapes that are fixed come as plain numbers."""
-        return circumstances.current_A.new_zeros(len(circumstances), 0)
+        """The same, where it also depends on which body it is."""
+        return self.columns(circumstances, theta)
 
     @abstractmethod
     def apply(self, columns: Float[Tensor, "*#batch pose column"], theta: Theta) -> Transform:

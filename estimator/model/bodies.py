@@ -38,7 +38,7 @@ def columns_of(rig: Rig, circumstances: Circumstances) -> dict[str, Tensor]:
             columns[use.label] = use.effect.columns(circumstances, use.place)
         elif isinstance(use.effect, MountEffect):
             theta = {key: nominal[f"{use.label}.{key}"] for key in use.keys(rig)}
-            columns[use.label] = use.effect.columns(circumstances, theta, use.place)
+            columns[use.label] = use.effect.columns_of(circumstances, theta, use.place)
     return columns
 
 

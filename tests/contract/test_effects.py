@@ -199,7 +199,7 @@ def test_pitch_that_the_rig_file_leaves_open_within_bounds_is_no_cause_beside(ob
 def test_names_are_those_that_other_scripts_rely_on():
     stable = """current_gain current_offset coil_heating axial_pitch radial_pitch turns_gradient short_layer coil_ovality lead_wire iron_core
     core_saturation background_field background_drift iron_plate pierced_plate iron_body neighbour_coil mount_tilt robot_scale robot_shear position_lag
-    backlash sensor_bumped axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
+    backlash sensor_bumped coil_pulled iron_on_sensor axis_gain cross_axis element_displacement sensor_offset offset_drift cubic_response planar_hall range_clipping
     temperature_drift axes_swapped unit_error left_handed displacement_frame current_sign outliers position_jitter spherical_sum dipole_model
     sensor_misplaced filament_magnetisation current_step current_remanence periodic_interference sensor_lag channel_crosstalk thermal_lag
     sensor_exchanged magnetised_link winding_sheared second_iron_body coil_misplaced base_misplaced joint_zeros winding_misstated sides_misstated

@@ -62,6 +62,7 @@ HIDDEN = {
     "arm_sag.curvature_per_m": 0.08,
     "holder_creep.rate_m_per_h": 1.4e-3,
     "element_ring.radius_m": 4e-4,
+    "ferrite_bead.share": 0.05,
     "quadratic_response.excess_per_T": 3.0,
     "noisy_axis.extra_T": 6e-5,
     "peak_to_peak_current.factor": 2.0,

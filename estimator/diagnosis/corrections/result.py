@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -9,7 +10,16 @@ from typing import Any
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import HeldOut
 from estimator.diagnosis.validation import Improvement
+from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.rig.rig import Cause
+
+INSTANT = re.compile(r"since\d+_h")
+# Factor on a period, and its unit, by the key of the frequency.
+PERIODS = {
+    "frequency_per_h": (SECONDS_PER_HOUR, "s"),
+    "frequency_per_m": (1e3, "mm"),
+    "frequency_per_T": (1e3, "mT"),
+}
 
 
 @dataclass(frozen=True)
@@ -59,9 +69,21 @@ class Correction:
         """What is corrected, or why nothing is, in one sentence with the names that the diagnosis gives."""
         if not self.is_taken:
             return f"Nothing is corrected: {self.refusal}."
-        each = [f"{label(part.cause)} to degree {part.degree}" for part in self.parts]
-        by = " and ".join(each) or "the causes that stand in"
+        each = [f"{label(part.cause)} {self._extent(part)}" for part in self.parts]
+        by = "; ".join(each) or "the causes that stand in"
         return f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+
+    def _extent(self, part: Part) -> str:
+        """Instants of steps, the period of a swing, or the degree of anything else."""
+        own = f"{part.cause.label}."
+        values = {k.removeprefix(own): float(v) for k, v in self.fit.values.items() if k.startswith(own)}
+        instants_h = [values[key] for key in values if INSTANT.fullmatch(key)]
+        if instants_h:
+            return f"at {', '.join(f'{SECONDS_PER_HOUR * at_h:.0f}' for at_h in sorted(instants_h))} s"
+        for key, (factor, unit) in PERIODS.items():
+            if values.get(key, 0.0) > 0.0:
+                return f"with a period of {factor / values[key]:.3g} {unit}"
+        return f"to degree {part.degree}"
 
     def judged_by(self, gain: Improvement) -> Correction:
         """The correction after its gain on unseen readings, which drop it where it predicts them worse."""

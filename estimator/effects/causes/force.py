@@ -48,7 +48,7 @@ class CoilPulled(MountEffect):
         """Whether another coil carried current at the same time as this one."""
         return bool((_others_A(circumstances, place) != 0.0).any())
 
-    def columns(
+    def columns_of(
         self, circumstances: Circumstances, theta: Mapping[str, float], body: str
     ) -> Float[Tensor, "reading column"]:
         """Force in newtons, in the frame of the coil."""

@@ -291,7 +291,7 @@ class SensorBumped(MountEffect):
         return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
 
     def columns(
-        self, circumstances: Circumstances, theta: Mapping[str, float], body: str
+        self, circumstances: Circumstances, theta: Mapping[str, float]
     ) -> Float[Tensor, "reading column"]:
         """1 at readings from the instant on, else 0."""
         return (circumstances.hours >= theta["since_h"]).to(circumstances.hours)[:, None]

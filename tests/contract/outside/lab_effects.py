@@ -11,6 +11,7 @@ from estimator.effects.base import Kind, Quantity, normal
 from estimator.effects.stages import (
     CurrentEffect,
     ElementEffect,
+    HolderEffect,
     MotionEffect,
     MountEffect,
     NoiseEffect,
@@ -145,6 +146,28 @@ class HolderCreep(MountEffect):
         zero = torch.zeros_like(along_m)
         eye = torch.eye(3, dtype=columns.dtype)[None]
         return Transform(eye, torch.stack((zero, zero, along_m), dim=-1))
+
+
+class FerriteBead(HolderEffect):
+    """A bead on the holder, ahead of the sensor, adds to the field along the sensor's axis."""
+
+    name = "ferrite_bead"
+    words = "a ferrite bead sits on the sensor's holder"
+    source = "some per cent at a centimetre or two"
+
+    def quantities(self, extent):
+        """Share of the axial field at the bead."""
+        return (normal("share", "1", 0.05),)
+
+    def place_m(self, theta):
+        """Two and a half centimetres ahead."""
+        ahead = torch.tensor([0.0, 0.0, 0.025], dtype=torch.float64)
+        return torch.ones_like(theta["share"])[..., None] * ahead
+
+    def answer_T(self, field_there_T, theta):
+        """Along the axis."""
+        axis = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+        return theta["share"][..., None, None] * field_there_T * axis
 
 
 class ElementRing(ElementEffect):

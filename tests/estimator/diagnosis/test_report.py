@@ -235,7 +235,8 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
     )
     assert f"{label} x " in page.partition("What stands in for something unknown")[2]
     rms = size_with_unit(diagnosis.fits.before.lack_of_fit.rms_T, "T")
-    assert f"the rig as described misses by {rms} rms where noise is" in page
+    after = size_with_unit(diagnosis.fits.after.lack_of_fit.rms_T, "T")
+    assert f"the rig as described misses by {rms} rms, the extended rig by {after}" in page
     assert ", mostly in x of hall; " in page
     assert "What was found" not in page
     assert f"parameter {label} (stands in)" in page.partition("Impact of each cause")[2]
@@ -261,7 +262,7 @@ def test_pile_of_causes_is_said_with_what_speaks_for_a_wrong_source(
     spoken = "explains more than the first 1 by as few (log evidence 40; iron_core 12 beside 0 of them)"
     for family, begins in (
         ("one circumstance, position relative to coil1, with its current", "The model of the source itself"),
-        ("wandering in time", "Look first at what depends on wandering in time"),
+        ("wandering in time", "Look first at what depends on time, wandering"),
     ):
         of_all = replace(search.base_discrepancy, family=family)
         of_family = replace(search, base_discrepancy=of_all)
