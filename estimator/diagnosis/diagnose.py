@@ -136,7 +136,7 @@ def diagnose(
         tell("sampling the posterior of the extended rig")
         inside = None if folder is None else folder / CALIBRATION_FOLDER
         result = _with_posterior(result, session, limits, inside, device, precision)
-    if limits.stopped.is_set():
+    if limits.stopped.is_set() and result.posterior is None:
         result = _cut_short(result, limits)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -179,7 +179,9 @@ def _with_posterior(
 
 def _cut_short(result: Diagnosis, limits: Limits) -> Diagnosis:
     """A diagnosis that says that it was stopped, also where that came after its search."""
-    search_result = replace(result.findings.search, ended_early=limits.words)
+    search_result = result.findings.search
+    words = limits.words if search_result.ended_early else f"{limits.words} after its search"
+    search_result = replace(search_result, ended_early=words)
     return replace(result, findings=replace(result.findings, search=search_result))
 
 

@@ -277,7 +277,7 @@ class MountEffect(Effect):
     def columns_of(
         self, circumstances: Circumstances, theta: Mapping[str, float], body: str
     ) -> Float[Tensor, "reading column"]:
-        """The same, where it also depends on which body it is."""
+        """Columns of one body; those of `columns` unless it matters which body it is."""
         return self.columns(circumstances, theta)
 
     @abstractmethod

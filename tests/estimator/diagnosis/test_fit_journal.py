@@ -79,8 +79,11 @@ def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(sessi
     assert {cause.cause.name for cause in patient.causes} & {"sensor_offset", "background_field"}
 
 
-@pytest.mark.parametrize("at", ["searching for causes", "sampling the posterior"])
-def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str):
+@pytest.mark.parametrize(
+    ("at", "words"),
+    [("searching for causes", "it was stopped"), ("sampling", "it was stopped after its search")],
+)
+def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str, words: str):
     """Also where its search was over."""
     limits = Limits()
 
@@ -94,7 +97,7 @@ def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: 
     assert limits.stopped.is_set()
     assert stopped.posterior is None
     assert stopped.fits.correction is None
-    assert stopped.findings.search.ended_early == "it was stopped"
+    assert stopped.findings.search.ended_early == words
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "diagnosis.json",
         FITS,
