@@ -108,8 +108,9 @@ def played(
 
 
 def _solved(matrix: Tensor, vector: Tensor) -> Tensor:
-    solution: Tensor = torch.linalg.solve(matrix, vector[..., None])[..., 0]
-    return solution
+    """Solutions; no number where a matrix is singular, as far from any real core, so that a fit goes elsewhere."""
+    solution, fault = torch.linalg.solve_ex(matrix, vector[..., None])
+    return torch.where((fault == 0)[..., None], solution[..., 0], torch.nan)
 
 
 def _between(value: Tensor, low: Tensor, high: Tensor) -> Tensor:

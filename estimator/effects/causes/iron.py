@@ -23,7 +23,8 @@ BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the positions beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
 NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
-ON_HOLDER_RADIUS_M = 6e-3  # likely, of an equivalent ball of iron
+ON_HOLDER_RADIUS_M = 4e-3  # likely, of an equivalent ball of iron
+MOST_OF_DISTANCE = 0.4  # from the sensor, for its radius: it adds a sixth of the field at most
 FARTHEST_ON_HOLDER_M, DISTANCES_ON_HOLDER_M = 0.06, (0.012, 0.035)  # from the sensor
 LIKELY_RADIUS_M, LIKELY_RADIUS = 0.03, 0.3  # of an equivalent ball of iron; the second of the reach
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
@@ -239,7 +240,7 @@ class IronOnSensor(HolderEffect):
 
     name: ClassVar[str] = "iron_on_sensor"
     words: ClassVar[str] = "a piece of iron moves with the sensor"
-    source: ClassVar[str] = "a screw or a nut of a probe's holder is like a ball of 1 to 6 mm"
+    source: ClassVar[str] = "a screw or a nut of a probe's holder is like a ball of 1 to 4 mm"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Radius cubed of an equivalent ball of iron, and where it sits in the sensor's frame."""
@@ -268,6 +269,11 @@ class IronOnSensor(HolderEffect):
             for direction in directions
             for distance_m in DISTANCES_ON_HOLDER_M
         )
+
+    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
+        """While it is far smaller than its distance: a ball beside which the sensor reads some other field altogether is no screw."""
+        largest_m = MOST_OF_DISTANCE * float(self.place_m(theta).norm())
+        return float(theta["radius_cubed_m3"]) < largest_m**3
 
     def place_m(self, theta: Theta) -> Float[Tensor, "*batch 3"]:
         """Place of its middle, in the sensor frame."""

@@ -180,3 +180,13 @@ def test_core_of_a_carried_coil_answers_where_it_is():
         one = readings(POINTS_M[i : i + 1], (3.0, -4.0))
         one.motion["arm"] = together.motion["arm"][i : i + 1]
         np.testing.assert_allclose(predicted_T(one, None, carried + text)[0], all_T[i], rtol=1e-8)
+
+
+def test_a_body_without_a_solution_has_no_field_and_stops_no_fit() -> None:
+    """Perfect iron that nothing demagnetises is no core; one of a batch like that leaves the others as they are."""
+    applied_T = torch.full((2, 1), 0.1, dtype=torch.float64)
+    demagnetisation = torch.tensor([[[0.0]], [[0.3]]], dtype=torch.float64)
+    one, none = torch.ones(2, 1, dtype=torch.float64), torch.zeros(2, 1, dtype=torch.float64)
+    polarisation = polarisation_T(applied_T, demagnetisation, one, none)
+    assert bool(torch.isnan(polarisation[0, 0]))
+    assert float(polarisation[1, 0]) == pytest.approx(0.1 / 0.3)
