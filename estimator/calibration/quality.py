@@ -96,11 +96,12 @@ def assessment(
                 "calibrate again."
             )
             return Assessment(Quality.SUSPECT, tuple(reasons), words)
-    if reasons and calibration.rig.effects:
-        words = "With the causes that this rig has, something may still be wrong in it: do not rely on what lies far off."
-        return Assessment(Quality.SUSPECT, tuple(reasons), words)
     if reasons:
-        words = "Something in the rig file or in the model may be wrong. Run coilcal diagnose, which names it or says that it cannot."
+        words = (
+            "With the causes that this rig has, something may still be wrong in it: do not rely on what lies far off."
+            if calibration.rig.effects
+            else "Something in the rig file or in the model may be wrong. Run coilcal diagnose, which names it or says that it cannot."
+        )
         return Assessment(Quality.SUSPECT, tuple(reasons), words)
     return Assessment(
         Quality.GOOD,

@@ -149,7 +149,7 @@ def _what(diagnosis: Diagnosis) -> str:
     elif leaves_structure(search.scatter) and not leaves_structure(remainder):
         dependence = f"how far readings miss depends on {_plain(search.scatter.along)}"
     else:
-        is_of_all = remainder.log_bayes_factor <= 0.0 or not diagnosis.fits.extended.rig.acting
+        is_of_all = remainder.log_bayes_factor <= 0.0 or not diagnosis.fits.extended.rig.effects
         remainder = search.base_discrepancy if is_of_all else remainder
         is_corrected = diagnosis.fits.correction is not None and diagnosis.fits.correction.is_taken
         when = ", before it is corrected," if is_corrected else ""

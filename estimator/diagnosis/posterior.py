@@ -45,8 +45,8 @@ def extended_posterior(
         widening: By how much to widen; None where nothing remains unexplained.
         out, seed, settings, on_stage: As in `calibrate`; what `out` holds is replaced.
         device, precision: Likewise, but where amplitudes are integrated out, which is done in double precision.
-    Returns: The calibrated model. Where its draws were widened, loop counts are real numbers, and `summary()["widening"]` holds the factor
-        by which the standard deviation of each parameter grew, but for those that had a single value.
+    Returns: The calibrated model. Where its draws were widened, `summary()["widening"]` holds the factor by which the standard deviation of
+        each parameter grew, but for those that had a single value; loop counts are real numbers where too many are plausible then.
     """
     amplitudes = [] if widening is None else _amplitudes(rig)
     held = rig.with_fixed(amplitudes) if amplitudes else rig

@@ -262,10 +262,12 @@ class MountEffect(Effect):
 
     Attributes:
         is_at_reference: It was so when the reference pose was taken, which therefore is right.
+        is_step: From an instant on the body sits elsewhere, and before it where it should; the instant is its only shape.
         goes_with_current: It depends on the currents of the moment, so that a prediction asks for its columns at each.
     """
 
     is_at_reference: ClassVar[bool]
+    is_step: ClassVar[bool] = False
     goes_with_current: ClassVar[bool] = False
 
     def columns(

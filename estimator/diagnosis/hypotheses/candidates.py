@@ -147,9 +147,12 @@ def _spells(
 
 def at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
     """Candidates of one cause, start by start; those without finite columns are left out."""
-    if len(starts) > 1 and isinstance(EFFECTS[cause.name], MountEffect):
+    effect = EFFECTS[cause.name]
+    if len(starts) > 1 and isinstance(effect, MountEffect) and effect.is_step:
         return _steps(fit, cause, starts)
-    return _at_starts(fit, cause, starts) if starts else []
+    is_alike = not isinstance(effect, MountEffect)  # whose columns depend on the start
+    groups = filter(None, [starts] if is_alike else [[shapes] for shapes in starts])
+    return [candidate for together in groups for candidate in _at_starts(fit, cause, together)]
 
 
 def _steps(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:

@@ -275,6 +275,7 @@ class SensorBumped(MountEffect):
 
     name: ClassVar[str] = "sensor_bumped"
     is_at_reference: ClassVar[bool] = False
+    is_step: ClassVar[bool] = True
     kind: ClassVar[Kind] = Kind.SENSOR
     words: ClassVar[str] = "from one instant on the sensor sits elsewhere"
     source: ClassVar[str] = "a touch moves a clamped probe by 0.1 to 1 mm"
