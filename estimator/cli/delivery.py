@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator.client import Client, RemoteSession, ServiceFault
-from estimator.errors import CoilcalError, CorruptStore, InvalidInput
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text
 from estimator.store.follow import Follower
@@ -137,15 +137,18 @@ class Delivery:
         while not self._is_stopped.is_set() and self._receipt.hash is None:
             try:
                 has_sent = self._step()
-            except ServiceFault as fault:
+            except (ServiceFault, OSError) as fault:  # of this computer's disk, on which the receipt stands
                 self._connection = None
                 if not self._is_out:
-                    self._tell(f"{fault}; readings wait in {self._session} until it does")
+                    why = (
+                        f"receipt must be writable: {reason(fault)}" if isinstance(fault, OSError) else fault
+                    )
+                    self._tell(f"{why}; readings wait in {self._session} until it is mended")
                 self._is_out = True
                 self._is_stopped.wait(pause_s)
                 pause_s = min(2 * pause_s, LONGEST_PAUSE_S)
                 continue
-            except (CoilcalError, OSError) as refusal:
+            except CoilcalError as refusal:
                 self.fault = str(refusal)
                 self._tell(f"nothing more is sent to {self._url}: {refusal}")
                 return

@@ -16,7 +16,7 @@ from estimator.errors import InvalidInput
 
 T = TypeVar("T")
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
-BUSY = (429, 503)
+BUSY = (408, 429, 503)  # the same request may be accepted in a moment
 
 
 @dataclass(frozen=True)

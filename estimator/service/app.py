@@ -36,6 +36,7 @@ from estimator.service.routes import (
     what_if,
 )
 from estimator.service.settings import Settings
+from estimator.service.storage import shortage
 from estimator.service.tokens import Scope
 
 SMALLEST_GZIPPED = 1_000  # bytes
@@ -91,7 +92,7 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     ):
         app.include_router(module.router)
     app.include_router(page_router())
-    install(app, str(core.data))
+    install(app, str(core.data), shortage)
     _add_schema(app)
     app.add_middleware(GZipMiddleware, minimum_size=SMALLEST_GZIPPED, compresslevel=GZIP_LEVEL)
     app.add_middleware(

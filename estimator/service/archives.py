@@ -14,6 +14,7 @@ from pathlib import Path, PurePosixPath
 
 from estimator.errors import CoilcalError
 from estimator.service.problems import Problem
+from estimator.service.storage import shortage
 from estimator.store.admission import METADATA, admit
 from estimator.store.session import Session, load_session
 
@@ -113,6 +114,8 @@ def _unpack(body: bytes, folder: Path, most_bytes: int) -> None:
         ValueError,
         OSError,
     ) as error:
+        if shortage(error) is not None:  # no fault of the archive
+            raise
         raise Problem(
             422, "archive", f"must be a zip file that can be read: {type(error).__name__}"
         ) from error

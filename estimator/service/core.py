@@ -34,6 +34,7 @@ from estimator.service.room import Room
 from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
+from estimator.service.storage import Storage
 from estimator.service.ticker import Ticker
 from estimator.service.watching import Watching
 from estimator.service.webhooks import Courier
@@ -60,6 +61,7 @@ class Core:
         self._lock = _locked(self.data)
         self.database = Database(self.data / DATABASE)
         self.database.migrate()
+        self.storage = Storage(self.data)
         self.cookies = Cookies(self.data)
         self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)
         self.queue = JobQueue(self.database, settings)

@@ -21,11 +21,13 @@ from estimator.errors import CoilcalError
 from estimator.service.job_queue import FAILED, RUNNING, JobQueue
 from estimator.service.schema import Job
 from estimator.service.settings import Settings
+from estimator.service.storage import shortage
 from estimator.service.work import JOB, RESULT, STOP, run_job
 from estimator.store.files import write_text
 from estimator.store.journal import sync
 
 LOOK_EVERY_S = 0.5
+FULL_EVERY_S = 5.0  # between two looks while the disk is full
 GRACE_S = 1.0  # in which a cancelled job may notice it; most look five times a second
 END_S = 10.0  # for cancelled jobs when the service ends
 log = logging.getLogger("coilcal.service")
@@ -61,6 +63,7 @@ class Dispatcher:
         self._queue, self._settings, self._folder = queue, settings, folder
         self._session_path, self._rig_text, self._registry_path = session_path, rig_text, registry_path
         self._running: dict[str, _Running] = {}
+        self._unbegun: set[str] = set()  # taken from the queue, but without a folder
         self._ending: list[threading.Thread] = []
         self._wake, self._stopping = threading.Event(), threading.Event()
         self._ready = threading.Event()
@@ -99,8 +102,7 @@ class Dispatcher:
             with cluster(workers, scheduler) as workers_of_jobs:
                 self._ready.set()
                 while not self._stopping.is_set():
-                    self._look(workers_of_jobs)
-                    self._wake.wait(LOOK_EVERY_S)
+                    self._wake.wait(self._looked(workers_of_jobs))
                     self._wake.clear()
                 for thread in self._ending:
                     thread.join(END_S)
@@ -110,8 +112,22 @@ class Dispatcher:
         finally:
             self._ready.clear()
 
+    def _looked(self, workers: Cluster) -> float:
+        """Look, and say when to look again: a disk that is full for a while ends no job and holds none up for ever."""
+        try:
+            self._look(workers)
+        except Exception as error:
+            if (problem := shortage(error)) is None:
+                raise
+            log.error("jobs wait", extra={"fault": str(problem)})
+            return FULL_EVERY_S
+        return LOOK_EVERY_S
+
     def _look(self, workers: Cluster) -> None:
-        """Record what has ended, end what must not go on, start what may."""
+        """Record what has ended, end what must not go on, start what may. A look that fails may be made again."""
+        for job_id in list(self._unbegun):
+            self._queue.give_back(job_id)
+            self._unbegun.discard(job_id)
         states = self._queue.states(list(self._running))
         for job_id, running in list(self._running.items()):
             ending = outcome(running.future)
@@ -141,6 +157,9 @@ class Dispatcher:
             write_text(folder / JOB, json.dumps(self._assignment(job), indent=2) + "\n")
             sync(folder)
         except (CoilcalError, OSError) as error:
+            if shortage(error) is not None:
+                self._unbegun.add(job.id)
+                raise
             self._queue.end(job.id, {"state": FAILED, "fault": f"job must have a folder; it cannot: {error}"})
             return
         call = run_job, (str(folder.absolute()), str(self._session_path(job.session_id).absolute()))

@@ -25,6 +25,7 @@ from estimator.service.page_files import PAGE, page_files
 from estimator.service.problems import Problem, answer_to, failure
 from estimator.service.rate_limits import RateLimits
 from estimator.service.settings import Settings
+from estimator.service.storage import shortage
 from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of, caller_of_id
 
 LOGIN = "/v1/login"
@@ -96,7 +97,7 @@ class Guard:
             if has_begun:
                 raise
             log.error("a request failed", exc_info=error, extra={"request_id": request_id})
-            await answer_to(failure(), request_id)(scope, receive, send_with_headers)
+            await answer_to(shortage(error) or failure(), request_id)(scope, receive, send_with_headers)
         finally:
             self._n_held -= body.n_bytes
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from http import HTTPStatus
 from typing import Any
 
@@ -124,12 +124,13 @@ def answer_to(problem: Problem, request_id: str) -> Response:
     return answer(problem.status, str(problem), problem.parts, request_id, problem.headers)
 
 
-def install(app: FastAPI, data: str) -> None:
+def install(app: FastAPI, data: str, shortage: Callable[[BaseException], Problem | None]) -> None:
     """Make every exception of a route a problem.
 
     Args:
         app: The application.
         data: Folder of the service, which answers do not name.
+        shortage: The refusal where the system refused something to the service, None where it did not.
     """
     upload = re.compile(rf"{re.escape(data)}/uploads/[^/]+/")
 
@@ -144,6 +145,9 @@ def install(app: FastAPI, data: str) -> None:
     async def refused(request: Request, error: CoilcalError) -> Response:
         if isinstance(error, Problem):
             return answer_to(error, id_of(request))
+        if (problem := shortage(error)) is not None:
+            log.error("the system refuses", extra={"fault": str(error), "request_id": id_of(request)})
+            return answer_to(problem, id_of(request))
         sentence = without_folder(str(error))
         is_ours = isinstance(error, CorruptStore)  # damage of an upload is `UploadRefused`
         if is_ours:
@@ -218,6 +222,7 @@ RESPONSES: dict[int | str, dict[str, Any]] = {
         422: "The content breaks a rule.",
         429: "There is too much to do already; Retry-After says when to ask again.",
         500: "The service failed.",
-        503: "The service is starting or stopping.",
+        503: "The service is starting or stopping, or cannot write its data; it may be asked again.",
+        507: "The disk of the service is full; once it has room, the same request is accepted.",
     }.items()
 }

@@ -59,13 +59,16 @@ def healthz() -> Health:
 
 @router.get("/readyz", tags=["operation"])
 def readyz(core: CoreOf, response: Response) -> Health:
-    """Requests are served and jobs can run."""
+    """Requests are served, the data folder can be written, and jobs can run."""
     if not core.jobs.is_ready:
-        fault = core.jobs.fault
         rule = (
-            "must be ready; it is starting" if fault is None else "must be ready; its workers cannot be had"
+            "must be ready; it is starting"
+            if core.jobs.fault is None
+            else "must be ready; its workers cannot be had"
         )
         raise Problem(503, "service", rule, headers={"Retry-After": "2"})
+    if (fault := core.storage.fault) is not None:
+        raise fault
     with core.database.reading() as db:
         db.scalar(select(func.count()).select_from(Job))
     response.headers["Cache-Control"] = "no-store"

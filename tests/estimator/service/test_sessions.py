@@ -131,7 +131,7 @@ def test_a_full_disk_is_said_in_words_and_the_readings_can_be_sent_again(
 
     with monkeypatch.context() as broken:
         broken.setattr("estimator.store.journal.os.pwrite", full)
-        problem = refusal(append(client, session_id, body), 422)
+        problem = refusal(append(client, session_id, body), 507)
     assert "No space left on device" in problem["detail"]
     assert str(client.app.state.core.data) not in problem["detail"]
     assert append(client, session_id, body).json() == {"n_readings": 10, "n_new": 10}
