@@ -16,6 +16,7 @@ from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
 from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
+from estimator.service.ownership import OWNED
 from estimator.service.page_files import page_router
 from estimator.service.problems import RESPONSES, ProblemBody, install
 from estimator.service.requests import Needs, Reader
@@ -105,6 +106,9 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
     ]
     if unguarded:
         raise RuntimeError(f"every route must ask for a scope; {unguarded} do not")
+    open_to_all = [path for path, is_owned in _changes(app).items() if not is_owned]
+    if open_to_all:
+        raise RuntimeError(f"every route that changes something must ask whose it is; {open_to_all} do not")
     return app
 
 
@@ -126,6 +130,17 @@ def _scope_of(dependant: Dependant) -> Scope | None:
         if scope is not None:
             return scope
     return None
+
+
+def _changes(app: FastAPI) -> dict[tuple[str, str], bool]:
+    """Methods and paths with which writers change what a path names, and whether each asks whose it is."""
+    asked: dict[tuple[str, str], bool] = {}
+    for context in iter_route_contexts(app.routes):
+        route = context.original_route
+        if isinstance(route, APIRoute) and "{" in route.path and _scope_of(route.dependant) is Scope.WRITE:
+            is_owned = any(part.call in OWNED for part in route.dependant.dependencies)
+            asked |= {(method, str(context.path)): is_owned for method in sorted(context.methods or ())}
+    return asked
 
 
 def _add_schema(app: FastAPI) -> None:

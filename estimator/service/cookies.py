@@ -1,6 +1,7 @@
-"""The cookie of the page: it names a token and is signed, so that the token itself does not stay in the browser.
+"""The cookie of the page: it names a login and is signed, so that the token itself does not stay in the browser.
 
-It is sent by this page alone (`SameSite=Strict`) and no script can read it (`HttpOnly`). It ends with its token, and after a month.
+It is sent by this page alone (`SameSite=Strict`) and no script can read it (`HttpOnly`). It ends with the login or its token, and
+after a month.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import secrets
 from pathlib import Path
 
 from itsdangerous import BadSignature, TimestampSigner
+from starlette.requests import cookie_parser
 from starlette.responses import Response
 
 KEY_FILE = "page.key"
@@ -33,9 +35,9 @@ class Cookies:
         # A browser sends cookies to every port of a host, so that two services there must not share a name.
         self.name = f"coilcal_{hashlib.sha256(key.encode()).hexdigest()[:8]}"
 
-    def put(self, response: Response, token_id: str, is_secure: bool) -> None:
+    def put(self, response: Response, login_id: str, is_secure: bool) -> None:
         """Log in the browser that receives a response."""
-        value = self._signer.sign(token_id).decode()
+        value = self._signer.sign(login_id).decode()
         response.set_cookie(
             self.name, value, max_age=MOST_AGE_S, secure=is_secure, httponly=True, samesite="strict"
         )
@@ -44,9 +46,9 @@ class Cookies:
         """Log out the browser that receives a response."""
         response.delete_cookie(self.name, secure=is_secure, httponly=True, samesite="strict")
 
-    def token_id(self, value: str) -> str | None:
-        """The id of the token that a cookie stands for; None if it is not one of ours, or too old."""
+    def login_id(self, header: str) -> str | None:
+        """The id of the login that a header `Cookie` stands for; None if it has no cookie of ours, or one that is too old."""
         try:
-            return self._signer.unsign(value, max_age=MOST_AGE_S).decode()
+            return self._signer.unsign(cookie_parser(header).get(self.name, ""), max_age=MOST_AGE_S).decode()
         except BadSignature:
             return None

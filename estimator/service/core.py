@@ -86,6 +86,7 @@ class Core:
             Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
         )
         self._streams: Counter[str] = Counter()
+        self.appenders: set[tuple[str, str | None]] = set()  # sessions and tokens whose first append is noted
         self.is_ending = False
         self._counting = threading.Lock()
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)

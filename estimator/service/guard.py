@@ -15,18 +15,19 @@ from dataclasses import dataclass
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import Headers, MutableHeaders
-from starlette.requests import cookie_parser
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from estimator.service.cookies import Cookies
-from estimator.service.database import Database
+from estimator.service.database import Database, now
+from estimator.service.logins import caller_of_login
 from estimator.service.metrics import NO_ROUTE, Metrics
 from estimator.service.page_files import PAGE, page_files
 from estimator.service.problems import Problem, answer_to, failure
 from estimator.service.rate_limits import RateLimits
+from estimator.service.schema import Audit
 from estimator.service.settings import Settings
 from estimator.service.storage import shortage
-from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of, caller_of_id
+from estimator.service.tokens import NOBODY_ELSE, Caller, caller_of
 
 LOGIN = "/v1/login"
 PUBLIC = frozenset({"/healthz", "/readyz", LOGIN, *page_files()})
@@ -35,6 +36,8 @@ SAFE = ("GET", "HEAD")
 MOST_PUBLIC_BYTES = 10_000  # of a body from somebody who has not said who it is: a token has a hundred
 MOST_BODIES = 16  # of the greatest size, that all requests together may hold in memory
 RETRY_AFTER_S = 5
+RECHECK_S = 10.0  # whether who follows a stream may still do so
+LONGEST_TARGET = 200  # characters of a path in the audit log
 # A name or an address, and a port.
 HOST = re.compile(r"([^\s\[\]:/?#@\\]+|\[[0-9A-Fa-f:.]+\])(?::[0-9]{0,5})?")
 LOOPBACK_NAMES = ("localhost", "127.0.0.1", "[::1]")
@@ -78,6 +81,8 @@ class Guard:
             nonlocal has_begun
             if message["type"] == "http.response.start":
                 has_begun = True
+                if message["status"] == 403:
+                    await run_in_threadpool(self._note_refusal, scope)
                 self._note(scope, message["status"], time.monotonic() - begin_s)
                 headers = MutableHeaders(scope=message)
                 headers["X-Request-ID"] = request_id
@@ -107,7 +112,9 @@ class Guard:
         _check_framing(scope, headers)
         self._check_site(scope, headers)
         address = scope["client"][0] if scope.get("client") else ""
-        scope["caller"] = await self._caller(scope, headers, address)
+        caller = scope["caller"] = await self._caller(scope, headers, address)
+        if caller is not None and caller.token_id is not None:
+            receive = self._while_admitted(scope, headers, receive)
         return self._limited(scope, headers, receive, body)
 
     def _note(self, scope: Scope, status: int, took_s: float) -> None:
@@ -121,6 +128,36 @@ class Guard:
         route = getattr(scope.get("route"), "path", NO_ROUTE)
         method = scope["method"] if scope["method"] in METHODS else NO_ROUTE
         self._metrics.answered(method, route, status, took_s)
+
+    def _note_refusal(self, scope: Scope) -> None:
+        """Write into the audit log what a known caller was refused: the first ones of a minute, so that nobody fills the disk."""
+        caller: Caller | None = scope.get("caller")
+        if caller is None or not self._rates.is_noted(caller.token_id or caller.user):
+            return
+        try:
+            entry = Audit(time=now(), user=caller.user, token_id=caller.token_id, action="refused")
+            entry.request_id = scope["request_id"]
+            entry.target = f"{scope['method']} {scope['path']}"[:LONGEST_TARGET]
+            with self._database.writing() as db:
+                db.add(entry)
+        except Exception:  # the refusal itself must be told
+            log.exception("a refusal could not be noted", extra={"request_id": scope["request_id"]})
+
+    def _while_admitted(self, scope: Scope, headers: Headers, receive: Receive) -> Receive:
+        """A source that ends a request, as a client that leaves does, when its token or login has ended: streams last for hours."""
+
+        async def admitted() -> Message:
+            while True:
+                try:
+                    async with asyncio.timeout(RECHECK_S):
+                        return await receive()
+                except TimeoutError:
+                    try:
+                        await self._known_caller(scope, headers)
+                    except Problem:
+                        return {"type": "http.disconnect"}
+
+        return admitted
 
     def _check_site(self, scope: Scope, headers: Headers) -> None:
         """Refuse what a page of another site makes a browser send: by its own name for this address, or across origins."""
@@ -162,8 +199,8 @@ class Guard:
         kind, _, secret = headers.get("authorization", "").partition(" ")
         if not self._settings.needs_tokens and not secret:
             return NOBODY_ELSE
-        cookie = cookie_parser(headers.get("cookie", "")).get(self._cookies.name)
-        if not kind and cookie is not None:
+        cookie = headers.get("cookie", "")
+        if not kind and self._cookies.name in cookie:
             return await self._caller_by_cookie(scope, headers, cookie)
         if kind.lower() != "bearer" or not secret:
             raise Problem(
@@ -180,8 +217,10 @@ class Guard:
         """Who the page belongs to. A browser says the origin of every change that it asks for, and it was checked."""
         if scope["method"] not in SAFE and "origin" not in headers:
             raise Problem(403, "origin", "must be given with a cookie", place="header Origin")
-        token_id = self._cookies.token_id(cookie)
-        caller = None if token_id is None else await run_in_threadpool(caller_of_id, self._database, token_id)
+        login_id = self._cookies.login_id(cookie)
+        caller = None
+        if login_id is not None:
+            caller = await run_in_threadpool(caller_of_login, self._database, login_id)
         if caller is None:
             raise Problem(401, "login", "must be recent, with a token that is still valid", headers=CHALLENGE)
         return caller

@@ -12,7 +12,8 @@ from limits.strategies import SlidingWindowCounterRateLimiter
 from estimator.service.problems import Problem
 from estimator.service.settings import Settings
 
-ADMITTED, REFUSED = "admitted", "refused"
+ADMITTED, REFUSED, NOTED = "admitted", "refused", "noted"
+MOST_NOTED = 60  # refusals of a token in a minute that the audit log takes
 
 
 class RateLimits:
@@ -25,6 +26,7 @@ class RateLimits:
         self._is_used = settings.needs_tokens
         self._limiter = SlidingWindowCounterRateLimiter(MemoryStorage())
         self._requests = RateLimitItemPerMinute(settings.most_requests_per_minute)
+        self._noted = RateLimitItemPerMinute(MOST_NOTED)
         self._refusals = RateLimitItemPerMinute(settings.most_refused_per_minute)
 
     def count(self, caller: str) -> None:
@@ -48,6 +50,10 @@ class RateLimits:
     def count_refused(self, address: str) -> None:
         """Count a request without a valid token."""
         self._limiter.hit(self._refusals, REFUSED, address)
+
+    def is_noted(self, caller: str) -> bool:
+        """Whether another refusal of a token goes into the audit log; counts it."""
+        return self._limiter.hit(self._noted, NOTED, caller)
 
     def _problem(self, item: RateLimitItemPerMinute, *key: str) -> Problem:
         wait_s = max(1, math.ceil(self._limiter.get_window_stats(item, *key).reset_time - time.time()))

@@ -39,6 +39,16 @@ class Token(Base):
     revoked: Mapped[str | None]
 
 
+class Login(Base):
+    """A browser that is logged in with a token; the row goes at the logout."""
+
+    __tablename__ = "logins"
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    token_id: Mapped[str] = mapped_column(ForeignKey("tokens.id"))
+    created: Mapped[str] = mapped_column(index=True)
+
+
 class RigVersion(Base):
     """The text of a rig file; versions with one name are versions of one rig."""
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from enum import StrEnum
 
-from sqlalchemy import ColumnElement, select
+from sqlalchemy import select
 
 from estimator.errors import InvalidInput
 from estimator.service.database import Database, new_id, now
@@ -100,17 +100,12 @@ def all_tokens(database: Database) -> list[Token]:
 
 def caller_of(database: Database, secret: str) -> Caller | None:
     """Who a token belongs to; None if it is wrong, expired or revoked."""
-    return _caller(database, Token.hash == _hash(secret))
-
-
-def caller_of_id(database: Database, token_id: str) -> Caller | None:
-    """Who the token of an id belongs to; None if there is none, or it has expired or is revoked."""
-    return _caller(database, Token.id == token_id)
-
-
-def _caller(database: Database, condition: ColumnElement[bool]) -> Caller | None:
     with database.reading() as db:
-        row = db.scalar(select(Token).where(condition))
+        return caller_of_row(db.scalar(select(Token).where(Token.hash == _hash(secret))))
+
+
+def caller_of_row(row: Token | None) -> Caller | None:
+    """Who a token belongs to; None if there is none, or it has expired or is revoked."""
     if row is None or row.revoked is not None or row.expires <= now():
         return None
     return Caller(row.user, Scope(row.scope), row.id)

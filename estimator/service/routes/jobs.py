@@ -20,6 +20,7 @@ from estimator.service.core import Core
 from estimator.service.database import now
 from estimator.service.events import events_of
 from estimator.service.job_queue import CANCELLED, DONE, ENDED, RETRY_AFTER_S
+from estimator.service.ownership import OWN_JOB, check_registry
 from estimator.service.problems import Problem, not_found
 from estimator.service.requests import (
     ID,
@@ -40,7 +41,6 @@ from estimator.service.requests import (
 from estimator.service.routes.rigs import rig_row_of
 from estimator.service.routes.sessions import closed_row_of
 from estimator.service.schema import CalibrationRow, Job
-from estimator.service.tokens import Scope
 from estimator.service.webhooks import announce_end
 from estimator.service.work import DIAGNOSIS, PANELS, report_file, result_file
 from estimator.store.session import load_session
@@ -206,8 +206,8 @@ class Submission:
     def __init__(
         self, request: Request, response: Response, core: CoreOf, caller: Writer, key: Key = None
     ) -> None:
-        self._request, self._response, self._caller, self._key = request, response, caller, key
-        self.core = core
+        self._request, self._response, self._key = request, response, key
+        self.core, self.caller = core, caller
 
     def queue(
         self, kind: Kind, session_ids: list[str], rig_id: str | None, options: dict[str, Any]
@@ -221,7 +221,7 @@ class Submission:
                 load_session(core.sessions.path(session.id)).check_rig(rig)
         asked = {
             "kind": kind,
-            "user": self._caller.user,
+            "user": self.caller.user,
             "session_id": session_ids[0],
             "rig_id": rig_id,
             "options": options,
@@ -230,7 +230,7 @@ class Submission:
         with core.database.writing() as db:
             job, is_new = core.queue.add(db, asked)
             if is_new:
-                audited(db, self._request, self._caller, f"job.{kind}", job.id)
+                audited(db, self._request, self.caller, f"job.{kind}", job.id)
             else:
                 self._response.status_code = 200
         core.jobs.wake()
@@ -257,9 +257,10 @@ def diagnose(submission: Submitted, body: NewDiagnosis) -> JobInfo:
 
 @router.post("/recalibrate", status_code=201, responses=KNOWN)
 def recalibrate(submission: Submitted, body: NewRecalibration) -> JobInfo:
-    """Queue the judgement of a session: does the current version still hold, and what replaces it."""
+    """Queue the judgement of a session in the registry of a rig of one's own: does the current version hold, and what replaces it."""
     session = closed_row_of(submission.core, body.session_id)
     version = rig_row_of(submission.core, body.rig_id or session.rig_id)
+    check_registry(submission.core, submission.caller, version.name)
     options = {"registry": version.name, **body.model_dump(include={"seed", "settings"})}
     return submission.queue("recalibrate", [body.session_id], body.rig_id, options)
 
@@ -303,15 +304,13 @@ def get_job(core: CoreOf, caller: Reader, job_id: Id) -> JobInfo:  # noqa: ARG00
     return info_of(job_of(core, job_id))
 
 
-@router.post("/{job_id}/cancel")
+@router.post("/{job_id}/cancel", dependencies=[OWN_JOB])
 def cancel_job(request: Request, core: CoreOf, caller: Writer, job_id: Id) -> JobInfo:
     """End a job of one's own, or any with the scope admin; one that has ended stays as it is."""
     with core.database.writing() as db:
         row = db.scalar(select(Job).where(Job.id == job_id))
         if row is None:
             raise not_found("job", job_id)
-        if row.user != caller.user and not caller.scope.includes(Scope.ADMIN):
-            raise Problem(403, "job", "must be one's own, unless the token has the scope admin", job_id)
         if row.state not in ENDED:
             row.state, row.ended = CANCELLED, now()
             announce_end(db, row)

@@ -7,8 +7,9 @@ from typing import Annotated
 from fastapi import APIRouter, Request, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from estimator.service.logins import begin_login, end_login
 from estimator.service.problems import Problem
-from estimator.service.requests import CoreOf, Reader
+from estimator.service.requests import CoreOf, Reader, audited
 from estimator.service.tokens import Scope, caller_of
 
 router = APIRouter(prefix="/v1", tags=["page"])
@@ -35,11 +36,18 @@ def login(request: Request, response: Response, core: CoreOf, body: Login) -> Lo
     caller = caller_of(core.database, body.token.strip())
     if caller is None or caller.token_id is None:
         raise Problem(401, "token", "must be one that exists, has not expired and is not revoked")
-    core.cookies.put(response, caller.token_id, request.url.scheme == "https")
+    with core.database.writing() as db:
+        login_id = begin_login(db, caller.token_id)
+        audited(db, request, caller, "login", caller.token_id)
+    core.cookies.put(response, login_id, request.url.scheme == "https")
     return LoggedIn(user=caller.user, scope=caller.scope)
 
 
 @router.post("/logout", status_code=204)
-def logout(request: Request, response: Response, core: CoreOf, caller: Reader) -> None:  # noqa: ARG001
-    """Forget the cookie."""
+def logout(request: Request, response: Response, core: CoreOf, caller: Reader) -> None:
+    """End the login; its cookie, and every copy of it, is worth nothing from now on."""
+    login_id = core.cookies.login_id(request.headers.get("cookie", ""))
+    with core.database.writing() as db:
+        if login_id is not None and (token_id := end_login(db, login_id)) is not None:
+            audited(db, request, caller, "logout", token_id)
     core.cookies.remove(response, request.url.scheme == "https")

@@ -15,6 +15,7 @@ from estimator.recalibration.recalibrate import roll_back
 from estimator.recalibration.registry import Entry, Registry, RegistryBusy
 from estimator.service.core import Core
 from estimator.service.job_queue import RETRY_AFTER_S
+from estimator.service.ownership import OWN_REGISTRY
 from estimator.service.problems import Problem
 from estimator.service.requests import CoreOf, Cursor, Id, Item, Limit, Page, Reader, Writer, audited
 from estimator.service.routes.calibrations import Interval
@@ -154,9 +155,15 @@ def list_versions(caller: Reader, asked: AskedOf) -> Page[VersionInfo]:  # noqa:
     return asked.page(made, info)
 
 
-@router.post("/roll-back")
-def roll_back_to(request: Request, core: CoreOf, caller: Writer, rig_id: Id, body: NewRollback) -> EntryInfo:
-    """Make an earlier version current again."""
+@router.post("/roll-back", dependencies=[OWN_REGISTRY])
+def roll_back_to(
+    request: Request,
+    core: CoreOf,
+    caller: Writer,
+    rig_id: Id,
+    body: NewRollback,
+) -> EntryInfo:
+    """Make an earlier version of a rig of one's own current again."""
     name, registry = registry_of(core, rig_id)
     if not registry.versions:
         raise Problem(409, "registry", "must have a version; it has none", place=f"registry of {name}")

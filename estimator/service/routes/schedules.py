@@ -11,6 +11,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from estimator.service.database import new_id, now
+from estimator.service.ownership import OWN_SCHEDULE, check_registry
 from estimator.service.problems import Problem, not_found
 from estimator.service.requests import (
     ID,
@@ -25,6 +26,7 @@ from estimator.service.requests import (
     audited,
     page_of,
 )
+from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schedules import next_run, trigger_of
 from estimator.service.schema import RigVersion, Schedule
 
@@ -76,11 +78,12 @@ def info_of(row: Schedule) -> ScheduleInfo:
 
 @router.post("", status_code=201)
 def create_schedule(request: Request, core: CoreOf, caller: Writer, body: NewSchedule) -> ScheduleInfo:
-    """Judge, from now on, the sessions of a rig that are closed and were not judged yet, one after the other."""
+    """Judge, from now on, the sessions of a rig of one's own that are closed and were not judged yet, of all users, one after the other."""
     if (body.cron is None) == (body.every_s is None):
         raise Problem(422, "schedule", "must have either cron or every_s", place="body")
     if body.cron is not None:
         trigger_of(body.cron, body.timezone)
+    check_registry(core, caller, rig_row_of(core, body.rig_id).name)
     with core.database.writing() as db:
         rig = db.get(RigVersion, body.rig_id)
         if rig is None:
@@ -116,9 +119,14 @@ def get_schedule(core: CoreOf, caller: Reader, schedule_id: Id) -> ScheduleInfo:
         return info_of(_schedule(db, schedule_id))
 
 
-@router.post("/{schedule_id}/run", status_code=202)
-def run_schedule(request: Request, core: CoreOf, caller: Writer, schedule_id: Id) -> ScheduleInfo:
-    """Make a schedule due now."""
+@router.post("/{schedule_id}/run", status_code=202, dependencies=[OWN_SCHEDULE])
+def run_schedule(
+    request: Request,
+    core: CoreOf,
+    caller: Writer,
+    schedule_id: Id,
+) -> ScheduleInfo:
+    """Make a schedule of one's own due now."""
     with core.database.writing() as db:
         row = _schedule(db, schedule_id)
         row.next_run = now()
@@ -126,9 +134,9 @@ def run_schedule(request: Request, core: CoreOf, caller: Writer, schedule_id: Id
         return info_of(row)
 
 
-@router.delete("/{schedule_id}", status_code=204)
+@router.delete("/{schedule_id}", status_code=204, dependencies=[OWN_SCHEDULE])
 def delete_schedule(request: Request, core: CoreOf, caller: Writer, schedule_id: Id) -> None:
-    """End a schedule; jobs that it has queued go on."""
+    """End a schedule of one's own; jobs that it has queued go on."""
     with core.database.writing() as db:
         db.delete(_schedule(db, schedule_id))
         audited(db, request, caller, "schedule.delete", schedule_id)

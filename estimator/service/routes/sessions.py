@@ -20,6 +20,7 @@ from estimator.rig_files.read import rig_from_text
 from estimator.service.archives import check_length, unpacked_session, zipped
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
+from estimator.service.ownership import OWN_SESSION
 from estimator.service.problems import Problem, not_found
 from estimator.service.readings import readings_of
 from estimator.service.requests import (
@@ -233,14 +234,26 @@ def get_session(core: CoreOf, caller: Reader, session_id: Id) -> SessionInfo:  #
 @router.post(
     "/{session_id}/readings",
     openapi_extra=documented_body("application/x-ndjson", "A reading in each line, numbered by `sequence`."),
+    dependencies=[OWN_SESSION],
 )
-def append_readings(core: CoreOf, caller: Writer, session_id: Id, body: Ndjson) -> Appended:  # noqa: ARG001
-    """Append readings. The answer comes when they are on disk; to send some again does no harm."""
+def append_readings(
+    request: Request,
+    core: CoreOf,
+    caller: Writer,
+    session_id: Id,
+    body: Ndjson,
+) -> Appended:
+    """Append readings to a session of one's own. The answer comes when they are on disk; to send some again does no harm."""
     if not core.sessions.path(session_id).is_dir():
         raise not_found("session", session_id)
     readings = readings_of(body, core.sessions.rig(session_id))
     n_readings, n_new = core.sessions.append(session_id, readings)
     core.metrics.readings.inc(n_new)
+    appender = session_id, caller.token_id
+    if n_new and appender not in core.appenders:  # thousands of entries with one meaning help nobody
+        with core.database.writing() as db:
+            audited(db, request, caller, "session.append", session_id)
+        core.appenders.add(appender)
     core.watching.wake(session_id)
     return Appended(n_readings=n_readings, n_new=n_new)
 
@@ -265,13 +278,19 @@ async def watch_session(
             yield ServerSentEvent(data=asdict(news), event="end" if news.has_ended else "estimate")
 
 
-@router.post("/{session_id}/close")
-def close_session(request: Request, core: CoreOf, caller: Writer, session_id: Id) -> SessionInfo:
-    """End a session, so that it can be calibrated; to close it again does no harm."""
+@router.post("/{session_id}/close", dependencies=[OWN_SESSION])
+def close_session(
+    request: Request,
+    core: CoreOf,
+    caller: Writer,
+    session_id: Id,
+) -> SessionInfo:
+    """End a session of one's own, so that it can be calibrated; to close it again does no harm."""
     row = row_of(core, session_id)
     if row.state == CLOSED:
         return info_of(row)
     session = core.sessions.seal(session_id)
+    core.appenders = {appender for appender in core.appenders if appender[0] != session_id}
     core.watching.wake(session_id)
     with core.database.writing() as db:
         row = db.get_one(SessionRow, session_id)

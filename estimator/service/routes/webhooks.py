@@ -99,13 +99,14 @@ def delete_webhook(request: Request, core: CoreOf, caller: Admin, webhook_id: Id
 
 
 @router.post("/{webhook_id}/test", status_code=202)
-def send_test(core: CoreOf, caller: Admin, webhook_id: Id) -> DeliveryInfo:
+def send_test(request: Request, core: CoreOf, caller: Admin, webhook_id: Id) -> DeliveryInfo:
     """Send a message that tells of nothing."""
     with core.database.writing() as db:
         _webhook(db, webhook_id)
         body = json.dumps({"type": TEST, "timestamp": now(), "data": {"user": caller.user}})
         row = message(webhook_id, TEST, body)
         db.add(row)
+        audited(db, request, caller, "webhook.test", webhook_id)
     return DeliveryInfo.model_validate(row, from_attributes=True)
 
 

@@ -143,11 +143,11 @@ def test_logins_outlive_the_service_and_belong_to_one(app: FastAPI, tmp_path: Pa
     assert key.stat().st_mode & 0o777 == 0o600
     again = type(cookies)(tmp_path / "data")
     signed = cookies._signer.sign("abc").decode()
-    assert (again.name, again.token_id(signed)) == (cookies.name, "abc")
+    assert (again.name, again.login_id(f"{again.name}={signed}")) == (cookies.name, "abc")
     (tmp_path / "other").mkdir()
     other = type(cookies)(tmp_path / "other")
     assert other.name != cookies.name
-    assert other.token_id(signed) is None
+    assert other.login_id(f"{other.name}={signed}") is None
 
 
 def test_a_link_of_another_site_opens_the_page_and_nothing_else(idle: Callable[..., TestClient]) -> None:
