@@ -1,31 +1,70 @@
-"""HTTP/1.1 of uvicorn, with a time in which the head of a request must have arrived.
+"""HTTP/1.1 of uvicorn, with strict heads, a time in which a request must arrive, and an end to the number of connections.
 
-uvicorn waits for the first request of a connection, and for the rest of a head, as long as the client likes. A few hundred connections that
-say a letter a minute ("slow loris") would hold all files that the process may open.
+uvicorn waits for the first request of a connection, and for the rest of a head, as long as the client likes. Connections that say a letter
+a minute ("slow loris") would hold all places that there are. So a place that is needed is taken from whoever has kept the service waiting
+for longest, and a client that says at once what it wants is answered beside any number of idle ones.
 """
 
 from __future__ import annotations
 
 import asyncio
+import heapq
+import re
 import resource
+from collections import Counter
+from typing import Any
 
 import h11
+from h11._receivebuffer import (
+    ReceiveBuffer,
+)  # the only place where lines of heads and of trailers are told apart
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-MOST_HEAD_S = 20.0
-MOST_CONNECTIONS = 1000  # beyond, 503; a laboratory has tens
+MOST_HEAD_S = 10.0
+MOST_CONNECTIONS = 1000  # a laboratory has tens
+ROOM = 50  # that is made at once: to look at all connections takes milliseconds
+MOST_BEFORE_REFUSAL = (
+    MOST_CONNECTIONS + 200
+)  # beyond, 503: so many requests are at work that nobody can be sent away
 FILES = 4096  # that may be open at once: connections, journals, chunks
+# A line feed alone ends no line, and a line that begins with a space continues none (RFC 9112, sections 2.2 and 5.2): a proxy in
+# front may see another request there.
+LOOSE_LINE = re.compile(rb"(?<!\r)\n|\n[ \t]")
+# Seconds by which a connection counts as younger that has asked something before, or whose body is under way.
+BONUS_USED_S, BONUS_BEGUN_S = 5.0, 30.0
+
+
+class StrictLines(ReceiveBuffer):
+    """Bytes that were received, whose heads and trailers have lines that end with CR LF and are not folded."""
+
+    def maybe_extract_lines(self) -> list[bytearray] | None:
+        """See h11; None where the head is not whole yet."""
+        received = bytes(self)
+        if not received.startswith(b"\r\n"):  # nothing but the end of a trailer
+            head, end, _ = received.partition(b"\r\n\r\n")
+            if LOOSE_LINE.search(head + end):
+                raise h11.LocalProtocolError("lines of a head must end with CR LF and must not be folded")
+        lines: list[bytearray] | None = super().maybe_extract_lines()
+        return lines
 
 
 class PromptHttp(H11Protocol):
-    """A connection that is closed where the head of a request does not come."""
+    """A connection that is closed where a request does not come, and sooner where its place is needed."""
 
     _awaited: asyncio.TimerHandle | None = None
+    _waits_since_s = 0.0
+    _has_asked = False
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self.conn._receive_buffer = StrictLines()
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """See asyncio."""
         super().connection_made(transport)
         self._await_head()
+        if len(self.connections) > MOST_CONNECTIONS:
+            self._make_room()
 
     def data_received(self, data: bytes) -> None:
         """See asyncio."""
@@ -43,14 +82,41 @@ class PromptHttp(H11Protocol):
             self._awaited.cancel()
         super().connection_lost(exc)
 
+    @property
+    def waits_since_s(self) -> float | None:
+        """Since when the client owes a request or the rest of it, with its bonus; None while the service owes an answer."""
+        if self.conn.their_state is h11.IDLE:
+            return self._waits_since_s + (BONUS_USED_S if self._has_asked else 0.0)
+        return self._waits_since_s + BONUS_BEGUN_S if self.conn.their_state is h11.SEND_BODY else None
+
     def _await_head(self) -> None:
-        """Start the clock where a head is awaited, and stop it where one has come; more letters of it do not start it anew."""
-        is_awaited = self.conn.their_state is h11.IDLE
+        """Start the clock where a head is awaited, or the rest of a body that was answered already; more letters do not start it anew."""
+        state = self.conn.their_state
+        is_awaited = state is h11.IDLE or (state is h11.SEND_BODY and self.conn.our_state is h11.DONE)
+        self._has_asked |= state is not h11.IDLE
         if is_awaited and self._awaited is None:
             self._awaited = self.loop.call_later(MOST_HEAD_S, self.transport.close)
+            self._waits_since_s = self.loop.time()
         elif not is_awaited and self._awaited is not None:
             self._awaited.cancel()
             self._awaited = None
+            self._waits_since_s = self.loop.time()
+
+    def _make_room(self) -> None:
+        """Send away those who have kept the service waiting for longest, of the address with most of them."""
+        others = (other for other in self.connections if isinstance(other, PromptHttp) and other is not self)
+        waiting = [(other, since_s) for other in others if (since_s := other.waits_since_s) is not None]
+        n_of_address = Counter(other.address for other, _ in waiting)
+        most = max(n_of_address.values(), default=0)
+        crowd = [pair for pair in waiting if n_of_address[pair[0].address] == most]
+        for other, _ in heapq.nsmallest(ROOM, crowd, key=lambda pair: pair[1]):
+            self.connections.discard(other)  # now, and not when the loop comes to it
+            other.transport.abort()
+
+    @property
+    def address(self) -> str:
+        """Of the client."""
+        return self.client[0] if self.client else ""
 
 
 def allow_files() -> None:

@@ -13,7 +13,7 @@ from fastapi import FastAPI
 
 from estimator.errors import InvalidInput, reason
 from estimator.service.app import create_app
-from estimator.service.connections import MOST_CONNECTIONS, PromptHttp, allow_files
+from estimator.service.connections import MOST_BEFORE_REFUSAL, PromptHttp, allow_files
 from estimator.service.core import DATABASE, Core
 from estimator.service.database import Database, now
 from estimator.service.logs import install_logs
@@ -64,7 +64,7 @@ def config_of(app: FastAPI, settings: Settings) -> uvicorn.Config:
     return uvicorn.Config(
         app,
         http=PromptHttp,
-        limit_concurrency=MOST_CONNECTIONS,
+        limit_concurrency=MOST_BEFORE_REFUSAL,
         log_config=None,
         access_log=False,
         server_header=False,

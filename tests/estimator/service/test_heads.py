@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 import socket
 import time
 from collections.abc import Iterator
@@ -86,6 +87,14 @@ HEADS = {
     "two hosts": b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: b\r\n\r\n",
     "no host": b"GET /healthz HTTP/1.1\r\n\r\n",
     "a zero in a header": b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX: a\0b\r\n\r\n",
+    "line feeds alone": b"GET /healthz HTTP/1.1\nHost: 127.0.0.1\n\n",
+    "one line feed alone": b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\nX: a\r\n\r\n",
+    "a line feed alone at the end": b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\n",
+    "a line feed first": b"\nGET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+    "a fold": b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX: a\r\n b\r\n\r\n",
+    "a fold with a tab": b"GET /healthz HTTP/1.1\r\nX: a\r\n\tb\r\nHost: 127.0.0.1\r\n\r\n",
+    "a folded length": RIGS + b"Content-Length:\r\n 2\r\n\r\n{}",
+    "a carriage return alone": b"GET /healthz HTTP/1.1\rHost: 127.0.0.1\r\n\r\n",
     "TLS": b"\x16\x03\x01\x02\x00\x01\x00\x01\r\n\r\n",
 }  # fmt: skip
 
@@ -95,6 +104,44 @@ def test_heads_that_are_none_are_answered_with_400_or_closed(port: int, said: by
     answer = answers(port, said)
     assert not answer or answer.split(b" ")[1] in (b"400", b"431", b"501"), answer[:200]
     assert b" 200 " in answers(port, HEALTH).splitlines()[0]
+
+
+LOOSE = [name for name in HEADS if "line feed" in name or "fold" in name]
+
+
+@pytest.mark.parametrize("pieces", [1, 7, 1000])
+@pytest.mark.parametrize("name", LOOSE)
+def test_loose_lines_are_refused_however_they_arrive_and_nothing_after_them_is_read(
+    port: int, name: str, pieces: int
+) -> None:
+    said = HEADS[name] + HIDDEN
+    size = -(-len(said) // pieces)
+    received = b""
+    with socket.create_connection(("127.0.0.1", port), timeout=10) as line, suppress(ConnectionError):
+        line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        for i in range(0, len(said), size):
+            line.sendall(said[i : i + size])
+            time.sleep(0.0005)
+        while piece := line.recv(65536):
+            received += piece
+    assert b" 200 " not in received
+    assert received.count(b"HTTP/1.1 ") <= 1
+    assert not received or received.startswith(b"HTTP/1.1 400 ")
+
+
+@pytest.mark.parametrize("trailer", [b"X: a\n\r\n", b"X: a\r\n b\r\n\r\n", b"X: a\n\n"])
+def test_loose_lines_in_a_trailer_are_refused(port: int, trailer: bytes) -> None:
+    said = RIGS + b"Content-Type: application/yaml\r\nTransfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n"
+    assert b" 422 " in answers(port, said + b"X: a\r\n\r\n" + HEALTH)
+    assert b" 200 " not in answers(port, said + trailer + HEALTH)
+
+
+def test_requests_that_follow_each_other_at_once_are_all_strict(port: int) -> None:
+    first = HEALTH.replace(b"Connection: close\r\n", b"")
+    answer = answers(port, first + first + HEALTH)
+    assert answer.count(b"HTTP/1.1 200 ") == 3
+    answer = answers(port, first + HEADS["one line feed alone"] + HEALTH)
+    assert re.findall(rb"HTTP/1\.1 (\d+)", answer) == [b"200", b"400"]
 
 
 @pytest.mark.parametrize(
