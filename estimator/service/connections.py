@@ -115,7 +115,7 @@ class PromptHttp(H11Protocol):
 
     @property
     def address(self) -> str:
-        """Of the client."""
+        """The address of the client."""
         return self.client[0] if self.client else ""
 
 

@@ -30,9 +30,37 @@ SECRET_PREFIX = "whsec_"
 LONGEST_URL = 500
 HOST = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?")
 MOST_S = 15.0  # from the question for the name's address to the head of the answer
-PUBLIC_V6 = ipaddress.IPv6Network("2000::/3")
-# They lead to an IPv4 address inside.
-TUNNELS = (ipaddress.IPv6Network("2002::/16"), ipaddress.IPv6Network("2001::/32"))
+PUBLIC_V6 = ipaddress.IPv6Network("2000::/3")  # so no mapped, translated (64:ff9b::/96) or local address
+# IANA's registries of special-purpose addresses, whole: `is_global` of Python 3.11 does not know all of them, and calls those public at
+# which the nearest router of the service's own network answers (anycast of NAT, 6to4, AMT, AS112). No receiver of messages is there.
+SPECIAL = tuple(
+    ipaddress.ip_network(network)
+    for network in (
+        "0.0.0.0/8",
+        "10.0.0.0/8",
+        "100.64.0.0/10",
+        "127.0.0.0/8",
+        "169.254.0.0/16",
+        "172.16.0.0/12",
+        "192.0.0.0/24",
+        "192.0.2.0/24",
+        "192.31.196.0/24",
+        "192.52.193.0/24",
+        "192.88.99.0/24",
+        "192.168.0.0/16",
+        "192.175.48.0/24",
+        "198.18.0.0/15",
+        "198.51.100.0/24",
+        "203.0.113.0/24",
+        "224.0.0.0/4",
+        "240.0.0.0/4",
+        "2001::/23",  # Teredo, ORCHID, benchmarks
+        "2001:db8::/32",
+        "2002::/16",  # leads to an IPv4 address inside
+        "2620:4f:8000::/48",
+        "3fff::/20",
+    )
+)
 
 Address = ipaddress.IPv4Address | ipaddress.IPv6Address
 
@@ -83,17 +111,15 @@ def may_reach(address: Address, networks: Sequence[str]) -> bool:
     """Whether an address is public, or in a network that is allowed.
 
     Examples:
-        >>> [may_reach(ipaddress.ip_address(a), ()) for a in ("93.184.216.34", "10.0.0.1", "::ffff:127.0.0.1", "fe80::1")]
+        >>> [may_reach(ipaddress.ip_address(a), ()) for a in ("93.184.216.34", "192.0.0.192", "::ffff:127.0.0.1", "fe80::1")]
         [True, False, False, False]
         >>> may_reach(ipaddress.ip_address("10.0.0.1"), ["10.0.0.0/24"])
         True
     """
     if any(address in ipaddress.ip_network(network) for network in networks):
         return True
-    if isinstance(address, ipaddress.IPv6Address):
-        is_plain = address in PUBLIC_V6 and not any(address in tunnel for tunnel in TUNNELS)
-        return is_plain and address.is_global
-    return address.is_global and not address.is_multicast
+    is_plain = isinstance(address, ipaddress.IPv4Address) or address in PUBLIC_V6
+    return is_plain and address.is_global and not any(address in network for network in SPECIAL)
 
 
 def signature(secret: str, message_id: str, time_s: int, body: bytes) -> str:
