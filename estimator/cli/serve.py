@@ -17,12 +17,30 @@ if TYPE_CHECKING:
     from estimator.service.database import Database
     from estimator.service.settings import Settings
 
+SHARED = ("config", "data")  # options of the group that its subcommands have too
+
+
+def _of_group(ctx: click.Context, param: click.Parameter, value: Path | None) -> Path | None:
+    """The value of an option, or that of the group in front of the subcommand; given in both places, one would be ignored."""
+    outer = ctx.parent
+    while outer is not None and outer.command is not serve_group:
+        outer = outer.parent
+    given = None if outer is None else outer.params.get(str(param.name))
+    if value is not None and given is not None and value != given:
+        raise click.UsageError(f"--{param.name} must be given once; received {given} and {value}", ctx)
+    return given if value is None else value
+
+
 config_option = click.option(
-    "--config", type=click.Path(path_type=Path), help="YAML file of settings; every key has a default."
+    "--config",
+    type=click.Path(path_type=Path),
+    callback=_of_group,
+    help="YAML file of settings; every key has a default.",
 )
 data_option = click.option(
     "--data",
     type=click.Path(path_type=Path),
+    callback=_of_group,
     help="Folder of everything that is kept; ./coilcal-data by default.",
 )
 
@@ -69,6 +87,14 @@ def serve_group(
     working on goes on when it is started again, also after kill -9.
     """
     if ctx.invoked_subcommand is not None:
+        for name in ctx.params:
+            if (
+                name not in SHARED
+                and ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+            ):
+                option = next(param.opts[0] for param in ctx.command.params if param.name == name)
+                rule = f"must stand behind {ctx.invoked_subcommand}, where that has it, and not in front of it"
+                raise click.UsageError(f"{option} {rule}")
         return
     with _settings(config, data=data, host=host, port=port, workers=workers, scheduler=scheduler) as settings:
         from estimator.service.serve import plan_of, serve
@@ -133,7 +159,7 @@ def create_command(
     user: str, scope: str, days: float, config: Path | None, data: Path | None, as_json: bool
 ) -> None:
     """Make a token and print it, once: only its hash is kept."""
-    with _database(config, data) as database:
+    with _database(config, data, is_made=True) as database:
         from estimator.service.tokens import Scope, create_token
 
         secret, token_id = create_token(database, user, Scope(scope), days)
@@ -174,12 +200,17 @@ def revoke_command(token_id: str, config: Path | None, data: Path | None, as_jso
 
 
 @contextmanager
-def _database(config: Path | None, data: Path | None) -> Iterator[Database]:
+def _database(config: Path | None, data: Path | None, is_made: bool = False) -> Iterator[Database]:
+    """The database of a service; where there is none, one is made or the folder is refused."""
     with _settings(config, data=data) as settings:
         from estimator.service.core import DATABASE
         from estimator.service.database import Database
-    settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
-    database = Database(settings.data / DATABASE)
+    path = settings.data / DATABASE
+    if is_made:
+        settings.data.mkdir(parents=True, exist_ok=True, mode=0o700)
+    elif not path.exists():
+        raise InvalidInput(f"data must be the folder of a service; {settings.data} has no {DATABASE}")
+    database = Database(path)
     try:
         database.migrate()
         yield database

@@ -14,6 +14,7 @@ import json
 import os
 import shutil
 import sqlite3
+import stat
 import tarfile
 import tempfile
 from collections.abc import Iterator
@@ -23,8 +24,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.service.core import DATABASE, SESSIONS, UPLOADS
+from estimator.service.database import check_database, explained
 from estimator.store.journal import JOURNAL, sync
 from estimator.store.session import is_growing
 
@@ -32,6 +34,19 @@ KIND, SCHEMA_VERSION = "coilcal backup", 1
 MANIFEST, CHECKSUMS = "manifest.json", "checksums.json"
 FOLDER = "data"
 MARKS = ("result.json", "summary.json", "diagnosis.json", "zarr.json")
+# What a file that is none, or one that was made to do harm, raises while it is unpacked.
+UNREADABLE = (
+    tarfile.TarError,
+    EOFError,
+    ValueError,
+    KeyError,
+    TypeError,
+    OverflowError,
+    RecursionError,
+    FileExistsError,
+    IsADirectoryError,
+    NotADirectoryError,
+)
 UNFINISHED = (".partial", ".begun", ".old")
 
 
@@ -43,25 +58,31 @@ def backup(data: Path, file: Path) -> dict[str, Any]:
         file: A tar file to write, which only its owner can read; whole or not at all.
     Returns: `file`, `files` (their number) and `bytes`.
     Raises:
-        InvalidInput: There is no data folder, the file exists, or it cannot be written.
+        InvalidInput: There is no data folder, its database is that of another program, the file exists, or it cannot be written.
+        CorruptStore: The database is damaged.
     """
     data = data.absolute()
     if not (data / DATABASE).is_file():
         raise InvalidInput(f"data must be the folder of a service; {data} has no {DATABASE}")
-    if file.exists():
+    check_database(data / DATABASE)
+    if os.path.lexists(file):
         raise InvalidInput(f"output must not exist yet; received {file}")
-    partial = file.with_name(file.name + ".partial")
+    folder = file.absolute().parent
+    partial: Path | None = None
     try:
-        descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        descriptor, name = tempfile.mkstemp(dir=folder, prefix=f".{file.name}-")  # for its owner only
+        partial = Path(name)
         with os.fdopen(descriptor, "wb") as stream:
-            n_files = _write(data, stream, partial.absolute().parent)
+            n_files = _write(data, stream, folder)
             stream.flush()
             os.fsync(stream.fileno())
         partial.rename(file)
-        sync(file.absolute().parent)
+        sync(folder)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         raise InvalidInput(f"output must be writable; {file} is not: {reason(error)}") from error
+    finally:
+        if partial is not None:
+            partial.unlink(missing_ok=True)
     return {"file": str(file), "files": n_files, "bytes": file.stat().st_size}
 
 
@@ -73,16 +94,17 @@ def restore(file: Path, data: Path) -> dict[str, Any]:
         data: The folder to make; nothing may be there.
     Returns: `data`, `files` (their number) and `created` (time of the backup).
     Raises:
-        InvalidInput: Something is at `data`, or it cannot be written.
-        CorruptStore: The file is no backup, is damaged, or is of another version.
+        InvalidInput: Something is at `data`, or it cannot be written; or the file cannot be read.
+        CorruptStore: The file is no backup, is damaged, holds another program's database, or is of another version.
     """
     data = data.absolute()
     if data.exists() and (not data.is_dir() or any(data.iterdir())):
         raise InvalidInput(f"data must be a folder that does not exist yet; received {data}")
-    partial = data.with_name(data.name + ".restoring")
+    _check_readable(file)
+    partial: Path | None = None
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True, mode=0o700)
+        data.parent.mkdir(parents=True, exist_ok=True)
+        partial = Path(tempfile.mkdtemp(dir=data.parent, prefix=f".{data.name}-"))  # for its owner only
         manifest, n_files = _read(file, partial)
         for part in (*partial.rglob("*"), partial):
             if not part.is_symlink():
@@ -94,8 +116,22 @@ def restore(file: Path, data: Path) -> dict[str, Any]:
     except OSError as error:
         raise InvalidInput(f"data must be writable; {data} is not: {reason(error)}") from error
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        if partial is not None:
+            shutil.rmtree(partial, ignore_errors=True)
     return {"data": str(data), "files": n_files, "created": manifest["created"]}
+
+
+def _check_readable(file: Path) -> None:
+    """Refuse what is no file, such as a pipe, before it is waited for."""
+    try:
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise InvalidInput(f"backup must be a file that can be read; {file} is none")
+        with file.open("rb"):
+            pass
+    except OSError as error:
+        raise InvalidInput(
+            f"backup must be a file that can be read; {file} is not: {reason(error)}"
+        ) from error
 
 
 def _write(data: Path, stream: Any, scratch: Path) -> int:
@@ -124,9 +160,12 @@ def _write(data: Path, stream: Any, scratch: Path) -> int:
 
 
 def _copy_database(database: Path, copy: Path) -> None:
-    with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
-        source.backup(target)
-        target.execute("PRAGMA journal_mode=DELETE")  # one file, without a log beside it
+    try:
+        with closing(sqlite3.connect(database)) as source, closing(sqlite3.connect(copy)) as target:
+            source.backup(target)
+            target.execute("PRAGMA journal_mode=DELETE")  # one file, without a log beside it
+    except sqlite3.Error as error:
+        raise explained(database, error) from error
 
 
 def _files(data: Path) -> Iterator[Path]:
@@ -177,12 +216,10 @@ def _read(file: Path, folder: Path) -> tuple[dict[str, Any], int]:
         manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
         checksums = json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
         kind = (manifest["kind"], manifest["schema_version"])
-        is_whole = manifest["created"] and f"{FOLDER}/{DATABASE}" in checksums
+        is_whole = isinstance(manifest["created"], str) and f"{FOLDER}/{DATABASE}" in dict(checksums)
     except FileNotFoundError as error:
-        if Path(str(error.filename)) == file:
-            raise InvalidInput(f"backup must be a file that can be read; {file} is not there") from error
         raise CorruptStore(f"backup must be whole; {file} lacks {Path(str(error.filename)).name}") from error
-    except (tarfile.TarError, EOFError, ValueError, KeyError, TypeError) as error:
+    except UNREADABLE as error:
         raise CorruptStore(f"backup must be readable; {file} is damaged: {type(error).__name__}") from error
     if kind != (KIND, SCHEMA_VERSION) or not is_whole:
         raise CorruptStore(f"backup must be of kind {KIND!r}, version {SCHEMA_VERSION}; {file} is not")
@@ -193,4 +230,9 @@ def _read(file: Path, folder: Path) -> tuple[dict[str, Any], int]:
     for name in sorted(names | checksums.keys()):
         if name not in names or hashlib.sha256(packed[name].read_bytes()).hexdigest() != checksums.get(name):
             raise CorruptStore(f"backup must match its checksums; {name} does not ({file})")
+    try:
+        check_database(folder / FOLDER / DATABASE)
+    except CoilcalError as error:
+        sentence = str(error).replace(str(folder / FOLDER / DATABASE), f"that in {file}")
+        raise CorruptStore(sentence) from error
     return manifest, len(checksums)

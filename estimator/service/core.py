@@ -21,7 +21,7 @@ from estimator.errors import InvalidInput, reason
 from estimator.service import alerts, removal, schedules, webhooks
 from estimator.service.alerts import ALERTS, Alerts
 from estimator.service.cookies import Cookies
-from estimator.service.database import Database
+from estimator.service.database import Database, check_database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
@@ -58,9 +58,14 @@ class Core:
 
     def __init__(self, settings: Settings) -> None:
         self.settings, self.data = settings, settings.data.absolute()
+        check_database(self.data / DATABASE)  # before anything is put beside that of another program
         self._lock = _locked(self.data)
         self.database = Database(self.data / DATABASE)
-        self.database.migrate()
+        try:
+            self.database.migrate()
+        except BaseException:
+            os.close(self._lock)
+            raise
         self.storage = Storage(self.data)
         self.cookies = Cookies(self.data)
         self.sessions = OpenSessions(self.data / SESSIONS, settings.most_readings)

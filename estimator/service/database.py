@@ -2,22 +2,36 @@
 
 from __future__ import annotations
 
+import sqlite3
 import uuid
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from urllib.parse import quote
 
 from alembic.config import Config
 from alembic.runtime.environment import EnvironmentContext
 from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
+
+from estimator.errors import CorruptStore, InvalidInput, reason
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 PATIENCE_S = 30  # a write waits this long for another one
 WRITES = "coilcal_writes"
+APPLICATION_ID = 0x636F696C  # "coil", in the header of the file
+MAGIC = b"SQLite format 3\0"
+# Columns that every version of the schema has had; files from before 2026-11-28 have no application id.
+FIRST_TABLES = {
+    "tokens": {"id", "user", "scope", "hash", "created", "expires", "revoked"},
+    "rig_versions": {"id", "name", "hash", "text", "created", "user"},
+    "sessions": {"id", "rig_id", "source", "state", "created", "user", "n_readings", "hash"},
+    "audit": {"number", "time", "user", "token_id", "request_id", "action", "target"},
+}
 
 
 class Database:
@@ -28,11 +42,24 @@ class Database:
     """
 
     def __init__(self, path: Path) -> None:
+        self._path = path
         self._reading = _engine(path)
         self._writing = self._reading.execution_options(**{WRITES: True})
 
     def migrate(self, revision: str = "head") -> None:
-        """Bring the schema to a revision; an interrupted migration leaves the schema as it was."""
+        """Bring the schema to a revision; an interrupted migration leaves the schema as it was.
+
+        Raises:
+            InvalidInput: The file is that of another program or of a newer coilcal, or it cannot be written; it is as it was.
+            CorruptStore: It is damaged.
+        """
+        check_database(self._path)
+        try:
+            self._migrate(revision)
+        except (DBAPIError, sqlite3.Error) as error:
+            raise explained(self._path, error) from error
+
+    def _migrate(self, revision: str) -> None:
         config = Config()
         config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
         scripts = ScriptDirectory.from_config(config)
@@ -46,6 +73,8 @@ class Database:
         ):
             environment.configure(connection=connection, render_as_batch=True)
             environment.run_migrations()
+            if connection.exec_driver_sql("PRAGMA application_id").scalar() != APPLICATION_ID:
+                connection.exec_driver_sql(f"PRAGMA application_id={APPLICATION_ID}")
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -67,6 +96,76 @@ class Database:
     def close(self) -> None:
         """Give back all connections."""
         self._reading.dispose()
+
+
+def check_database(path: Path) -> None:
+    """Refuse a file that is no database of the service; nothing is written. One that is not there, or is empty, is about to be made.
+
+    Raises:
+        InvalidInput: It is that of another program or of a newer coilcal, or it cannot be read.
+        CorruptStore: It is damaged.
+    """
+    try:
+        if not path.exists():
+            return
+        if not path.is_file():
+            raise InvalidInput(f"database must be a file; {path} is none")
+        with path.open("rb") as file:
+            begin = file.read(len(MAGIC))
+    except OSError as error:
+        raise InvalidInput(f"database must be readable; {path} is not: {reason(error)}") from error
+    if not begin:
+        return
+    if begin != MAGIC:
+        raise CorruptStore(f"database must be one of SQLite; {path} is none")
+    # A file without a log beside it is read as it lies there: no log is made, and no lock is taken.
+    is_alone = not path.with_name(path.name + "-wal").exists()
+    address = f"file:{quote(str(path.absolute()))}?" + ("immutable=1" if is_alone else "mode=ro")
+    try:
+        with closing(sqlite3.connect(address, uri=True, timeout=PATIENCE_S)) as connection:
+            _check_content(connection, path)
+    except sqlite3.Error as error:
+        raise explained(path, error) from error
+
+
+def _check_content(connection: sqlite3.Connection, path: Path) -> None:
+    tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    (application_id,) = connection.execute("PRAGMA application_id").fetchone()
+    if not tables and application_id in (0, APPLICATION_ID):  # a kill came before the first migration
+        return
+    is_old = application_id == 0 and all(
+        columns <= {row[1] for row in connection.execute(f"PRAGMA table_info({table})")}
+        for table, columns in FIRST_TABLES.items()
+    )
+    if application_id != APPLICATION_ID and not is_old:
+        raise InvalidInput(f"database must be one of coilcal serve; {path} is that of another program")
+    for (fault,) in connection.execute("PRAGMA quick_check(1)"):
+        if fault != "ok":
+            raise CorruptStore(f"database must be whole; {path} is damaged")
+    revisions = [word for (word,) in connection.execute("SELECT version_num FROM alembic_version")]
+    known = {file.name[1:5] for file in MIGRATIONS.glob("versions/v*.py")}
+    if len(revisions) != 1:
+        raise CorruptStore(f"database must be of one version; {path} names {len(revisions)}")
+    if revisions[0] not in known:
+        words = f"database must be of version {max(known)} at most; {path} is of {str(revisions[0])[:20]!r}"
+        raise InvalidInput(f"{words} (a newer coilcal has made it)")
+
+
+def explained(path: Path, error: Exception) -> InvalidInput | CorruptStore:
+    """The refusal for what SQLite raises about a file."""
+    cause = error.orig if isinstance(error, DBAPIError) else error
+    code = getattr(cause, "sqlite_errorcode", None)
+    primary = None if code is None else code & 0xFF
+    if primary in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        return InvalidInput(f"database must be free; another program holds {path}")
+    if primary in (
+        sqlite3.SQLITE_FULL,
+        sqlite3.SQLITE_READONLY,
+        sqlite3.SQLITE_IOERR,
+        sqlite3.SQLITE_CANTOPEN,
+    ):
+        return InvalidInput(f"database must be readable and writable; {path} is not: {cause}")
+    return CorruptStore(f"database must be whole; {path} is damaged: {cause}")
 
 
 def new_id() -> str:

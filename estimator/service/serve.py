@@ -38,7 +38,11 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
     install_logs()
     allow_files()
     listener = _bound(settings)
-    app = create_app(settings)
+    try:
+        app = create_app(settings)
+    except BaseException:
+        listener.close()
+        raise
     address = address_of(settings, listener.getsockname()[1])
     tell(address)
     if opens:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
+import os
+import sqlite3
 import tarfile
 import threading
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -172,7 +176,84 @@ def test_nothing_is_overwritten(data: Path, tmp_path: Path) -> None:
         restore(tmp_path / "c.tar", tmp_path / "other")
     with pytest.raises(InvalidInput, match="must be writable"):
         backup(data, tmp_path / "no folder" / "c.tar")
+    with pytest.raises(InvalidInput, match="must be a file that can be read"):
+        restore(tmp_path, tmp_path / "other")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(InvalidInput, match="must be a file that can be read"):
+        restore(tmp_path / "pipe", tmp_path / "other")
+    (tmp_path / "link.tar").symlink_to(tmp_path / "nowhere.tar")
+    with pytest.raises(InvalidInput, match="output must not exist yet"):
+        backup(data, tmp_path / "link.tar")
     assert not (tmp_path / "other").exists()
+
+
+def test_names_that_look_like_temporary_ones_belong_to_their_owner(data: Path, tmp_path: Path) -> None:
+    """A folder of this name was deleted, and a file of this name overwritten, through a link even."""
+    mine, target = tmp_path / "restored.restoring", tmp_path / "target"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("mine", encoding="utf-8")
+    target.write_text("mine", encoding="utf-8")
+    (tmp_path / "b.tar.partial").symlink_to(target)
+    backup(data, tmp_path / "b.tar")
+    restore(tmp_path / "b.tar", tmp_path / "restored")
+    assert (mine / "thesis.txt").read_text(encoding="utf-8") == target.read_text(encoding="utf-8") == "mine"
+    assert (tmp_path / "b.tar.partial").is_symlink()
+    assert not list(tmp_path.glob(".*"))
+
+
+def made_by_hand(manifest: object, checksums: object, *members: tuple[tarfile.TarInfo, bytes]) -> bytes:
+    """A tar file in which everything may be wrong."""
+    buffer = io.BytesIO()
+    with tarfile.open(fileobj=buffer, mode="w", format=tarfile.PAX_FORMAT) as archive:
+        for name, content in (("manifest.json", manifest), ("checksums.json", checksums)):
+            text = content if isinstance(content, bytes) else json.dumps(content).encode()
+            member = tarfile.TarInfo(name)
+            member.size = len(text)
+            archive.addfile(member, io.BytesIO(text))
+        for member, content in members:
+            member.size = len(content)
+            archive.addfile(member, io.BytesIO(content))
+    return buffer.getvalue()
+
+
+RIGHT = {"kind": "coilcal backup", "schema_version": 1, "created": "2026"}
+FILE = "data/coilcal.sqlite"
+
+
+def hashed(content: bytes) -> dict[str, str]:
+    return {FILE: hashlib.sha256(content).hexdigest()}
+
+
+def foreign(path: Path) -> bytes:
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("CREATE TABLE recipes (name TEXT)")
+    return path.read_bytes()
+
+
+def test_backups_that_were_made_by_hand_are_refused_in_one_sentence(tmp_path: Path) -> None:
+    other = foreign(tmp_path / "other.sqlite")
+    torn = other[:5000] + b"\xff" * 3000
+    late = tarfile.TarInfo("data/late")
+    late.mtime = 1e300  # type: ignore[assignment]
+    cases = {
+        "no object": made_by_hand([], {}),
+        "checksums in a list": made_by_hand(RIGHT, [FILE]),
+        "numbers as checksums": made_by_hand(RIGHT, {FILE: 1}, (tarfile.TarInfo(FILE), b"x")),
+        "depth": made_by_hand(b"[" * 100_000, {}),
+        "not UTF-8": made_by_hand(b"\xff", {}),
+        "a time beyond all": made_by_hand(RIGHT, hashed(b""), (tarfile.TarInfo(FILE), b""), (late, b"x")),
+        "a file in a file": made_by_hand(RIGHT, hashed(b"x"), (tarfile.TarInfo("data"), b"x"), (tarfile.TarInfo(FILE), b"x")),
+        "another program's database": made_by_hand(RIGHT, hashed(other), (tarfile.TarInfo(FILE), other)),
+        "a damaged database": made_by_hand(RIGHT, hashed(torn), (tarfile.TarInfo(FILE), torn)),
+        "words as a database": made_by_hand(RIGHT, hashed(b"words"), (tarfile.TarInfo(FILE), b"words")),
+    }  # fmt: skip
+    for name, content in cases.items():
+        (tmp_path / "b.tar").write_bytes(content)
+        result = run("restore", tmp_path / "b.tar", "--data", tmp_path / "restored")
+        assert (result.exit_code, len(result.stderr.splitlines())) == (3, 1), (name, result.stderr)
+        assert not isinstance(result.exception, Exception), name
+        assert not (tmp_path / "restored").exists(), name
+        assert not list(tmp_path.glob(".*")), name
 
 
 def with_member(name: str, kind: bytes = tarfile.REGTYPE, link: str = "") -> bytes:
@@ -208,7 +289,7 @@ def test_damage_and_other_files_are_refused_and_leave_nothing(data: Path, tmp_pa
             restore(tmp_path / "damaged.tar", tmp_path / "other")
         assert isinstance(caught.value, CorruptStore), (name, str(caught.value))
         assert not (tmp_path / "other").exists(), name
-        assert not (tmp_path / "other.restoring").exists(), name
+        assert not list(tmp_path.glob(".*")), name
         assert not (tmp_path / "outside").exists(), name
 
 
