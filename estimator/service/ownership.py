@@ -9,6 +9,8 @@ A route that changes something named in its path depends on one of these (`depen
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import Depends
 from sqlalchemy import ColumnElement, Select, select
 
@@ -49,11 +51,11 @@ def _own_registry(core: CoreOf, caller: Writer, rig_id: Id) -> None:
     _check(core, caller, _first_user(RigVersion.name == name), "rig", rig_id)
 
 
-def _first_user(is_of_rig: ColumnElement[bool]) -> Select[tuple[str]]:
+def _first_user(is_of_rig: ColumnElement[bool]) -> Select[Any]:
     return select(RigVersion.user).where(is_of_rig).order_by(RigVersion.created, RigVersion.id).limit(1)
 
 
-def _check(core: Core, caller: Caller, owner: Select[tuple[str]], thing: str, row_id: str) -> None:
+def _check(core: Core, caller: Caller, owner: Select[Any], thing: str, row_id: str) -> None:
     if caller.scope.includes(Scope.ADMIN):  # whether it is there the route says
         return
     with core.database.reading() as db:
