@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import asyncio
 import heapq
+import ipaddress
 import re
 import resource
 from collections import Counter
@@ -53,6 +54,7 @@ class PromptHttp(H11Protocol):
 
     _awaited: asyncio.TimerHandle | None = None
     _waits_since_s = 0.0
+    place = ""  # of the client
     _has_asked = False
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -62,6 +64,7 @@ class PromptHttp(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """See asyncio."""
         super().connection_made(transport)
+        self.place = place_of(self.client[0] if self.client else "")
         self._await_head()
         if len(self.connections) > MOST_CONNECTIONS:
             self._make_room()
@@ -106,17 +109,25 @@ class PromptHttp(H11Protocol):
         """Send away those who have kept the service waiting for longest, of the address with most of them."""
         others = (other for other in self.connections if isinstance(other, PromptHttp) and other is not self)
         waiting = [(other, since_s) for other in others if (since_s := other.waits_since_s) is not None]
-        n_of_address = Counter(other.address for other, _ in waiting)
-        most = max(n_of_address.values(), default=0)
-        crowd = [pair for pair in waiting if n_of_address[pair[0].address] == most]
+        n_of_place = Counter(other.place for other, _ in waiting)
+        most = max(n_of_place.values(), default=0)
+        crowd = [pair for pair in waiting if n_of_place[pair[0].place] == most]
         for other, _ in heapq.nsmallest(ROOM, crowd, key=lambda pair: pair[1]):
             self.connections.discard(other)  # now, and not when the loop comes to it
             other.transport.abort()
 
-    @property
-    def address(self) -> str:
-        """The address of the client."""
-        return self.client[0] if self.client else ""
+
+def place_of(address: str) -> str:
+    """What one client cannot be more than one of: an address of IPv4, the first half of one of IPv6, whose other half it makes up.
+
+    Examples:
+        >>> place_of("192.0.2.1"), place_of("::ffff:192.0.2.1"), place_of("2001:db8:1:2:a:b:c:d")
+        ('192.0.2.1', '192.0.2.1', '2001:db8:1:2::/64')
+    """
+    if ":" not in address:
+        return address
+    whole = ipaddress.IPv6Address(address.partition("%")[0])
+    return str(whole.ipv4_mapped or ipaddress.IPv6Network((whole, 64), strict=False))
 
 
 def allow_files() -> None:

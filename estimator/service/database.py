@@ -18,7 +18,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import DBAPIError
 from sqlalchemy.orm import Session
 
-from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 
 MIGRATIONS = Path(__file__).parent / "migrations"
 PATIENCE_S = 30  # a write waits this long for another one
@@ -118,17 +118,33 @@ def check_database(path: Path) -> None:
         return
     if begin != MAGIC:
         raise CorruptStore(f"database must be one of SQLite; {path} is none")
-    # A file without a log beside it is read as it lies there: no log is made, and no lock is taken.
-    is_alone = not path.with_name(path.name + "-wal").exists()
-    address = f"file:{quote(str(path.absolute()))}?" + ("immutable=1" if is_alone else "mode=ro")
+    if _is_alone(path):
+        try:
+            _check_content(
+                path, "immutable=1"
+            )  # as it lies there: no log is made beside it, and no lock is taken
+            return
+        except CoilcalError:
+            if _is_alone(path):  # else another process has begun to write while it was read
+                raise
+    _check_content(path, "mode=ro")
+
+
+def _is_alone(path: Path) -> bool:
+    """Whether no process has a database open, and no kill has left its log."""
+    return not path.with_name(path.name + "-wal").exists()
+
+
+def _check_content(path: Path, how: str) -> None:
+    address = f"file:{quote(str(path.absolute()))}?{how}"
     try:
         with closing(sqlite3.connect(address, uri=True, timeout=PATIENCE_S)) as connection:
-            _check_content(connection, path)
+            _check_tables(connection, path)
     except sqlite3.Error as error:
         raise explained(path, error) from error
 
 
-def _check_content(connection: sqlite3.Connection, path: Path) -> None:
+def _check_tables(connection: sqlite3.Connection, path: Path) -> None:
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     (application_id,) = connection.execute("PRAGMA application_id").fetchone()
     if not tables and application_id in (0, APPLICATION_ID):  # a kill came before the first migration

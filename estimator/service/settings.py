@@ -43,6 +43,7 @@ class Settings:
         most_unpacked_MB: Size of an uploaded archive when it is unpacked.
         most_readings: Readings of one session, appended or imported.
         most_open_sessions: Sessions that may be open at once.
+        most_open_sessions_per_user: Open sessions of one user.
         most_points: Points of one prediction.
         most_grid_points: Points of one prediction on a grid.
         most_predictions: Predictions that may be at work or wait at once.
@@ -77,6 +78,7 @@ class Settings:
     most_unpacked_MB: float = 512.0
     most_readings: int = 200_000
     most_open_sessions: int = 500
+    most_open_sessions_per_user: int = 250
     most_points: int = 20_000
     most_grid_points: int = 100_000
     most_predictions: int = 200

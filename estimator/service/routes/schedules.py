@@ -31,7 +31,7 @@ from estimator.service.schedules import next_run, trigger_of
 from estimator.service.schema import RigVersion, Schedule
 
 router = APIRouter(prefix="/v1/schedules", tags=["schedules"])
-MOST_SCHEDULES = 100
+MOST_SCHEDULES, MOST_OF_USER = 100, 50
 
 
 class NewSchedule(BaseModel):
@@ -88,8 +88,14 @@ def create_schedule(request: Request, core: CoreOf, caller: Writer, body: NewSch
         rig = db.get(RigVersion, body.rig_id)
         if rig is None:
             raise not_found("rig", body.rig_id)
-        if (db.scalar(select(func.count()).select_from(Schedule)) or 0) >= MOST_SCHEDULES:
-            raise Problem(409, "schedules", f"must be at most {MOST_SCHEDULES}; delete one first")
+        n = select(func.count()).select_from(Schedule)
+        own = n.where(Schedule.user == caller.user)
+        for thing, rows, most in (
+            ("schedules", n, MOST_SCHEDULES),
+            (f"schedules of {caller.user}", own, MOST_OF_USER),
+        ):
+            if (db.scalar(rows) or 0) >= most:
+                raise Problem(409, thing, f"must be at most {most}; delete one first")
         told = body.model_dump(exclude={"rig_id"})
         row = Schedule(
             id=new_id(), rig_name=rig.name, created=now(), user=caller.user, is_at_work=False, **told

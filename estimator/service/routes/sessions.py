@@ -127,10 +127,7 @@ def create_session(
             version = db.get(RigVersion, body.rig_id)
             if version is None:
                 raise not_found("rig", body.rig_id)
-            most = core.settings.most_open_sessions
-            if db.scalar(select(func.count()).where(SessionRow.state == OPEN)) >= most:  # type: ignore[operator]
-                rule = f"must be at most {most}; close one first"
-                raise Problem(429, "open sessions", rule, headers={"Retry-After": "60"})
+            _check_room(core, db, caller)
             core.sessions.create(session_id, rig_from_text(version.text, "rig"), body.source)
             row = SessionRow(id=session_id, rig_id=version.id, source=body.source, state=OPEN, created=now())
             row.user, row.idempotency_key = caller.user, key
@@ -140,6 +137,22 @@ def create_session(
     except BaseException:
         core.sessions.remove(session_id)
         raise
+
+
+def _check_room(core: Core, db: DatabaseSession, caller: Caller) -> None:
+    """Refuse one more open session where there are too many, of all users or of this one."""
+    n_open = select(func.count()).where(SessionRow.state == OPEN)
+    for thing, rows, most in (
+        ("open sessions", n_open, core.settings.most_open_sessions),
+        (
+            f"open sessions of {caller.user}",
+            n_open.where(SessionRow.user == caller.user),
+            core.settings.most_open_sessions_per_user,
+        ),
+    ):
+        if (db.scalar(rows) or 0) >= most:
+            rule = f"must be at most {most}; close one first"
+            raise Problem(429, thing, rule, headers={"Retry-After": "60"})
 
 
 def _begun_before(db: DatabaseSession, caller: Caller, body: NewSession, key: str) -> SessionInfo | None:

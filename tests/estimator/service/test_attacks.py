@@ -338,6 +338,9 @@ class _Idle:
         self.timers[-1].call = call  # type: ignore[attr-defined]
         return self.timers[-1]
 
+    def time(self) -> float:
+        return 0.0
+
     def cancel(self) -> None:
         self.is_cancelled = True
 

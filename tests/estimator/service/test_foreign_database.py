@@ -12,9 +12,10 @@ from click.testing import CliRunner, Result
 
 from estimator.cli.main import main
 from estimator.errors import CorruptStore, InvalidInput
+from estimator.service import database as database_module
 from estimator.service.app import create_app
 from estimator.service.core import DATABASE
-from estimator.service.database import APPLICATION_ID, Database
+from estimator.service.database import APPLICATION_ID, Database, check_database
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, all_tokens, create_token
 
@@ -144,6 +145,26 @@ def test_one_that_another_program_uses_now_is_left_alone(tmp_path: Path) -> None
         assert serve("token", "list", "--data", tmp_path).exit_code == 2
         assert (path.read_bytes(), path.with_name(f"{DATABASE}-wal").read_bytes()) == before
         assert theirs.execute("SELECT count(*) FROM notes").fetchone() == (2,)
+
+
+def test_one_into_which_another_process_begins_to_write_is_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / DATABASE
+    own(path)
+    asked: list[str] = []
+    original = database_module._check_tables
+
+    def check(connection: sqlite3.Connection, of: Path) -> None:
+        asked.append("")
+        if len(asked) == 1:  # pages of two moments
+            path.with_name(f"{DATABASE}-wal").touch()
+            raise sqlite3.DatabaseError("database disk image is malformed")
+        original(connection, of)
+
+    monkeypatch.setattr(database_module, "_check_tables", check)
+    check_database(path)
+    assert len(asked) == 2
 
 
 def test_those_of_the_service_are_taken_with_and_without_an_id_and_while_it_runs(tmp_path: Path) -> None:

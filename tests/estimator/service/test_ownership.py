@@ -23,6 +23,7 @@ from estimator.service.app import create_app
 from estimator.service.core import Core
 from estimator.service.job_queue import DONE
 from estimator.service.requests import Id, Writer
+from estimator.service.routes import schedules
 from estimator.service.schema import Audit, Base, Job
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, create_token, revoke_token
@@ -221,6 +222,24 @@ def test_another_version_of_a_rig_does_not_make_its_registry_ones_own(bench: Ben
         told = refusal(bench.client.post(call[0], json=call[1]), 403)
         assert told["rule"].endswith("it belongs to anne")
     assert bench.client.post("/v1/schedules", json={"rig_id": mine, "every_s": 60}).status_code == 201
+
+
+def test_no_user_takes_the_open_sessions_or_the_schedules_of_all(
+    idle: Callable[..., TestClient], rig_text: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(schedules, "MOST_OF_USER", 2)
+    client = idle(require_tokens=True, most_open_sessions=5, most_open_sessions_per_user=2)
+    made = {}
+    for user in ("anne", "bert"):
+        client.headers.update(bearer(client, user))
+        rig_id = upload_rig(client, re.sub(r"(?m)^name: .*$", f"name: {user}", rig_text))
+        for path, body in (("sessions", {"source": "x"}), ("schedules", {"every_s": 60})):
+            made[user, path] = [
+                client.post(f"/v1/{path}", json={"rig_id": rig_id, **body}).status_code for _ in range(3)
+            ]
+    for user in ("anne", "bert"):
+        assert made[user, "sessions"] == [201, 201, 429]
+        assert made[user, "schedules"] == [201, 201, 409]
 
 
 def test_refusals_do_not_fill_the_audit_log(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
