@@ -16,6 +16,7 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
+from estimator.calibration.notes import notes
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.calibration.starting_point import (
     StartingPoint,
@@ -26,6 +27,7 @@ from estimator.calibration.starting_point import (
 )
 from estimator.calibration.summary import finite, summary
 from estimator.devices import device_named, precision_named
+from estimator.effects.everywhere import WithEverywhere, with_everywhere
 from estimator.effects.use import as_meant
 from estimator.errors import InvalidInput, reason
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
@@ -67,6 +69,7 @@ def calibrate(
     seed: int = 0,
     settings: SamplerSettings | None = None,
     has_integer_counts: bool = True,
+    as_described: bool = False,
     device: str = "cpu",
     precision: str = "double",
     on_stage: Callable[[Stage], None] | None = None,
@@ -86,6 +89,8 @@ def calibrate(
         seed: Seed of all random numbers.
         settings: When to stop sampling; its seed is replaced by `seed`.
         has_integer_counts: False treats free loop counts as real numbers.
+        as_described: Fit the rig as it is described. Otherwise a field of the room, such as the Earth's, and the zero of each sensor are
+            fitted too where the rig does not mention them, and the currents tell them from the fields of the coils.
         device: Where the readings are predicted, such as `cuda`; sampling itself and all reports stay on the processor.
         precision: `double`, or `single` for the predictions of readings; densities and fits are in double precision all the same.
         on_stage: Called as the work proceeds.
@@ -98,16 +103,14 @@ def calibrate(
     """
     tell = on_stage or (lambda stage: None)
     place, dtype = device_named(device), precision_named(precision)
-    rig = rig or session.rig
-    session.check_rig(rig)
-    _check_free(rig, has_integer_counts)
+    besides = _rig_to_fit(session, rig or session.rig, has_integer_counts, as_described)
+    rig = besides.rig
     settings = replace(settings or SamplerSettings(), seed=seed)
     wanted, settings = settings, settings.for_rig(len(rig.free) - len(free_amplitudes(rig)))
     folder = None if out is None else Path(out)
     computed = [] if (device, precision) == ("cpu", "double") else [device, precision]
     fingerprint = _fingerprint(session, rig, settings, has_integer_counts, computed)
     backend = None if folder is None or overwrite else _unfinished_chain(folder, fingerprint)
-    check_readings(rig, session.observations, session.source)
     observations = as_meant(rig, session.observations).calibration
     check_units(rig, observations, session.source)
     MeasurementModel.build(rig, session.observations)  # refuses sensors inside a winding, in validation too
@@ -160,6 +163,8 @@ def calibrate(
     of_amplitudes = start.summary(readings)
     summary_json = {
         **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence")),
+        "fitted_besides": [cause.label for cause in besides.added],
+        "notes": notes(besides),
         "is_converged": samples.is_converged,
         "has_integer_counts": lattice.coordinates.n_counts > 0,
         "sampling": _sampling(samples),
@@ -173,6 +178,14 @@ def calibrate(
     if folder is not None:
         calibration.save(folder)
     return calibration
+
+
+def _rig_to_fit(session: Session, rig: Rig, has_integer_counts: bool, as_described: bool) -> WithEverywhere:
+    """The rig with what no laboratory is without; refuse one that the readings cannot support."""
+    session.check_rig(rig)
+    _check_free(rig, has_integer_counts)
+    check_readings(rig, session.observations, session.source)
+    return WithEverywhere(rig) if as_described else with_everywhere(rig, session.observations.calibration)
 
 
 def _check_free(rig: Rig, has_integer_counts: bool) -> None:

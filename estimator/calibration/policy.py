@@ -14,10 +14,11 @@ MISSED_NOISE = 3.0
 """Error over what the expected noise leaves up to which no calibration is unusable: weak fields drown in noise without any fault."""
 
 LARGER_THAN_NOISE = 1.5
-"""Error over what a known noise leaves from which on something is suspect. Statistics: six standard deviations for twenty readings."""
+"""Error over what the expected noise leaves from which on something is suspect. Statistics: six standard deviations for twenty readings."""
 
-LARGE_NOISE_SD = 2.0
-"""Fitted noise above the middle of its prior, in the prior's standard deviations, that is suspect. Statistics: 2 % of right priors."""
+LEAST_AGREEMENT = 2e-3
+"""Probability by noise alone, counted over all halves of a session, below which their disagreement is suspect. Statistics: one right
+model in 500 is suspected."""
 
 FAR_SD = 3.5
 """Distance of any other fitted number from the middle of its prior, up or down, in the prior's standard deviations, that is suspect.

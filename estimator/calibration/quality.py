@@ -1,7 +1,8 @@
 """Whether a calibration can be used: good, suspect or unusable, with the reasons and what to do next.
 
-It compares what the fit leaves with the noise that the rig file expects, and fitted numbers with their priors. A fit follows what it can,
-so a good calibration may still hide something; `coilcal diagnose` looks closer.
+It compares what the fit leaves with the noise (that of readings at the same place, else that of the rig file), fitted numbers with their
+priors, and halves of the session with each other. A fit follows what it can, so a good calibration may still hide something; `coilcal
+diagnose` looks closer.
 """
 
 from __future__ import annotations
@@ -15,9 +16,12 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration import policy
+from estimator.calibration.halves import disagreements
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.result import Calibration
+from estimator.effects import EFFECTS
 from estimator.readings.observations import Observations
+from estimator.readings.scatter import scatter_T
 from estimator.reporting.numbers import displays, percent, size_with_unit
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
@@ -61,8 +65,9 @@ def assessment(
     """
     role = "validation" if errors["rmse"]["validation"] else "calibration"
     error, coverage90 = errors["rmse"][role], errors["coverage90"][role]
+    rig = calibration.rig
     expected_T = noise_rms_T(
-        calibration.observations, calibration.rig, calibration.rig.nominal_values(), role
+        calibration.observations, rig, {**rig.nominal_values(), **_scatter(calibration)}, role
     )
     missed = error["relative"]
     if (
@@ -80,8 +85,9 @@ def assessment(
         )
     medians = {name: float(np.median(draws)) for name, draws in calibration.draws.items()}
     reasons = [
-        *tensions(calibration.rig.free, medians),
-        *_misfit(calibration.rig, error["vector_T"], expected_T),
+        *_misfit(error["vector_T"], expected_T),
+        *_disagreement(calibration),
+        *tensions((p for p in rig.free if not p.name.endswith(".noise_T")), medians),
     ]
     if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
         reasons.append(f"only {percent(coverage90)} of the readings' components lie in their 90 % intervals.")
@@ -99,7 +105,7 @@ def assessment(
     if reasons:
         words = (
             "With the causes that this rig has, something may still be wrong in it: do not rely on what lies far off."
-            if calibration.rig.effects
+            if any(not EFFECTS[cause.name].is_everywhere for cause in rig.acting)
             else "Something in the rig file or in the model may be wrong. Run coilcal diagnose, which names it or says that it cannot."
         )
         return Assessment(Quality.SUSPECT, tuple(reasons), words)
@@ -107,10 +113,20 @@ def assessment(
         Quality.GOOD,
         (
             f"it misses {_share(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves {_size(expected_T)}, "
-            f"and no number lies more than {policy.FAR_SD} widths of its prior from what is expected.",
+            "halves of the session agree, and no number is far from what is expected.",
         ),
         "Run coilcal diagnose to look closer for what a fit may have followed.",
     )
+
+
+def _scatter(calibration: Calibration) -> dict[str, float]:
+    """Noise of each sensor by readings at the same places, where there are enough: no prior knows it better."""
+    by_sensor = scatter_T(calibration.observations.calibration, len(calibration.rig.sensors))
+    return {
+        f"{sensor.name}.noise_T": noise_T
+        for sensor, noise_T in zip(calibration.rig.sensors, by_sensor, strict=True)
+        if noise_T is not None
+    }
 
 
 def noise_rms_T(observations: Observations, rig: Rig, values: Mapping[str, float], role: str) -> float:
@@ -144,9 +160,9 @@ def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> li
         value = values[parameter.name]
         distance_sd = parameter.prior.distance(value)
         is_noise = parameter.name.endswith(".noise_T")
-        if (is_noise and distance_sd > policy.LARGE_NOISE_SD) or (
-            not is_noise and abs(distance_sd) > policy.FAR_SD
-        ):
+        if is_noise and value <= policy.LARGER_THAN_NOISE * parameter.prior.centre:
+            continue
+        if is_noise or abs(distance_sd) > policy.FAR_SD:
             show = shown[parameter.name]
             size, middle = (f"{number * show.factor:.4g}" for number in (value, parameter.prior.centre))
             words = f"{show.words} is {size} {show.unit}".rstrip()
@@ -159,13 +175,24 @@ def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> li
     return [words for _, words in sorted(far, reverse=True)]
 
 
-def _misfit(rig: Rig, error_T: float, expected_T: float) -> list[str]:
-    """An error that known noise does not explain; a free noise follows it and shows in its own tension."""
-    is_known = not any(rig.parameters[f"{sensor.name}.noise_T"].is_free for sensor in rig.sensors)
-    if not is_known or error_T <= policy.LARGER_THAN_NOISE * expected_T:
+def _misfit(error_T: float, expected_T: float) -> list[str]:
+    """An error that the expected noise does not explain, known or free: a wide prior of the noise would follow any error."""
+    if error_T <= policy.LARGER_THAN_NOISE * expected_T:
         return []
     ratio = math.inf if expected_T == 0.0 else error_T / expected_T
-    return [f"the error is {_size(error_T)}, {ratio:.2g} times what the stated noise leaves."]
+    return [
+        f"the error is {_size(error_T)}, {ratio:.2g} times what the expected noise leaves ({_size(expected_T)})."
+    ]
+
+
+def _disagreement(calibration: Calibration) -> list[str]:
+    """The half of the session that disagrees most with the rest."""
+    found = disagreements(calibration.rig, calibration.observations.calibration, calibration.best)
+    return [
+        f"{each.words} (probability {each.p_value:.1g} by noise alone)."
+        for each in found[:1]
+        if each.p_value < policy.LEAST_AGREEMENT
+    ]
 
 
 def _size(field_T: float) -> str:

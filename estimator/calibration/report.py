@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration.figures import pictures
+from estimator.calibration.notes import told_by_data
 from estimator.calibration.quality import noise_rms_T
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays, percent, probability, size_with_unit, to_digit_of, with_sd
@@ -60,6 +61,7 @@ def _verdict(calibration: Calibration) -> list[str]:
         f"{quality['verdict'].capitalize()}: {first}",
         *others,
         quality["next"],
+        *summary.get("notes", ()),
         f"The calibrated model is off by {_microtesla(error['vector_T'])} rms ({percent(error['relative'], 2)} of the field) on "
         f"{readings}; before calibration it was off by {_microtesla(nominal['vector_T'])} ({percent(nominal['relative'], 2)}).",
         _noise_share(calibration, role),
@@ -121,7 +123,7 @@ def _warnings(summary: Mapping[str, Any]) -> list[str]:
             )
     elif has_real_counts:
         warnings.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
-    for direction in summary["undetermined"]:
+    for direction in told_by_data(summary["undetermined"], summary.get("fitted_besides", ())):
         warnings.append(undetermined_sentence(direction["words"], direction["data_over_prior_sd"]))
     for name, distance in summary["prior_tension"].items():
         warnings.append(

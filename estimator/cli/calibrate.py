@@ -54,6 +54,11 @@ MOST_LISTED = 50  # amplitudes on the screen
     show_default=True,
     help="Treat free loop counts as whole numbers or as real numbers.",
 )
+@click.option(
+    "--as-described",
+    is_flag=True,
+    help="Fit the rig as its file describes it, without the room's field and the zero of the sensors where it does not mention them.",
+)
 @prediction_options("readings", REFUSED_SINGLE)
 @overwrite_option
 @json_option
@@ -66,6 +71,7 @@ def calibrate_command(
     walkers: int,
     max_steps: int,
     counts: str,
+    as_described: bool,
     device: str,
     precision: str,
     overwrite: bool,
@@ -96,6 +102,7 @@ def calibrate_command(
             seed=seed,
             settings=settings,
             has_integer_counts=counts == "integer",
+            as_described=as_described,
             device=device,
             precision=precision,
             on_stage=reporter,
@@ -116,12 +123,14 @@ def calibrate_command(
 
 
 def _text(summary: Any, out: Path) -> str:
+    from estimator.calibration.notes import told_by_data
     from estimator.reporting.numbers import displays, percent, probability
 
     quality = summary["quality"]
     lines = [
         f"{quality['verdict']}: {' '.join(quality['reasons'])}",
         quality["next"],
+        *summary.get("notes", ()),
         "",
     ]
     lines += [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
@@ -153,7 +162,10 @@ def _text(summary: Any, out: Path) -> str:
         + (", which summary.json lists" if unlisted else "")
         for coil, told in summary.get("amplitudes", {}).items()
     ]
-    lines += [f"not determined by the data: {direction['words']}" for direction in summary["undetermined"]]
+    lines += [
+        f"not determined by the data: {direction['words']}"
+        for direction in told_by_data(summary["undetermined"], summary.get("fitted_besides", ()))
+    ]
     lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)
 

@@ -56,8 +56,10 @@ def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
 
 def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str, Any], list[InvalidInput]]:
     """What a plan or a readings CSV holds, as lines and as a record, and its faults."""
+    from estimator.calibration.notes import notes
     from estimator.cli.device_faults import devices_and_faults, is_devices_file
     from estimator.cli.understood import plan_lines, plan_record, readings_lines, readings_record
+    from estimator.effects.everywhere import with_everywhere
     from estimator.readings.digits import flags_of_digits
     from estimator.readings.flags import told
     from estimator.readings.plan import plan_and_faults
@@ -83,6 +85,9 @@ def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str
     if flags:
         rest.append(f"  {told(flags, sensors)}")
     record = {"readings": readings_record(table), "flagged": [flag.to_json(sensors) for flag in flags]}
+    if is_rig_right and not faults:
+        told_besides = notes(with_everywhere(rig, session.observations))
+        rest, record = [*rest, *(f"  {note}" for note in told_besides)], {**record, "notes": told_besides}
     return [f"{path}: {first}", *rest], record, faults
 
 

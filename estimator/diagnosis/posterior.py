@@ -57,6 +57,7 @@ def extended_posterior(
         held,
         out=out,
         overwrite=True,
+        as_described=True,
         seed=seed,
         settings=settings,
         device=device,

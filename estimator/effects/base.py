@@ -117,6 +117,7 @@ class Effect(ABC):
         stays: The cause that is the same from one instant on, where this one ends at another: the difference of two of these.
         never_negative: Keys of quantities that are not negative where the cause is what its words say: a current that grows as a coil warms
             up is none of its losses. A fit with a negative one is something else.
+        is_everywhere: No laboratory is without it, so a calibration fits it where the rig file does not mention it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
@@ -133,6 +134,7 @@ class Effect(ABC):
     needs_winding: ClassVar[bool] = False
     stays: ClassVar[Effect | None] = None
     never_negative: ClassVar[tuple[str, ...]] = ()
+    is_everywhere: ClassVar[bool] = False
     is_correction: ClassVar[bool] = False
 
     @abstractmethod

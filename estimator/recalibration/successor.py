@@ -33,7 +33,9 @@ def sampled_successor(
         n = len(rig.free)
         settings = replace(settings, n_walkers=max(settings.n_walkers, 2 * n, n + 2))
     watcher.on_words("sampling a new version")
-    return calibrate(session, rig, seed=seed, settings=settings, on_stage=watcher.on_sampling)
+    return calibrate(
+        session, rig, seed=seed, settings=settings, as_described=True, on_stage=watcher.on_sampling
+    )
 
 
 def lasting(rig: Rig) -> Rig:

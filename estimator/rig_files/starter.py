@@ -14,8 +14,10 @@ from estimator.rig_files.read import NAME, SCHEMA_VERSION
 
 PLACE_SD_MM = 3.0  # of a place that was measured with a ruler
 TILT_SD_DEG = 2.0  # of a mount that was set by eye
+MOUNT_SD_DEG = 0.6  # between the axes of a stage and what is screwed to it
 RELATIVE_SD = 0.05  # of a radius that was measured with a caliper over tape and varnish
 NEAREST_SDS = 4.0  # of place and tilt, between a sensor and the front face of the winding
+ROOM_SD_T = ZERO_SD_T = 50e-6  # of a component of the Earth's field, and of the zero of a Hall sensor
 N_POSES, N_JUDGED = 40, 12
 
 
@@ -121,18 +123,21 @@ coils:
     radial_loops: {_normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1.0)}
     # axial_pitch_mm, radial_pitch_mm: distance of turns and of layers; where left out, twice the wire radius.
     # current_gain: delivered over commanded current, 1 where left out. Free it only as narrowly as your ammeter is good:
-    #   more current looks like more turns.
+    #   more current looks like more turns, and like more gain of the sensor below.
 {face}{coil}
 sensors:
   hall:
 {"" if is_coil_moved else "    carried_by: arm1          # leave this out for a sensor that stands still" + chr(10)}\
     # Scatter of one component of one reading; a field, must be given. Free it unless you measured it.
     noise_uT: {{prior: {{log_normal: {{median: {s.noise_uT:g}, relative_sd: 0.5}}}}}}
-    # gain: 1 where left out. Leave it fixed; a diagnosis asks for gains by axis.
+    # Shown over true field, 1 where left out: a probe is good to a per cent, unless it was calibrated better.
+    gain: {{prior: {{normal: {{mean: 1, sd: 0.01}}}}}}
 {sensor}
-# effects: known errors, one entry cause[place] each, such as
-#   axis_gain[hall]: {{x: 0.01, y: 0, z: 0}}
-# 'coilcal explain' lists all causes, and 'coilcal diagnose' finds them.
+effects:                     # what is there besides, one entry cause[place] each; 'coilcal explain' lists all causes
+  # The Earth's field is 25 to 65 uT. Narrow the priors to what you know; delete both where readings have it subtracted.
+  background_field[room]: {_three(ROOM_SD_T)}
+  sensor_offset[hall]: {_three(ZERO_SD_T)}   # what the sensor shows in no field
+  # Others that you know of, or that 'coilcal diagnose' finds, such as axis_gain[hall]: {{x: 0.01, y: 0, z: 0}}
 #
 # devices: how to reach the instruments, for 'coilcal acquire'; 'coilcal rig-simulator' writes an example.
 """
@@ -198,12 +203,15 @@ def _moved_pose(s: Starter, kind: str, z_mm: float) -> str:
     # How it is mounted on the flange: x, y, z, rotation vector rx, ry, rz, then small turns tilt_x, tilt_y, spin; 0 where left out.
     # Its place is not free here, for that of the base is, and only their sum shows.
     flange_from_{kind}:
-{_tilts()}"""
+{_tilts(TILT_SD_DEG, kind == "sensor")}"""
     return f"""\
     # Where it is at zero displacement: x, y, z, rotation vector rx, ry, rz, then small turns tilt_x, tilt_y, spin; 0 where left out.
-    # Free the places and tilts of one body only. Never free the spin: a coil is round.
+    # Free the places and tilts of one body only. Never free this spin: a coil is round.
     world_from_{kind}0:
-{_place(6, "xyz", (0.0, 0.0, z_mm))}{_tilts()}"""
+{_place(6, "xyz", (0.0, 0.0, z_mm))}{_tilts(TILT_SD_DEG)}\
+    # How it is turned on what carries it, against the axes of the displacements.
+    flange_from_{kind}:
+{_tilts(MOUNT_SD_DEG, kind == "sensor")}"""
 
 
 def _place(indent: int, axes: str, values_mm: tuple[float, ...]) -> str:
@@ -211,8 +219,15 @@ def _place(indent: int, axes: str, values_mm: tuple[float, ...]) -> str:
     return "".join(f"{' ' * indent}{line}\n" for line in lines)
 
 
-def _tilts() -> str:
-    return "".join(f"      tilt_{axis}_deg: {_normal(0.0, TILT_SD_DEG)}\n" for axis in "xy")
+def _tilts(sd_deg: float, spins: bool = False) -> str:
+    angles = ("tilt_x", "tilt_y", *(["spin"] if spins else []))
+    return "".join(f"      {angle}_deg: {_normal(0.0, sd_deg)}\n" for angle in angles)
+
+
+def _three(sd_T: float) -> str:
+    """Components in T, of which nothing is known but their size."""
+    sd = f"{sd_T * 1e6:g}e-6".replace("e", ".0e")
+    return "{" + ", ".join(f"{axis}_T: {{prior: {{normal: {{mean: 0, sd: {sd}}}}}}}" for axis in "xyz") + "}"
 
 
 def _normal(mean: float, sd: float, lower: float | None = None) -> str:

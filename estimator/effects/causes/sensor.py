@@ -97,6 +97,7 @@ class SensorOffset(ReadingEffect):
     name: ClassVar[str] = "sensor_offset"
     words: ClassVar[str] = "the sensor shows a constant in no field"
     source: ClassVar[str] = "zero errors of Hall sensors, 10 to 100 uT"
+    is_everywhere: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Components in the sensor frame."""

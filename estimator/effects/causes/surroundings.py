@@ -25,6 +25,7 @@ class BackgroundField(RoomEffect):
     words: ClassVar[str] = "a constant field of the room adds to that of the coils"
     source: ClassVar[str] = "the Earth's field, 25 to 65 uT (IGRF-13)"
     is_background: ClassVar[bool] = True
+    is_everywhere: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Components in the world frame."""

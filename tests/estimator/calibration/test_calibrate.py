@@ -80,7 +80,7 @@ def test_the_summary_has_the_keys_that_other_peoples_scripts_read(small_calibrat
         "parameters", "loop_counts", "rmse", "coverage90", "seed", "versions", "session_hash", "rig_hash",
     }  # fmt: skip
     more = {
-        "best", "has_integer_counts", "is_converged", "point_estimate", "prior_tension", "quality", "rig_name", "rmse_by_sensor", "rmse_nominal",
+        "best", "fitted_besides", "has_integer_counts", "is_converged", "notes", "point_estimate", "prior_tension", "quality", "rig_name", "rmse_by_sensor", "rmse_nominal",
         "sampling", "session_created", "session_source", "truth", "undetermined",
     }  # fmt: skip
     assert set(record) == promised | more == set(keys(SUMMARY)) - {"widening", *OF_UNWOUND}

@@ -67,12 +67,12 @@ def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(
     assert (tmp_path / "out/summary.json").exists()
 
 
-def test_a_wrong_place_of_the_sensor_is_suspect_by_what_known_noise_leaves(
+def test_a_wrong_place_of_the_sensor_is_suspect_by_what_the_noise_leaves(
     small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
 ) -> None:
     verdict = quality(shifted(small_rig, small_plan, small_truth, 2e-3))
     assert verdict["verdict"] == "suspect"
-    assert "times what the stated noise leaves" in str(verdict["reasons"])
+    assert "times what the expected noise leaves" in str(verdict["reasons"])
 
 
 def test_noise_that_swallows_the_error_is_suspect_itself(
@@ -83,7 +83,7 @@ def test_noise_that_swallows_the_error_is_suspect_itself(
     assert quality(shifted(rig, small_plan, truth, 0.0))["verdict"] == "good"
     verdict = quality(shifted(rig, small_plan, truth, 8e-3))
     assert verdict["verdict"] == "suspect"
-    assert "noise is " in str(verdict["reasons"])
+    assert "times what the expected noise leaves" in str(verdict["reasons"])
 
 
 def test_a_number_far_from_its_prior_is_suspect_first(

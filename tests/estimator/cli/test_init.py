@@ -66,7 +66,7 @@ def test_a_script_is_not_asked_and_gets_what_it_gave(run: Run, tmp_path: Path) -
     assert rig.name == "small coil"
     assert rig.nominal_values()["coil1.radius_m"] == pytest.approx(0.02)
     assert rig.nominal_values()["hall.noise_T"] == pytest.approx(3e-6)
-    assert len(rig.free) == told["free"] == 10
+    assert len(rig.free) == told["free"] == 19
     checked = run("check", told["rig"], told["plan"])
     assert checked.stdout.endswith("nothing is wrong\n")
     again = run("init", tmp_path / "new")

@@ -1,0 +1,59 @@
+"""What a calibration takes for granted, or has fitted beside what its rig file says, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from estimator.effects import EFFECTS
+from estimator.effects.everywhere import WithEverywhere
+from estimator.rig.rig import Cause
+
+
+def notes(described: WithEverywhere) -> list[str]:
+    """Sentences on what no laboratory is without, and on gains that count as exact.
+
+    Args:
+        described: The rig that was fitted.
+    """
+    sentences = []
+    if described.added:
+        sentences.append(
+            f"Fitted besides, for the rig file does not mention it: {_listed(described.added)}. "
+            "Where no sensor turns, only the sum of the room's field and of a sensor's zero is known."
+        )
+    if described.missing:
+        sentences.append(
+            f"Every reading was taken with the same currents, so these were not fitted: {_listed(described.missing)}. Unless they were "
+            "subtracted from the readings, read places without current too: the Earth's field alone is 25 to 65 µT."
+        )
+    rig = described.rig
+    gains = [f"{coil.name}.current_gain" for coil in rig.wound] + [
+        f"{sensor.name}.gain" for sensor in rig.sensors
+    ]
+    if rig.wound and not any(rig.depends_on_data(name) for name in gains if name in rig.parameters):
+        sentences.append(
+            "The rig file takes the gains of supply and sensor as exact: if one is 1 % off, so are the fields and the number of turns."
+        )
+    return sentences
+
+
+def told_by_data(
+    undetermined: Iterable[Mapping[str, Any]], fitted_besides: Iterable[str]
+) -> list[Mapping[str, Any]]:
+    """Open directions without those in which nothing but what was fitted besides takes part, which a note tells of.
+
+    Args:
+        undetermined: Open directions as a summary holds them.
+        fitted_besides: Labels of causes, as a summary holds them.
+    """
+    own = tuple(f"{label}." for label in fitted_besides)
+    return [
+        direction
+        for direction in undetermined
+        if not all(name.startswith(own) for name in direction["shares"])
+    ]
+
+
+def _listed(causes: Iterable[Cause]) -> str:
+    return "; ".join(f"{EFFECTS[cause.name].words} ({cause.label})" for cause in causes)

@@ -1,0 +1,51 @@
+"""The noise of a sensor by its own readings: their scatter at one place, about a line in the currents."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from estimator.readings.observations import Observations
+
+FEWEST = 30  # degrees of freedom from which on the scatter counts; it is then known to an eighth
+
+
+def scatter_T(observations: Observations, n_sensors: int) -> list[float | None]:
+    """Standard deviation of a component of each sensor's readings; None where too few places were read often enough.
+
+    At one place every field is a constant and a share of each current. What readings scatter about that is noise, whatever the model.
+
+    Args:
+        observations: Readings; those at the same place have the same motion to the last bit.
+        n_sensors: Of the rig.
+    """
+    settings = [observations.sensor[:, None].to(torch.float64), *observations.motion.values()]
+    _, place = torch.unique(torch.cat(settings, dim=1), dim=0, return_inverse=True)
+    order = torch.argsort(place, stable=True)
+    groups = torch.split(order, torch.bincount(place).tolist())
+    squares, n_free = torch.zeros(n_sensors), torch.zeros(n_sensors)
+    for rows in groups:
+        if len(rows) < 2:
+            continue
+        sensor = int(observations.sensor[rows[0]])
+        for axis in range(3):
+            read = rows[observations.is_measured[rows, axis]]
+            left, n_left = _about_a_line(
+                observations.current_A[read], observations.field_sensor_T[read, axis]
+            )
+            squares[sensor] += left
+            n_free[sensor] += n_left
+    return [
+        float((square / n).sqrt()) if n >= FEWEST else None
+        for square, n in zip(squares.to(torch.float64), n_free.to(torch.float64), strict=True)
+    ]
+
+
+def _about_a_line(current_A: Tensor, field_T: Tensor) -> tuple[float, int]:
+    """Sum of squares that a constant and the currents leave, and its degrees of freedom."""
+    columns = torch.cat((torch.ones_like(current_A[:, :1]), current_A), dim=1)
+    columns = columns / columns.abs().amax(dim=0).clamp(min=1e-300)
+    span, size, _ = torch.linalg.svd(columns, full_matrices=False)
+    span = span[:, size > 1e-9 * size.max().clamp(min=1e-300)]
+    left = field_T - span @ (span.mT @ field_T)
+    return float(left.square().sum()), len(field_T) - span.shape[1]

@@ -1,0 +1,54 @@
+"""The scatter of readings at one place is the noise of the sensor, whatever field is there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan
+from estimator.readings.scatter import scatter_T
+from estimator.rig_files.read import rig_from_text
+from tests.estimator.conftest import RIG
+
+CURRENTS = ({"coil1": -3.0}, {"coil1": 0.0}, {"coil1": 1.5}, {"coil1": 3.0})
+
+
+def test_it_is_the_noise_and_no_field_of_coil_or_room_adds_to_it(small_plan: Plan) -> None:
+    rig = rig_from_text(RIG + "effects:\n  background_field[room]: {x_T: 1.0e-3, y_T: 0, z_T: 0}\n")
+    observations = simulate(rig, replace(small_plan, currents_A=CURRENTS), {}, seed=1)
+    (noise_T,) = scatter_T(observations, 1)
+    n = 3 * 2 * len(observations) // 4
+    assert noise_T == pytest.approx(5e-6, rel=4.0 / (2.0 * n) ** 0.5)
+
+
+def test_repeats_at_one_current_count(small_plan: Plan) -> None:
+    observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=3), {}, seed=2)
+    (noise_T,) = scatter_T(observations, 1)
+    assert noise_T == pytest.approx(5e-6, rel=0.25)
+
+
+def test_places_that_are_read_once_or_twice_tell_nothing(small_plan: Plan) -> None:
+    once = simulate(rig_from_text(RIG), small_plan, {}, seed=3)
+    assert scatter_T(once, 1) == [None]
+    twice = simulate(rig_from_text(RIG), replace(small_plan, currents_A=CURRENTS[1:3]), {}, seed=3)
+    assert scatter_T(twice, 1) == [None]
+
+
+def test_each_sensor_has_its_own_and_missing_components_are_left_out(small_plan: Plan) -> None:
+    observations = simulate(
+        rig_from_text(RIG), replace(small_plan, currents_A=CURRENTS, repeats=2), {}, seed=4
+    )
+    n = len(observations)
+    field_T = torch.cat((observations.field_sensor_T, 10.0 * observations.field_sensor_T))
+    field_T[::5, 0] = float("nan")
+    both = replace(
+        observations.rows(torch.arange(n).repeat(2)),
+        field_sensor_T=field_T,
+        sensor=torch.cat((observations.sensor, observations.sensor + 1)),
+    )
+    quiet_T, loud_T = scatter_T(both, 2)
+    assert quiet_T == pytest.approx(5e-6, rel=0.3)
+    assert loud_T == pytest.approx(50e-6, rel=0.3)
