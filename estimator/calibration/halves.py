@@ -83,9 +83,8 @@ def disagreements(rig: Rig, observations: Observations, values: Mapping[str, flo
         observations = observations.rows(torch.from_numpy(index))
     fit = _linear(rig, observations, values)
     fitted, _ = torch.linalg.qr(fit.jacobian)
-    tests = [(words, columns) for words, columns in _tests(rig, observations, fit)]
-    found = [Disagreement(words, _p_value(fit, fitted, columns)) for words, columns in tests]
-    adjusted = [Disagreement(each.words, min(1.0, each.p_value * len(tests))) for each in found]
+    p_values = {words: _p_value(fit, fitted, columns) for words, columns in _tests(rig, observations, fit)}
+    adjusted = [Disagreement(words, min(1.0, len(p_values) * p_value)) for words, p_value in p_values.items()]
     return sorted(adjusted, key=lambda each: each.p_value)
 
 

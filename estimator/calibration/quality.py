@@ -187,10 +187,10 @@ def _misfit(error_T: float, expected_T: float) -> list[str]:
 
 def _disagreement(calibration: Calibration) -> list[str]:
     """The half of the session that disagrees most with the rest."""
-    found = disagreements(calibration.rig, calibration.observations.calibration, calibration.best)
+    by_half = disagreements(calibration.rig, calibration.observations.calibration, calibration.best)
     return [
         f"{each.words} (probability {each.p_value:.1g} by noise alone)."
-        for each in found[:1]
+        for each in by_half[:1]
         if each.p_value < policy.LEAST_AGREEMENT
     ]
 

@@ -73,7 +73,7 @@ def judged(seed: int, as_described: bool) -> dict[str, Any]:
     calibration = calibrate(
         session,
         seed=seed,
-        settings=SamplerSettings(target_ess=400.0),
+        settings=SamplerSettings(target_ess=400.0, max_steps=1500),
         as_described=as_described,
     )
     summary = calibration.summary()

@@ -49,7 +49,7 @@ NAMES = [
     "superposition",
 ]
 SIGNATURES = {
-    "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, device, precision, on_stage",
+    "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, as_described, device, precision, on_stage",
     "recalibrate": "rig, inbox, registry, seed, settings, again, on_entry, on_waiting, watcher",
     "batch": "sessions, out, rig, hypotheses, is_each_coil, has_posterior, seed, settings, workers, scheduler, device, precision, tell",
     "roll_back": "registry, version",

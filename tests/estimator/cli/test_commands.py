@@ -306,8 +306,10 @@ def test_without_json_the_summary_is_a_table(workspace: Path, run: Run, tmp_path
     assert last == (
         "coilcal: sampling did not converge in 20 steps; intervals are provisional (the same command with more --max-steps continues)"
     )
-    verdict, _, _, *lines = result.stdout.splitlines()
-    assert verdict.startswith(("good: ", "suspect: "))
+    notes, _, table = result.stdout.partition("\n\n")
+    assert notes.startswith(("good: ", "suspect: "))
+    assert "Every reading was taken with the same currents" in notes
+    lines = table.splitlines()
     assert lines[0].split() == ["parameter", "median", "90", "%", "credible", "interval", "unit"]
     assert [line.split()[0] for line in lines[1:4]] == [
         "coil1.radius_m",
