@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from drivers.supplies.supervised import SupervisedSource
 from drivers.thermometers import lakeshore_224
 from drivers.transport.port import Port
 from drivers.transport.pumped import PumpedPort
-from drivers.transport.serial_port import SerialPort, SerialSettings
+from drivers.transport.serial_port import SerialPort, SerialSettings, is_pseudo_terminal
 from drivers.transport.tcp import TcpPort
 from drivers.transport.transcript import RecordingPort, ReplayedPort
 from drivers.transport.visa import VisaPort
@@ -49,20 +50,20 @@ def sensor_of(settings: Settings) -> Callable[[], FieldSensor]:
         range_T = settings.quantity("range", "field")
         _try(settings, lambda: lakeshore_460.choose_range(range_T))
         port = _port(settings, lakeshore_460.SERIAL)
-        return lambda: lakeshore_460.LakeShore460(port(), range_T=range_T)
+        return lambda: lakeshore_460.LakeShore460(port.open(), range_T=range_T)
     if kind == "metrolab_thm1176":
         range_T = settings.quantity("range", "field")
         _try(settings, lambda: metrolab_thm1176.choose_range_T(range_T))
         n_averaged = settings.whole_number("averaged_samples", 100)
         port = _port(settings, _SCPI_SERIAL)
-        return lambda: metrolab_thm1176.MetrolabTHM1176(port(), range_T=range_T, n_averaged=n_averaged)
+        return lambda: metrolab_thm1176.MetrolabTHM1176(port.open(), range_T=range_T, n_averaged=n_averaged)
     if kind == "senis_3mh6":
         return _senis(settings)
     has_range = settings.has_quantity("range", "field")
     fixed_range_T = settings.quantity("range", "field") if has_range else None
     n_averaged = settings.whole_number("averaged_samples", 1)
     port = _port(settings, lakeshore_f71.SERIAL, lakeshore_f71.TCP_PORT)
-    return lambda: lakeshore_f71.LakeShoreF71(port(), range_T=fixed_range_T, n_averaged=n_averaged)
+    return lambda: lakeshore_f71.LakeShoreF71(port.open(), range_T=fixed_range_T, n_averaged=n_averaged)
 
 
 def _senis(settings: Settings) -> Callable[[], FieldSensor]:
@@ -70,12 +71,11 @@ def _senis(settings: Settings) -> Callable[[], FieldSensor]:
     range_number = settings.whole_number("range_number")
     full_scale_T = settings.quantity("full_scale", "field")
     _try(settings, lambda: senis_3mh6.check_stream(rate_Hz, range_number))
-    open_port = _port(settings, senis_3mh6.SERIAL, has_messages=False)
-    is_replayed = "replay" in settings
+    port_settings = _port(settings, senis_3mh6.SERIAL, has_messages=False)
 
     def opened() -> FieldSensor:
-        port = open_port()
-        port = port if is_replayed else PumpedPort(port)
+        port = port_settings.open()
+        port = port if port_settings.connection == "replay" else PumpedPort(port)
         return senis_3mh6.Senis3MH6(
             port, rate_Hz=rate_Hz, range_number=range_number, full_scale_T=full_scale_T
         )
@@ -90,7 +90,7 @@ def monitor_of(settings: Settings) -> Callable[[], TemperatureMonitor]:
     with settings.noting(), settings.of_this():
         lakeshore_224.check_inputs(inputs)
     port = _port(settings, lakeshore_224.SERIAL, lakeshore_224.TCP_PORT)
-    return lambda: lakeshore_224.LakeShore224(port(), inputs)
+    return lambda: lakeshore_224.LakeShore224(port.open(), inputs)
 
 
 def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], float]], CurrentSource]:
@@ -101,17 +101,17 @@ def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], floa
     compliance_V = settings.quantity("compliance", "voltage")
     slew_A_per_s = settings.quantity("ramp", "slew", limits.slew_A_per_s)
     start_s = settings.quantity("longest_start", "time", LONGEST_START_S)
-    is_replayed = "replay" in settings
     is_korad = kind == "korad_ka3005p"
     serial = korad_ka3005p.SERIAL if is_korad else _SCPI_SERIAL
-    open_port = _port(settings, serial, has_messages=not is_korad)
-    make = partial(_make_source, kind, open_port, limits, compliance_V, slew_A_per_s, tolerance_A)
+    port = _port(settings, serial, has_messages=not is_korad)
+    make_supply = partial(_make_supply, kind, port, limits, compliance_V, tolerance_A)
+    make = partial(_make_source, make_supply, port.comes_back, slew_A_per_s)
 
     def opened(name: str, interlock: Interlock, read_temperature_K: Callable[[], float]) -> CurrentSource:
         off_s = longest_off_s(max(-limits.lowest_A, limits.highest_A), slew_A_per_s)
         source: CurrentSource = (
             make(threading.Event())
-            if is_replayed
+            if port.connection == "replay"
             else SupervisedSource(
                 make, name, slew_A_per_s=slew_A_per_s, longest_off_s=off_s, longest_start_s=start_s
             )
@@ -132,31 +132,35 @@ def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], floa
     return opened
 
 
+def _make_supply(
+    kind: str, port: PortSettings, limits: CurrentLimits, compliance_V: float, tolerance_A: float
+) -> SupplyCommands:
+    """Open a supply; runs in its child process, which owns the port."""
+    if kind == "korad_ka3005p":
+        return korad_ka3005p.KoradKA3005P(port.open(), compliance_V=compliance_V, highest_A=limits.highest_A)
+    return ScpiSupply(
+        port.open(),
+        dialect=KEPCO_BOP if kind == "kepco_bop" else GENERIC,
+        lowest_A=limits.lowest_A,
+        highest_A=limits.highest_A,
+        compliance_V=compliance_V,
+        resolution_A=tolerance_A,
+    )
+
+
 def _make_source(
-    kind: str,
-    open_port: Callable[[], Port],
-    limits: CurrentLimits,
-    compliance_V: float,
+    make_supply: Callable[[], SupplyCommands],
+    comes_back: bool,
     slew_A_per_s: float,
-    tolerance_A: float,
     interrupt: threading.Event,
 ) -> RampedSource:
-    """Make a source; runs in its child process, which owns the port."""
-    supply: SupplyCommands
-    if kind == "korad_ka3005p":
-        supply = korad_ka3005p.KoradKA3005P(
-            open_port(), compliance_V=compliance_V, highest_A=limits.highest_A
-        )
-    else:
-        supply = ScpiSupply(
-            open_port(),
-            dialect=KEPCO_BOP if kind == "kepco_bop" else GENERIC,
-            lowest_A=limits.lowest_A,
-            highest_A=limits.highest_A,
-            compliance_V=compliance_V,
-            resolution_A=tolerance_A,
-        )
-    return RampedSource(supply, slew_A_per_s=slew_A_per_s, interrupt=interrupt)
+    """Make a source; runs in its child process."""
+    return RampedSource(
+        make_supply(),
+        slew_A_per_s=slew_A_per_s,
+        interrupt=interrupt,
+        reopen=make_supply if comes_back else None,
+    )
 
 
 def arm_of(settings: Settings) -> Callable[[str, Interlock], RobotArm]:
@@ -211,13 +215,44 @@ def _connection(settings: Settings, allowed: Sequence[str]) -> tuple[str, str]:
     return (given or [allowed[0]])[0], addresses[0]
 
 
+@dataclass(frozen=True, slots=True)
+class PortSettings:
+    """How a device is connected; picklable, for a supply's child process opens its own port.
+
+    Attributes:
+        connection: Key that says how: `serial`, `tcp`, `visa` or `replay`.
+        address: Value of that key.
+        line: Settings of a serial line.
+        tcp_port: Number of a TCP port; None for other connections.
+        transcript: File to record to; None if nothing is recorded.
+    """
+
+    connection: str
+    address: str
+    line: SerialSettings
+    tcp_port: int | None
+    transcript: Path | None
+
+    @property
+    def comes_back(self) -> bool:
+        """Whether the address leads to the same device after its connection was lost; a pseudo-terminal may have become another one."""
+        if self.connection == "serial":
+            return not is_pseudo_terminal(self.address)
+        return self.connection != "replay"
+
+    def open(self) -> Port:
+        """Open the port.
+
+        Raises:
+            DeviceFault: It is not there, not permitted, or another process has it.
+        """
+        return _open_port(self)
+
+
 def _port(
     settings: Settings, serial: SerialSettings, tcp_port: int | None = None, *, has_messages: bool = True
-) -> Callable[[], Port]:
-    """A function that opens the port of a device; picklable, for a supply's child process opens its own.
-
-    `has_messages` allows VISA, which carries messages instead of a stream.
-    """
+) -> PortSettings:
+    """Read how a device is connected; `has_messages` allows VISA, which carries messages instead of a stream."""
     allowed = ("serial", "tcp", *(("visa",) if has_messages else ()), "replay")
     connection, address = _connection(settings, allowed)
     baud = settings.whole_number("baud", serial.baud)
@@ -226,20 +261,18 @@ def _port(
     if connection == "tcp" and port_number is None:
         port_number = settings.whole_number("port")
     line = SerialSettings(baud, serial.data_bits, serial.parity, serial.has_rts_cts)
-    return partial(_open_port, connection, address, line, port_number, transcript)
+    return PortSettings(connection, address, line, port_number, transcript)
 
 
-def _open_port(
-    connection: str, address: str, line: SerialSettings, port_number: int | None, transcript: Path | None
-) -> Port:
-    if connection == "replay":
-        return ReplayedPort.from_file(Path(address))
+def _open_port(settings: PortSettings) -> Port:
+    if settings.connection == "replay":
+        return ReplayedPort.from_file(Path(settings.address))
     port: Port
-    if connection == "serial":
-        port = SerialPort(address, line)
-    elif connection == "visa":
-        port = VisaPort(address)
+    if settings.connection == "serial":
+        port = SerialPort(settings.address, settings.line)
+    elif settings.connection == "visa":
+        port = VisaPort(settings.address)
     else:
-        assert port_number is not None
-        port = TcpPort(address, port_number, timeout_s=_CONNECT_S)
-    return port if transcript is None else RecordingPort(port, transcript)
+        assert settings.tcp_port is not None
+        port = TcpPort(settings.address, settings.tcp_port, timeout_s=_CONNECT_S)
+    return port if settings.transcript is None else RecordingPort(port, settings.transcript)

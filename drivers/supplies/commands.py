@@ -62,6 +62,21 @@ class SupplyCommands(Protocol):
         """Whether the device reports that its output is on."""
         ...
 
+    def send_set_point(self, current_A: float, deadline: Deadline) -> None:
+        """Request a current and read nothing, as `cut` does."""
+        ...
+
+    def cut(self, deadline: Deadline) -> None:
+        """Send current zero and then output off, and read nothing: the supply may no longer answer, but obey.
+
+        Whether it obeyed, `is_output_on` tells afterwards.
+
+        Raises:
+            DeadlineExceeded: The port did not take the commands in time.
+            DeviceFault: The connection is lost.
+        """
+        ...
+
     def measure(self, deadline: Deadline) -> Measured:
         """Measure the current at the output."""
         ...

@@ -124,6 +124,15 @@ class KoradKA3005P:
         with self._channel.exchange(deadline):
             return decode_status(self._ask(b"STATUS?", 1, deadline))[0]
 
+    def send_set_point(self, current_A: float, deadline: Deadline) -> None:
+        """See `SupplyCommands.send_set_point`."""
+        self._tell(encode_current(current_A), deadline)
+
+    def cut(self, deadline: Deadline) -> None:
+        """See `SupplyCommands.cut`."""
+        self._tell(encode_current(0.0), deadline)
+        self._tell(b"OUT0", deadline)
+
     def measure(self, deadline: Deadline) -> Measured:
         """See `SupplyCommands.measure`."""
         with self._channel.exchange(deadline):
@@ -143,10 +152,18 @@ class KoradKA3005P:
         ):
             pass
 
-    def _send(self, command: bytes, deadline: Deadline) -> None:
+    def _keep_distance(self, deadline: Deadline) -> None:
         deadline.sleep(
             max(0.0, self._next_s - time.monotonic()), "KA3005P must have taken the previous command"
         )
+
+    def _tell(self, command: bytes, deadline: Deadline) -> None:
+        self._keep_distance(deadline)
+        self._channel.send_unasked(command, deadline)
+        self._next_s = time.monotonic() + _GAP_S
+
+    def _send(self, command: bytes, deadline: Deadline) -> None:
+        self._keep_distance(deadline)
         self._channel.take_arrived(deadline)  # the stray sixth character of the previous answer
         self._channel.send(command, deadline)
         self._next_s = time.monotonic() + _GAP_S

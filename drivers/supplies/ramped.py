@@ -5,6 +5,8 @@ from __future__ import annotations
 import logging
 import math
 import threading
+import time
+from collections.abc import Callable
 
 from drivers.deadline import Deadline
 from drivers.device import ClosesItself
@@ -16,7 +18,16 @@ from drivers.supplies.commands import SupplyCommands
 _LOG = logging.getLogger(__name__)
 
 _COMMANDS_S = 5.0
-_ONE_COMMAND_S = 1.0
+_ANSWER_S = 1.0
+"""Time in which a supply must say whether its output is off, before it is told once more."""
+_CUT_S = 0.5
+"""Time between the last step of a ramp to zero and the deadline of switching off."""
+_PAUSE_S = 0.5
+"""Time between two attempts to switch off a supply that does not confirm it."""
+_ROUNDS = 4
+"""Attempts on one connection before a new one is tried: a network instrument may go on only there."""
+INSIST_S = 600.0
+"""How long a process whose program has gone on without it still tries to switch off a supply that does not confirm it."""
 _SLOWNESS = 2.0
 """A ramp on a busy computer may take this many times as long as planned before it is cut short."""
 
@@ -57,11 +68,17 @@ def ramp_steps(start_A: float, target_A: float, slew_A_per_s: float, step_s: flo
 class RampedSource(ClosesItself):
     """A `CurrentSource` that never changes its set-point faster than the coil allows.
 
-    If the present current is unknown, as at the start and after a fault, the supply is asked for it.
+    If the present current is unknown, as at the start and after a fault, the supply is asked for it. Switching off asks nothing, for the
+    supply may be mute: an unknown current becomes zero at once, which the voltage limit of the supply turns into a ramp.
     """
 
     def __init__(
-        self, supply: SupplyCommands, *, slew_A_per_s: float, interrupt: threading.Event | None = None
+        self,
+        supply: SupplyCommands,
+        *,
+        slew_A_per_s: float,
+        interrupt: threading.Event | None = None,
+        reopen: Callable[[], SupplyCommands] | None = None,
     ) -> None:
         """Wrap the commands of a supply; nothing is sent before the first call.
 
@@ -69,11 +86,12 @@ class RampedSource(ClosesItself):
             supply: Commands of the model.
             slew_A_per_s: Highest rate of change: voltage limit of the supply over inductance of the coil, U / L.
             interrupt: Set by another thread to end a ramp of `set_current_A` early, as `output_off` does by itself.
+            reopen: Opens the supply on a new connection, once the old one is lost or its supply mute; None where that is impossible.
         """
         if not slew_A_per_s > 0:
             raise Refused(f"source.slew_A_per_s must be > 0; received {slew_A_per_s}")
         self.name = supply.name
-        self._supply, self.slew_A_per_s = supply, slew_A_per_s
+        self._supply, self._reopen, self.slew_A_per_s = supply, reopen, slew_A_per_s
         self.longest_off_s = longest_off_s(max(-supply.lowest_A, supply.highest_A), slew_A_per_s)
         self._interrupt = interrupt or threading.Event()
         self._is_switching_off = threading.Event()
@@ -114,14 +132,15 @@ class RampedSource(ClosesItself):
         )
 
     def output_off(self, *, timeout_s: float) -> None:
-        """See `CurrentSource.output_off`; if the ramp fails, the output is switched off at once.
+        """See `CurrentSource.output_off`; nothing is read before the output is off, and it is told again until it confirms that.
 
         Raises:
-            DriverError: The output is not known to be off.
+            DriverError: The output is not known to be off. The last attempt may end 2 s after `timeout_s`.
         """
         deadline, self._was_told = Deadline.after(timeout_s), True
         self._is_switching_off.set()  # the ramp of another thread ends at its next step
-        has_lock = self._lock.acquire(timeout=deadline.remaining_s)
+        # A thread that waits for a mute supply holds the lock; it is not waited for longer than an answer takes.
+        has_lock = self._lock.acquire(timeout=deadline.at_most(_ANSWER_S).remaining_s)
         try:
             self._switch_off(deadline)
         finally:
@@ -135,10 +154,18 @@ class RampedSource(ClosesItself):
             return
         self._is_closed = True
         try:
-            if self._was_told:
-                self.output_off(timeout_s=self.longest_off_s)
+            self.come_to_rest()
         finally:
             self._supply.close()
+
+    def come_to_rest(self) -> None:
+        """See `drivers.supervised.Insistent.come_to_rest`; a supply that was never told anything is left as it was."""
+        if self._was_told:
+            self.output_off(timeout_s=self.longest_off_s)
+
+    def insist(self) -> None:
+        """See `drivers.supervised.Insistent.insist`; for `INSIST_S`."""
+        self._cut(Deadline.after(INSIST_S))
 
     def _ramp(self, current_A: float, deadline: Deadline) -> None:
         start_A = self._prepared_set_point_A(deadline)
@@ -157,20 +184,71 @@ class RampedSource(ClosesItself):
                 self._write(step_A, deadline)
 
     def _switch_off(self, deadline: Deadline) -> None:
-        self._set_point_A = None
-        is_on = True
+        """Ramp to zero and cut, and read nothing before that: a supply that no longer answers may still obey.
+
+        A set-point that is not known, as on a new connection, becomes zero at once: no step of a ramp may raise the current.
+        """
+        start_A, self._set_point_A = self._set_point_A, None
+        steps_A = [] if start_A is None else ramp_steps(start_A, 0.0, self.slew_A_per_s, self._supply.step_s)
+        for step_A in steps_A[:-1]:
+            next_step = Deadline.after(self._supply.step_s)
+            if next_step.at_s > deadline.at_s - _CUT_S:
+                _LOG.error("%s has no time for its ramp to zero and is switched off at once", self.name)
+                break
+            try:
+                self._supply.send_set_point(step_A, next_step)
+            except DriverError as error:
+                _LOG.error("ramp to zero failed, switching off at once: %s", error)
+                break
+            next_step.sleep_out()
+        self._cut(deadline)
+
+    def _cut(self, deadline: Deadline) -> None:
+        """Switch off without asking first, and again until the supply confirms it; at least once, even past the deadline.
+
+        Raises:
+            DriverError: It has not confirmed it.
+        """
+        n_attempts = 0
+        while True:
+            n_attempts += 1
+            error: DriverError | None
+            is_lost = False
+            try:
+                self._supply.cut(Deadline.after(_ANSWER_S))
+            except DeadlineExceeded as fault:
+                error = fault
+            except DriverError as fault:
+                error, is_lost = fault, True
+            else:
+                error = self._why_not_off()
+            if error is None:
+                return
+            if deadline.is_over or (is_lost and self._reopen is None):
+                raise error
+            if self._reopen is not None and (is_lost or n_attempts % _ROUNDS == 0):
+                self._renew(self._reopen)
+            time.sleep(min(_PAUSE_S, deadline.remaining_s))
+
+    def _why_not_off(self) -> DriverError | None:
+        """Why the output is not known to be off; None if the supply says that it is."""
         try:
-            is_on = self._supply.is_output_on(deadline)
-            if is_on:
-                self._ramp_down(deadline)
+            is_on = self._supply.is_output_on(Deadline.after(_ANSWER_S))
         except DriverError as error:
-            _LOG.error("ramp to zero failed, switching off at once: %s", error)
-            # Even past the deadline, the last attempt gets the time of a few commands.
-            deadline = Deadline.after(max(deadline.remaining_s, 3 * _ONE_COMMAND_S))
-        if is_on:
-            self._supply.switch_output(False, deadline)
-            if self._supply.is_output_on(deadline):
-                raise DeviceFault(f"source.output must be off; the supply says it is on ({self.name})")
+            return error
+        return (
+            DeviceFault(f"source.output must be off; the supply says it is on ({self.name})")
+            if is_on
+            else None
+        )
+
+    def _renew(self, reopen: Callable[[], SupplyCommands]) -> None:
+        """Change to a new connection; the old one stays closed if there is none, which the next attempt finds out."""
+        self._supply.close()
+        try:
+            self._supply = reopen()
+        except DriverError as error:
+            _LOG.warning("no new connection to %s: %s", self.name, error)
 
     def _prepared_set_point_A(self, deadline: Deadline) -> float:
         """The present set-point, with the output on; an output that was off is switched on at zero."""
@@ -187,13 +265,6 @@ class RampedSource(ClosesItself):
                     raise DeviceFault(f"source.output must be on; the supply says it is off ({self.name})")
                 self._set_point_A = 0.0
         return self._set_point_A
-
-    def _ramp_down(self, deadline: Deadline) -> None:
-        self._supply.prepare(deadline)
-        start_A = self._supply.read_set_point_A(deadline)
-        for step_A in ramp_steps(start_A, 0.0, self.slew_A_per_s, self._supply.step_s):
-            self._write(step_A, deadline)
-        self._set_point_A = None
 
     def _write(self, current_A: float, deadline: Deadline, *, is_step: bool = True) -> None:
         """Write one set-point and read it back; in a ramp, the pause after it sets the rate."""

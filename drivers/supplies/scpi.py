@@ -35,18 +35,22 @@ class ScpiDialect:
 
     Attributes:
         preparation: Commands for remote control and current regulation; `{compliance_V}` is filled in.
+        remote: Commands without which it does not obey; sent also where no answer is read.
         terminator: End of a line sent.
         longest_line: Largest number of bytes in a line sent; 0 for no limit.
     """
 
     preparation: tuple[str, ...]
+    remote: tuple[str, ...] = ()
     terminator: str = "\n"
     longest_line: int = 0
 
 
 GENERIC = ScpiDialect(("VOLT {compliance_V:g}",))
 
-KEPCO_BOP = ScpiDialect(("SYST:REM 1", "FUNC:MODE CURR", "VOLT {compliance_V:g}"), longest_line=127)
+KEPCO_BOP = ScpiDialect(
+    ("SYST:REM 1", "FUNC:MODE CURR", "VOLT {compliance_V:g}"), remote=("SYST:REM 1",), longest_line=127
+)
 """Kepco BOP with its RS-232 or IEEE 488 card. A current beyond its range gives error -222. Never send it `DIAG:TST?`, which
 swings the output from one maximum to the other."""
 
@@ -145,6 +149,18 @@ class ScpiSupply:
             raise DeviceFault(f"supply must say whether its output is on; received {answer!r} ({self.name})")
         return answer.upper() in {"1", "ON"}
 
+    def send_set_point(self, current_A: float, deadline: Deadline) -> None:
+        """See `SupplyCommands.send_set_point`."""
+        self._tell(f"CURR {current_A:.6g}", deadline)
+
+    def cut(self, deadline: Deadline) -> None:
+        """See `SupplyCommands.cut`; each command in a line of its own, for one that is refused must not stop the next.
+
+        Errors are cleared afterwards (`*CLS`): nobody has read them, and they would be taken for those of the next command.
+        """
+        for command in (*self._dialect.remote, "CURR 0", "OUTP OFF", "*CLS"):
+            self._tell(command, deadline)
+
     def measure(self, deadline: Deadline) -> Measured:
         """See `SupplyCommands.measure`."""
         current, voltage = self._ask("MEAS:CURR?;:MEAS:VOLT?", 2, deadline)
@@ -154,6 +170,9 @@ class ScpiSupply:
     def close(self) -> None:
         """See `SupplyCommands.close`."""
         self._channel.close()
+
+    def _tell(self, command: str, deadline: Deadline) -> None:
+        self._channel.send_unasked(f"{command}{self._dialect.terminator}".encode("ascii"), deadline)
 
     def _ask(self, command: str, n_answers: int, deadline: Deadline) -> list[str]:
         with self._channel.exchange(deadline):

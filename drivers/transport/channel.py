@@ -15,6 +15,9 @@ from drivers.transport.port import Port
 _QUIET_S = 0.1
 """Silence after which a late answer is taken to be complete: no instrument here pauses that long inside an answer."""
 
+_BUSY_S = 0.2
+"""How long a command that must be sent in any case waits for a call of another thread."""
+
 _LONGEST_ANSWER = 1_000_000
 
 
@@ -113,6 +116,25 @@ class Channel:
     def send(self, data: bytes, deadline: Deadline) -> None:
         """Send all bytes; call inside `exchange`."""
         self._port.send(data, deadline)
+
+    def send_unasked(self, data: bytes, deadline: Deadline) -> None:
+        """Send, and read neither before nor after; call outside `exchange`. The channel is out of step then.
+
+        A call of another thread is waited for briefly only: it may be waiting for an instrument that does not answer.
+
+        Raises:
+            DeadlineExceeded: The port did not take all bytes in time.
+            DeviceFault: The connection is lost, or the channel is closed.
+        """
+        has_lock = self._lock.acquire(timeout=deadline.at_most(_BUSY_S).remaining_s)
+        try:
+            if self._is_closed:
+                raise DeviceFault(f"the connection must be open; it was closed ({self.name})")
+            self._note_fault()
+            self._port.send(data, deadline)
+        finally:
+            if has_lock:
+                self._lock.release()
 
     def query(self, question: bytes, terminator: bytes, deadline: Deadline) -> bytes:
         """Ask, and return the answer without its terminator; call inside `exchange`. Bytes that came before are discarded."""

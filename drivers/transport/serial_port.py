@@ -51,7 +51,7 @@ class SerialPort:
         """
         self.name = device
         self.arrived_s = time.monotonic()
-        has_parity = not _is_pseudo_terminal(device)
+        has_parity = not is_pseudo_terminal(device)
         try:
             # DTR and RTS keep the state that opening gives them: a pseudo-terminal refuses to set them.
             self._serial = serial.Serial(
@@ -110,6 +110,6 @@ class SerialPort:
         return DeviceFault(f"{self.name} must stay connected; {error}")
 
 
-def _is_pseudo_terminal(device: str) -> bool:
+def is_pseudo_terminal(device: str) -> bool:
     """Whether a device is a pseudo-terminal, which has no parity: a first request for it is ignored, a second one refused."""
     return Path(device).resolve().parent == Path("/dev/pts")

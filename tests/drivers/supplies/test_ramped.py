@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import threading
 import time
@@ -11,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.errors import DeadlineExceeded, DeviceFault, DriverError, Refused
+from drivers.supplies import ramped
 from drivers.supplies.commands import Measured
 from drivers.supplies.ramped import RampedSource, longest_off_s, ramp_steps
 
@@ -66,6 +68,14 @@ class MemorySupply:
         self.note("is_on")
         return self.is_on
 
+    def send_set_point(self, current_A, deadline):
+        self.note("send", current_A)
+        self.set_point_A = current_A
+
+    def cut(self, deadline):
+        self.note("cut")
+        self.set_point_A, self.is_on = 0.0, False
+
     def measure(self, deadline):
         return Measured(self.set_point_A if self.is_on else 0.0, True)
 
@@ -74,7 +84,8 @@ class MemorySupply:
 
     @property
     def written_A(self):
-        return [arguments[0] for name, *arguments in self.history if name == "write"]
+        """Requested currents, confirmed or not."""
+        return [arguments[0] for name, *arguments in self.history if name in {"write", "send"}]
 
 
 @pytest.fixture
@@ -134,12 +145,18 @@ def test_switching_off_ramps_down_first(supply, source):
     source.set_current_A(4.0, timeout_s=2.0)
     supply.history.clear()
     source.output_off(timeout_s=2.0)
-    assert supply.written_A == pytest.approx([2.0, 0.0])
     assert not supply.is_on
-    assert supply.history[-2:] == [("switch", False), ("is_on",)]
+    assert supply.history == [("send", 2.0), ("cut",), ("is_on",)]
 
 
-@pytest.mark.parametrize("failing", ["write", "read", "prepare"])
+def test_a_current_that_is_not_known_becomes_zero_at_once_for_a_ramp_might_begin_above_it(supply, source):
+    supply.is_on, supply.set_point_A = True, 4.0
+    source.output_off(timeout_s=2.0)
+    assert supply.history == [("cut",), ("is_on",)]
+    assert not supply.is_on
+
+
+@pytest.mark.parametrize("failing", ["write", "read", "prepare", "send", "switch"])
 def test_an_output_that_cannot_be_ramped_is_switched_off_at_once(supply, source, failing):
     source.set_current_A(4.0, timeout_s=2.0)
     supply.fail_at = failing
@@ -147,11 +164,24 @@ def test_an_output_that_cannot_be_ramped_is_switched_off_at_once(supply, source,
     assert not supply.is_on
 
 
-def test_an_output_that_stays_on_is_a_fault(supply, source):
+def test_a_ramp_to_zero_without_time_for_it_is_left_out(supply):
+    source = RampedSource(supply, slew_A_per_s=1.0)
+    supply.is_on, supply.set_point_A = True, 4.0
+    source.set_current_A(4.0, timeout_s=5.0)
+    supply.history.clear()
+    begin_s = time.monotonic()
+    source.output_off(timeout_s=1.0)
+    assert time.monotonic() - begin_s < 0.8
+    assert not supply.is_on
+    assert 1 <= len(supply.written_A) <= 5
+
+
+def test_an_output_that_stays_on_is_told_again_until_the_time_is_over_and_is_a_fault(supply, source):
     source.set_current_A(1.0, timeout_s=2.0)
-    supply.switch_output = lambda is_on, deadline: None
+    supply.cut = lambda deadline: supply.note("cut")
     with pytest.raises(DeviceFault, match="must be off; the supply says it is on"):
         source.output_off(timeout_s=2.0)
+    assert supply.history.count(("cut",)) >= 3
 
 
 def test_an_output_that_does_not_come_on_is_a_fault(supply, source):
@@ -174,8 +204,8 @@ def test_after_a_fault_the_supply_is_asked_where_it_is(supply, source):
 
 def test_closing_switches_off_even_where_that_fails_and_only_once(supply, source):
     source.set_current_A(1.0, timeout_s=2.0)
-    supply.fail_at = "switch"
-    with pytest.raises(DeviceFault):
+    supply.fail_at = "cut"
+    with pytest.raises(DeviceFault, match="cut must work"):
         source.close()
     assert supply.is_closed
     n_commands = len(supply.history)
@@ -240,3 +270,67 @@ def test_switching_off_from_another_thread_ends_a_ramp_between_two_steps(supply)
 def test_a_slew_rate_must_be_positive(supply):
     with pytest.raises(Refused, match="slew_A_per_s must be > 0; received 0"):
         RampedSource(supply, slew_A_per_s=0.0)
+
+
+class Renewed:
+    """Opens supplies in memory, one after the other; `None` stands for one that is not there."""
+
+    def __init__(self, *supplies):
+        self.supplies = list(supplies)
+
+    def __call__(self):
+        supply = self.supplies.pop(0)
+        if supply is None:
+            raise DeviceFault("supply must accept a connection")
+        return supply
+
+
+def test_a_supply_whose_connection_is_lost_is_switched_off_on_a_new_one(supply):
+    fresh = MemorySupply()
+    source = RampedSource(supply, slew_A_per_s=20.0, reopen=Renewed(None, fresh))
+    source.set_current_A(1.0, timeout_s=2.0)
+    supply.fail_at, fresh.is_on = "cut", True
+    source.output_off(timeout_s=5.0)
+    assert supply.is_closed
+    assert fresh.history == [("cut",), ("is_on",)]
+    assert not fresh.is_on
+
+
+def test_a_supply_that_never_confirms_is_told_on_a_new_connection_too(supply, monkeypatch):
+    monkeypatch.setattr(ramped, "_PAUSE_S", 0.01)
+
+    def hear_nothing(_):
+        raise DeadlineExceeded("nothing received")
+
+    fresh = MemorySupply()
+    source = RampedSource(supply, slew_A_per_s=20.0, reopen=Renewed(fresh))
+    source.set_current_A(1.0, timeout_s=2.0)
+    supply.history.clear()
+    supply.is_output_on = hear_nothing
+    source.output_off(timeout_s=5.0)
+    assert supply.history.count(("cut",)) >= 3
+    assert fresh.history == [("cut",), ("is_on",)]
+
+
+def test_a_thread_that_waits_for_a_mute_supply_does_not_keep_another_from_switching_it_off(supply):
+    source = RampedSource(supply, slew_A_per_s=20.0)
+    source.set_current_A(1.0, timeout_s=2.0)
+    is_over = threading.Event()
+
+    def wait_for_an_answer(_):
+        is_over.wait(10.0)
+        raise DeadlineExceeded("nothing received")
+
+    supply.read_set_point_A = wait_for_an_answer
+
+    def ramp():
+        with contextlib.suppress(DriverError):
+            source.set_current_A(2.0, timeout_s=9.0)
+
+    thread = threading.Thread(target=ramp)
+    thread.start()
+    time.sleep(0.1)
+    source.output_off(timeout_s=8.0)
+    assert not supply.is_on
+    is_over.set()
+    thread.join()
