@@ -40,6 +40,8 @@ THERMOMETERS = ("lakeshore_224",)
 ARMS = {model.lower(): model for model in ("UR3", "UR5", "UR10", "UR3e", "UR5e", "UR10e", "UR16e", "UR20")}
 
 _CONNECT_S = 3.0
+_WATCHDOGS_S = (4, 3600)
+"""Delays of the watchdog of a supply, in seconds: a busy computer asks no more often than once a second for sure."""
 _SCPI_SERIAL = SerialSettings(9600)
 
 
@@ -104,7 +106,8 @@ def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], floa
     is_korad = kind == "korad_ka3005p"
     serial = korad_ka3005p.SERIAL if is_korad else _SCPI_SERIAL
     port = _port(settings, serial, has_messages=not is_korad)
-    make_supply = partial(_make_supply, kind, port, limits, compliance_V, tolerance_A)
+    watchdog_s = _watchdog_s(settings) if kind == "scpi" else None
+    make_supply = partial(_make_supply, kind, port, limits, compliance_V, tolerance_A, watchdog_s)
     make = partial(_make_source, make_supply, port.comes_back, slew_A_per_s)
 
     def opened(name: str, interlock: Interlock, read_temperature_K: Callable[[], float]) -> CurrentSource:
@@ -116,6 +119,8 @@ def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], floa
                 make, name, slew_A_per_s=slew_A_per_s, longest_off_s=off_s, longest_start_s=start_s
             )
         )
+        if isinstance(source, SupervisedSource):
+            interlock.add_condition(name, source.require_alive)
         try:
             return GuardedSource(
                 source,
@@ -132,8 +137,27 @@ def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], floa
     return opened
 
 
+def _watchdog_s(settings: Settings) -> float | None:
+    """Delay of the watchdog of a supply that has one; None if the settings state none."""
+    if not settings.has_quantity("watchdog", "time"):
+        return None
+    watchdog_s = settings.quantity("watchdog", "time")
+    with settings.noting():
+        if not (_WATCHDOGS_S[0] <= watchdog_s <= _WATCHDOGS_S[1] and watchdog_s == round(watchdog_s)):
+            raise Refused(
+                f"{settings.location}.watchdog_s must be whole seconds from {_WATCHDOGS_S[0]} to {_WATCHDOGS_S[1]}; "
+                f"received {watchdog_s:g}"
+            )
+    return watchdog_s
+
+
 def _make_supply(
-    kind: str, port: PortSettings, limits: CurrentLimits, compliance_V: float, tolerance_A: float
+    kind: str,
+    port: PortSettings,
+    limits: CurrentLimits,
+    compliance_V: float,
+    tolerance_A: float,
+    watchdog_s: float | None,
 ) -> SupplyCommands:
     """Open a supply; runs in its child process, which owns the port."""
     if kind == "korad_ka3005p":
@@ -145,6 +169,7 @@ def _make_supply(
         highest_A=limits.highest_A,
         compliance_V=compliance_V,
         resolution_A=tolerance_A,
+        watchdog_s=watchdog_s,
     )
 
 

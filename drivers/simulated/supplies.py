@@ -15,11 +15,17 @@ class SupplyOutput:
     def __init__(self, world: World, coil: int) -> None:
         self._world, self._coil = world, coil
         self.set_point_A, self.limit_V, self.is_on = 0.0, 0.0, False
+        self.is_latched_off = False
+        """Whether a protection holds the output off, whatever it was programmed to (`is_on`)."""
 
     def apply(self) -> None:
         """Drive the coil with the present settings."""
         highest_A = self.limit_V / self._world.circuits[self._coil].resistance_ohm
-        target_A = max(-highest_A, min(highest_A, self.set_point_A)) if self.is_on else 0.0
+        target_A = (
+            max(-highest_A, min(highest_A, self.set_point_A))
+            if self.is_on and not self.is_latched_off
+            else 0.0
+        )
         self._world.drive(self._coil, target_A)
 
     @property
@@ -63,14 +69,24 @@ class SimulatedScpiSupply:
             "FUNC:MODE": self._set_mode,
             "FUNC:MODE?": lambda _: str(int(self._is_current_mode)),
         }
-        self._interpreter = ScpiInterpreter({**self._common(), **(kepco if is_kepco else {})}, terminator)
+        plain: dict[str, Handler] = {
+            "OUTP:PROT:WDOG": self._set_watchdog,
+            "OUTP:PROT:WDOG:DEL": self._set_watchdog_delay,
+            "OUTP:PROT:CLE": self._clear_protection,
+        }
+        self._watchdog_s, self._has_watchdog, self._heard_s = 60.0, False, time.monotonic()
+        self._interpreter = ScpiInterpreter({**self._common(), **(kepco if is_kepco else plain)}, terminator)
 
     def take(self, data: bytes) -> bytes:
         """See `Instrument.take`."""
+        self._heard_s = time.monotonic()
         return self._interpreter.take(data)
 
     def stream(self) -> bytes:
-        """See `Instrument.stream`."""
+        """See `Instrument.stream`; called often, so the watchdog looks at the clock here."""
+        if self._has_watchdog and time.monotonic() - self._heard_s > self._watchdog_s:
+            self._output.is_latched_off = True
+            self._output.apply()
         return b""
 
     def _common(self) -> dict[str, Handler]:
@@ -100,6 +116,18 @@ class SimulatedScpiSupply:
 
     def _set_remote(self, argument: str) -> None:
         self._is_remote = argument == "1"
+
+    def _set_watchdog(self, argument: str) -> None:
+        self._has_watchdog = argument.upper() in {"ON", "1"}
+
+    def _set_watchdog_delay(self, argument: str) -> None:
+        if not 1.0 <= float(argument) <= 3600.0:
+            raise ScpiError('-222,"Data out of range"')
+        self._watchdog_s = float(argument)
+
+    def _clear_protection(self, _: str) -> None:
+        self._output.is_latched_off = False
+        self._output.apply()
 
     def _set_mode(self, argument: str) -> None:
         self._is_current_mode = argument.upper() == "CURR"

@@ -30,6 +30,7 @@ class SupplyCommands(Protocol):
         highest_A: Highest current.
         resolution_A: Step between two set-points; a set-point read back may differ by as much.
         step_s: Time between two set-points of a ramp, enough to write one and read it back.
+        watchdog_s: Silence after which the supply switches itself off, once prepared; None if it has no such watchdog, or it is not used.
     """
 
     name: str
@@ -37,13 +38,14 @@ class SupplyCommands(Protocol):
     highest_A: float
     resolution_A: float
     step_s: float
+    watchdog_s: float | None
 
     def identify(self, deadline: Deadline) -> str:
         """Maker, model and serial number."""
         ...
 
     def prepare(self, deadline: Deadline) -> None:
-        """Set remote control, current regulation and voltage limit; leave output and set-point as they are."""
+        """Set remote control, current regulation, voltage limit and watchdog; leave output and set-point as they are."""
         ...
 
     def write_set_point(self, current_A: float, deadline: Deadline) -> None:
@@ -79,6 +81,10 @@ class SupplyCommands(Protocol):
 
     def measure(self, deadline: Deadline) -> Measured:
         """Measure the current at the output."""
+        ...
+
+    def disarm(self, deadline: Deadline) -> None:
+        """Stop the watchdog of a supply that is off and will be left alone."""
         ...
 
     def close(self) -> None:

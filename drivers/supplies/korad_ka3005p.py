@@ -81,6 +81,7 @@ class KoradKA3005P:
     lowest_A = 0.0
     resolution_A = RESOLUTION_A
     step_s = STEP_S
+    watchdog_s: float | None = None
 
     def __init__(self, port: Port, *, compliance_V: float, highest_A: float = HIGHEST_A) -> None:
         self._channel = Channel(port, find_step=self._find_step)
@@ -139,6 +140,9 @@ class KoradKA3005P:
             current_A = decode_number(self._ask(b"IOUT1?", _NUMBER_BYTES, deadline))
             is_on, is_regulating = decode_status(self._ask(b"STATUS?", 1, deadline))
         return Measured(current_A, is_regulating or not is_on)
+
+    def disarm(self, deadline: Deadline) -> None:
+        """See `SupplyCommands.disarm`; it has no watchdog."""
 
     def close(self) -> None:
         """See `SupplyCommands.close`."""

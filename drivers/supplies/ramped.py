@@ -26,6 +26,10 @@ _PAUSE_S = 0.5
 """Time between two attempts to switch off a supply that does not confirm it."""
 _ROUNDS = 4
 """Attempts on one connection before a new one is tried: a network instrument may go on only there."""
+_SIGNS = 4
+"""Questions that the watchdog of a supply hears in the time after which it would switch off."""
+_SILENCE = 1.5
+"""Silence for the watchdog of a supply that does not confirm that it is off, in times of its delay."""
 INSIST_S = 600.0
 """How long a process whose program has gone on without it still tries to switch off a supply that does not confirm it."""
 _SLOWNESS = 2.0
@@ -98,6 +102,7 @@ class RampedSource(ClosesItself):
         self._lock = threading.RLock()
         self._set_point_A: float | None = None
         self._was_told = False
+        self._sign_due_s = 0.0
         self._is_closed = False
         self._counter = ReadingCounter()
 
@@ -160,12 +165,33 @@ class RampedSource(ClosesItself):
 
     def come_to_rest(self) -> None:
         """See `drivers.supervised.Insistent.come_to_rest`; a supply that was never told anything is left as it was."""
-        if self._was_told:
-            self.output_off(timeout_s=self.longest_off_s)
+        if not self._was_told:
+            return
+        self.output_off(timeout_s=self.longest_off_s)
+        try:
+            self._supply.disarm(Deadline.after(_ANSWER_S))
+        except DriverError as error:
+            _LOG.warning("%s is off, and its watchdog stays on: %s", self.name, error)
 
     def insist(self) -> None:
-        """See `drivers.supervised.Insistent.insist`; for `INSIST_S`."""
+        """See `drivers.supervised.Insistent.insist`; for `INSIST_S`. The watchdog of the supply gets its silence first."""
+        if self._supply.watchdog_s is not None:
+            time.sleep(_SILENCE * self._supply.watchdog_s)
         self._cut(Deadline.after(INSIST_S))
+
+    is_lost = False
+    """See `drivers.supervised.KeptAlive`; a supply is never given up."""
+
+    def keep_alive(self) -> None:
+        """See `drivers.supervised.KeptAlive`; asks often enough for the watchdog of the supply, if it has one that was set."""
+        watchdog_s = self._supply.watchdog_s
+        if watchdog_s is None or not self._was_told or time.monotonic() < self._sign_due_s:
+            return
+        self._sign_due_s = time.monotonic() + watchdog_s / _SIGNS
+        try:
+            self._supply.is_output_on(Deadline.after(_ANSWER_S))
+        except DriverError as error:
+            _LOG.warning("%s gave no sign of life: %s", self.name, error)
 
     def _ramp(self, current_A: float, deadline: Deadline) -> None:
         start_A = self._prepared_set_point_A(deadline)

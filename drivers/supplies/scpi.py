@@ -1,7 +1,8 @@
 r"""Commands of power supplies that speak SCPI, and of the Kepco BOP, which departs from it.
 
 Protocol: SCPI-99, volume 2 (chapters on OUTPut, SOURce, MEASure, SYSTem). Every command is followed by `SYST:ERR?` in the same
-line, so an error is reported with its own command. `*RST` is never sent: a Keysight E3633A is set to 20 A after it.
+line, so an error is reported with its own command. `*RST` is never sent: a Keysight E3633A is set to 20 A after it. `OUTP:PROT:WDOG` is not
+part of SCPI-99; the Keysight N6700, N6900, N7900 and RP7900 and supplies of Kikusui have it, with delays of 1 to 3600 s.
 """
 
 from __future__ import annotations
@@ -112,12 +113,14 @@ class ScpiSupply:
         highest_A: float,
         compliance_V: float,
         resolution_A: float,
+        watchdog_s: float | None = None,
     ) -> None:
         landmark = Landmark(f"*IDN?{dialect.terminator}".encode("ascii"), b"\n", _NO_ERROR_STATE)
         self._channel = Channel(port, find_step=landmark.find)
         self._dialect, self._compliance_V = dialect, compliance_V
         self.name = port.name
         self.lowest_A, self.highest_A, self.resolution_A = lowest_A, highest_A, resolution_A
+        self.watchdog_s = watchdog_s
 
     def identify(self, deadline: Deadline) -> str:
         """See `SupplyCommands.identify`; asked in its own line, because names may hold a semicolon."""
@@ -129,6 +132,9 @@ class ScpiSupply:
         """See `SupplyCommands.prepare`."""
         for command in self._dialect.preparation:
             self._ask(command.format(compliance_V=self._compliance_V), 0, deadline)
+        if self.watchdog_s is not None:
+            self._ask(f"OUTP:PROT:WDOG:DEL {self.watchdog_s:g}", 0, deadline)
+            self._ask("OUTP:PROT:WDOG ON", 0, deadline)
 
     def write_set_point(self, current_A: float, deadline: Deadline) -> None:
         """See `SupplyCommands.write_set_point`."""
@@ -166,6 +172,11 @@ class ScpiSupply:
         current, voltage = self._ask("MEAS:CURR?;:MEAS:VOLT?", 2, deadline)
         is_limited = abs(number(voltage, "a voltage")) >= _COMPLIANCE_SHARE * self._compliance_V
         return Measured(number(current, "a current"), not is_limited)
+
+    def disarm(self, deadline: Deadline) -> None:
+        """See `SupplyCommands.disarm`."""
+        if self.watchdog_s is not None:
+            self._ask("OUTP:PROT:WDOG OFF", 0, deadline)
 
     def close(self) -> None:
         """See `SupplyCommands.close`."""

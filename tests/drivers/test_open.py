@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import copy
+import os
+import signal
 import textwrap
 import threading
+import time
 from functools import partial
 
 import pytest
@@ -14,6 +17,7 @@ import drivers.open
 from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.open import check_device, open_devices
 from drivers.protocols import FlangePose
+from drivers.pulse import SILENT_S
 from drivers.simulated.hall import SimulatedF71, SimulatedSenis
 from drivers.simulated.process import Simulator
 from drivers.simulated.supplies import SimulatedKorad, simulated_kepco
@@ -198,6 +202,23 @@ def test_a_thermometer_guards_its_coil_and_sensors_feel_themselves(section, worl
         assert world.snapshot().currents_A == (0.0,)
 
 
+@pytest.mark.parametrize("sign", [signal.SIGSTOP, signal.SIGKILL])
+def test_a_watch_notices_that_the_process_of_a_supply_is_stopped_or_dead_and_the_supply_is_switched_off(
+    section, world, sign
+):
+    with open_devices({"coil1": section["coil1"]}) as devices, devices.watch():
+        source = devices.sources["coil1"]
+        source.set_current_A(2.0, timeout_s=5.0)
+        os.kill(source._source.pid, sign)
+        end_s = time.monotonic() + SILENT_S + 10.0
+        while world.snapshot().currents_A != (0.0,):
+            assert time.monotonic() < end_s, "nobody noticed"
+            time.sleep(0.02)
+        with pytest.raises(Refused, match="because coil1 failed: the process of coil1 must"):
+            source.read_current_A(timeout_s=5.0)
+    assert devices.interlock.not_at_rest == []
+
+
 BAD = {
     "of no kind": ({"serial": "x"}, "must be a sensor, supply, arm or thermometer"),
     "of unknown kind": ({"sensor": "compass", "serial": "x"}, "sensor must be one of lakeshore_f71"),
@@ -220,6 +241,9 @@ BAD = {
     "with an input that there is not": ({"thermometer": "lakeshore_224", "serial": "x", "inputs": ["A"]}, "must hold a text for each name"),
     "with a flag that is none": ({**SENSOR, "own_temperature": "yes", "replay": "/dev/null"}, "own_temperature must be true or false"),
     "that cannot feel itself": ({"sensor": "lakeshore_460", "range_mT": 30, "own_temperature": True, "replay": "/dev/null"}, "own_temperature must be left out"),
+    "with a watchdog too fast": ({**SUPPLY, "supply": "scpi", "serial": "x", "watchdog_s": 3}, "watchdog_s must be whole seconds from 4 to 3600; received 3"),
+    "with a watchdog between seconds": ({**SUPPLY, "supply": "scpi", "serial": "x", "watchdog_s": 4.5}, "whole seconds from 4 to 3600; received 4.5"),
+    "with a watchdog that there is not": ({**SUPPLY, "serial": "x", "watchdog_s": 10}, "watchdog_s is not a known key"),
     "no mapping": ("f71", "must hold keys and values"),
 }  # fmt: skip
 

@@ -34,6 +34,7 @@ class MemorySupply:
 
     name = "supply"
     lowest_A, highest_A, resolution_A, step_s = -5.0, 5.0, 1e-3, 0.1
+    watchdog_s = None
 
     def __init__(self):
         self.history = []
@@ -71,6 +72,9 @@ class MemorySupply:
     def send_set_point(self, current_A, deadline):
         self.note("send", current_A)
         self.set_point_A = current_A
+
+    def disarm(self, deadline):
+        self.note("disarm")
 
     def cut(self, deadline):
         self.note("cut")

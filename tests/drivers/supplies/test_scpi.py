@@ -42,6 +42,32 @@ def test_a_plain_supply_only_gets_its_voltage_limit():
     supply((b"VOLT 20;:SYST:ERR?\n", OK)).prepare(soon())
 
 
+def test_a_watchdog_is_set_when_the_supply_is_prepared_and_stopped_when_it_is_left():
+    port = conversation(
+        (b"VOLT 20;:SYST:ERR?\n", OK),
+        (b"OUTP:PROT:WDOG:DEL 10;:SYST:ERR?\n", OK),
+        (b"OUTP:PROT:WDOG ON;:SYST:ERR?\n", OK),
+        (b"OUTP:PROT:WDOG OFF;:SYST:ERR?\n", OK),
+    )
+    watched = ScpiSupply(
+        port, lowest_A=0.0, highest_A=20.0, compliance_V=20.0, resolution_A=1e-3, watchdog_s=10.0
+    )
+    watched.prepare(soon())
+    watched.disarm(soon())
+
+
+def test_a_supply_without_the_watchdog_that_its_settings_state_is_refused():
+    port = conversation(
+        (b"VOLT 20;:SYST:ERR?\n", OK),
+        (b"OUTP:PROT:WDOG:DEL 10;:SYST:ERR?\n", b'-113,"Undefined header"\n'),
+    )
+    unwatched = ScpiSupply(
+        port, lowest_A=0.0, highest_A=20.0, compliance_V=20.0, resolution_A=1e-3, watchdog_s=10.0
+    )
+    with pytest.raises(DeviceFault, match="must accept OUTP:PROT:WDOG:DEL 10; it says -113"):
+        unwatched.prepare(soon())
+
+
 def test_the_set_point_is_written_and_read():
     device = supply((b"CURR -1.5;:SYST:ERR?\n", OK), (b"CURR?;:SYST:ERR?\n", b"-1.500E+00;" + OK))
     device.write_set_point(-1.5, soon())
