@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 from pathlib import Path
 
@@ -11,6 +12,17 @@ import torch
 from hypothesis import settings
 
 mpl.use("Agg")
+
+
+class _Raising(logging.Handler):
+    """Raises what is logged."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        raise AssertionError(record.getMessage())
+
+
+# No part of a report is left out unseen; a test that wants one to be takes the handler away.
+logging.getLogger("estimator.diagnosis.part_by_part").addHandler(_Raising(logging.ERROR))
 
 # Workers of pytest-xdist, and whatever else runs, share the cores: threads of torch on top only wait for each other.
 torch.set_num_threads(1)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -123,12 +124,13 @@ def diagnose(
             tell(f"continuing: {len(journal)} fits were made before")
         tell("fitting the rig as described")
         first = FirstFit.of(question, session, validation, most_readings)
-        first = first.without_suspects(tell)
-        result = judged(first)
-        if not limits.stopped.is_set() and _is_in_doubt(result) and (flags := first.flags_by(result)):
-            tell("searching again without readings that were recorded otherwise than they were measured")
-            first = first.without(flags).without_suspects(tell)
+        with _own_contradictions(first.refusal):
+            first = first.without_suspects(tell)
             result = judged(first)
+            if not limits.stopped.is_set() and _is_in_doubt(result) and (flags := first.flags_by(result)):
+                tell("searching again without readings that were recorded otherwise than they were measured")
+                first = first.without(flags).without_suspects(tell)
+                result = judged(first)
     session = first.session
     seen = session.observations.calibration
     is_changed = bool(result.fits.final.rig.effects) or result.verdict is Verdict.UNEXPLAINED
@@ -146,6 +148,21 @@ def diagnose(
     return result
 
 
+@contextmanager
+def _own_contradictions(refusal: InvalidInput | None) -> Iterator[None]:
+    """Combinations of causes that no rig can have are faults of the program, for the caller's input has been fitted already.
+
+    Args:
+        refusal: Why the geometry as recorded is refused, which a diagnosis may still say of the input; None where it is not.
+    """
+    try:
+        yield
+    except InvalidInput as error:
+        if refusal is not None:
+            raise
+        raise RuntimeError(f"a diagnosis contradicted itself: {error}") from error
+
+
 class _Stopped(Exception):
     """The posterior is no longer wanted."""
 
@@ -153,7 +170,7 @@ class _Stopped(Exception):
 def _with_posterior(
     result: Diagnosis, session: Session, limits: Limits, out: Path | None, device: str, precision: str
 ) -> Diagnosis:
-    """A diagnosis with the posterior of its extended rig; as it was where it is stopped meanwhile."""
+    """A diagnosis with the posterior of its extended rig; without it where it is stopped meanwhile, or where that rig is refused."""
 
     def unless_stopped(_: Stage) -> None:
         if limits.stopped.is_set():
@@ -170,10 +187,10 @@ def _with_posterior(
             precision=precision,
             on_stage=unless_stopped,
         )
-    except _Stopped:
+    except (_Stopped, InvalidInput) as error:
         if out is not None:
             shutil.rmtree(out, ignore_errors=True)
-        return result
+        return replace(result, posterior_refusal="" if isinstance(error, _Stopped) else str(error))
     return replace(result, posterior=sampled)
 
 

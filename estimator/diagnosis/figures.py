@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
 from estimator.effects.corrections.correction import KEY
@@ -29,7 +30,7 @@ MOST_IN_TITLE, LEAST_STEPS = 3, 2
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a caption that says what to look for."""
     parts = (_maps, _explained, _corrected, _ladder, _structure, _ranking)
-    return [picture for part in parts for picture in part(diagnosis)]
+    return part_by_part(parts, diagnosis)
 
 
 def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:

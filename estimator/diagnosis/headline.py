@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import wraps
+
 import numpy as np
 
 from estimator.calibration.quality import tensions
 from estimator.diagnosis import policy
-from estimator.diagnosis.hypotheses.source_structure import OtherStructures
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
+from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.sizes import Difference
 from estimator.diagnosis.structure.covariates import predicted_T
@@ -45,20 +48,22 @@ MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diag
 
 def headline(diagnosis: Diagnosis) -> list[str]:
     """The sentences, most important first."""
-    search = diagnosis.findings.search
-    source = _source(search.other_structures, diagnosis) if search.source_seems_wrong else ""
-    sentences = [
-        _flagged(diagnosis),
-        _what(diagnosis),
-        _how_large(diagnosis),
-        _outliers(diagnosis),
-        source,
-        _cost(diagnosis),
-        "" if source else _next(diagnosis),
-    ]
-    if ended := search.ended_early:
-        sentences.append(f"The diagnosis ended early, for {ended}; the same command goes on with it.")
+    parts = (_flagged, _what, _how_large, _outliers, _source, _cost, _next, _ended_early)
+    sentences = part_by_part([_listed(part) for part in parts], diagnosis, lambda fault: fault)
     return [sentence for sentence in sentences if sentence]
+
+
+def _listed(part: Callable[[Diagnosis], str]) -> Callable[[Diagnosis], list[str]]:
+    @wraps(part)
+    def listed(diagnosis: Diagnosis) -> list[str]:
+        return [part(diagnosis)]
+
+    return listed
+
+
+def _ended_early(diagnosis: Diagnosis) -> str:
+    ended = diagnosis.findings.search.ended_early
+    return f"The diagnosis ended early, for {ended}; the same command goes on with it." if ended else ""
 
 
 def tension_words(diagnosis: Diagnosis) -> str:
@@ -249,13 +254,16 @@ def _would_have_shown(diagnosis: Diagnosis, readings: str = "they") -> str:
     return f"; {readings} would have shown, for example, {', '.join(shown)}" if shown else ""
 
 
-def _source(others: OtherStructures | None, diagnosis: Diagnosis) -> str:
+def _source(diagnosis: Diagnosis) -> str:
     """Sentence that causes of many kinds pile up, so that none of them is believed, and where to look.
 
     The model of the source itself seems wrong where what the rig as described leaves goes with a coil, and not with time or a mover.
     """
-    assert others is not None
     search = diagnosis.findings.search
+    if not search.source_seems_wrong:
+        return ""
+    others = search.other_structures
+    assert others is not None
     n_kinds = len({cause.name for cause in search.added})
     left = search.remainder
     leaving = f" and leave structure with a log evidence of {left.log_bayes_factor:.0f}"
@@ -374,7 +382,9 @@ def _cost(diagnosis: Diagnosis) -> str:
 
 
 def _next(diagnosis: Diagnosis) -> str:
-    """What to do next."""
+    """What to do next; empty where the sentence about the source has said it."""
+    if diagnosis.findings.search.source_seems_wrong:
+        return ""
     if diagnosis.left_open.next_measurements:
         best = diagnosis.left_open.next_measurements[0]
         return (

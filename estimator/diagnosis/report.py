@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from estimator.diagnosis import policy
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.headline import headline, held_back, tension_words
+from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.tables import appendix, tables
 from estimator.reporting.numbers import percent
@@ -24,15 +25,15 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
         diagnosis: The result of `estimator.diagnose`.
         command: Command that produced it, shown as provenance.
     """
-    lead, *figures = pictures(diagnosis)
+    figures = pictures(diagnosis)
     page = ReportPage(
         title=f"Diagnosis of {diagnosis.rig.name}",
         subtitle=diagnosis.question.source,
         verdict=headline(diagnosis),
         warnings=warnings_of(diagnosis),
-        lead=[lead],
+        lead=figures[:1],
         tables=tables(diagnosis),
-        figures=figures,
+        figures=figures[1:],
         appendix=appendix(diagnosis),
         provenance={"command": command, "seed": str(diagnosis.question.seed), "rig": diagnosis.rig.hash},
     )
@@ -41,26 +42,48 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
 
 def warnings_of(diagnosis: Diagnosis) -> list[str]:
     """What a reader must know before relying on the diagnosis, one sentence each."""
-    warnings = [words] if (words := tension_words(diagnosis)) else []
-    warnings += held_back(diagnosis)
+    parts = (_tension, held_back, _not_sampled, _validation, _stand_ins, _dropped)
+    return part_by_part(parts, diagnosis, lambda fault: fault)
+
+
+def _tension(diagnosis: Diagnosis) -> list[str]:
+    return list(filter(None, [tension_words(diagnosis)]))
+
+
+def _not_sampled(diagnosis: Diagnosis) -> list[str]:
+    if not diagnosis.posterior_refusal:
+        return []
+    return [
+        f"The extended rig was not sampled, so there is no calibration beside this report: {diagnosis.posterior_refusal}."
+    ]
+
+
+def _validation(diagnosis: Diagnosis) -> list[str]:
     improvement = diagnosis.improvement
     if improvement is None:
-        warnings.append("No readings were kept out of the fits, so the extension is not validated.")
-    elif not policy.LEAST_COVERAGE90 < improvement.after.coverage90 < policy.MOST_COVERAGE90:
-        warnings.append(
-            f"The 90 % predictive intervals of the extended model contain {percent(improvement.after.coverage90)} of the components of "
-            "unseen readings."
-        )
-    if diagnosis.findings.stand_ins:
-        warnings.append(
-            f"The extended rig also has {_listed(diagnosis, diagnosis.findings.stand_ins)}: the fit needs them, but they may stand in for "
-            "something unknown."
-        )
-    for cause in diagnosis.findings.search.dropped:
-        warnings.append(
-            f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained the same structure."
-        )
-    return warnings
+        return ["No readings were kept out of the fits, so the extension is not validated."]
+    if policy.LEAST_COVERAGE90 < improvement.after.coverage90 < policy.MOST_COVERAGE90:
+        return []
+    return [
+        f"The 90 % predictive intervals of the extended model contain {percent(improvement.after.coverage90)} of the components of "
+        "unseen readings."
+    ]
+
+
+def _stand_ins(diagnosis: Diagnosis) -> list[str]:
+    if not diagnosis.findings.stand_ins:
+        return []
+    return [
+        f"The extended rig also has {_listed(diagnosis, diagnosis.findings.stand_ins)}: the fit needs them, but they may stand in for "
+        "something unknown."
+    ]
+
+
+def _dropped(diagnosis: Diagnosis) -> list[str]:
+    return [
+        f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained the same structure."
+        for cause in diagnosis.findings.search.dropped
+    ]
 
 
 def _listed(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:

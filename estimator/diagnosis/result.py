@@ -137,6 +137,7 @@ class Diagnosis:
         left_open: What these readings cannot tell.
         extended_rig: The rig with the named causes and the stand-ins, as `rig_extended.yaml` holds it.
         posterior: The extended rig, sampled and widened; None where that was not asked for or nothing was found.
+        posterior_refusal: Why the extended rig could not be sampled though that was asked for; empty where nothing stood in the way.
     """
 
     question: Question
@@ -146,6 +147,7 @@ class Diagnosis:
     left_open: LeftOpen
     extended_rig: Rig
     posterior: Calibration | None = None
+    posterior_refusal: str = ""
 
     @property
     def rig(self) -> Rig:

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from estimator.diagnosis import policy
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
 from estimator.diagnosis.impact import impact_sd
-from estimator.diagnosis.outlying import Outlier
+from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.validation import ValidationScores
@@ -33,34 +33,49 @@ MOST_IMPACT_COLUMNS = 6
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
     """Tables below the headline: what was found, what it gains, what it moves, what to measure next."""
+    parts = (_found_tables, _flags_tables, _outliers_tables, _validation_tables, _next_tables)
+    return part_by_part(parts, diagnosis, _missing)
+
+
+def _missing(fault: str) -> Table:
+    """Stands in the place of a table that could not be made."""
+    return Table("A table is missing", ["why"], [[fault]])
+
+
+def _found_tables(diagnosis: Diagnosis) -> list[Table]:
     named = [cause for cause in diagnosis.fits.final.rig.effects if cause not in diagnosis.findings.stand_ins]
-    tables = _sizes_tables(
+    return _sizes_tables(
         diagnosis,
         named,
         "What was found",
         "Quantities of the causes in the extended rig (rig_extended.yaml). A difference, such as x − z, is listed where the readings know "
         "it better than either quantity.",
     )
-    tables += _flags_tables(diagnosis)
-    if diagnosis.findings.outliers:
-        tables.append(_outliers_table(diagnosis.findings.outliers))
-    if diagnosis.improvement is not None:
-        tables.append(_validation_table(diagnosis))
-        tables += [table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows]
-    if diagnosis.left_open.next_measurements:
-        proposals = [
-            [proposal.action.words, " or ".join(proposal.splits), f"{proposal.expected_log_evidence:.1f}"]
-            for proposal in diagnosis.left_open.next_measurements
-        ]
-        tables.append(
-            Table(
-                "What to measure next",
-                ["readings", "tells apart", "expected log evidence"],
-                proposals,
-                "Expected log evidence that each adds, best first. Programmes that add less than 3 (odds of 20 to 1) are not listed.",
-            )
+
+
+def _validation_tables(diagnosis: Diagnosis) -> list[Table]:
+    """What is gained on unseen readings, and what the extension moves; none where no readings were kept out."""
+    if diagnosis.improvement is None:
+        return []
+    moved = [table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows]
+    return [_validation_table(diagnosis), *moved]
+
+
+def _next_tables(diagnosis: Diagnosis) -> list[Table]:
+    if not diagnosis.left_open.next_measurements:
+        return []
+    proposals = [
+        [proposal.action.words, " or ".join(proposal.splits), f"{proposal.expected_log_evidence:.1f}"]
+        for proposal in diagnosis.left_open.next_measurements
+    ]
+    return [
+        Table(
+            "What to measure next",
+            ["readings", "tells apart", "expected log evidence"],
+            proposals,
+            "Expected log evidence that each adds, best first. Programmes that add less than 3 (odds of 20 to 1) are not listed.",
         )
-    return tables
+    ]
 
 
 def _sizes_tables(diagnosis: Diagnosis, causes: Sequence[Cause], title: str, caption: str) -> list[Table]:
@@ -106,8 +121,11 @@ def _flags_table(title: str, flags: Sequence[Flag], sensors: Sequence[str]) -> T
     )
 
 
-def _outliers_table(outliers: Sequence[Outlier]) -> Table:
-    """Components that are probably wrong, those that miss most first."""
+def _outliers_tables(diagnosis: Diagnosis) -> list[Table]:
+    """Components that are probably wrong, those that miss most first; none where none is."""
+    outliers = diagnosis.findings.outliers
+    if not outliers:
+        return []
     rows = [
         [
             str(outlier.reading + 1),
@@ -123,31 +141,35 @@ def _outliers_table(outliers: Sequence[Outlier]) -> Table:
         if len(outliers) > MOST_OUTLIERS
         else ""
     )
-    return Table(
-        "Readings that are probably outliers",
-        ["reading", "component", "measured − predicted", "in standard deviations", "probability"],
-        rows,
-        "Readings are counted from 1 in the order of the file. Outliers count little in the fit. The probability follows from their share "
-        f"and width, as fitted.{more}",
-    )
+    return [
+        Table(
+            "Readings that are probably outliers",
+            ["reading", "component", "measured − predicted", "in standard deviations", "probability"],
+            rows,
+            "Readings are counted from 1 in the order of the file. Outliers count little in the fit. The probability follows from their "
+            f"share and width, as fitted.{more}",
+        )
+    ]
 
 
 def appendix(diagnosis: Diagnosis) -> list[Table]:
     """Tables below the figures: symptoms, hypotheses step by step, what stands in, and what the readings can show."""
-    standing_in = _sizes_tables(
+    parts = (_symptoms_tables, _hypotheses_tables, _stand_in_tables, _limits_tables, _visible_tables)
+    return part_by_part(parts, diagnosis, _missing)
+
+
+def _hypotheses_tables(diagnosis: Diagnosis) -> list[Table]:
+    comparisons = enumerate(diagnosis.comparisons[:MOST_STEPS], start=1)
+    return [_hypotheses_table(diagnosis, step, number, title) for number, (title, step) in comparisons]
+
+
+def _stand_in_tables(diagnosis: Diagnosis) -> list[Table]:
+    return _sizes_tables(
         diagnosis,
         diagnosis.findings.stand_ins,
         "What stands in for something unknown",
         "Quantities of causes that the extended rig (rig_extended.yaml) needs, though none of them is believed.",
     )
-    comparisons = enumerate(diagnosis.comparisons[:MOST_STEPS], start=1)
-    return [
-        _symptoms_table(diagnosis),
-        *(_hypotheses_table(diagnosis, step, number, title) for number, (title, step) in comparisons),
-        *standing_in,
-        *_limits_tables(diagnosis),
-        _visible_table(diagnosis),
-    ]
 
 
 def _limits_tables(diagnosis: Diagnosis) -> list[Table]:
@@ -167,14 +189,13 @@ def _limits_tables(diagnosis: Diagnosis) -> list[Table]:
     )
 
 
-def _symptoms_table(diagnosis: Diagnosis) -> Table:
+def _symptoms_tables(diagnosis: Diagnosis) -> list[Table]:
     """Tests of the residual before and after the extension."""
     rows = [["before", sentence] for sentence in diagnosis.fits.before.sentences()]
     if diagnosis.fits.extended.rig.acting:
         rows += [["after", sentence] for sentence in diagnosis.fits.after.sentences()]
-    return Table(
-        "Symptoms", ["model", "residual"], rows, "Tests of the residual of the readings that were fitted."
-    )
+    caption = "Tests of the residual of the readings that were fitted."
+    return [Table("Symptoms", ["model", "residual"], rows, caption)]
 
 
 def _parameters(diagnosis: Diagnosis, causes: Sequence[Cause]) -> list[tuple[str, str, Interval, float, str]]:
@@ -378,7 +399,7 @@ def _why(diagnosis: Diagnosis, step: Step, hypothesis: Hypothesis) -> str:
     return f"explains less: {behind:.1f} behind" if behind > 0.0 else "tested again later"
 
 
-def _visible_table(diagnosis: Diagnosis) -> Table:
+def _visible_tables(diagnosis: Diagnosis) -> list[Table]:
     visible = [quantity for quantity in diagnosis.left_open.visible if quantity.is_visible]
     hidden = {diagnosis.label(quantity.cause) for quantity in diagnosis.left_open.visible} - {
         diagnosis.label(quantity.cause) for quantity in visible
@@ -395,4 +416,4 @@ def _visible_table(diagnosis: Diagnosis) -> Table:
         caption += f" Not visible at any plausible size: {', '.join(sorted(hidden))}."
     if twins:
         caption += f" These readings cannot tell apart: {twins}."
-    return Table("What these readings can show", ["cause", "smallest visible size"], rows, caption)
+    return [Table("What these readings can show", ["cause", "smallest visible size"], rows, caption)]

@@ -83,11 +83,14 @@ def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[
     return uses
 
 
+def shifts_rows(effect: Effect) -> bool:
+    """Whether an effect puts fields beside other rows; a rig has one such effect at most."""
+    return isinstance(effect, RecordEffect) and type(effect).rows_late is not RecordEffect.rows_late
+
+
 def as_meant(rig: Rig, observations: Observations) -> Observations:
     """The readings with each field beside the pose and the currents that it belongs to, as mistakes of the record in the rig have it."""
-    late = [
-        use for use in uses_of(rig, RecordEffect) if type(use.effect).rows_late is not RecordEffect.rows_late
-    ]
+    late = [use for use in uses_of(rig, RecordEffect) if shifts_rows(use.effect)]
     if not late:
         return observations.realigned(0)
     if len(late) > 1:

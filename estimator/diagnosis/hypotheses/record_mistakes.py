@@ -27,6 +27,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.effects.stages import MotionEffect, RecordEffect
+from estimator.effects.use import shifts_rows, uses_of
 from estimator.errors import InvalidInput
 from estimator.field.winding import Rule
 from estimator.inference.likelihood import LogPosterior
@@ -145,6 +146,7 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     observations = circumstances.observations
     few = spread(observations, policy.MOST_READINGS_COMPARED)
     present = {cause.name for cause in base.rig.effects}
+    are_rows_shifted = any(shifts_rows(use.effect) for use in uses_of(base.rig, RecordEffect))
     rules = base.posterior.model.rules
     as_recorded = LogPosterior(
         Coordinates(base.rig), MeasurementModel.unruled(base.rig, few).with_rules(dict(rules)), few
@@ -156,6 +158,8 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
     # From the record back to the supply: of mistakes that explain the readings equally, the last one made comes first.
     for name, effect in reversed(EFFECTS.items()):
         if not effect.is_record_mistake or name in present:
+            continue
+        if are_rows_shifted and shifts_rows(effect):
             continue
         for place in effect.places(base.rig):
             if not effect.concerns(circumstances, place):

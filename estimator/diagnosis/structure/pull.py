@@ -35,17 +35,17 @@ class Pull:
 
 
 def pull_of(fit: Fit) -> Pull:
-    """The evidence that one of the numbers that a rig file states lies outside its prior; not of causes, and not of the noise.
+    """The evidence that one of the numbers that a rig file states lies outside its prior; not of what was added, and not of the noise.
 
     A fit that the prior holds back would go farther without it. To first order, with `g = 1 - (sd / prior sd)^2` the share of its knowledge
     that the readings have of a number that lies `z` prior widths off, a prior `A` times as wide has a log Bayes factor of
     `z^2 / (2 (g + 1 / A^2)) - log(1 + g A^2) / 2`. Without a prior it would lie `z / g` widths off.
     """
-    causes = tuple(f"{cause.label}." for cause in fit.rig.effects)
+    added = tuple(f"{cause.label}." for cause in fit.rig.acting)
     evidence, most = [], Pull(-math.inf)
     for parameter in fit.rig.free:
         prior, name = parameter.prior, parameter.name
-        if not isinstance(prior, Normal | LogNormal) or name.startswith(causes) or name.endswith(".noise_T"):
+        if not isinstance(prior, Normal | LogNormal) or name.startswith(added) or name.endswith(".noise_T"):
             continue
         value = float(fit.values[name])
         widths = prior.distance(value)

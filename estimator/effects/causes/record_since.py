@@ -154,10 +154,6 @@ class RowsShiftedSince(RowsShifted):
         """Rows by which fields come late from then on, and the time since the session began."""
         return (*super().quantities(extent), since(extent))
 
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether no rows are shifted yet."""
-        return all(cause.name != RowsShifted.name for cause in circumstances.rig.effects)
-
     def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
         """Late and early, from each instant on."""
         return _at_instants(super().starts(circumstances, place), circumstances)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import html
+import logging
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -135,6 +137,44 @@ def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(
     assert told is not None
     assert float(told[1]) == pytest.approx(8.0, abs=1.5)
     assert any(sentence.startswith("Check z in the rig file") for sentence in rest)
+
+
+def test_a_report_does_not_fail_for_one_part(
+    diagnosis: Diagnosis, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A sentence, a warning, a table and the figures fail; all others stand, and each that fails is told in its place."""
+    monkeypatch.setattr(logging.getLogger("estimator.diagnosis.part_by_part"), "handlers", [])
+    whole = headline(diagnosis)
+    lacking = {
+        "estimator.diagnosis.headline._sizes": "coil1.degree1_a_T",
+        "estimator.diagnosis.report._dropped": "dropped",
+        "estimator.diagnosis.tables._visible_tables": "visible",
+        "estimator.diagnosis.figures._ladder": "ladder",
+    }
+    for target, key in lacking.items():
+        monkeypatch.setattr(target, _failing(target.rpartition(".")[2], key))
+    first, second, *rest = headline(diagnosis)
+    assert (first, rest) == (whole[0], whole[2:])
+    assert "'how large'" in second
+    assert "KeyError 'coil1.degree1_a_T'" in second
+    page = as_text(diagnosis)
+    for words in (
+        "'dropped'",
+        "'visible tables'",
+        "Improvement on readings not used for fitting",
+        "Symptoms",
+    ):
+        assert words in page
+    assert first in _text(diagnosis, tmp_path)
+    assert len(pictures(diagnosis)) >= 3
+
+
+def _failing(name: str, key: str) -> Callable[..., object]:
+    def failing(*_: object) -> object:
+        raise KeyError(key)
+
+    failing.__name__ = name
+    return failing
 
 
 def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:

@@ -10,13 +10,16 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.diagnose import _are_doubtful
+from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses import record_mistakes
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
 from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.step import Step
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.effects.causes.record import DisplacementFrameError
+from estimator.effects.use import shifts_rows
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
@@ -85,6 +88,25 @@ def test_fields_that_were_written_beside_their_rows_are_put_back(
     assert mistake.cause == Cause("rows_shifted", "record")
     assert float(fit.values[f"{mistake.cause.label}.rows"]) == 1.0
     assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.parametrize("taken", ["rows_shifted", "rows_shifted_since"])
+def test_rows_that_are_shifted_already_are_not_shifted_again(
+    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, taken: str
+):
+    """Readings that make no sense ask for a second shift, whichever of the two was taken first."""
+    shifts = {name: effect for name, effect in EFFECTS.items() if shifts_rows(effect)}
+    assert set(shifts) == {"rows_shifted", "rows_shifted_since"}
+    monkeypatch.setattr(record_mistakes, "EFFECTS", shifts)
+    readings = small_session.observations.alone
+    plain = fit_of(small_rig, readings.with_field(readings.field_sensor_T.flip(0)))
+    cause = Cause(taken, "record")
+    (start, *_) = EFFECTS[taken].starts(plain.posterior.model.circumstances, "record")
+    rig = with_effect(plain.rig, cause, plain.observations, start)
+    shifted = fit_rig(rig, plain.observations, plain.start_with(rig), plain.posterior.model.rules)
+    assert not record_mistakes._is_as_expected(shifted)
+    fit, mistakes = without_record_mistakes(shifted)
+    assert (fit, mistakes) == (shifted, [])
 
 
 @pytest.mark.parametrize("begins_at", [8, 17])

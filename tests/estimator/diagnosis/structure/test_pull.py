@@ -11,7 +11,9 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.structure.pull import pull_of
+from estimator.effects.attach import with_effect
 from estimator.rig.parameters import Normal
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.sessions import RIG, plain_fit
 
 pytestmark = pytest.mark.whole
@@ -36,6 +38,17 @@ def test_a_number_outside_its_prior_is_told_with_the_number() -> None:
     assert leaves_structure(pull)
     assert pull.name == PLACE
     assert pull.widths == pytest.approx(7.0, abs=0.5)  # though the fit has gone only a part of that way
+
+
+def test_an_amplitude_of_a_correction_is_no_number_of_the_rig_file() -> None:
+    """Though it lies farthest of all from the middle of its prior, which is the width that was tried."""
+    base, swings = plain_fit(), Cause("room_wanders", "room")
+    narrow = {f"degree{i}_{axis}_T": 0.0 for i in (1, 2) for axis in "xyz"}
+    rig = with_effect(base.rig, swings, base.observations, {"duration_h": 0.1, **narrow})
+    amplitudes = [p for p in rig.free if p.name.startswith(swings.label)]
+    rig = rig.with_parameters(replace(p, prior=Normal(1e-3, 1e-9), value=1e-3) for p in amplitudes)
+    pull = pull_of(fit_rig(rig, base.observations, base.start_with(rig), base.posterior.model.rules))
+    assert pull.name in {p.name for p in base.rig.free}
 
 
 @pytest.mark.parametrize("wider", [4.0, 16.0])
