@@ -52,7 +52,7 @@ class MovesInBlocks(Move):  # type: ignore[misc]  # emcee is untyped
         """Move every walker once."""
         number, i = divmod(self.step, BLOCK)
         if self._block is None or self._block.number != number:
-            self._block = self._planned(number, len(state.coords), model)
+            self._block = self._planned(number, state.coords, model)
         self.step += 1
         move = self._block.moves[i]
         if move > 0:
@@ -64,14 +64,17 @@ class MovesInBlocks(Move):  # type: ignore[misc]  # emcee is untyped
         accepted = np.log(model.random.rand(len(log_ratio))) < log_ratio
         return self.update(state, State(fresh, log_prob=log_prob), accepted), accepted
 
-    def _planned(self, number: int, n_walkers: int, model: Model) -> _Block:
+    def _planned(self, number: int, walkers: np.ndarray, model: Model) -> _Block:
         random = np.random.RandomState([self.seed, number])
+        n_walkers = len(walkers)
         moves = random.choice(3, size=BLOCK, p=self.shares)
-        fresh = self.proposal.draw(int((moves == 0).sum()) * n_walkers, random)
+        n_fresh = int((moves == 0).sum())
+        drawn = self.proposal.draw(n_fresh * n_walkers, random)
+        fresh, is_somewhere = somewhere(drawn, np.tile(walkers, (n_fresh, 1)))
         log_prob = model.compute_log_prob_fn(fresh)[0] if len(fresh) else np.empty(0)
         log_density = self.proposal.log_density(fresh)
         # So far out in a bend that rounding leaves no density: accepted, such a draw would stay for ever.
-        is_known = np.isfinite(log_density)
+        is_known = np.isfinite(log_density) & is_somewhere
         log_prob = np.where(is_known, log_prob, -np.inf)
         return _Block(number, n_walkers, moves, fresh, log_prob, np.where(is_known, log_density, 0.0))
 
@@ -99,6 +102,19 @@ class _Block:
         return self.fresh[mine], self.log_prob[mine], self.log_density[mine]
 
 
+def somewhere(fresh: np.ndarray, walkers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Proposals whose coordinates are numbers, and which of them were; the others stay where their walkers are, to be refused.
+
+    A bend squares squares, so its far tails overflow. No density is asked there, and emcee refuses to ask one.
+
+    Args:
+        fresh: Proposed vectors, shape (point, coordinate).
+        walkers: Where the walkers are.
+    """
+    is_somewhere = np.isfinite(fresh).all(1)
+    return np.where(is_somewhere[:, None], fresh, walkers), is_somewhere
+
+
 def autoregressive_move(proposal: MixtureProposal) -> MHMove:
     """Move every walker part of the way to a fresh normal draw of its own tuple: mean + sqrt(1 - b^2) (x - mean) + b noise.
 
@@ -115,7 +131,10 @@ def autoregressive_move(proposal: MixtureProposal) -> MHMove:
         moved = np.sqrt(1.0 - b**2) * straight + b * random.standard_normal(straight.shape)
         fresh = vectors.copy()
         fresh[:, : proposal.n] = proposal.from_straight(row, moved)
-        return fresh, 0.5 * ((moved**2).sum(1) - (straight**2).sum(1))
+        fresh, is_somewhere = somewhere(fresh, vectors)
+        with np.errstate(over="ignore", invalid="ignore"):
+            factor = 0.5 * ((moved**2).sum(1) - (straight**2).sum(1))
+        return fresh, np.where(is_somewhere & np.isfinite(factor), factor, -np.inf)
 
     return MHMove(propose)
 
@@ -139,11 +158,12 @@ class LatticeDifferenceMove(RedBlueMove):  # type: ignore[misc]  # emcee is unty
         first = random.randint(len(straight), size=len(moved))
         second = (first + random.randint(1, len(straight), size=len(moved))) % len(straight)
         scale = 2.38 / np.sqrt(2.0 * self.proposal.n) * random.choice([1.0, 0.4], size=(len(moved), 1))
-        step = scale * (straight[first] - straight[second])
-        step += self.jitter * random.standard_normal(step.shape)
-        row = self.proposal.rows(moved)
+        with np.errstate(over="ignore", invalid="ignore"):
+            step = scale * (straight[first] - straight[second])
+            step += self.jitter * random.standard_normal(step.shape)
+            row = self.proposal.rows(moved)
+            shifted = self.proposal.straight(row, moved) + step
         fresh = moved.copy()
-        fresh[:, : self.proposal.n] = self.proposal.from_straight(
-            row, self.proposal.straight(row, moved) + step
-        )
-        return fresh, np.zeros(len(moved))
+        fresh[:, : self.proposal.n] = self.proposal.from_straight(row, shifted)
+        fresh, is_somewhere = somewhere(fresh, moved)
+        return fresh, np.where(is_somewhere, 0.0, -np.inf)

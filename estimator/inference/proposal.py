@@ -107,7 +107,7 @@ class MixtureProposal:
         return np.array([self._row[tuple(counts)] for counts in vectors[:, self.n :]], dtype=int)
 
     def draw(self, size: int, random: np.random.RandomState) -> np.ndarray:
-        """Draw vectors from the mixture."""
+        """Draw vectors from the mixture; far out in a bend they may overflow."""
         row = random.choice(len(self.weight), size=size, p=self.weight)
         continuous = self.from_straight(row, self.shape.draw(size, random))
         return np.concatenate((continuous, self.counts[row]), axis=1)
@@ -130,5 +130,6 @@ class MixtureProposal:
 
     def from_straight(self, row: np.ndarray, straight: np.ndarray) -> np.ndarray:
         """Continuous coordinates of points in straightened ones, the inverse of `straight`."""
-        coloured = np.einsum("wij,wj->wi", self.factor[row], self.bend.bent(straight))
-        return np.asarray(self.mean[row] + coloured)
+        with np.errstate(over="ignore", invalid="ignore"):
+            coloured = np.einsum("wij,wj->wi", self.factor[row], self.bend.bent(straight))
+            return np.asarray(self.mean[row] + coloured)

@@ -191,6 +191,34 @@ def test_draws_without_a_density_are_not_accepted(monkeypatch: pytest.MonkeyPatc
     assert sampler.acceptance_fraction.mean() > 0.5
 
 
+@pytest.mark.parametrize(
+    "shares", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)], ids=["fresh", "part", "de"]
+)
+def test_proposals_that_overflow_are_refused_and_asked_no_density(shares):
+    """A bend throws half of them to infinity, where a product with zero is no number; the other half stays in the law."""
+    bend = Bend(
+        np.array([[[0.0, 0.0], [0.0, 0.0]], [[5e307, 0.0], [0.0, 0.0]]]), np.zeros((2, 2)), np.zeros(2)
+    )
+    flat = WhiteShape(np.ones(1), np.array([[0.0, 0.0]]), 3.0 * np.eye(2)[None])
+    proposal = MixtureProposal(RIGHT, bend, flat)
+    drawn = proposal.draw(400, np.random.RandomState(2))
+    assert 0.2 < np.isnan(drawn).any(1).mean() < 0.8
+    asked: list[np.ndarray] = []
+
+    def log_prob(vectors: np.ndarray) -> np.ndarray:
+        asked.append(vectors)
+        return np.where(np.abs(vectors[:, 1]) < 1e300, target_log_prob(np.clip(vectors, -1e9, 1e9)), -np.inf)
+
+    start = target_draws(20, np.random.RandomState(9))
+    sampler = emcee.EnsembleSampler(
+        20, 4, log_prob, moves=MovesInBlocks(proposal, 3, shares=shares), vectorize=True
+    )
+    sampler.run_mcmc(start, 2 * BLOCK, skip_initial_state_check=True)
+    assert np.isfinite(np.concatenate(asked)).all()
+    assert np.abs(sampler.get_chain()[..., :2]).max() < 1e9
+    assert np.isfinite(sampler.get_log_prob()).all()
+
+
 def test_factor_of_the_autoregressive_move_is_the_ratio_of_normals_in_straightened_coordinates_and_counts_stay(
     proposal,
 ):
