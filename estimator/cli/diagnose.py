@@ -53,10 +53,17 @@ if TYPE_CHECKING:
     help="Sample the posterior of the extended rig into the subfolder calibration, if a cause was found or something remains unexplained.",
 )
 @click.option(
+    "--corrections/--no-corrections",
+    "has_corrections",
+    default=True,
+    show_default=True,
+    help="Correct predictions by what is left without a name. Without corrections their intervals are widened by it alone.",
+)
+@click.option(
     "--minutes",
     type=click.FloatRange(min=0.0),
     default=math.inf,
-    help="Time for the search. When it is over, the best so far is reported; the same command goes on from there.",
+    help="Time for search and corrections. When it is over, the best so far is reported; the same command goes on from there.",
 )
 @click.option("--most-causes", type=click.IntRange(min=0), help="Number of causes at which the search ends.")
 @click.option(
@@ -75,6 +82,7 @@ def diagnose_command(
     out: Path,
     rig_path: Path | None,
     has_posterior: bool,
+    has_corrections: bool,
     minutes: float,
     most_causes: int | None,
     most_readings: int | None,
@@ -125,6 +133,7 @@ def diagnose_command(
             out=unfinished,
             seed=seed,
             has_posterior=has_posterior,
+            has_corrections=has_corrections,
             limits=limits,
             most_readings=most_readings or policy.MOST_READINGS_SEARCHED,
             device=device,
@@ -195,8 +204,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     if diagnosis.verdict is Verdict.UNEXPLAINED:
         remainder = diagnosis.findings.search.remainder
         lines.append(
-            f"  {odds(remainder.log_bayes_factor)} that something is left, {remainder.rms_sigma:.2g} of the noise rms, which depends on "
-            f"{remainder.family}"
+            f"  {odds(remainder.log_bayes_factor)} that something is left beside the causes, which depends on {remainder.family}"
         )
         scatter = diagnosis.findings.search.scatter
         if leaves_structure(scatter):

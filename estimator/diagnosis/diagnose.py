@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 
 from estimator.calibration.calibrate import Stage
+from estimator.calibration.result import Calibration
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.elsewhere import computed_on
@@ -47,6 +48,7 @@ from estimator.diagnosis.result import (
     label_of,
 )
 from estimator.diagnosis.structure.symptoms import Symptoms
+from estimator.diagnosis.validation import posterior_scores
 from estimator.diagnosis.verdict import (
     NamedCause,
     Verdict,
@@ -56,6 +58,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.errors import InvalidInput
 from estimator.model.preflight import check_precision, check_readings
+from estimator.readings.observations import Observations
 from estimator.readings.split import thinned
 from estimator.rig.rig import Cause, Rig
 from estimator.side_by_side import meanwhile, one_thread_for_an_operation
@@ -70,6 +73,7 @@ def diagnose(
     out: Path | str | None = None,
     seed: int = 0,
     has_posterior: bool = False,
+    has_corrections: bool = True,
     limits: Limits | None = None,
     most_readings: int = policy.MOST_READINGS_SEARCHED,
     device: str = "cpu",
@@ -91,8 +95,9 @@ def diagnose(
         seed: Of the split, the thinning, the starts and the sampling.
         has_posterior: Sample the posterior of the extended rig from all readings but those for validation. It needs a coil that carried
             current, and a cause or something unexplained, which widens the posterior.
-        limits: When the search ends before the evidence does. A diagnosis that was cut short says so; another with the same `out` goes on.
-            One that was stopped neither corrects what is left nor samples.
+        has_corrections: Correct what no cause explains. Without it intervals are widened by what is left, as where nothing corrects it.
+        limits: When search and corrections end before the evidence does. A diagnosis that was cut short says so; another with the same
+            `out` goes on. One that was stopped does not sample.
         most_readings: Readings that causes are searched with, thinned evenly where there are more.
         device: Where fits, columns of causes, evidences and corrections are computed, such as `cuda`, and where sampling predicts
             readings; verdict, validation and reports stay on the processor.
@@ -116,8 +121,8 @@ def diagnose(
     question, folder = Question(rig, session.source, seed), None if out is None else Path(out)
     limits = limits or Limits()
 
-    def judged(first: FirstFit) -> Diagnosis:
-        return _judged(question, first, limits, place, tell, on_progress)
+    def judged(first: FirstFit) -> tuple[Diagnosis, Observations]:
+        return _judged(question, first, limits, has_corrections, place, tell, on_progress)
 
     with remembering(folder) as journal, climbing_on(place, dtype), one_thread_for_an_operation():
         if journal is not None and len(journal):
@@ -126,11 +131,11 @@ def diagnose(
         first = FirstFit.of(question, session, validation, most_readings)
         with _own_contradictions(first.refusal):
             first = first.without_suspects(tell)
-            result = judged(first)
+            result, unseen = judged(first)
             if not limits.stopped.is_set() and _is_in_doubt(result) and (flags := first.flags_by(result)):
                 tell("searching again without readings that were recorded otherwise than they were measured")
                 first = first.without(flags).without_suspects(tell)
-                result = judged(first)
+                result, unseen = judged(first)
     session = first.session
     seen = session.observations.calibration
     is_changed = bool(result.fits.final.rig.effects) or result.verdict is Verdict.UNEXPLAINED
@@ -138,7 +143,12 @@ def diagnose(
         tell("sampling the posterior of the extended rig")
         inside = None if folder is None else folder / CALIBRATION_FOLDER
         result = _with_posterior(result, session, limits, inside, device, precision)
-    if limits.stopped.is_set() and result.posterior is None:
+        are_kept_out = validation is not None or len(seen) < len(session.observations)
+        if result.posterior is not None and are_kept_out and len(unseen):
+            result = _judged_as_handed_out(result, result.posterior, unseen)
+    correction = result.fits.correction
+    is_cut_short = correction is not None and correction.is_cut_short
+    if is_cut_short or (limits.stopped.is_set() and result.posterior is None):
         result = _cut_short(result, limits)
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
@@ -194,6 +204,18 @@ def _with_posterior(
     return replace(result, posterior=sampled)
 
 
+def _judged_as_handed_out(result: Diagnosis, posterior: Calibration, unseen: Observations) -> Diagnosis:
+    """A diagnosis whose errors on unseen readings are those of the model that was sampled, with its whole counts and its draws."""
+    fits = result.fits
+    assert fits.improvement is not None
+    scores = posterior_scores(fits.final, posterior, unseen)
+    correction = fits.correction
+    if correction is not None and correction.is_taken and correction.gain is not None:
+        correction = replace(correction, gain=correction.gain.with_after(scores))
+    improvement = fits.improvement.with_after(scores)
+    return replace(result, fits=replace(fits, improvement=improvement, correction=correction))
+
+
 def _cut_short(result: Diagnosis, limits: Limits) -> Diagnosis:
     """A diagnosis that says that it was stopped, also where that came after its search."""
     search_result = result.findings.search
@@ -212,11 +234,12 @@ def _judged(
     question: Question,
     first: FirstFit,
     limits: Limits,
+    has_corrections: bool,
     place: torch.device,
     tell: Callable[[str], None],
     on_progress: OnProgress,
-) -> Diagnosis:
-    """The diagnosis from readings to be fitted and others to judge the fits."""
+) -> tuple[Diagnosis, Observations]:
+    """The diagnosis from readings to be fitted and others to judge the fits, and those that have judged them; they may be none."""
     rig, seed, plain, seen = question.rig, question.seed, first.plain, first.seen
     symptoms = meanwhile(lambda: Symptoms.of(plain, seed))
     search_result, mistakes, visible, twins = computed_on(
@@ -230,14 +253,14 @@ def _judged(
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
         outcome = outcome.checked_by(unseen)
-    if outcome.verdict is Verdict.UNEXPLAINED and limits.stopped.is_set():
-        outcome = outcome.widened(unseen)
-    elif outcome.verdict is Verdict.UNEXPLAINED:
+    if outcome.verdict is Verdict.UNEXPLAINED and has_corrections:
         tell("correcting what is left, without a name")
-        outcome = outcome.corrected(unseen, place, tell)
+        outcome = outcome.corrected(unseen, place, tell, limits)
+    elif outcome.verdict is Verdict.UNEXPLAINED:
+        outcome = outcome.widened(unseen)
     named, extended = outcome.named, outcome.extended
     before = symptoms()
-    return Diagnosis(
+    diagnosis = Diagnosis(
         question=question,
         verdict=outcome.verdict,
         findings=Findings(
@@ -266,6 +289,7 @@ def _judged(
         ),
         extended_rig=extended_rig(rig, outcome.after),
     )
+    return diagnosis, unseen
 
 
 class _Found(NamedTuple):

@@ -18,6 +18,7 @@ from estimator.diagnosis.structure.covariates import predicted_T
 from estimator.diagnosis.structure.families.position import is_of_coil
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
+from estimator.diagnosis.what_shows import PLACE, hidden_words
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL, Extent
@@ -37,7 +38,6 @@ from estimator.rig.rig import Cause
 
 MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_SIZES = 2
-PLACE = ("x_m", "y_m", "z_m")  # keys of a place
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_TENSIONS = 3  # that are listed one by one
 MOSTLY = (
@@ -156,26 +156,30 @@ def _what(diagnosis: Diagnosis) -> str:
     else:
         is_of_all = remainder.log_bayes_factor <= 0.0 or not diagnosis.fits.extended.rig.effects
         remainder = search.base_discrepancy if is_of_all else remainder
-        is_corrected = diagnosis.fits.correction is not None and diagnosis.fits.correction.is_taken
-        when = ", before it is corrected," if is_corrected else ""
-        left = f"beside the causes that were taken{when} {remainder.rms_sigma:.2g} times the fitted noise is left, which"
-        whole = "what it misses" if is_of_all else left
-        dependence = f"{_misses(diagnosis)}; {whole} depends on {_plain(remainder.family)}"
+        what = "what it misses" if is_of_all else "what is left beside the causes that were taken"
+        dependence = f"{_misses(diagnosis)}; {what} depends on {_plain(remainder.family)}"
     unknown = f"Something is wrong that no known cause explains: {dependence}"
     return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
 
 
 def _misses(diagnosis: Diagnosis) -> str:
-    """How much the rig as described misses, what the extended rig leaves of it, and where most of it is.
+    """How far the rig as described misses, against the noise, and where most of it is.
 
-    The extended rig says more of the noise than the rig file does, which may state more than there is.
+    Of readings that no fit has seen, where there are some: what the extended rig leaves of them is told with the gain. Else of those that
+    were fitted, by both; the extended rig says more of the noise than the rig file does, which may state more than there is.
     """
     before, after = (symptoms.lack_of_fit for symptoms in (diagnosis.fits.before, diagnosis.fits.after))
-    rms = f"the rig as described misses by {size_with_unit(before.rms_T, 'T')} rms"
-    if before is not after:
-        return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T')}{_mostly(diagnosis)}"
-    noise_rms = size_with_unit(before.noise_T, "T")
-    if before.rms_T <= before.noise_T:
+    improvement = diagnosis.improvement
+    rms_T, noise_T, of = before.rms_T, before.noise_T, "the readings that were fitted"
+    if improvement is not None:
+        errors = improvement.before.errors
+        rms_T, of = errors.vector_T, "readings that no fit has seen"
+        noise_T *= errors.vector_T / errors.component_T if errors.component_T > 0.0 else 1.0
+    rms = f"the rig as described misses {of} by {size_with_unit(rms_T, 'T', 3)} rms"
+    if improvement is None and before is not after:
+        return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T', 3)}{_mostly(diagnosis)}"
+    noise_rms = size_with_unit(noise_T, "T")
+    if rms_T <= noise_T:
         return f"{rms}, not at random, though noise of {noise_rms} would be as large{_mostly(diagnosis)}"
     noise = "readings that were repeated scatter by" if before.noise_from == "repeats" else "noise is"
     return f"{rms} where {noise} {noise_rms}{_mostly(diagnosis)}"
@@ -403,7 +407,10 @@ def _next(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
         if _doubts(diagnosis):
             return "Measure again, with more readings, before you rely on the rig file as it is."
-        return "There is nothing to mend: use the rig file as it is."
+        hidden = hidden_words(diagnosis)
+        if hidden:
+            return f"{hidden} Where none of these can be, use the rig file as it is."
+        return "Nothing that these readings show asks for another rig file."
     if any(cause.may_be_unknown for cause in diagnosis.causes):
         return (
             f"The readings leave room for something that no list holds: mend the cause, or use {EXTENDED_RIG}, and measure again. "

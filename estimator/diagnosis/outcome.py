@@ -16,6 +16,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Search
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.validation import (
     Improvement,
     improvement_between,
@@ -114,15 +115,18 @@ class Outcome:
         left = self.search.base_discrepancy if is_base else self.search.remainder
         return Widening.of(self.extended, self.after, left)
 
-    def corrected(self, unseen: Observations, place: torch.device, tell: Callable[[str], None]) -> Outcome:
+    def corrected(
+        self, unseen: Observations, place: torch.device, tell: Callable[[str], None], limits: Limits
+    ) -> Outcome:
         """The outcome with intervals that are widened by what is left, and with what corrects it, where that predicts better.
 
         Args:
             unseen: Readings that no fit has seen; may be empty.
             place: Device on which corrections are computed.
             tell: Called with a message for each correction that is taken.
+            limits: No further correction is asked when they are over.
         """
-        best = partial(best_corrected, tell=tell)
+        best = partial(best_corrected, tell=tell, limits=limits)
         correction = computed_on(place, best, self.extended, self.searched, self.after)
         widening = self._widening
         with_causes = replace(self, widening=widening, correction=correction)

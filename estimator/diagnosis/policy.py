@@ -384,6 +384,14 @@ VISIBLE_SIGMA = 5.0
 """Standard deviations by which a cause must change the readings, beyond what the fit follows, to be called visible. Convention; about the
 size at which the evidence for a cause suffices in the linear model. Study of 5 cases: numbers change in 5."""
 
+MUCH_ABSORBED = 0.5
+"""Share of what a cause changes, in squares, that free numbers of the rig must follow for the report to say which do. For a reader. Study:
+not in it."""
+
+LEAST_HIDDEN_SD = 2.0
+"""Standard deviations by which a cause of a usual size could move a number of the rig unseen from which on `nothing_found` tells it. For a
+reader: the number's 90 % interval does not hold the truth then. Study: not in it."""
+
 PLAUSIBLE_SD = 3.0
 """Standard deviations of its prior up to which a size of a cause is plausible. Statistics: 0.3 % lie beyond. Study of 6 cases: numbers
 change in 5."""
@@ -464,6 +472,10 @@ told. By judgement: below, a reader gains nothing by one more number. Study: not
 
 MOVED_SD = 1.0
 """Standard deviations that a number of the rig must move to be listed as moved. For a reader. Study: not in it."""
+
+KNOWN_AS_WELL = 1.5
+"""Factor on the standard deviation of a number of the rig up to which the extended rig is said to know it as well as the rig as described.
+Beyond, that it lies elsewhere says little of which of the two is right. By judgement. Study: not in it."""
 
 LISTED_IMPACT_SD = 0.3
 """Standard deviations that a cause must move a number of the rig for its impact to be listed. For a reader. Study: not in it."""

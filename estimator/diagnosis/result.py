@@ -11,6 +11,7 @@ from typing import Any
 import torch
 
 from estimator.calibration.result import Calibration
+from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.differences import clearest_difference
 from estimator.diagnosis.extension import NOTE
@@ -247,6 +248,12 @@ class Diagnosis:
         widening = self.left_open.widening
         return (1.0 if widening is None else widening.factors[name]) * self.fits.final.value_sd(name)
 
+    @property
+    def no_longer_determined(self) -> tuple[str, ...]:
+        """Parameters of the rig that the extended rig knows clearly less well than the rig as described does; it refutes no value."""
+        known = {} if self.improvement is None else self.improvement.known_before
+        return tuple(n for n, (_, sd) in known.items() if self.value_sd(n) > policy.KNOWN_AS_WELL * sd)
+
     def to_json(self) -> dict[str, Any]:
         """Content of `diagnosis.json`."""
         search, left_open, improvement = self.findings.search, self.left_open, self.improvement
@@ -278,6 +285,12 @@ class Diagnosis:
                 f"{self.label(visible.cause)}.{visible.key}": {
                     "size": visible.size if visible.is_visible else None,
                     "unit": visible.unit,
+                    "place": visible.cause.place,
+                    "at": dict(visible.at),
+                    "share_absorbed": visible.share_absorbed,
+                    "absorbed_by": list(visible.absorbed_by),
+                    "hidden_sd": visible.hidden_sd,
+                    "hidden_in": visible.hidden_in,
                 }
                 for visible in left_open.visible
             },
@@ -306,7 +319,9 @@ class Diagnosis:
             result["gain"] = {"before": improvement.before.to_json(), "after": improvement.after.to_json()}
             result["elpd_difference"] = improvement.elpd_difference
             result["elpd_se"] = improvement.elpd_se
-            result["moved_sd"] = improvement.moved_sd
+            loosened = self.no_longer_determined
+            result["moved_sd"] = {n: sd for n, sd in improvement.moved_sd.items() if n not in loosened}
+            result["no_longer_determined"] = list(loosened)
         return result
 
     def save(self, folder: Path) -> None:

@@ -12,6 +12,7 @@ from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.validation import ValidationScores
+from estimator.diagnosis.what_shows import visible_tables
 from estimator.effects import EFFECTS
 from estimator.readings.flags import COMPONENTS, Flag
 from estimator.reporting.numbers import (
@@ -29,6 +30,7 @@ MOST_HYPOTHESES = 8
 MOST_STEPS = 6
 MOST_OUTLIERS = 20
 MOST_IMPACT_COLUMNS = 6
+NO_LONGER_DETERMINED = "no longer determined"
 
 
 def tables(diagnosis: Diagnosis) -> list[Table]:
@@ -154,7 +156,7 @@ def _outliers_tables(diagnosis: Diagnosis) -> list[Table]:
 
 def appendix(diagnosis: Diagnosis) -> list[Table]:
     """Tables below the figures: symptoms, hypotheses step by step, what stands in, and what the readings can show."""
-    parts = (_symptoms_tables, _hypotheses_tables, _stand_in_tables, _limits_tables, _visible_tables)
+    parts = (_symptoms_tables, _hypotheses_tables, _stand_in_tables, _limits_tables, visible_tables)
     return part_by_part(parts, diagnosis, _missing)
 
 
@@ -261,7 +263,8 @@ def _validation_table(diagnosis: Diagnosis) -> Table:
     ]
     caption = (
         f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
-        "(standard error over readings). The columns in 50 % and in 90 % give the share of components inside those predictive intervals."
+        "(standard error over readings). The columns in 50 % and in 90 % give the share of components inside those predictive intervals; "
+        "the mean angle is over readings with a current."
     )
     if (correction := diagnosis.fits.correction) is not None:
         caption += f" {correction.words(diagnosis.label)}"
@@ -274,9 +277,12 @@ def rungs(diagnosis: Diagnosis) -> list[tuple[str, ValidationScores]]:
     assert improvement is not None
     if correction is None or not correction.is_taken or correction.gain is None:
         return [("before", improvement.before), ("after", improvement.after)]
+    with_causes = correction.gain.before
+    if with_causes.errors == improvement.before.errors:  # no cause was kept
+        return [("before", improvement.before), ("corrected, the rest is left", improvement.after)]
     return [
         ("before", improvement.before),
-        ("explained: with the causes", correction.gain.before),
+        ("explained: with the causes", with_causes),
         ("corrected too, the rest is left", improvement.after),
     ]
 
@@ -285,27 +291,31 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
     improvement = diagnosis.improvement
     assert improvement is not None
     names = [name for name, sd in improvement.moved_sd.items() if abs(sd) > policy.MOVED_SD]
+    loosened = diagnosis.no_longer_determined
     display = displays(names)
     rows = []
-    for name in sorted(names, key=lambda n: -abs(improvement.moved_sd[n])):
+    for name in sorted(names, key=lambda n: (n in loosened, -abs(improvement.moved_sd[n]))):
         show = display[name]
-        old, new = (
-            float(fit.values[name]) * show.factor for fit in (diagnosis.fits.plain, diagnosis.fits.final)
-        )
+        old, old_sd = (show.factor * number for number in improvement.known_before[name])
+        moved = f"{improvement.moved_sd[name]:+.1f}".replace("-", "−")
         rows.append(
             [
                 show.words,
-                with_sd(old, diagnosis.fits.plain.value_sd(name) * show.factor),
-                with_sd(new, diagnosis.value_sd(name) * show.factor),
+                with_sd(old, old_sd),
+                with_sd(
+                    float(diagnosis.fits.final.values[name]) * show.factor,
+                    diagnosis.value_sd(name) * show.factor,
+                ),
                 show.unit or "1",
-                f"{improvement.moved_sd[name]:+.1f}".replace("-", "−"),
+                NO_LONGER_DETERMINED if name in loosened else moved,
             ]
         )
     return Table(
-        "Parameters biased in the plain model",
+        "Parameters that the extension moves",
         ["parameter", "before", "after", "unit", "moved (sd)"],
         rows,
-        "Parameters of the rig that the extension moves by more than one standard deviation of the plain fit.",
+        "Parameters of the rig that lie elsewhere by more than one standard deviation of the plain fit. Those that the extended rig knows "
+        f"clearly less well are said to be {NO_LONGER_DETERMINED}: that it puts them elsewhere does not say that they were wrong.",
     )
 
 
@@ -397,23 +407,3 @@ def _why(diagnosis: Diagnosis, step: Step, hypothesis: Hypothesis) -> str:
     if hypothesis.name == "nothing":
         return f"explains nothing: {behind:.1f} behind"
     return f"explains less: {behind:.1f} behind" if behind > 0.0 else "tested again later"
-
-
-def _visible_tables(diagnosis: Diagnosis) -> list[Table]:
-    visible = [quantity for quantity in diagnosis.left_open.visible if quantity.is_visible]
-    hidden = {diagnosis.label(quantity.cause) for quantity in diagnosis.left_open.visible} - {
-        diagnosis.label(quantity.cause) for quantity in visible
-    }
-    sizes: dict[str, list[str]] = {}
-    for quantity in visible:
-        sizes.setdefault(diagnosis.label(quantity.cause), []).append(
-            f"{quantity_words(quantity.key)} {size_with_unit(quantity.size, quantity.unit)}"
-        )
-    rows = [[label, "; ".join(words)] for label, words in sizes.items()]
-    twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)
-    caption = "Sizes that would change these readings by five standard deviations if nothing else were wrong."
-    if hidden:
-        caption += f" Not visible at any plausible size: {', '.join(sorted(hidden))}."
-    if twins:
-        caption += f" These readings cannot tell apart: {twins}."
-    return [Table("What these readings can show", ["cause", "smallest visible size"], rows, caption)]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.calibration.result import Calibration
 from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -56,6 +57,7 @@ class Improvement:
     Attributes:
         elpd_difference, elpd_se: Elpd after less elpd before, and its standard error over readings.
         moved_sd: Shift of each parameter of the rig, in standard deviations of the fit before.
+        known_before: Value and standard deviation of each in the fit before.
     """
 
     before: ValidationScores
@@ -63,6 +65,12 @@ class Improvement:
     elpd_difference: float
     elpd_se: float
     moved_sd: dict[str, float]
+    known_before: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def with_after(self, after: ValidationScores) -> Improvement:
+        """The same with other scores of the later model."""
+        difference, se = _difference(self.before, after)
+        return replace(self, after=after, elpd_difference=difference, elpd_se=se)
 
     @property
     def is_significant(self) -> bool:
@@ -97,14 +105,17 @@ def improvement_between(
     before: Fit, after: Fit, scores_before: ValidationScores, scores_after: ValidationScores
 ) -> Improvement:
     """Compare two fits by their scores on the same readings."""
-    difference = scores_after.log_density - scores_before.log_density
+    difference, se = _difference(scores_before, scores_after)
+    known = {n: (float(before.values[n]), before.value_sd(n)) for n in before.posterior.coordinates.names}
+    moved_sd = {name: (float(after.values[name]) - value) / sd for name, (value, sd) in known.items()}
+    return Improvement(scores_before, scores_after, difference, se, moved_sd, known)
+
+
+def _difference(before: ValidationScores, after: ValidationScores) -> tuple[float, float]:
+    """Elpd after less elpd before, and its standard error over readings."""
+    difference = after.log_density - before.log_density
     n = len(difference)
-    se = float(difference.std() * math.sqrt(n)) if n > 1 else math.nan
-    moved_sd = {}
-    for name in before.posterior.coordinates.names:
-        value_before, value_after = (fit.values[name] for fit in (before, after))
-        moved_sd[name] = float(value_after - value_before) / before.value_sd(name)
-    return Improvement(scores_before, scores_after, float(difference.sum()), se, moved_sd)
+    return float(difference.sum()), float(difference.std() * math.sqrt(n)) if n > 1 else math.nan
 
 
 def is_refuted(after: Fit, cause: Cause, unseen: Observations) -> bool:
@@ -150,8 +161,25 @@ def validation_scores(
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
     coverage = {p: float(((probability_below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
-    errors = error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(predicted_T))
+    is_on = numpy_of((unseen.current_A != 0.0).any(-1))
+    errors = error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(predicted_T), is_on)
     return ValidationScores(errors, float(by_reading.sum()), coverage[0.5], coverage[0.9], by_reading)
+
+
+def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -> ValidationScores:
+    """Scores of a calibrated model as it is handed out: of its best values, and as uncertain as its draws.
+
+    Args:
+        fit: Of the same rig.
+        calibration: Sampled from readings that the unseen ones are not among.
+        unseen: The readings.
+    """
+    coordinates = fit.posterior.coordinates
+    values = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
+    best = coordinates.vector({name: values[name] for name in coordinates.names})
+    draws = {name: torch.from_numpy(calibration.draws[name].reshape(-1)) for name in coordinates.names}
+    handed_out = Fit(fit.posterior, replace(fit.optimum, vector=best[None]))
+    return validation_scores(handed_out, unseen, coordinates.vector(draws).T.cov())
 
 
 def _mixture(

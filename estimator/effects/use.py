@@ -14,11 +14,30 @@ from torch import Tensor
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import RecordEffect
+from estimator.effects.stages import (
+    CoreMagnetisation,
+    CurrentEffect,
+    MotionEffect,
+    RecordEffect,
+    RoomEffect,
+    SidesEffect,
+    SourceEffect,
+    WindingEffect,
+    WindingMagnetisation,
+)
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Cause, Mover, Rig
 
+OF_FIELD = (
+    CurrentEffect,
+    WindingEffect,
+    SidesEffect,
+    SourceEffect,
+    WindingMagnetisation,
+    CoreMagnetisation,
+    RoomEffect,
+)
 E_co = TypeVar("E_co", bound=Effect, covariant=True)
 
 
@@ -86,6 +105,18 @@ def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[
 def shifts_rows(effect: Effect) -> bool:
     """Whether an effect puts fields beside other rows; a rig has one such effect at most."""
     return isinstance(effect, RecordEffect) and type(effect).rows_late is not RecordEffect.rows_late
+
+
+def is_in_field(rig: Rig, cause: Cause) -> bool:
+    """Whether a cause changes the field that a calibration predicts; else only how readings of it came about.
+
+    Where a mover stands that carries a sensor says where a reading was taken, not what the field is there.
+    """
+    effect = EFFECTS[cause.name]
+    if isinstance(effect, MotionEffect):
+        carriers = [{body.carried_by for body in bodies} for bodies in (rig.coils, rig.sensors)]
+        return cause.place in carriers[0] - carriers[1]
+    return isinstance(effect, OF_FIELD)
 
 
 def as_meant(rig: Rig, observations: Observations) -> Observations:

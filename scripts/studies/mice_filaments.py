@@ -19,6 +19,7 @@ from estimator import load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.validation import improvement_of
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
@@ -99,7 +100,7 @@ def fitted(words: str, rig: Rig, seen: Observations, unseen: Observations, start
 def show_corrected(fit: Fit, unseen: Observations) -> None:
     """What corrections do beside all causes, to unseen readings and the share of them inside 90 % intervals."""
     begin = time.process_time()
-    correction = best_corrected(fit, fit, fit, lambda words: print(f"  {words}", flush=True))
+    correction = best_corrected(fit, fit, fit, lambda words: print(f"  {words}", flush=True), Limits())
     if correction.is_taken:
         widening = Widening(correction.final, correction.final.covariance).over_blocks(correction.fit)
         gain = improvement_of(fit, correction.final, unseen, widening.covariance)

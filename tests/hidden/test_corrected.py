@@ -1,4 +1,7 @@
-"""A cause that no list holds is corrected: the verdict stays honest, and readings that no fit has seen are predicted nearly to their noise."""
+"""A cause that no list holds: the verdict stays honest, and what is handed out is judged as it predicts.
+
+A screw whose pitch errs moves the coil, which predictions can follow. The field of a room that wanders with time is in no prediction.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import pytest
 from estimator import diagnose, load_rig
 from estimator.cli.diagnose import _text
 from estimator.diagnosis.headline import headline
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
 from estimator.effects import EFFECTS
@@ -22,42 +26,51 @@ from tests.hidden.open_session import draw_open_session
 from tests.hidden.study import OPEN_KINDS
 
 pytestmark = pytest.mark.whole
-TRAM_WALK = 63002  # the room's field wanders with time, at 30 sigma; the first such seed after those that rules were tuned on
+# Seeds of `unknown30` as it was before it knew the causes of the exam; rules were tuned on none of them.
+SCREW, TRAM_WALK = ("screw_pitch_error", 1), (None, 63002)
 
 
-@pytest.fixture(scope="module")
-def hidden() -> HiddenSession:
-    # What `unknown30` drew for this seed before it knew the causes of the exam.
-    return draw_open_session([993, OPEN_KINDS.index("unknown30")], among_the_first, 30.0, TRAM_WALK)
+def hidden_in(cause: str | None, seed: int) -> HiddenSession:
+    """A session with one cause that was in no list then, at 30 sigma; a named one, or any."""
+
+    def chosen(possible: Sequence[str]) -> list[str]:
+        return [n for n in possible if (n not in (*EFFECTS, *UNFORESEEN) if cause is None else n == cause)]
+
+    return draw_open_session([993, OPEN_KINDS.index("unknown30")], chosen, 30.0, seed)
 
 
-def among_the_first(possible: Sequence[str]) -> list[str]:
-    return [name for name in possible if name not in (*EFFECTS, *UNFORESEEN)]
-
-
-@pytest.fixture(scope="module")
-def folder(hidden: HiddenSession, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("corrected")
+def diagnosed(hidden: HiddenSession, folder: Path) -> Diagnosis:
     hidden.write(folder)
-    return folder
+    session = read_readings_csv(folder / "readings.csv", load_rig(folder / "rig.yaml"))
+    return diagnose(session, seed=hidden.seed, out=folder / "out")
 
 
 @pytest.fixture(scope="module")
-def diagnosis(folder: Path) -> Diagnosis:
-    rig = load_rig(folder / "rig.yaml")
-    return diagnose(read_readings_csv(folder / "readings.csv", rig), seed=TRAM_WALK, out=folder / "out")
+def screw() -> HiddenSession:
+    return hidden_in(*SCREW)
 
 
-def test_unknown_cause_is_not_named_and_unseen_readings_are_predicted_better(hidden, diagnosis):
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("corrected")
+
+
+@pytest.fixture(scope="module")
+def diagnosis(screw: HiddenSession, folder: Path) -> Diagnosis:
+    return diagnosed(screw, folder)
+
+
+def test_unknown_cause_is_not_named_and_unseen_readings_are_predicted_better(screw, diagnosis):
     assert diagnosis.verdict == "unexplained"
     assert diagnosis.causes == ()
     assert diagnosis.improvement is not None
     before_T, after_T = (
         s.errors.vector_T for s in (diagnosis.improvement.before, diagnosis.improvement.after)
     )
-    noise_T = np.sqrt(3.0) * float(hidden.scene.noise_T[0])
-    assert before_T > 2.0 * noise_T
-    excess_after_T, excess_before_T = (np.sqrt(error_T**2 - noise_T**2) for error_T in (after_T, before_T))
+    noise_T = np.sqrt(3.0 * float(np.square(screw.scene.noise_T).mean()))
+    excess_after_T, excess_before_T = (
+        np.sqrt(max(error_T**2 - noise_T**2, 0.0)) for error_T in (after_T, before_T)
+    )
     assert (
         excess_after_T < 0.5 * excess_before_T
     )  # of what the noise does not explain, less than half is left
@@ -69,9 +82,9 @@ def test_files_and_report_keep_explained_corrected_and_left_apart(folder, diagno
     assert correction is not None
     told = json.loads((folder / "out/diagnosis.json").read_text())["correction"]
     assert [part["name"] for part in told["parts"]] == [part.cause.name for part in correction.parts]
+    assert told["parts"][0]["extent"].startswith("with a period of ")
     assert told["refusal"] == ""
     assert told["gain"]["with_correction"]["vector_T"] < told["gain"]["with_causes"]["vector_T"]
-    assert told["limits"]["room_harmonics[room]"] == "all readings are at one place; move the sensor"
     rig = load_rig(folder / "out/rig_extended.yaml")
     assert rig == diagnosis.extended_rig
     assert rig.corrections == tuple(part.cause for part in correction.parts)
@@ -80,8 +93,32 @@ def test_files_and_report_keep_explained_corrected_and_left_apart(folder, diagno
     page = diagnosis_report(diagnosis, "coilcal diagnose")
     for words in (
         "before",
-        "explained: with the causes",
-        "corrected too, the rest is left",
+        "the rest is left",
         "What is corrected without a name",
     ):
         assert words in page
+
+
+def test_a_room_that_wanders_is_told_and_in_no_prediction(tmp_path):
+    found = diagnosed(hidden_in(*TRAM_WALK), tmp_path)
+    assert found.verdict == "unexplained"
+    correction = found.fits.correction
+    assert correction is not None
+    assert any(part.cause.name == "room_wanders" for part in correction.of_session)
+    assert "room_wanders" not in {cause.name for cause in found.extended_rig.corrections}
+    assert correction.limits["room_harmonics[room]"] == "all readings are at one place; move the sensor"
+    assert found.improvement is not None
+    assert found.improvement.after.errors.vector_T == pytest.approx(
+        found.improvement.before.errors.vector_T, rel=0.1
+    )  # it wanders in them too
+    assert "What is left looks like room_wanders" in _text(found, tmp_path)
+
+
+def test_without_corrections_intervals_are_widened_alone(screw, tmp_path):
+    screw.write(tmp_path)
+    session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
+    plain = diagnose(session, seed=screw.seed, has_corrections=False, limits=Limits(most_causes=0))
+    assert plain.verdict == "unexplained"
+    assert plain.fits.correction is None
+    assert plain.extended_rig.acting == ()
+    assert plain.left_open.widening is not None

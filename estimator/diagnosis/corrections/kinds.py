@@ -21,7 +21,7 @@ from estimator.effects.attach import with_effect
 from estimator.effects.corrections.correction import Correction as CorrectionEffect
 from estimator.effects.corrections.correction import Limit
 from estimator.effects.stages import MotionEffect, ReadingEffect
-from estimator.effects.use import Use
+from estimator.effects.use import Use, is_in_field
 from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.model.nominal import gradient_T_per_m
@@ -58,6 +58,21 @@ class CorrectionKind:
         degree = self.limit.degree
         while degree > self.effect.lowest and len(self.keys(degree)) > n_amplitudes:
             degree -= 1
+        return replace(self, limit=replace(self.limit, degree=degree))
+
+    def as_predicted(self, rig: Rig) -> CorrectionKind | None:
+        """This kind up to the degree to which the field of a single moment has it, as predictions do; None where it has nothing of it."""
+        degrees = range(self.effect.lowest, self.limit.degree + 1)
+        beyond = [
+            degree
+            for degree in degrees
+            if any(
+                self.effect.beyond_the_moment(self.effect.key(degree, t)) for t in self.effect.terms(degree)
+            )
+        ]
+        degree = min(beyond, default=self.limit.degree + 1) - 1
+        if degree < self.effect.lowest or not is_in_field(rig, self.cause):
+            return None
         return replace(self, limit=replace(self.limit, degree=degree))
 
     def rig(self, fit: Fit, start: dict[str, float], widths: dict[str, float], is_free: bool = True) -> Rig:
@@ -170,6 +185,12 @@ class CorrectionCandidate:
         """Candidate of a kind of correction, with its columns at a fit."""
         degree = kind.limit.degree if len(kind.starts) == 1 else kind.effect.lowest
         return cls(kind, fit, kind.columns(fit, kind.starts, degree))
+
+    @property
+    def as_predicted(self) -> CorrectionCandidate | None:
+        """This candidate as far as predictions have it; None where they have nothing of it."""
+        kind = self.kind.as_predicted(self.first.rig)
+        return None if kind is None else replace(self, kind=kind)
 
     def best_option(self, fit: Fit) -> CorrectionOption:
         """The start, degree and width with most evidence in the residual of a fit; the evidence is averaged over starts and widths."""

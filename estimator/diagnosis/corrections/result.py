@@ -10,6 +10,7 @@ from typing import Any
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.cross_validation import HeldOut
 from estimator.diagnosis.validation import Improvement
+from estimator.readings.cycles import CYCLE, cycle_of_currents_s, is_of_cycle
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.rig.rig import Cause
 
@@ -31,6 +32,8 @@ class Part:
         n_amplitudes: Their number.
         log_bayes_factor: In the linear model, against none of this kind; of a full fit where it has a frequency.
         held_out: Gain in predicting blocks of places from the others.
+        extent: Instants of steps, the period of a swing, or the degree of anything else, in words.
+        is_predicted: The field of a prediction has it; else it says only how the readings of this session came about.
     """
 
     cause: Cause
@@ -38,6 +41,24 @@ class Part:
     n_amplitudes: int
     log_bayes_factor: float
     held_out: HeldOut
+    extent: str
+    is_predicted: bool
+
+    def words(self, label: Callable[[Cause], str]) -> str:
+        """Name and extent."""
+        return f"{label(self.cause)} {self.extent}"
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `parts` in `diagnosis.json`."""
+        return {
+            "name": self.cause.name,
+            "place": self.cause.place,
+            "degree": self.degree,
+            "amplitudes": self.n_amplitudes,
+            "log_bayes_factor": self.log_bayes_factor,
+            "held_out": self.held_out.to_json(),
+            "extent": self.extent,
+        }
 
 
 @dataclass(frozen=True)
@@ -51,6 +72,8 @@ class Correction:
         refusal: Why nothing is corrected; empty where something is.
         final: The same, fitted to more readings.
         gain: On unseen readings, over the causes alone; None where there are none, or nothing was taken.
+        of_session: What would have been taken first, but which no prediction has: by time, by what was before, or by the sensor itself.
+        is_cut_short: The time was over before all were asked.
     """
 
     fit: Fit
@@ -59,6 +82,8 @@ class Correction:
     refusal: str
     final: Fit
     gain: Improvement | None = None
+    of_session: tuple[Part, ...] = ()
+    is_cut_short: bool = False
 
     @property
     def is_taken(self) -> bool:
@@ -66,24 +91,18 @@ class Correction:
         return not self.refusal
 
     def words(self, label: Callable[[Cause], str]) -> str:
-        """What is corrected, or why nothing is, in one sentence with the names that the diagnosis gives."""
+        """What is corrected, or why nothing is, and what is left looks like, with the names that the diagnosis gives."""
         if not self.is_taken:
-            return f"Nothing is corrected: {self.refusal}."
-        each = [f"{label(part.cause)} {self._extent(part)}" for part in self.parts]
-        by = "; ".join(each) or "the causes that stand in"
-        return f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
-
-    def _extent(self, part: Part) -> str:
-        """Instants of steps, the period of a swing, or the degree of anything else."""
-        own = f"{part.cause.label}."
-        values = {k.removeprefix(own): float(v) for k, v in self.fit.values.items() if k.startswith(own)}
-        instants_h = [values[key] for key in values if INSTANT.fullmatch(key)]
-        if instants_h:
-            return f"at {', '.join(f'{SECONDS_PER_HOUR * at_h:.0f}' for at_h in sorted(instants_h))} s"
-        for key, (factor, unit) in PERIODS.items():
-            if values.get(key, 0.0) > 0.0:
-                return f"with a period of {factor / values[key]:.3g} {unit}"
-        return f"to degree {part.degree}"
+            corrected = f"Nothing is corrected: {self.refusal}."
+        else:
+            by = "; ".join(part.words(label) for part in self.parts) or "the causes that stand in"
+            corrected = (
+                f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+            )
+        if not self.of_session:
+            return corrected
+        looks = "; ".join(part.words(label) for part in self.of_session)
+        return f"What is left looks like {looks}; no prediction has that, so none is corrected by it. {corrected}"
 
     def judged_by(self, gain: Improvement) -> Correction:
         """The correction after its gain on unseen readings, which drop it where it predicts them worse."""
@@ -94,17 +113,8 @@ class Correction:
     def to_json(self) -> dict[str, Any]:
         """Content of `correction` in `diagnosis.json`."""
         return {
-            "parts": [
-                {
-                    "name": part.cause.name,
-                    "place": part.cause.place,
-                    "degree": part.degree,
-                    "amplitudes": part.n_amplitudes,
-                    "log_bayes_factor": part.log_bayes_factor,
-                    "held_out": part.held_out.to_json(),
-                }
-                for part in self.parts
-            ],
+            "parts": [part.to_json() for part in self.parts],
+            "of_session": [part.to_json() for part in self.of_session],
             "limits": self.limits,
             "refusal": self.refusal,
             "gain": None
@@ -116,3 +126,26 @@ class Correction:
                 "elpd_se": self.gain.elpd_se,
             },
         }
+
+
+def extent_of(cause: Cause, degree: int, fit: Fit) -> str:
+    """Instants of the steps of a correction, the period of its swing, or the degree of anything else.
+
+    Args:
+        cause: The correction.
+        degree: Highest degree of its terms.
+        fit: With it.
+    """
+    own = f"{cause.label}."
+    values = {k.removeprefix(own): float(v) for k, v in fit.values.items() if k.startswith(own)}
+    instants_h = [values[key] for key in values if INSTANT.fullmatch(key)]
+    if instants_h:
+        return f"at {', '.join(f'{SECONDS_PER_HOUR * at_h:.0f}' for at_h in sorted(instants_h))} s"
+    for key, (factor, unit) in PERIODS.items():
+        if values.get(key, 0.0) > 0.0:
+            period = factor / values[key]
+            cycle_s = cycle_of_currents_s(fit.observations) if unit == "s" else None
+            session_s = SECONDS_PER_HOUR * fit.posterior.model.circumstances.duration_h
+            is_cycle = is_of_cycle(period, cycle_s, session_s)
+            return f"with a period of {period:.3g} {unit}{f' ({CYCLE})' if is_cycle else ''}"
+    return f"to degree {degree}"

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -18,6 +18,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.rig.rig import Cause
 
+MOST_ABSORBING, LEAST_ABSORBING = 3, 0.2  # numbers that are told, and how far each must move over the first
+
 
 @dataclass(frozen=True)
 class Visible:
@@ -26,6 +28,12 @@ class Visible:
     Attributes:
         size: Distance from the null that changes the readings by five standard deviations beyond what the fit can follow.
         prior_sd: Standard deviation of its prior.
+        at: Shapes of the start at which that is so, such as a place or an instant.
+        share_absorbed: Share of its change of the readings, in squares, that free numbers of the rig follow there.
+        absorbed_by: Those that follow most, most first.
+        hidden_sd: How far it may move a number of the rig, in the number's standard deviations, and stay unseen: of all starts and sizes
+            up to the visible one and to the prior's standard deviation.
+        hidden_in: The number that it would move most.
     """
 
     cause: Cause
@@ -33,6 +41,11 @@ class Visible:
     unit: str
     size: float
     prior_sd: float
+    at: Mapping[str, float] = field(default_factory=dict)
+    share_absorbed: float = 0.0
+    absorbed_by: tuple[str, ...] = ()
+    hidden_sd: float = 0.0
+    hidden_in: str = ""
 
     @property
     def is_visible(self) -> bool:
@@ -41,20 +54,45 @@ class Visible:
 
 
 def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
-    """Smallest visible size of every quantity of every cause, at its best start; infinite where the fit can follow all of it."""
+    """Smallest visible size of every quantity of every cause, at its best start; infinite where the fit can follow all of it.
+
+    To first order, a change of the readings by a column x moves the numbers of the fit by (J^T J + L)^-1 J^T x.
+    """
     best: dict[tuple[Cause, str], Visible] = {}
-    norms = fit.projector.norms(torch.cat([candidate.columns for candidate in pool], dim=1)) if pool else ()
+    if not pool:
+        return []
+    columns = torch.cat([candidate.columns for candidate in pool], dim=1)
+    norms = fit.projector.norms(columns)
+    lengths = columns.norm(dim=0).clamp(min=1e-300)
+    factor = fit.projector.factor
+    shifts = factor @ (factor.T @ (fit.jacobian.T @ columns))
+    moved_sd = shifts.abs() / torch.diagonal(fit.covariance).sqrt()[:, None]
+    names = fit.posterior.coordinates.names
+    of_noise = torch.tensor([name.endswith(".noise_T") for name in names], device=moved_sd.device)
+    moved_sd[of_noise] = 0.0
     begin = 0
     for candidate in pool:
-        norm = norms[begin : begin + len(candidate.keys)]
-        begin += len(candidate.keys)
         for i, key in enumerate(candidate.keys):
-            n_sigma = float(norm[i])
+            n_sigma, moves = float(norms[begin + i]), moved_sd[:, begin + i]
             size = policy.VISIBLE_SIGMA / n_sigma if n_sigma > 0.0 else math.inf
-            visible = Visible(candidate.cause, key, candidate.units[i], size, float(candidate.prior_sd[i]))
+            prior_sd = float(candidate.prior_sd[i])
+            most = int(moves.argmax()) if len(names) else 0
+            hidden_sd = min(size, prior_sd) * float(moves[most]) if len(names) else 0.0
             known = best.get((candidate.cause, key))
-            if known is None or visible.size < known.size:
-                best[candidate.cause, key] = visible
+            if known is None or size < known.size:
+                share = 1.0 - min(n_sigma / float(lengths[begin + i]), 1.0) ** 2
+                order = torch.argsort(moves, descending=True)[:MOST_ABSORBING].tolist() if len(names) else []
+                leading = [j for j in order if float(moves[j]) > LEAST_ABSORBING * float(moves[order[0]])]
+                by = tuple(names[j] for j in leading) if share > policy.MUCH_ABSORBED else ()
+                here = Visible(
+                    candidate.cause, key, candidate.units[i], size, prior_sd, candidate.shapes, share, by
+                )
+                kept = (0.0, "") if known is None else (known.hidden_sd, known.hidden_in)
+                known = replace(here, hidden_sd=kept[0], hidden_in=kept[1])
+            if hidden_sd > known.hidden_sd:
+                known = replace(known, hidden_sd=hidden_sd, hidden_in=names[most])
+            best[candidate.cause, key] = known
+        begin += len(candidate.keys)
     return list(best.values())
 
 

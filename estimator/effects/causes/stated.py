@@ -94,7 +94,7 @@ class CoilMisplaced(Misplaced):
 
     name: ClassVar[str] = "coil_misplaced"
     kind: ClassVar[Kind] = Kind.COIL
-    words: ClassVar[str] = "the coil sits elsewhere on what carries it, or turned there"
+    words: ClassVar[str] = "the coil sits elsewhere than stated, or turned there"
     source: ClassVar[str] = "coils are bolted or clamped to about 1 mm and 1 degree"
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:

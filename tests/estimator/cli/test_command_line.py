@@ -17,6 +17,7 @@ CALLS = [
     "--precision single",
     "diagnose session.zarr --out d --rig rig.yaml --validation other.zarr --minutes 2.5 --most-causes 3 --thin 100 --no-posterior --seed 3",
     "diagnose session.zarr --out d --posterior",
+    "diagnose session.zarr --out d --no-corrections",
     "compare session.zarr --map map.csv --map-current -0.1234567890123 --coil coil1 --out x",
     "batch a.zarr 'b c.zarr' --out o --hypothesis plain --hypothesis 'axis_gain+sensor_offset[probe2]' --each-coil --posterior none",
     "report folder",

@@ -9,6 +9,7 @@ import torch
 from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.limits import Limits
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -30,7 +31,7 @@ def unheard(words: str) -> None:
 
 def corrected(fit: Fit) -> Correction:
     """The correction of a fit, judged by no unseen readings."""
-    return best_corrected(fit, fit, fit, unheard)
+    return best_corrected(fit, fit, fit, unheard, Limits())
 
 
 def with_wrong(

@@ -30,7 +30,8 @@ def test_unseen_readings_keep_a_correction_or_drop_it_with_its_covariance(
     found_nothing = search(Columns.at(plain, limits), unheard, limits)
     before = Outcome.of(plain, found_nothing, (), is_record_wrong=False)
     kept, dropped = (
-        before.corrected(unseen.validation, torch.device("cpu"), unheard) for unseen in (flawed, opposite)
+        before.corrected(unseen.validation, torch.device("cpu"), unheard, Limits())
+        for unseen in (flawed, opposite)
     )
     assert kept.correction.is_taken
     assert kept.after is kept.correction.final

@@ -17,21 +17,26 @@ from pydantic import TypeAdapter
 
 from estimator.cli.diagnose import _text
 from estimator.diagnosis import policy
+from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.headline import headline, held_back
 from estimator.diagnosis.hypotheses.search_record import Addition
 from estimator.diagnosis.hypotheses.source_structure import Asked, OtherStructures
+from estimator.diagnosis.hypotheses.step import Hypothesis
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.panels import panels, panels_text
-from estimator.diagnosis.report import diagnosis_report
+from estimator.diagnosis.report import diagnosis_report, warnings_of
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
+from estimator.diagnosis.tables import rungs
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
+from estimator.diagnosis.what_shows import visible_tables
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
 from estimator.readings.plan import load_plan
@@ -46,7 +51,7 @@ pytestmark = pytest.mark.whole
 
 OFFSET, HEATING = Cause("sensor_offset", "hall"), Cause("coil_heating", "coil1")
 OFFSET_T = 2e-4
-RADIUS = "coil1.radius_m"
+RADIUS, COUNT = "coil1.radius_m", "coil1.axial_loops"
 TRUE_Z_M = -0.0425  # of the small session
 
 
@@ -93,8 +98,74 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     first = headline(calm)[0]
     assert first.startswith("These readings show nothing wrong; they would have shown, for example, ")
     assert len(re.findall(r" from [\d.]+ \S", first)) == 3  # of the coil, the sensor and the mover
-    settled = replace(calm, left_open=replace(calm.left_open, next_measurements=()))
-    assert headline(settled)[-1] == "There is nothing to mend: use the rig file as it is."
+    plate = Visible(Cause("iron_plate", "room"), "strength", "1", 0.9, 0.5, {}, 0.99, (COUNT,), 740.0, COUNT)
+    left_open = replace(calm.left_open, next_measurements=(), visible=(*calm.left_open.visible, plate))
+    last = headline(replace(calm, left_open=left_open))[-1]
+    assert last.startswith("These readings could not have shown: ")
+    assert "(iron_plate[room]), which axial loops absorbs, up to 740 of its standard deviations" in last
+    assert 2 <= last.count(", which ") <= 4  # of the room, a coil, a sensor and a mover one each
+    assert last.endswith("Where none of these can be, use the rig file as it is.")
+    nothing = replace(left_open, visible=())
+    assert headline(replace(calm, left_open=nothing))[-1] == (
+        "Nothing that these readings show asks for another rig file."
+    )
+
+
+def test_smallest_visible_sizes_are_told_with_their_place_and_what_absorbs_them(diagnosis: Diagnosis) -> None:
+    (table,) = visible_tables(diagnosis)
+    told = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
+    assert "axis_gain[hall]" in told
+    assert all("[" in label for label in told)
+    in_json = diagnosis.to_json()["smallest_visible"]["axis_gain.x"]
+    assert in_json["place"] == "hall"
+    assert 0.0 <= in_json["share_absorbed"] <= 1.0
+    assert in_json["hidden_in"] in {parameter.name for parameter in diagnosis.rig.free}
+
+
+def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong(
+    diagnosis: Diagnosis,
+) -> None:
+    """Five standard deviations off, known as well and four times less well."""
+    improvement = diagnosis.improvement
+    assert improvement is not None
+    final = diagnosis.fits.final
+    far = replace(improvement, moved_sd=dict.fromkeys(improvement.moved_sd, 5.0))
+    sd = {name: diagnosis.value_sd(name) for name in far.moved_sd}
+    known = {name: (float(final.values[name]), sd[name] / (4.0 if name == RADIUS else 1.0)) for name in sd}
+    moved = replace(diagnosis, fits=replace(diagnosis.fits, improvement=replace(far, known_before=known)))
+    assert moved.no_longer_determined == (RADIUS,)
+    told = moved.to_json()
+    assert told["no_longer_determined"] == [RADIUS]
+    assert set(told["moved_sd"]) == set(sd) - {RADIUS}
+    page = as_text(moved)
+    assert re.search(r"radius [\d.]+ ± [\d.]+ [\d.]+ ± [\d.]+ mm no longer determined", page)
+    assert len(re.findall(r"\+5\.0", page)) == len(sd) - 1
+    assert "biased" not in page
+
+
+def test_a_cause_that_led_and_was_not_taken_is_told(diagnosis: Diagnosis) -> None:
+    assert not any(" led " in words for words in warnings_of(diagnosis))
+    search = diagnosis.findings.search
+    jitter = Cause("position_jitter", "arm1")
+    led = replace(
+        search.steps[0],
+        hypotheses=(Hypothesis(jitter, jitter.label, 1e6), *search.steps[0].hypotheses),
+    )
+    findings = replace(diagnosis.findings, search=replace(search, steps=(led, led, search.steps[-1])))
+    (words,) = [w for w in warnings_of(replace(diagnosis, findings=findings)) if " led " in w]
+    assert words.startswith("position_jitter (")
+    assert "led 2 of 3 steps of the search, by a log evidence of up to 1000000" in words
+    assert "such scatter passes for anything that is wrong" in words
+
+
+def test_without_causes_a_correction_is_told_beside_the_rig_as_described_alone(diagnosis: Diagnosis) -> None:
+    improvement = diagnosis.improvement
+    assert improvement is not None
+    taken = Correction(diagnosis.fits.final, (), {}, "", diagnosis.fits.final)
+    for before, n_rows in ((improvement.before, 2), (improvement.after, 3)):
+        gain = replace(improvement, before=before)
+        fits = replace(diagnosis.fits, correction=replace(taken, gain=gain))
+        assert len(rungs(replace(diagnosis, fits=fits))) == n_rows
 
 
 def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(
@@ -148,7 +219,7 @@ def test_a_report_does_not_fail_for_one_part(
     lacking = {
         "estimator.diagnosis.headline._sizes": "coil1.degree1_a_T",
         "estimator.diagnosis.report._dropped": "dropped",
-        "estimator.diagnosis.tables._visible_tables": "visible",
+        "estimator.diagnosis.tables.visible_tables": "visible",
         "estimator.diagnosis.figures._ladder": "ladder",
     }
     for target, key in lacking.items():
@@ -274,9 +345,15 @@ def test_what_stands_in_is_told_from_what_was_found(diagnosis: Diagnosis) -> Non
         in page
     )
     assert f"{label} x " in page.partition("What stands in for something unknown")[2]
-    rms = size_with_unit(diagnosis.fits.before.lack_of_fit.rms_T, "T")
-    after = size_with_unit(diagnosis.fits.after.lack_of_fit.rms_T, "T")
-    assert f"the rig as described misses by {rms} rms, the extended rig by {after}" in page
+    assert diagnosis.improvement is not None
+    rms = size_with_unit(diagnosis.improvement.before.errors.vector_T, "T", 3)
+    assert f"the rig as described misses readings that no fit has seen by {rms} rms where noise is " in page
+    assert "times the fitted noise" not in page
+    fitted = replace(unexplained, fits=replace(unexplained.fits, improvement=None))
+    rms = size_with_unit(diagnosis.fits.before.lack_of_fit.rms_T, "T", 3)
+    after = size_with_unit(diagnosis.fits.after.lack_of_fit.rms_T, "T", 3)
+    words = f"misses the readings that were fitted by {rms} rms, the extended rig by {after}"
+    assert words in headline(fitted)[0]
     assert ", mostly in x of hall; " in page
     assert "What was found" not in page
     assert f"parameter {label} (stands in)" in page.partition("Impact of each cause")[2]

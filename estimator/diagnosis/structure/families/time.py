@@ -16,6 +16,7 @@ from estimator.diagnosis.structure.families.unit_field import unit_field_T
 from estimator.diagnosis.structure.smooth import legendre
 from estimator.effects.circumstances import Circumstances
 from estimator.model.nominal import gradient_T_per_m
+from estimator.readings.cycles import CYCLE, cycle_of_currents_s, is_of_cycle
 from estimator.readings.observations import SECONDS_PER_HOUR
 
 PERIODS_AT_ONCE = 32  # which bounds the memory
@@ -99,6 +100,7 @@ def _add_periods(collection: Collection, circumstances: Circumstances, seen: Ten
         else math.inf
     )
     n_instants = round(circumstances.duration_h / typical_h)
+    cycle_s = cycle_of_currents_s(circumstances.observations)
     half_cycles = torch.arange(1, min(n_instants, policy.MOST_PERIODS) + 1, device=time_s.device)
     for some in half_cycles.split(PERIODS_AT_ONCE) if len(half_cycles) else ():
         phase = math.pi * some[:, None] * circumstances.hours / circumstances.duration_h
@@ -106,25 +108,26 @@ def _add_periods(collection: Collection, circumstances: Circumstances, seen: Ten
         periods_s = 2.0 * SECONDS_PER_HOUR * circumstances.duration_h / some
         session_s = SECONDS_PER_HOUR * circumstances.duration_h
         details = [
-            ", ".join(filter(None, (_period_words(period_s, session_s), sensor)))
+            ", ".join(filter(None, (_period_words(period_s, session_s, cycle_s), sensor)))
             for period_s in periods_s.tolist()
         ]
         for vectors in (collection.axes, collection.along_field):
             collection.add_alike("a period in time", waves, vectors, details)
 
 
-def _period_words(period_s: float, session_s: float) -> str:
-    """A period, which is none but a slow change where the session is shorter.
+def _period_words(period_s: float, session_s: float, cycle_s: float | None = None) -> str:
+    """A period, which is none but a slow change where the session is shorter, and may be that in which currents were commanded.
 
     Examples:
         >>> _period_words(60.0, 3600.0), _period_words(7200.0, 3600.0)
         ('about 60 s', 'so long that it is one slow change in the session')
+        >>> _period_words(6.0, 240.0, 6.0)
+        'about 6 s, the cycle of the commanded currents'
     """
-    return (
-        f"about {period_s:.3g} s"
-        if period_s <= session_s
-        else "so long that it is one slow change in the session"
-    )
+    if period_s > session_s:
+        return "so long that it is one slow change in the session"
+    is_cycle = is_of_cycle(period_s, cycle_s, session_s)
+    return f"about {period_s:.3g} s{f', {CYCLE}' if is_cycle else ''}"
 
 
 def _add_wandering(collection: Collection, circumstances: Circumstances, seen: Tensor, sensor: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from estimator.diagnosis.corrections.kinds import CorrectionCandidate, kinds_of
 from estimator.diagnosis.corrections.linear_fit import density_in_full
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.structure.cross_validation import log_predictive
 from estimator.diagnosis.structure.discrepancy import discrepancy
@@ -24,7 +26,8 @@ from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.corrections.correction import Correction, limit_of_places
+from estimator.effects.corrections.correction import Correction, Limit, limit_of_places
+from estimator.effects.use import is_in_field
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
@@ -163,7 +166,7 @@ def test_a_pile_that_leaves_nothing_corrects_by_itself(
     observations = with_wrong(small_rig, observations, GAIN, {"x": 0.05})
     observations = with_wrong(small_rig, observations, offset, {"z_T": 100e-6})
     bare, pile = (fit_of(small_rig, observations.calibration, *causes) for causes in ((), (GAIN, offset)))
-    correction = best_corrected(bare, pile, bare, unheard)
+    correction = best_corrected(bare, pile, bare, unheard, Limits())
     assert correction.is_taken
     assert correction.parts == ()
     assert correction.fit is pile
@@ -171,7 +174,7 @@ def test_a_pile_that_leaves_nothing_corrects_by_itself(
     gain = improvement_of(bare, correction.final, observations.validation)
     assert correction.judged_by(gain).is_taken
     assert gain.after.errors.vector_T < 0.5 * gain.before.errors.vector_T
-    alone = best_corrected(pile, pile, pile, unheard)
+    alone = best_corrected(pile, pile, pile, unheard, Limits())
     assert not alone.is_taken  # nothing beyond what is named already
 
 
@@ -184,27 +187,56 @@ def test_few_causes_that_stand_in_correct_where_they_do_better_than_what_correct
     observations = with_wrong(small_rig, observations, offset, {"z_T": 100e-6})
     bare, few = (fit_of(small_rig, observations.calibration, *causes) for causes in ((), (GAIN, offset)))
     assert corrected(bare).parts
-    correction = best_corrected(bare, few, bare, unheard)
+    correction = best_corrected(bare, few, bare, unheard, Limits())
     assert correction.is_taken
     assert correction.parts == ()
     assert correction.fit is few
 
 
-def test_a_current_that_swings_is_followed_at_its_own_frequency(small_rig: Rig, small_session: Session):
-    """A fit moves the frequency from the grid, so that what swings is gone where nothing was fitted too."""
+def test_a_current_that_swings_is_told_with_its_period_and_handed_out_to_no_prediction(
+    small_rig: Rig, small_session: Session
+):
+    """A fit moves the period from the grid. Beside it the coil would have another strength than a prediction has."""
     observations = small_session.observations
     hours = (observations.time_s - observations.time_s.min()) / 3600.0
     frequency_per_h = 4.3 / float(hours.max())  # between two of the grid
     swing = 1.0 + 0.05 * torch.sin(2.0 * torch.pi * frequency_per_h * hours)[:, None]
-    swinging = observations.with_field(swing * observations.field_sensor_T)
-    plain = fit_of(small_rig, swinging.calibration)
+    plain = fit_of(small_rig, observations.with_field(swing * observations.field_sensor_T).calibration)
     correction = corrected(plain)
-    assert correction.parts[0].cause == Cause("current_swings", "coil1")
-    found = float(correction.fit.values["current_swings[coil1].frequency_per_h"])
-    assert found == pytest.approx(frequency_per_h, rel=0.02)
-    before, after = (validation_scores(fit, swinging.validation) for fit in (plain, correction.fit))
-    assert before.errors.vector_T > 2.0 * NOISE_T * 3**0.5
-    assert after.errors.vector_T < 1.4 * NOISE_T * 3**0.5
+    (part, *_) = correction.of_session
+    assert part.cause == Cause("current_swings", "coil1")
+    told = re.fullmatch(r"with a period of ([\d.]+) s", part.extent)
+    assert told is not None
+    assert float(told[1]) == pytest.approx(3600.0 / frequency_per_h, rel=0.02)
+    assert f"looks like current_swings[coil1] {part.extent}" in correction.words(lambda cause: cause.label)
+    assert "current_swings" not in {cause.name for cause in correction.final.rig.corrections}
+    assert all(is_in_field(small_rig, part.cause) for part in correction.parts)
+
+
+def test_only_what_predictions_have_is_handed_out(plain: Fit):
+    """Of a current that depends on what was before, its sign; nothing of time, of a sensor, or of where a probe was carried."""
+    kinds = {kind.cause.name: kind for kind in kinds_of(plain)}
+    handed_out = {name for name, kind in kinds.items() if kind.as_predicted(plain.rig) is not None}
+    assert handed_out >= {"coil_harmonics", "guide_errors", "guide_swings"}
+    assert handed_out <= {
+        *("coil_harmonics", "coil_multipoles", "coil_bore", "room_harmonics", "room_bore", "room_answers"),
+        *("guide_errors", "guide_swings", "current_remembered"),
+    }
+    assert handed_out < set(kinds)
+    held = plain.rig
+    carried = replace(held, sensors=tuple(replace(sensor, carried_by="arm1") for sensor in held.sensors))
+    assert not is_in_field(carried, Cause("guide_errors", "arm1"))
+    varied = replace(kinds["current_steps"], effect=EFFECTS["current_remembered"], limit=Limit(4))
+    assert varied.as_predicted(plain.rig).limit.degree == 1
+
+
+def test_no_correction_is_asked_when_the_time_is_over(plain: Fit):
+    over = best_corrected(plain, plain, plain, unheard, Limits(minutes=0.0))
+    assert not over.is_taken
+    assert over.is_cut_short
+    assert over.final is plain
+    assert over.words(str) == "Nothing is corrected: its time of 0 min was over."
+    assert not corrected(plain).is_cut_short
 
 
 def test_correction_that_predicts_unseen_readings_worse_is_dropped(plain: Fit, flawed: Observations):

@@ -13,9 +13,11 @@ from dataclasses import replace
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.next_readings.resolution import Directions, indistinguishable
+from estimator.diagnosis.next_readings.resolution import Directions, indistinguishable, smallest_visible
+from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -275,6 +277,46 @@ def test_cause_of_the_smallest_visible_size_costs_the_fit_five_sigma(configured,
         for readings in (right, perfect)
     ]
     assert 2.0 * float(cost[0] - cost[1]) == pytest.approx(25.0, rel=0.15)
+
+
+@pytest.mark.parametrize(
+    ("cause", "key", "share"),
+    [
+        (Cause("current_gain", "coil1"), "excess", 1.0),
+        (Cause("axis_gain", "hall"), "x", 0.0),
+        (Cause("background_field", "room"), "z_T", 0.0),
+    ],
+)
+def test_what_a_cause_hides_in_is_where_a_fit_without_it_goes(cause, key, share):
+    """At the largest size that stays unseen, of noise-free readings; and its place is told."""
+    rig = paper_rig()
+    result = resolved(rig, visit(rig, 40.0, "raster"), (cause.name,), 40.0)
+    fit = result.fit
+    visible = next(v for v in smallest_visible(fit, result.pool) if (v.cause, v.key) == (cause, key))
+    assert visible.share_absorbed == pytest.approx(share, abs=0.9 if share == 0.0 else 0.05)
+    assert bool(visible.absorbed_by) is (visible.share_absorbed > policy.MUCH_ABSORBED)
+    null = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
+    null = next(quantity.null for quantity in null if quantity.key == key)
+    size = min(visible.size, visible.prior_sd)
+    wrong = with_effect(fit.rig, cause, fit.observations, {}, is_free=False).with_values(
+        {**at(fit.rig, 40.0), f"{cause.label}.{key}": null + size}
+    )
+    model = MeasurementModel.unruled(wrong, fit.observations).with_rules(fit.posterior.model.rules)
+    values = {name: torch.tensor(v, dtype=torch.float64) for name, v in wrong.nominal_values().items()}
+    flawed = fit.observations.with_field(model.predict(values).detach().expand(len(fit.observations), 3))
+    right = fit.observations.with_field(
+        fit.posterior.model.predict({n: values[n] for n in fit.values}).detach()
+    )
+    there, here = (
+        fit_rig(fit.rig, readings, at(fit.rig, 40.0), fit.posterior.model.rules)
+        for readings in (flawed, right)
+    )
+    names = fit.posterior.coordinates.names
+    sd = fit.covariance.diagonal().sqrt()
+    moved = dict(zip(names, ((there.vector - here.vector) / sd).abs().tolist(), strict=True))
+    assert moved[visible.hidden_in] == pytest.approx(visible.hidden_sd, rel=0.25, abs=0.1)
+    told = {name: far for name, far in moved.items() if not name.endswith(".noise_T")}
+    assert max(told.values()) == pytest.approx(moved[visible.hidden_in], rel=0.25, abs=0.1)
 
 
 @pytest.mark.parametrize(("n_columns", "n_independent"), [(7, 7), (60, 12), (240, 60)])

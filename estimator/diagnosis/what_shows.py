@@ -1,0 +1,97 @@
+"""What the readings of a diagnosis could have shown, and what free numbers of the rig absorb, so that they could not."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.next_readings.resolution import Visible
+from estimator.diagnosis.result import Diagnosis
+from estimator.effects import EFFECTS
+from estimator.effects.base import Kind
+from estimator.effects.circumstances import SINCE, UNTIL
+from estimator.readings.observations import SECONDS_PER_HOUR
+from estimator.reporting.numbers import displays, quantity_words, size_with_unit
+from estimator.reporting.page import Table
+from estimator.rig.rig import Cause
+
+PLACE = ("x_m", "y_m", "z_m")  # keys of a place
+KINDS_TOLD = (Kind.ROOM, Kind.COIL, Kind.SENSOR, Kind.MOVER)
+
+
+def hidden_words(diagnosis: Diagnosis) -> str:
+    """What a session could not have shown though it would move numbers of the rig, in one sentence; empty where there is nothing.
+
+    One cause each of the room, a coil, a sensor and a mover: the one that would move a number most. A source that is built otherwise is
+    none of them, for any number absorbs some of these.
+    """
+    most: dict[Kind, Visible] = {}
+    for visible in sorted(diagnosis.left_open.visible, key=lambda visible: -visible.hidden_sd):
+        effect = EFFECTS[visible.cause.name]
+        if visible.hidden_sd > policy.LEAST_HIDDEN_SD and not effect.is_structural:
+            most.setdefault(effect.kind, visible)
+    display = displays([parameter.name for parameter in diagnosis.rig.free])
+    each = [
+        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), which {display[visible.hidden_in].words} absorbs, "
+        f"up to {visible.hidden_sd:.0f} of its standard deviations"
+        for visible in map(most.get, KINDS_TOLD)
+        if visible is not None
+    ]
+    return f"These readings could not have shown: {'; '.join(each)}." if each else ""
+
+
+def visible_tables(diagnosis: Diagnosis) -> list[Table]:
+    """The smallest visible size of every cause, where that is, and what absorbs more of it."""
+    visible = [quantity for quantity in diagnosis.left_open.visible if quantity.is_visible]
+    hidden = {quantity.cause.label for quantity in diagnosis.left_open.visible} - {
+        quantity.cause.label for quantity in visible
+    }
+    of_cause: dict[Cause, list[Visible]] = {}
+    for quantity in visible:
+        of_cause.setdefault(quantity.cause, []).append(quantity)
+    rows = [
+        [
+            cause.label,
+            "; ".join(f"{quantity_words(v.key)} {size_with_unit(v.size, v.unit)}" for v in own),
+            where(own[0].at),
+            absorbing(diagnosis, own),
+        ]
+        for cause, own in of_cause.items()
+    ]
+    twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)
+    caption = (
+        "Sizes that would change these readings by five standard deviations if nothing else were wrong, beyond what free numbers of the "
+        "rig absorb. Those that absorb more than half of it are named."
+    )
+    if hidden:
+        caption += f" Not visible at any plausible size: {', '.join(sorted(hidden))}."
+    if twins:
+        caption += f" These readings cannot tell apart: {twins}."
+    header = ["cause", "smallest visible size", "there", "absorbed by"]
+    return [Table("What these readings can show", header, rows, caption)]
+
+
+def where(at: Mapping[str, float]) -> str:
+    """Place and instants among the shapes of a cause, in words.
+
+    Examples:
+        >>> where({"x_m": 0.01, "y_m": -0.02, "z_m": 0.0, "since_h": 0.5})
+        'at (10, −20, 0) mm, from 1800 s on'
+        >>> where({"tau_h": 1.0})
+        '—'
+    """
+    words = []
+    if all(key in at for key in PLACE):
+        words.append(f"at ({', '.join(f'{1e3 * at[key]:.0f}' for key in PLACE)}) mm".replace("-", "−"))
+    if SINCE in at:
+        words.append(f"from {SECONDS_PER_HOUR * at[SINCE]:.0f} s on")
+    if UNTIL in at:
+        words.append(f"until {SECONDS_PER_HOUR * at[UNTIL]:.0f} s")
+    return ", ".join(words) or "—"
+
+
+def absorbing(diagnosis: Diagnosis, quantities: Sequence[Visible]) -> str:
+    """Free numbers of the rig that follow more than half of what some quantities of a cause change; a dash where none do."""
+    names = dict.fromkeys(name for visible in quantities for name in visible.absorbed_by)
+    display = displays([parameter.name for parameter in diagnosis.rig.free])
+    return ", ".join(display[name].words if name in display else name for name in names) or "—"
