@@ -68,7 +68,7 @@ class Improvement:
     known_before: dict[str, tuple[float, float]] = field(default_factory=dict)
 
     def with_after(self, after: ValidationScores) -> Improvement:
-        """The same with other scores of the later model."""
+        """This improvement with other scores of the later model."""
         difference, se = _difference(self.before, after)
         return replace(self, after=after, elpd_difference=difference, elpd_se=se)
 

@@ -87,8 +87,8 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
                 here = Visible(
                     candidate.cause, key, candidate.units[i], size, prior_sd, candidate.shapes, share, by
                 )
-                kept = (0.0, "") if known is None else (known.hidden_sd, known.hidden_in)
-                known = replace(here, hidden_sd=kept[0], hidden_in=kept[1])
+                hidden = (0.0, "") if known is None else (known.hidden_sd, known.hidden_in)
+                known = replace(here, hidden_sd=hidden[0], hidden_in=hidden[1])
             if hidden_sd > known.hidden_sd:
                 known = replace(known, hidden_sd=hidden_sd, hidden_in=names[most])
             best[candidate.cause, key] = known
