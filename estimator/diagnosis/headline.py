@@ -9,12 +9,12 @@ import numpy as np
 
 from estimator.calibration.quality import tensions
 from estimator.diagnosis import policy
+from estimator.diagnosis.gain_in_words import gained, misses
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
 from estimator.diagnosis.sizes import Difference
-from estimator.diagnosis.structure.covariates import predicted_T
 from estimator.diagnosis.structure.families.position import is_of_coil
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
@@ -40,15 +40,12 @@ MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_SIZES = 2
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_TENSIONS = 3  # that are listed one by one
-MOSTLY = (
-    0.75  # of the squares beyond the noise, for one component to be told: a fit spreads some over the others
-)
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
 
 def headline(diagnosis: Diagnosis) -> list[str]:
     """The sentences, most important first."""
-    parts = (_flagged, _what, _how_large, _outliers, _source, _cost, _next, _ended_early)
+    parts = (_flagged, _what, _how_large, _outliers, _source, gained, _next, _ended_early)
     sentences = part_by_part([_listed(part) for part in parts], diagnosis, lambda fault: fault)
     return [sentence for sentence in sentences if sentence]
 
@@ -157,46 +154,9 @@ def _what(diagnosis: Diagnosis) -> str:
         is_of_all = remainder.log_bayes_factor <= 0.0 or not diagnosis.fits.extended.rig.effects
         remainder = search.base_discrepancy if is_of_all else remainder
         what = "what it misses" if is_of_all else "what is left beside the causes that were taken"
-        dependence = f"{_misses(diagnosis)}; {what} depends on {_plain(remainder.family)}"
+        dependence = f"{misses(diagnosis)}; {what} depends on {_plain(remainder.family)}"
     unknown = f"Something is wrong that no known cause explains: {dependence}"
     return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
-
-
-def _misses(diagnosis: Diagnosis) -> str:
-    """How far the rig as described misses, against the noise, and where most of it is.
-
-    Of readings that no fit has seen, where there are some: what the extended rig leaves of them is told with the gain. Else of those that
-    were fitted, by both; the extended rig says more of the noise than the rig file does, which may state more than there is.
-    """
-    before, after = (symptoms.lack_of_fit for symptoms in (diagnosis.fits.before, diagnosis.fits.after))
-    improvement = diagnosis.improvement
-    rms_T, noise_T, of = before.rms_T, before.noise_T, "the readings that were fitted"
-    if improvement is not None:
-        errors = improvement.before.errors
-        rms_T, of = errors.vector_T, "readings that no fit has seen"
-        noise_T *= errors.vector_T / errors.component_T if errors.component_T > 0.0 else 1.0
-    rms = f"the rig as described misses {of} by {size_with_unit(rms_T, 'T', 3)} rms"
-    if improvement is None and before is not after:
-        return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T', 3)}{_mostly(diagnosis)}"
-    noise_rms = size_with_unit(noise_T, "T")
-    if rms_T <= noise_T:
-        return f"{rms}, not at random, though noise of {noise_rms} would be as large{_mostly(diagnosis)}"
-    noise = "readings that were repeated scatter by" if before.noise_from == "repeats" else "noise is"
-    return f"{rms} where {noise} {noise_rms}{_mostly(diagnosis)}"
-
-
-def _mostly(diagnosis: Diagnosis) -> str:
-    """The one component of a sensor in which most is wrong; empty where there is none."""
-    fit, noise_T = diagnosis.fits.plain, diagnosis.fits.before.lack_of_fit.noise_T
-    residual_T = (fit.observations.field_sensor_T - predicted_T(fit)).nan_to_num()
-    excess = {
-        f"{axis} of {sensor.name}": float(of_axis.square().sum()) - noise_T**2 * int((of_axis != 0.0).sum())
-        for i, sensor in enumerate(diagnosis.rig.sensors)
-        for axis, of_axis in zip(COMPONENTS, residual_T[fit.observations.sensor == i].T, strict=True)
-    }
-    most = max(excess, key=excess.__getitem__)
-    total = sum(max(each, 0.0) for each in excess.values())
-    return f", mostly in {most}" if excess[most] > MOSTLY * total > 0.0 else ""
 
 
 def _doubts(diagnosis: Diagnosis) -> str:
@@ -367,22 +327,6 @@ def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
     if named.p_not_in_library >= 0.005:
         others.append(f"{UNKNOWN} {probability(named.p_not_in_library)}")
     return f", or {', or '.join(others)}" if others else ""
-
-
-def _cost(diagnosis: Diagnosis) -> str:
-    """What the extension gains on unseen readings."""
-    improvement = diagnosis.improvement
-    if improvement is None or not diagnosis.fits.extended.rig.acting:
-        return ""
-    before, after = (scores.errors.vector_T for scores in (improvement.before, improvement.after))
-    unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
-    sizes = f"{size_with_unit(before, 'T', 3)} before, {size_with_unit(after, 'T', 3)} after"
-    if not improvement.is_significant:
-        return f"{unseen} does not fall clearly: {sizes}."
-    if after >= before:  # causes that scatter predict no reading better
-        gain = improvement.elpd_difference
-        return f"{unseen} does not fall ({sizes}), but how far they miss is told better: log predictive density {gain:+.0f}."
-    return f"{unseen} falls from {size_with_unit(before, 'T', 3)} to {size_with_unit(after, 'T', 3)}."
 
 
 def _next(diagnosis: Diagnosis) -> str:

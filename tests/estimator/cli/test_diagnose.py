@@ -81,7 +81,7 @@ def test_record_holds_the_keys_that_other_scripts_rely_on(record: dict[str, Any]
     for judged in (record["gain"]["before"], record["gain"]["after"]):
         assert {*RMSE, "coverage90", "elpd"} <= set(judged)
     for size in record["smallest_visible"].values():
-        assert set(size) == {"size", "unit"}
+        assert {"size", "unit", "place", "absorbed_by"} <= set(size)
 
 
 @pytest.mark.parametrize("key", ["next_measurement", "signatures"])

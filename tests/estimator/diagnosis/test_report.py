@@ -143,6 +143,27 @@ def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong
     assert "biased" not in page
 
 
+def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis: Diagnosis) -> None:
+    """A coil that warms up, and a zero of a sensor; not a field of the room, which a prediction has."""
+    fit = diagnosis.fits.plain
+
+    def told(*causes: Cause) -> str:
+        rig = fit.rig
+        for cause in causes:
+            rig = with_effect(rig, cause, fit.observations, {})
+        final = fit_rig(rig, fit.observations, {}, fit.posterior.model.rules)
+        sentences = headline(replace(diagnosis, fits=replace(diagnosis.fits, final=final, extended=final)))
+        return next(words for words in sentences if words.startswith("On "))
+
+    both = told(OFFSET, HEATING, Cause("background_field", "room"))
+    beside = re.search(
+        r"That is with (.*), which a reading shows and the field that predict gives does not have", both
+    )
+    assert beside is not None
+    assert set(beside[1].split(", ")) == {"coil_heating", "sensor_offset"}
+    assert "That is with" not in told(Cause("background_field", "room"))
+
+
 def test_a_cause_that_led_and_was_not_taken_is_told(diagnosis: Diagnosis) -> None:
     assert not any(" led " in words for words in warnings_of(diagnosis))
     search = diagnosis.findings.search
