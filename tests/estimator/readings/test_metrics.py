@@ -71,3 +71,17 @@ def test_no_field_has_no_relative_error() -> None:
 def test_a_perfect_prediction_has_no_error() -> None:
     measured = np.array([[1e-3, -2e-3, 5e-4]])
     assert set(vars(error_metrics(measured, measured)).values()) == {0.0}
+
+
+def test_angles_are_of_readings_with_a_current():
+    """What is read without one is noise, which points anywhere."""
+    measured_T = np.array([[0.0, 0.0, 1.0], [1e-5, 0.0, 0.0]])
+    predicted_T = np.array([[0.0, 0.1, 1.0], [0.0, 1e-5, 0.0]])
+    of_all, of_powered, of_none = (
+        error_metrics(measured_T, predicted_T, is_on)
+        for is_on in (None, np.array([True, False]), np.array([False, False]))
+    )
+    assert of_powered.angular_deviation_rad == pytest.approx(np.arctan(0.1))
+    assert of_all.angular_deviation_rad == pytest.approx(0.5 * (np.arctan(0.1) + 0.5 * np.pi))
+    assert np.isnan(of_none.angular_deviation_rad)
+    assert of_powered.vector_T == of_all.vector_T == of_none.vector_T
