@@ -16,28 +16,39 @@ from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
 
 PLACE = ("x_m", "y_m", "z_m")  # keys of a place
+WHOLLY = 0.999  # share that a pose absorbs of what is another word for it
+LEAST_UNSEEN = 0.1  # share of usual sizes that stay unseen from which on one is told
 KINDS_TOLD = (Kind.ROOM, Kind.COIL, Kind.SENSOR, Kind.MOVER)
 
 
 def hidden_words(diagnosis: Diagnosis) -> str:
     """What a session could not have shown though it would move numbers of the rig, in one sentence; empty where there is nothing.
 
-    One cause each of the room, a coil, a sensor and a mover: the one that would move a number most. A source that is built otherwise is
-    none of them, for any number absorbs some of these.
+    One cause each of the room, a coil, a sensor and a mover: the one that would move a number most, times the share of usual sizes that
+    stay unseen. A source that is built otherwise is none of them, for any number absorbs some of these. Nor is what a free pose says by
+    itself, such as a coil that sits elsewhere.
     """
     most: dict[Kind, Visible] = {}
-    for visible in sorted(diagnosis.left_open.visible, key=lambda visible: -visible.hidden_sd):
+    for visible in sorted(diagnosis.left_open.visible, key=lambda v: -v.hidden_sd * _share_unseen(v)):
         effect = EFFECTS[visible.cause.name]
-        if visible.hidden_sd > policy.LEAST_HIDDEN_SD and not effect.is_structural:
+        is_pose = "_from_" in visible.hidden_in and visible.share_absorbed > WHOLLY
+        is_usual = _share_unseen(visible) > LEAST_UNSEEN
+        if is_usual and visible.hidden_sd > policy.LEAST_HIDDEN_SD and not (effect.is_structural or is_pose):
             most.setdefault(effect.kind, visible)
     display = displays([parameter.name for parameter in diagnosis.rig.free])
     each = [
-        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), which {display[visible.hidden_in].words} absorbs, "
-        f"up to {visible.hidden_sd:.0f} of its standard deviations"
+        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {quantity_words(visible.key)} "
+        f"{size_with_unit(min(visible.size, visible.prior_sd), visible.unit)}, which {display[visible.hidden_in].words} absorbs by up to "
+        f"{visible.hidden_sd:.0f} of its standard deviations"
         for visible in map(most.get, KINDS_TOLD)
         if visible is not None
     ]
     return f"These readings could not have shown: {'; '.join(each)}." if each else ""
+
+
+def _share_unseen(visible: Visible) -> float:
+    """Share of the sizes of a quantity, up to its prior's standard deviation, that stay unseen."""
+    return min(visible.size / visible.prior_sd, 1.0)
 
 
 def visible_tables(diagnosis: Diagnosis) -> list[Table]:

@@ -102,7 +102,10 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     left_open = replace(calm.left_open, next_measurements=(), visible=(*calm.left_open.visible, plate))
     last = headline(replace(calm, left_open=left_open))[-1]
     assert last.startswith("These readings could not have shown: ")
-    assert "(iron_plate[room]), which axial loops absorbs, up to 740 of its standard deviations" in last
+    assert (
+        "(iron_plate[room]), up to strength 50 %, which axial loops absorbs by up to 740 of its standard deviations"
+        in last
+    )
     assert 2 <= last.count(", which ") <= 4  # of the room, a coil, a sensor and a mover one each
     assert last.endswith("Where none of these can be, use the rig file as it is.")
     nothing = replace(left_open, visible=())
