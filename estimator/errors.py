@@ -7,6 +7,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from difflib import get_close_matches
 
+MOST_QUOTED = 60  # characters of what a file or a user gave, in a sentence
 LEAST_LIKENESS = 0.6  # of a name to the one that may have been meant, from 0 to 1; difflib's own default
 
 
@@ -115,6 +116,33 @@ def closest(name: str, known: Iterable[str]) -> str:
 def nearest_name(name: str, known: Iterable[str]) -> str | None:
     """The known name that is most like this one; None where none is like it."""
     return next(iter(get_close_matches(name, sorted(known), n=1, cutoff=LEAST_LIKENESS)), None)
+
+
+def cut(text: str, most: int = MOST_QUOTED) -> str:
+    """A text that a file or a user gave, at a length that a sentence bears.
+
+    Examples:
+        >>> cut("1" * 5000, 10)
+        '1111111111...'
+    """
+    return text if len(text) <= most else f"{text[:most]}..."
+
+
+def quoted(value: object) -> str:
+    """What a file or a user gave, as a sentence quotes it: text in quotes, and no more of it than tells what it is.
+
+    Examples:
+        >>> quoted("1.2.3"), quoted(7), quoted("9" * 5000)
+        ("'1.2.3'", '7', "'999999999999999999999999999999999999999999999999999999999999...'")
+    """
+    return repr(cut(value)) if isinstance(value, str) else cut(_repr(value))
+
+
+def _repr(value: object) -> str:
+    try:
+        return repr(value)
+    except ValueError:  # of a whole number with thousands of digits
+        return f"a {type(value).__name__} of thousands of digits"
 
 
 def reason(error: Exception) -> str:

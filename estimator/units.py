@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 MU0_T_M_PER_A = 1.25663706212e-6
 ICE_POINT_K = 273.15
+LARGEST = 1e12  # of any number that a user gives, in whatever unit; powers of larger ones overflow
 
 
 @dataclass(frozen=True)

@@ -10,16 +10,15 @@ from typing import Any, NoReturn
 
 import yaml
 
-from estimator.errors import Faults, InvalidInput, Place, closest, nearest_name, reason
-from estimator.units import UNITS, Unit, split_unit
+from estimator.errors import Faults, InvalidInput, Place, closest, cut, nearest_name
+from estimator.given_files import MOST_SETTINGS_BYTES, read_given_text
+from estimator.units import LARGEST, UNITS, Unit, split_unit
 
 # Far beyond any rig or plan. The text of a file may come from anywhere, and YAML's short forms can stand for endless data.
-MOST_BYTES = 4_000_000
 MOST_VALUES = 100_000
 MOST_LEVELS = 20
 MOST_SHOWN = 200  # characters of a refused value
 HALF = re.compile(r"[\ud800-\udfff]")  # of a character, which no file can hold
-LARGEST = 1e12  # powers of larger numbers overflow
 
 
 class Loader(yaml.SafeLoader):
@@ -115,8 +114,8 @@ class Section:
     @classmethod
     def from_text(cls, text: str, file: str, faults: Faults | None = None) -> Section:
         """The top mapping of a YAML text; `faults` says what becomes of the faults in it."""
-        if len(text) > MOST_BYTES:
-            raise InvalidInput(f"{file} must hold at most {MOST_BYTES} bytes; it holds more")
+        if len(text) > MOST_SETTINGS_BYTES:
+            raise InvalidInput(f"{file} must hold at most {MOST_SETTINGS_BYTES} bytes; it holds more")
         try:
             loader = Loader(text, file)
             node = loader.get_single_node()
@@ -133,13 +132,9 @@ class Section:
     @classmethod
     def from_file(cls, path: Path, faults: Faults | None = None) -> Section:
         """The top mapping of a YAML file; `faults` says what becomes of the faults in it."""
-        try:
-            with path.open("rb") as file:
-                top = cls.from_text(file.read(MOST_BYTES + 1).decode("utf-8"), str(path), faults)
-                top.folder = path.parent
-                return top
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
+        top = cls.from_text(read_given_text(path, MOST_SETTINGS_BYTES), str(path), faults)
+        top.folder = path.parent
+        return top
 
     def __iter__(self) -> Iterator[str]:
         """All keys, in file order."""
@@ -156,10 +151,9 @@ class Section:
     def refuse(self, key: str, rule: str, received: object) -> NoReturn:
         """Raise InvalidInput that names key, rule, value, file and line; the key counts as read then."""
         self._unread.discard(key)
-        shown = str(received)
-        shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}..."
         raise InvalidInput(
-            f"{self.path_of(key)} {rule}; received {shown} ({self.where(key)})", self.place(key)
+            f"{self.path_of(key)} {rule}; received {cut(str(received), MOST_SHOWN)} ({self.where(key)})",
+            self.place(key),
         )
 
     def place(self, key: str) -> Place:

@@ -53,8 +53,7 @@ def _axis(text: str) -> tuple[str, np.ndarray]:
     """Parse an option --grid into the axis and its coordinates in metres."""
     import numpy as np
 
-    from estimator.units import split_unit
-    from estimator.yaml_section import LARGEST
+    from estimator.units import LARGEST, split_unit
 
     key, _, span = text.partition("=")
     name, unit = split_unit(key)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +16,10 @@ from estimator.cli.options import (
     truth_option,
 )
 from estimator.cli.output import CoilcalCommand, named_number, refuse_existing, show
-from estimator.errors import InvalidInput, reason
+from estimator.errors import InvalidInput, quoted
+from estimator.given_files import MOST_SETTINGS_BYTES, read_given
+from estimator.json_files import json_object
+from estimator.units import LARGEST
 
 if TYPE_CHECKING:
     from estimator.rig.rig import Rig
@@ -112,10 +114,11 @@ def truth_of(rig: Rig, choice: str, seed: int) -> dict[str, float]:
         return {parameter.name: parameter.value for parameter in rig.free}
     rule = "--truth must be prior, nominal or a JSON file {parameter: number}"
     try:
-        content = json.loads(Path(choice).read_text(encoding="utf-8"), parse_int=float)
-    except (OSError, ValueError, RecursionError) as error:
-        raise InvalidInput(f"{rule}; received {choice}: {reason(error)}") from error
-    numbers = content.values() if isinstance(content, dict) else [None]
-    if not all(isinstance(value, int | float) for value in numbers):
-        raise InvalidInput(f"{rule}; received {choice}, which holds something else")
+        content = json_object(read_given(Path(choice), MOST_SETTINGS_BYTES), choice)
+    except InvalidInput as fault:
+        raise InvalidInput(f"{rule}; {fault}") from fault
+    for name, value in content.items():
+        if isinstance(value, bool) or not isinstance(value, int | float) or abs(value) > LARGEST:
+            words = f"--truth must give numbers between {-LARGEST:g} and {LARGEST:g}"
+            raise InvalidInput(f"{words}; received {quoted(value)} for {quoted(name)} ({choice})")
     return {name: float(value) for name, value in content.items()}

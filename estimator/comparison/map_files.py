@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from estimator.comparison.vtk_maps import SUFFIXES, read_vtk
-from estimator.errors import InvalidInput, reason
+from estimator.errors import InvalidInput
 from estimator.field.grid_map import GridMap
+from estimator.given_files import read_given, read_given_text
 from estimator.units import UNITS
 
 SEPARATORS = re.compile(r"[;,\t]|\s{2,}")
@@ -43,16 +44,9 @@ def read_map(path: Path, current_A: float) -> GridMap:
     Raises:
         InvalidInput: The file cannot be read, a column is missing or has no unit, the points are no full grid, or a field is missing.
     """
-    try:
-        if path.stat().st_size > MOST_BYTES:
-            raise InvalidInput(f"field map must have at most {MOST_BYTES} bytes; {path} has more")
-        if path.suffix in SUFFIXES:
-            return _of_vtk(path, current_A)
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(
-            f"field map must be a readable text file; {path} is not: {reason(error)}"
-        ) from error
+    if path.suffix in SUFFIXES:
+        return _of_vtk(path, current_A)
+    text = read_given_text(path, MOST_BYTES)
     lines = text.splitlines()
     comments = [line.lstrip("% ") for line in lines if line.startswith("%")]
     rows = [line for line in lines if line.strip() and not line.startswith("%")]
@@ -63,7 +57,7 @@ def read_map(path: Path, current_A: float) -> GridMap:
 
 
 def _of_vtk(path: Path, current_A: float) -> GridMap:
-    points_m, field_T = read_vtk(path, path.read_bytes())
+    points_m, field_T = read_vtk(path, read_given(path, MOST_BYTES))
     n_missing = int((~np.isfinite(field_T)).any(1).sum())
     if n_missing:
         raise InvalidInput(f"field map must be finite; {n_missing} points are not ({path})")

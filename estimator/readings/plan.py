@@ -16,8 +16,8 @@ from estimator.errors import Faults, InvalidInput, in_order
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
 from estimator.rig.rig import POSE_QUANTITIES, Mover, Rig
-from estimator.units import UNITS
-from estimator.yaml_section import LARGEST, Section
+from estimator.units import LARGEST, UNITS
+from estimator.yaml_section import Section
 
 CARTESIAN = POSE_QUANTITIES[:6]  # position and rotation vector; tilts and spin belong to mounts
 WRITTEN_IN = {"length": "mm", "angle": "deg"}  # units of a written plan

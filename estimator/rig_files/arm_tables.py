@@ -7,7 +7,8 @@ from estimator.rig.arms import ARMS, N_JOINTS, ArmEnds, DenavitHartenberg
 from estimator.rig.rig import MotionKind
 from estimator.rig_files.ur_kinematics import corrections_from_ros
 from estimator.rig_files.urdf import arm_from_urdf
-from estimator.yaml_section import LARGEST, Section
+from estimator.units import LARGEST
+from estimator.yaml_section import Section
 
 TABLE, CORRECTIONS, URDF = "denavit_hartenberg", "factory_corrections", "urdf"
 FILE = "file"  # of `ur_calibration`

@@ -13,7 +13,7 @@ from estimator.rig.rig import Rig
 from estimator.service.problems import Problem, of_validation
 from estimator.store.admission import MOST_REPEATS
 from estimator.store.growing import StopReadings
-from estimator.yaml_section import LARGEST
+from estimator.units import LARGEST
 
 MOST_LINES = 10_000  # of one request
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST, allow_inf_nan=False)]

@@ -17,7 +17,7 @@ import numpy as np
 from estimator.errors import CorruptStore
 from estimator.rig.rig import Rig
 from estimator.store.chunks import admit_chunk
-from estimator.yaml_section import LARGEST
+from estimator.units import LARGEST
 
 METADATA = "zarr.json"
 CODECS = ("bytes", "zstd", "crc32c")  # in this order
