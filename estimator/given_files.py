@@ -86,13 +86,16 @@ def read_given_text(path: Path, most_bytes: int, fault: type[CoilcalError] = Inv
     return text_of(read_given(path, most_bytes, fault, "must be readable as text"), path, fault)
 
 
-def text_of(content: bytes, path: Path | str, fault: type[CoilcalError] = InvalidInput) -> str:
+def text_of(
+    content: bytes, path: Path | str, fault: type[CoilcalError] = InvalidInput, first_line: int = 1
+) -> str:
     r"""Bytes as text in UTF-8, without a byte order mark.
 
     Args:
         content: The bytes.
         path: Their origin, for messages.
         fault: What is raised.
+        first_line: Number of the line with which they begin, for messages.
     Raises:
         fault: They are no UTF-8; the sentence names the line.
     Examples:
@@ -106,7 +109,7 @@ def text_of(content: bytes, path: Path | str, fault: type[CoilcalError] = Invali
     try:
         return content.removeprefix(codecs.BOM_UTF8).decode()
     except UnicodeDecodeError as error:
-        line = 1 + error.object.count(b"\n", 0, error.start)
+        line = first_line + error.object.count(b"\n", 0, error.start)
         byte = error.object[error.start]
         raise fault(
             f"{path} must be readable as text: 'utf-8' has no byte {byte:#04x}, as in line {line}; save it in UTF-8"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
@@ -151,7 +150,7 @@ def _columns(table: Table) -> dict[str, dict[str, Any]]:
     for quantity, cell in table.header.items():
         unit = cell.text.removeprefix(quantity).lstrip("_")
         if not unit:
-            columns[quantity] = {"words": dict(Counter(word for word, _ in table.cells(quantity)))}
+            columns[quantity] = {"words": table.word_counts(quantity)}
             continue
         values = table.numbers(quantity, may_be_empty=True) / cell.to_si
         given = values[~values.isnan()]

@@ -80,7 +80,7 @@ def check_readings(
         faults.note(InvalidInput(f"sensors must show a field; every component is 0 T ({where})"))
     motions = [observations.motion[mover.name] for mover in rig.movers]
     poses = torch.cat([observations.sensor[:, None].double(), *motions], dim=1)
-    if len(torch.unique(poses, dim=0)) == 1:
+    if bool((poses == poses[0]).all()):
         words = f"readings must be taken at several poses; all {len(observations)} share one ({where})"
         faults.note(InvalidInput(words))
 

@@ -20,6 +20,8 @@ from estimator.readings.observations import Observations
 
 MOST_DECIMALS = 11  # of a tesla in which steps of the readings are looked for
 MANY_STEPS = 30  # by which a component changes that noise and rounding leave alone
+# Odd numbers, by which the bits of three components become one number; equal rows have equal ones.
+HASHED_BY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
 FEWEST_COPIED = 4  # consecutive readings
 LEAST_MOVED = 0.01  # of its range that a current or a coordinate differs between a reading and its copy
 FEWEST_FILLED_IN = 3  # consecutive readings
@@ -53,7 +55,8 @@ def flags_of_digits(observations: Observations) -> list[Flag]:
         own_T = observations.field_sensor_T[own].cpu().numpy().astype(np.float64)
         steps_T = [step_of(component_T) for component_T in own_T.T]
         codes = np.stack([_codes(own_T[:, axis], steps_T[axis]) for axis in range(3)], axis=1)
-        copied = _copied(codes, _settings(observations, own))
+        alike = _perhaps_equal(codes)
+        copied = _copied(codes, alike, _settings(observations, own)) if len(alike) else []
         codes[copied] = np.nan
         filled_in = _filled_in(codes)
         codes[filled_in] = np.nan
@@ -99,10 +102,10 @@ def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Codes:
     return scaled
 
 
-def _copied(codes: Codes, settings: Codes) -> list[int]:
-    """Rows of blocks that repeat an earlier block at other settings, while every component changes within it."""
+def _copied(codes: Codes, alike: npt.NDArray[np.intp], settings: Codes) -> list[int]:
+    """Rows, among those alike, of blocks that repeat an earlier block at other settings while every component changes within it."""
     same: dict[bytes, list[int]] = {}
-    for row in np.flatnonzero(~np.isnan(codes).any(axis=1)):
+    for row in alike:
         same.setdefault((codes[row] + 0.0).tobytes(), []).append(int(row))
     later_by_lag: dict[int, list[int]] = {}
     for equal in same.values():
@@ -119,6 +122,14 @@ def _copied(codes: Codes, settings: Codes) -> list[int]:
             ):
                 rows.update(block)
     return sorted(rows)
+
+
+def _perhaps_equal(codes: Codes) -> npt.NDArray[np.intp]:
+    """Complete rows that may equal another one, in order: among a million readings hardly any, and only these are compared one by one."""
+    rows = np.flatnonzero(~np.isnan(codes).any(axis=1))
+    hashes = (codes[rows] + 0.0).view(np.uint64) @ HASHED_BY
+    _, index, counts = np.unique(hashes, return_inverse=True, return_counts=True)
+    return rows[counts[index] > 1]
 
 
 def _filled_in(codes: Codes) -> list[int]:

@@ -6,8 +6,9 @@ import warnings
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Int
+from jaxtyping import Bool, Float, Int
 from scipy.cluster.vq import kmeans2
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from estimator.devices import numpy_of
@@ -15,6 +16,7 @@ from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 
 FEWEST_BLOCKS, MOST_BLOCKS = 20, 200
+MOST_POSES = 10_000  # by which blocks are placed
 POSES_PER_BLOCK = 50  # if that gives more than the fewest blocks
 
 
@@ -50,15 +52,30 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
     features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
     poses = numpy_of(torch.cat(features, dim=1))
     spread = poses.std(axis=0)
-    distinct, pose_row = np.unique(
-        (poses - poses.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0), axis=0, return_inverse=True
-    )
+    distinct, pose_row = _distinct((poses - poses.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0))
     n_blocks = min(max(len(distinct) // POSES_PER_BLOCK, FEWEST_BLOCKS), MOST_BLOCKS, len(distinct))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)  # one block fewer
-        _, block_of_pose = kmeans2(distinct, n_blocks, minit="++", rng=rng)
+        few = distinct
+        if len(distinct) > MOST_POSES:  # as many place the blocks as well as a million do, and in seconds
+            few = distinct[np.sort(rng.choice(len(distinct), MOST_POSES, replace=False))]
+        centres, block_of_pose = kmeans2(few, n_blocks, minit="++", rng=rng)
+    if len(few) < len(distinct):
+        block_of_pose = cKDTree(centres).query(distinct)[1]
     block: Int[np.ndarray, " reading"] = block_of_pose[pose_row]
     return block
+
+
+def _distinct(
+    poses: Float[np.ndarray, "reading column"],
+) -> tuple[Float[np.ndarray, "pose column"], Int[np.ndarray, " reading"]]:
+    """Different poses in lexical order, and the row of each reading's among them; as `np.unique`, which takes five times as long."""
+    order = np.lexsort(poses.T[::-1])
+    is_new = np.ones(len(order), dtype=bool)
+    is_new[1:] = (poses[order[1:]] != poses[order[:-1]]).any(axis=1)
+    row = np.empty_like(order)
+    row[order] = np.cumsum(is_new) - 1
+    return poses[order[is_new]], row
 
 
 def time_blocks(observations: Observations, n_blocks: int = FEWEST_BLOCKS) -> Int[np.ndarray, " reading"]:

@@ -26,6 +26,10 @@ KEYS = {"name": "default", "configuration": {"separator": "/"}}  # chunks are fi
 MOST_FILES = 100_000
 MOST_METADATA_BYTES = 8_000_000
 MOST_NUMBERS = 300_000_000  # in all arrays, and in one chunk: 2.4 GB
+FEW_NUMBERS = 20_000_000  # 160 MB, which a store may claim whatever it holds
+MOST_PER_BYTE = (
+    25  # of a chunk; measured readings take more than a byte a number, and zeros of many movers hardly any
+)
 MOST_REPEATS = 999_999_999
 
 
@@ -39,7 +43,7 @@ def admit(path: Path, what: str, most_numbers: int = MOST_NUMBERS) -> None:
     Raises:
         CorruptStore: It is of another zarr format, beyond a limit, or its metadata cannot be read.
     """
-    n_numbers = 0
+    n_numbers = n_stored = 0
     for n_files, part in enumerate(path.rglob("*"), start=1):
         if n_files > MOST_FILES:
             raise CorruptStore(f"{what} must hold at most {MOST_FILES} files; {path} holds more")
@@ -53,6 +57,12 @@ def admit(path: Path, what: str, most_numbers: int = MOST_NUMBERS) -> None:
                 raise CorruptStore(
                     f"{what} must hold at most {most_numbers} numbers; with {part} it claims {n_numbers}"
                 )
+        elif part.is_file():
+            n_stored += part.stat().st_size
+    if n_numbers > FEW_NUMBERS + MOST_PER_BYTE * n_stored:
+        raise CorruptStore(
+            f"{what} must hold the numbers that it claims; {path} claims {n_numbers} in {n_stored} bytes"
+        )
 
 
 def admit_readings(stored: Mapping[str, np.ndarray], rig: Rig, file: str) -> None:

@@ -101,10 +101,11 @@ class Session:
                 )
 
     def save(self, path: Path, overwrite: bool = False) -> None:
-        """Write the session, whole or not at all.
+        """Write the session, whole or not at all. What is written can be opened again.
 
         Raises:
-            InvalidInput: The path exists and `overwrite` is not set, a process is measuring into it, or it cannot be written.
+            InvalidInput: The path exists and `overwrite` is not set, a process is measuring into it, it cannot be written, or
+                `load_session` would refuse the readings.
         """
         path = path.absolute()
         if path.exists() and not overwrite:
@@ -117,7 +118,11 @@ class Session:
             with unwritten(path):
                 shutil.rmtree(partial, ignore_errors=True)
                 self._write(partial)
+                admit(partial, "session")
                 replace_folder(partial, path)
+        except CorruptStore as fault:  # so would whoever opens it
+            shutil.rmtree(partial, ignore_errors=True)
+            raise InvalidInput(str(fault)) from fault
         except OSError as error:
             shutil.rmtree(partial, ignore_errors=True)
             raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
@@ -133,8 +138,10 @@ class Session:
             "coil": [coil.name for coil in self.rig.coils],
             "sensor": [sensor.name for sensor in self.rig.sensors],
         }
-        group = zarr.open_group(path, mode="w", zarr_format=3)
         arrays = observation_arrays(self.observations)
+        admit_readings({name: data for name, (_, data) in arrays.items()}, self.rig, self.source)
+        _provenance(attributes, path)
+        group = zarr.open_group(path, mode="w", zarr_format=3)
         for name, (dimensions, data) in arrays.items():
             array = group.create_array(
                 name,

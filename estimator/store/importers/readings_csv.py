@@ -14,11 +14,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import Faults, InvalidInput, Place, in_order, reason
+from estimator.errors import Faults, InvalidInput, in_order, reason
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import MotionKind, Mover, Rig
@@ -159,26 +160,37 @@ def _mover_columns(mover: Mover) -> Iterator[tuple[str, str]]:
 
 def _recorded_at(table: Table) -> str:
     """The earliest date and time in the column; cells may be empty, but not all."""
-    cells = [(cell, line) for cell, line in table.cells("recorded_at") if cell]
-    if not cells:
+    cells = table.columns["recorded_at"]
+    if not any(cells.words):
         raise InvalidInput(f"recorded_at must hold a date in some line; it holds none ({table.path})")
-    moments = []
-    for cell, line in cells:
+    moments, refusals = [], {}
+    for code, word in enumerate(cells.words):
         try:
-            moments.append(moment(cell, "recorded_at", f"{table.path}, line {line}"))
+            if word:
+                moments.append(moment(word, "recorded_at"))
         except InvalidInput as fault:
-            table.faults.note(InvalidInput(str(fault), table.place("recorded_at", line)))
+            refusals[code] = str(fault)
+    is_refused = np.isin(cells.codes, list(refusals))
+    table.refuse_rows("recorded_at", is_refused, lambda row: refusals[int(cells.codes[row])])
     return min(moments, default="")
 
 
 def _refuse_doubles(table: Table, time_s: Tensor, sensor: Tensor) -> None:
-    first_line: dict[tuple[float, int], int] = {}
-    for key, line in zip(zip(time_s.tolist(), sensor.tolist(), strict=True), table.lines, strict=True):
-        if key in first_line:
-            rule = "a sensor must have one reading at a time"
-            words = f"{rule}; t_s = {key[0]:.15g} is in lines {first_line[key]} and {line} ({table.path})"
-            table.faults.note(InvalidInput(words, table.place("t", line)))
-        first_line.setdefault(key, line)
+    """Refuse a reading at the time of an earlier one of its sensor; a time that is no number was refused before."""
+    order = np.lexsort((np.arange(len(time_s)), sensor.numpy(), time_s.numpy()))
+    own_s, own = time_s.numpy()[order], sensor.numpy()[order]
+    is_new = np.ones(len(order), dtype=bool)
+    is_new[1:] = (own_s[1:] != own_s[:-1]) | (own[1:] != own[:-1])
+    first = order[np.maximum.accumulate(np.where(is_new, np.arange(len(order)), 0))]
+    first_of_row, is_double = np.empty_like(order), np.empty_like(is_new)
+    first_of_row[order], is_double[order] = first, ~is_new
+
+    def words(row: int) -> str:
+        earlier, later = table.lines[first_of_row[row]], table.lines[row]
+        rule = "a sensor must have one reading at a time"
+        return f"{rule}; t_s = {float(time_s[row]):.15g} is in lines {earlier} and {later}"
+
+    table.refuse_rows("t", is_double, words, has_line=True)
 
 
 def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:
@@ -189,33 +201,28 @@ def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:
 
 def _field(table: Table) -> Float[Tensor, "reading 3"]:
     field_T = torch.stack([table.numbers(name, may_be_empty=True) for name in FIELD], dim=1)
-    known_lines = {fault.place.line for fault in table.faults.noted if fault.place}
-    for row in torch.isnan(field_T).all(dim=1).nonzero().flatten().tolist():
-        line = table.lines[row]
-        if line not in known_lines:
-            rule = "a row must have at least one field component"
-            words = f"{rule}; all three are empty ({table.path}, line {line})"
-            table.faults.note(InvalidInput(words, Place(str(table.path), line)))
+    known_lines = [fault.place.line for fault in table.faults.noted if fault.place]
+    is_empty = torch.isnan(field_T).all(dim=1).numpy() & ~np.isin(table.lines, known_lines)
+    rule = "a row must have at least one field component"
+    table.refuse_rows(None, is_empty, lambda _: f"{rule}; all three are empty")
     return field_T
 
 
 def _segment(table: Table) -> tuple[Int[Tensor, " reading"], dict[str, int]]:
     """Number of each row's segment, `NO_SEGMENT` for an empty cell; labels that are no numbers get theirs in order of appearance."""
-    cells = [cell.strip() for cell in table.columns[table.header["segment"].column]]
-    labels = dict.fromkeys(filter(None, cells))
+    cells = table.columns["segment"]
+    labels = [word for word in cells.words if word]
     if all(label.isdecimal() for label in labels):
         return _whole(table, "segment", may_be_empty=True), {}
     number_of = {label: i for i, label in enumerate(labels)}
-    return torch.tensor([number_of.get(cell, NO_SEGMENT) for cell in cells]), number_of
+    of_word = np.array([number_of.get(word, NO_SEGMENT) for word in cells.words])
+    return torch.from_numpy(of_word[cells.codes]), number_of
 
 
 def _whole(table: Table, name: str, may_be_empty: bool = False) -> Int[Tensor, " reading"]:
     """A column of whole numbers; -1 for a cell that may be empty."""
     values = table.numbers(name, may_be_empty)
     bad_rows = ((values != values.floor()) | (values < 0) | (values > LARGEST_NUMBER)) & ~values.isnan()
-    for row in bad_rows.nonzero().flatten().tolist():
-        line = table.lines[row]
-        rule = f"{name} must be a whole number from 0 to {LARGEST_NUMBER}"
-        words = f"{rule}; received {values[row]:.15g} ({table.path}, line {line})"
-        table.faults.note(InvalidInput(words, table.place(name, line)))
+    rule = f"{name} must be a whole number from 0 to {LARGEST_NUMBER}"
+    table.refuse_rows(name, bad_rows.numpy(), lambda row: f"{rule}; received {values[row]:.15g}")
     return values.nan_to_num(nan=NO_SEGMENT).to(torch.int64)

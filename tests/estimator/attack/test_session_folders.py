@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -77,3 +78,14 @@ def test_a_folder_is_looked_at_before_zarr_opens_it(
 ) -> None:
     change(session)
     assert message in refusal(load_session, session)
+
+
+def test_a_store_that_claims_far_more_than_it_holds_is_refused_at_once(session: Path) -> None:
+    """Zarr reads chunks that are missing as zeros, and allots memory for all of them."""
+    for file in session.glob("*/zarr.json"):
+        node = json.loads(file.read_text(encoding="utf-8"))
+        node["shape"][0] = 14_000_000
+        file.write_text(json.dumps(node), encoding="utf-8")
+    begin_s = time.process_time()
+    assert "must hold the numbers that it claims" in refusal(load_session, session)
+    assert time.process_time() - begin_s < 1.0

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import numpy as np
 import pytest
 import torch
@@ -9,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from estimator.errors import InvalidInput
+from estimator.readings import split
 from estimator.readings.observations import Observations
 from estimator.readings.split import block_split, time_blocks
 
@@ -100,3 +103,33 @@ def test_repeats_of_one_pose_never_straddle(
     decided: dict[tuple, bool] = {}
     for key, is_out in zip(map(tuple, np.column_stack([sensor, position_m])), kept_out, strict=True):
         assert decided.setdefault(key, is_out) == is_out
+
+
+def test_a_million_poses_are_split_in_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Blocks are placed by some of the poses, and hold the share all the same."""
+    position_m = np.random.default_rng(0).uniform(-0.1, 0.1, (200_000, 3))
+    begin_s = time.process_time()
+    share = block_split(readings(position_m), 0.2, 0).double().mean().item()
+    assert time.process_time() - begin_s < 10.0
+    assert 0.2 <= share < 0.22
+
+
+def test_blocks_are_of_neighbours_where_only_some_poses_place_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(split, "MOST_POSES", 200)
+    whole = readings(grid(12))
+    block = split.pose_blocks(whole, np.random.default_rng(0))
+    position_m = whole.motion["stage"][:, :3].numpy()
+    centres = np.array([position_m[block == number].mean(axis=0) for number in np.unique(block)])
+    own_m = np.linalg.norm(position_m - centres[np.unique(block, return_inverse=True)[1]], axis=1)
+    nearest_m = np.linalg.norm(position_m[:, None] - centres, axis=2).min(axis=1)
+    assert np.quantile(own_m - nearest_m, 0.9) < 0.02
+    assert len(np.unique(block)) > 15
+
+
+@given(st.integers(1, 5), st.integers(0, 100))
+def test_different_poses_are_those_of_numpy(n_columns: int, seed: int) -> None:
+    poses = np.random.default_rng(seed).integers(-2, 3, (60, n_columns)) * -1.0
+    expected, expected_row = np.unique(poses, axis=0, return_inverse=True)
+    distinct, row = split._distinct(poses)
+    assert (distinct == expected).all()
+    assert (row == expected_row.ravel()).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from pathlib import Path
 
 import pytest
@@ -12,7 +13,7 @@ from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
+from estimator.store.importers.readings_csv import read_readings_csv, readings_and_faults, write_readings_csv
 from estimator.store.session import Session
 
 ONE_SENSOR = """
@@ -244,3 +245,47 @@ def test_an_unwritable_folder_is_refused(tmp_path: Path, rig: Rig) -> None:
     session = read_readings_csv(written(tmp_path, HEADER, ROW), rig)
     with pytest.raises(InvalidInput, match="must be writable"):
         write_readings_csv(session, tmp_path / "none" / "readings.csv")
+
+
+def test_one_stray_quote_loses_no_rows(tmp_path: Path, rig: Rig) -> None:
+    """To a reader that takes line ends into cells, rows 151 to 279 are the label of a segment."""
+    rows = [f"{i}{ROW[1:]},day 1" for i in range(280)]
+    rows[150] = rows[150].replace("day 1", '"day 1')
+    path = written(tmp_path, HEADER + ",segment", *rows)
+    with pytest.raises(
+        InvalidInput, match=r"a quote must enclose a whole cell; cell 9 .*readings.csv, line 152"
+    ):
+        read_readings_csv(path, rig)
+    table, session, faults = readings_and_faults(path, rig)
+    assert (table, session, len(faults)) == (None, None, 1)
+
+
+def test_a_cell_of_5000_digits_is_not_quoted_whole(tmp_path: Path, rig: Rig) -> None:
+    for cell in ("9" * 5000, "x" * 5000):
+        for line in range(len(HEADER.split(","))):
+            cells = NEXT.split(",")
+            cells[line] = cell
+            with pytest.raises(InvalidInput, match="line 3") as caught:
+                read_readings_csv(written(tmp_path, HEADER, ROW, ",".join(cells)), rig)
+            assert len(str(caught.value)) < 400
+    with pytest.raises(InvalidInput) as caught:
+        read_readings_csv(written(tmp_path, HEADER + "," + "x" * 5000, ROW + ",1"), rig)
+    assert len(str(caught.value)) < 700
+
+
+def test_a_hundred_thousand_columns_are_refused_at_once(tmp_path: Path, rig: Rig) -> None:
+    names, cells = (",".join(f"{name}{i}" for i in range(100_000)) for name in ("x", ""))
+    path = written(tmp_path, f"{HEADER},{names}", f"{ROW},{cells}")
+    begin_s = time.process_time()
+    with pytest.raises(
+        InvalidInput, match="at most 1000 columns beside the 18 that the rig knows; received 100008"
+    ):
+        read_readings_csv(path, rig)
+    assert time.process_time() - begin_s < 5.0
+
+
+def test_faults_of_a_thousand_rows_are_told_and_the_others_counted(tmp_path: Path, rig: Rig) -> None:
+    rows = [f"{i}{ROW[1:]}".replace("1e-3", "OVLD") for i in range(3000)]
+    faults = readings_and_faults(written(tmp_path, HEADER, *rows), rig).faults
+    assert len(faults) == 1001
+    assert "2000 more rows from here on have a fault as those above" in str(faults[-1])
