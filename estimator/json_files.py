@@ -49,9 +49,9 @@ def json_of(content: bytes | str, origin: Path | str, fault: type[CoilcalError] 
     except RecursionError:
         raise fault(f"{origin} must be JSON of at most {MOST_LEVELS} levels; it has more") from None
     except json.JSONDecodeError as error:
-        raise fault(
-            f"{origin} must be JSON; {error.msg[:1].lower()}{error.msg[1:]} in line {error.lineno}, column {error.colno}"
-        ) from error
+        line = f"line {error.lineno}, " if "\n" in text.strip() else ""
+        words = f"{error.msg[:1].lower()}{error.msg[1:]} at {line}column {error.colno}"
+        raise fault(f"{origin} must be JSON; {words}") from error
     except UnicodeEncodeError as error:
         raise fault(f"{origin} must be JSON of whole characters; it holds half a one") from error
     except ValueError as error:  # of the hooks, and of whole numbers with thousands of digits

@@ -6,9 +6,11 @@ A line reads `seconds > b'sent'` or `seconds < b'received'`, with bytes in Pytho
 from __future__ import annotations
 
 import ast
+import errno
 import logging
 import os
 import re
+import stat
 import threading
 import time
 from collections import deque
@@ -22,6 +24,7 @@ from drivers.transport.port import Port
 
 _LOG = logging.getLogger(__name__)
 
+_MOST_BYTES = 200_000_000
 _LINE = re.compile(r"(?P<time_s>\d+\.\d+) (?P<direction>[<>]) (?P<data>b['\"].*)")
 
 
@@ -81,6 +84,22 @@ def decode(text: str, name: str) -> list[Chunk]:
     return chunks
 
 
+def _text_of(path: Path) -> str:
+    """The text of a regular file of a limited size; on a pipe, opening would wait for ever.
+
+    Raises:
+        OSError: It is something else, larger, or cannot be read.
+    """
+    # The estimator's own opener is out of reach: drivers run without it.
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "it is no regular file")
+    with os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+        content = file.read(_MOST_BYTES + 1)
+    if len(content) > _MOST_BYTES:
+        raise OSError(errno.EFBIG, f"it holds more than {_MOST_BYTES} bytes")
+    return content.decode()
+
+
 class ReplayedPort:
     """Plays the instrument's part of a transcript, with the recorded timing; the driver must send what it sent then.
 
@@ -104,10 +123,9 @@ class ReplayedPort:
             DeviceFault: The file cannot be read.
         """
         try:
-            text = path.read_text(encoding="utf-8")
+            return cls(decode(_text_of(path), str(path)), str(path))
         except (OSError, UnicodeDecodeError) as error:
             raise DeviceFault(f"{path} must be readable as a transcript; {error}") from error
-        return cls(decode(text, str(path)), str(path))
 
     @property
     def is_over(self) -> bool:

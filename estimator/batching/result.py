@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +14,8 @@ import xarray as xr
 
 from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
-from estimator.errors import InvalidInput
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.json_files import read_json
 from estimator.store.files import write_text
 
 
@@ -141,11 +141,11 @@ def probabilities(table: pd.DataFrame) -> pd.Series[float]:
 
 
 def _result(folder: Path) -> dict[str, Any]:
-    result: dict[str, Any] = json.loads((folder / RESULT_FILE).read_text(encoding="utf-8"))
+    result = read_json(folder / RESULT_FILE, fault=CorruptStore)
     summary_file = folder / CALIBRATION_FOLDER / SUMMARY_FILE
     result["is_sampled"] = summary_file.exists()
     if result["is_sampled"]:
-        summary = json.loads(summary_file.read_text(encoding="utf-8"))
+        summary = read_json(summary_file, fault=CorruptStore)
         result["parameters"] = {
             name: {key: numbers[key] for key in ("median", "sd", "ci90", "unit")}
             for name, numbers in summary["parameters"].items()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 import uuid
 from collections.abc import Iterator
@@ -20,8 +19,9 @@ from estimator.calibration.result import SUMMARY_FILE
 from estimator.code_version import code_version
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.errors import CoilcalError
+from estimator.errors import CoilcalError, CorruptStore
 from estimator.inference.ensemble import SamplerSettings
+from estimator.json_files import read_json, sealed
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.metrics import HALF_WIDTH_90, error_metrics
@@ -132,10 +132,9 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
 
 def is_enough(posterior: Path, settings: SamplerSettings) -> bool:
     """Whether a posterior meets the targets or has taken all allowed steps."""
-    try:
-        sampling = json.loads((posterior / SUMMARY_FILE).read_text(encoding="utf-8"))["sampling"]
-    except FileNotFoundError:
+    if not (posterior / SUMMARY_FILE).exists():
         return False
+    sampling = read_json(posterior / SUMMARY_FILE, fault=CorruptStore)["sampling"]
     ess, rhat = sampling["smallest_ess"], sampling["largest_rhat"]
     has_met = ess >= settings.target_ess and rhat is not None and rhat <= settings.largest_rhat
     return bool(has_met or sampling["steps"] >= settings.max_steps)
@@ -189,7 +188,7 @@ def _write(folder: Path, result: dict[str, Any]) -> None:
     if not (folder / RESULT_FILE).exists():
         unfinished = folder.with_name(attempt)
         unfinished.mkdir(parents=True)
-        write_text(unfinished / RESULT_FILE, json.dumps(result, indent=2, allow_nan=False) + "\n")
+        write_text(unfinished / RESULT_FILE, sealed(result, indent=2))
         with suppress(OSError):  # another attempt was faster
             unfinished.rename(folder)
     for leftover in folder.parent.glob(f".{folder.name}.*{UNFINISHED}"):

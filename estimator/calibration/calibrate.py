@@ -29,11 +29,12 @@ from estimator.calibration.summary import finite, summary
 from estimator.devices import device_named, precision_named
 from estimator.effects.everywhere import WithEverywhere, with_everywhere
 from estimator.effects.use import as_meant
-from estimator.errors import InvalidInput, reason
+from estimator.errors import CorruptStore, InvalidInput, reason
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
 from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
+from estimator.json_files import read_json
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_precision, check_readings, check_units
 from estimator.rig.coordinates import Coordinates
@@ -248,11 +249,11 @@ def _new_backend(
 
 def _is_finished(folder: Path) -> bool:
     """Whether a folder holds a calibration that reached its targets."""
-    try:
-        return bool(json.loads((folder / SUMMARY_FILE).read_text(encoding="utf-8")).get("is_converged", True))
-    except OSError:
+    if not (folder / SUMMARY_FILE).exists():
         return False
-    except (ValueError, AttributeError):
+    try:
+        return bool(read_json(folder / SUMMARY_FILE, fault=CorruptStore).get("is_converged", True))
+    except CorruptStore:
         return True  # damaged, but not to be overwritten unasked
 
 

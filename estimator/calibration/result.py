@@ -19,10 +19,12 @@ from torch import Tensor
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.devices import numpy_of
-from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.errors import CorruptStore, InvalidInput, cut, reason
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
+from estimator.given_files import MOST_RESULT_BYTES, read_given
+from estimator.json_files import json_object
 from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -31,6 +33,7 @@ from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.admission import admit, admit_readings
 from estimator.store.files import write_text
 from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
+from estimator.units import LARGEST
 
 SCHEMA_VERSION = 1
 POSTERIOR_STORE, SUMMARY_FILE = "posterior.zarr", "summary.json"
@@ -85,7 +88,7 @@ class Calibration:
                 configuration; any other mover that carries a coil must be named.
         Returns: Bx, By, Bz; NaN at points inside a winding.
         Raises:
-            InvalidInput: An unknown coil or mover, a mover without its motion, or a number that is not finite.
+            InvalidInput: An unknown coil or mover, a mover without its motion, or a number that is not finite or beyond `LARGEST`.
         """
         room = self.room(points_m, motion)
         return room.field_T(self.best_values(points_m), self.currents(currents_A, points_m))
@@ -168,10 +171,11 @@ class Calibration:
         carriers = {coil.carried_by for coil in self.rig.coils}
         for mover in self.rig.movers:
             if mover.name in motion:
-                if motion[mover.name].shape[-1] != 6 or not torch.isfinite(motion[mover.name]).all():
-                    received = motion[mover.name].tolist()
+                numbers = motion[mover.name]
+                if numbers.shape[-1] != 6 or not bool((numbers.abs() <= LARGEST).all()):
+                    received = cut(str(numbers.tolist()), 200)
                     raise InvalidInput(
-                        f"motion of {mover.name} must be six finite numbers; received {received}"
+                        f"motion of {mover.name} must be six numbers between {-LARGEST:g} and {LARGEST:g}; received {received}"
                     )
             elif mover.name in carriers and mover.motion is not MotionKind.DISPLACEMENT:
                 raise InvalidInput(
@@ -258,8 +262,8 @@ class Calibration:
             )
         admit(folder / POSTERIOR_STORE, "calibration")
         try:
-            text = (folder / SUMMARY_FILE).read_bytes()
-            summary = json.loads(text)
+            text = read_given(folder / SUMMARY_FILE, MOST_RESULT_BYTES, CorruptStore)
+            summary = json_object(text, folder / SUMMARY_FILE, CorruptStore)
             with (
                 quiet_zarr(),
                 xr.open_datatree(
@@ -333,8 +337,9 @@ class Calibration:
                 raise InvalidInput(
                     f"currents must name coils of the rig ({', '.join(names)}); received {name!r}"
                 )
-            if not math.isfinite(currents_A[name]):
-                raise InvalidInput(f"current of {name} must be finite; received {currents_A[name]}")
+            if not abs(currents_A[name]) <= LARGEST:
+                rule = f"current of {name} must lie between {-LARGEST:g} and {LARGEST:g}"
+                raise InvalidInput(f"{rule}; received {currents_A[name]:g}")
         return like.new_tensor([float(currents_A.get(name, 0.0)) for name in names])
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import ess_option, json_option, prediction_options, seed_option
+from estimator.cli.options import MOST_PROCESSES, ess_option, json_option, prediction_options, seed_option
 from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show, tell_progress
 from estimator.errors import InvalidInput
 
@@ -49,7 +49,9 @@ from estimator.errors import InvalidInput
 )
 @ess_option
 @click.option(
-    "--workers", type=click.IntRange(min=1), help="Processes on this computer; by default one per processor."
+    "--workers",
+    type=click.IntRange(1, MOST_PROCESSES),
+    help="Processes on this computer; by default one per processor.",
 )
 @click.option(
     "--scheduler",

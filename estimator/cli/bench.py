@@ -32,7 +32,7 @@ PARTS = {
 )
 @click.option(
     "--repeats",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 10_000),
     default=5,
     show_default=True,
     help="Repeats, of which median, smallest and largest are printed.",

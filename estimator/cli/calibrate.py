@@ -20,6 +20,7 @@ from estimator.cli.options import (
 )
 from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
 
+MOST_WALKERS, MOST_STEPS = 100_000, 1_000_000_000  # more fit into no memory
 MOST_LISTED = 50  # amplitudes on the screen
 
 
@@ -36,13 +37,13 @@ MOST_LISTED = 50  # amplitudes on the screen
 @ess_option
 @click.option(
     "--walkers",
-    type=click.IntRange(min=0),
+    type=click.IntRange(0, MOST_WALKERS),
     default=0,
     help="Walkers of the ensemble; 0 means 32, or two per free parameter if that is more.",
 )
 @click.option(
     "--max-steps",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, MOST_STEPS),
     default=20_000,
     show_default=True,
     help="Stop after this many steps of each walker, converged or not.",

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import json
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
@@ -15,10 +13,12 @@ from estimator.cli.understood import rig_lines, rig_record
 from estimator.cli.words import duration_words
 from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
 from estimator.diagnosis.verdict import UNKNOWN
-from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.json_files import read_json
 from estimator.recalibration.registry import LOG, VERSIONS, Registry
 from estimator.reporting.numbers import displays, interval_with_unit, probability, quantity_words
 from estimator.rig_files.read import load_rig
+from estimator.store.importers.csv_lines import cells_of, csv_blocks
 from estimator.store.importers.readings_csv import FIELD
 from estimator.store.session import Session, is_growing, is_session, load_session
 from estimator.units import split_unit
@@ -89,11 +89,13 @@ def _kind_of_csv(path: Path) -> str | None:
 
 def _csv(path: Path) -> tuple[list[str], int]:
     """Header and number of rows."""
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            return next(csv.reader(file), []), sum(1 for line in file if line.strip())
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
+    header: list[str] = []
+    n_lines = 0
+    for block in csv_blocks(path):
+        if not n_lines and block.texts:
+            header = cells_of(block.texts[0], path, block.numbers[0])
+        n_lines += len(block.texts)
+    return header, max(n_lines - 1, 0)
 
 
 def _known_inside(folder: Path) -> list[tuple[str, str]]:
@@ -204,7 +206,7 @@ def _unfinished(path: Path) -> Contents:
 
 def _diagnosis(path: Path) -> Contents:
     try:
-        told = json.loads((path / DIAGNOSIS).read_text(encoding="utf-8"))
+        told = read_json(path / DIAGNOSIS, fault=CorruptStore)
         lines = [f"verdict: {told['verdict']}"]
         for cause in told["causes"]:
             others = [other["name"] for other in cause.get("alternatives", [])]
@@ -216,8 +218,8 @@ def _diagnosis(path: Path) -> Contents:
             lines.append(f"to tell more, measure {told['next_measurement'][0]['action']}")
         if told["ended_early"]:
             lines.append(f"the diagnosis ended early: {told['ended_early']}")
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        words = reason(error) if isinstance(error, OSError) else f"{type(error).__name__} {error}"
+    except (KeyError, TypeError, AttributeError, IndexError) as error:
+        words = f"{type(error).__name__} {error}"
         raise CorruptStore(f"diagnosis must be readable; {path / DIAGNOSIS} is damaged: {words}") from error
     if (path / CALIBRATION_FOLDER / SUMMARY_FILE).is_file():
         lines.append(f"calibration of the extended rig: {path / CALIBRATION_FOLDER}")

@@ -6,7 +6,6 @@ arrives once whatever is killed or cut off in between.
 
 from __future__ import annotations
 
-import json
 import threading
 import uuid
 from collections.abc import Callable, Mapping
@@ -16,6 +15,8 @@ from typing import Any
 
 from estimator.client import Client, RemoteSession, ServiceFault
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
+from estimator.given_files import MOST_SETTINGS_BYTES
+from estimator.json_files import read_json, sealed
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text
 from estimator.store.follow import Follower
@@ -53,16 +54,16 @@ class Receipt:
         Raises:
             CorruptStore: The file holds something else.
         """
-        try:
-            return cls(**json.loads((session / RECEIPT).read_text(encoding="utf-8")))
-        except FileNotFoundError:
+        if not (session / RECEIPT).exists():
             return None
-        except (ValueError, TypeError) as error:
+        try:
+            return cls(**read_json(session / RECEIPT, MOST_SETTINGS_BYTES, CorruptStore))
+        except TypeError as error:
             raise CorruptStore(f"receipt must be as coilcal writes it; {session / RECEIPT} is not") from error
 
     def save(self, session: Path) -> None:
         """Write it; whole, or as it was."""
-        write_text(session / RECEIPT, json.dumps(asdict(self), indent=2) + "\n")
+        write_text(session / RECEIPT, sealed(asdict(self), indent=2))
 
 
 @dataclass(frozen=True)

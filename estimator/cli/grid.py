@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,10 +72,10 @@ def _axis(text: str) -> tuple[str, np.ndarray]:
         or not np.isfinite(numbers).all()
     ):
         raise InvalidInput(
-            f"--grid must look like x_mm=-50:50:11, which is 11 points from -50 to 50, or z_mm=20; received {text!r}"
+            f"--grid must look like x_mm=-50:50:11, which is 11 points from -50 to 50, or z_mm=20; received {quoted(text)}"
         )
     if count > MOST_POINTS or max(map(abs, numbers[:2])) > LARGEST:
         raise InvalidInput(
-            f"--grid must have at most {MOST_POINTS} points within {LARGEST:g} of 0; received {text!r}"
+            f"--grid must have at most {MOST_POINTS} points within {LARGEST:g} of 0; received {quoted(text)}"
         )
     return name, np.linspace(numbers[0], numbers[-2 if len(numbers) == 3 else 0], count) * unit.to_si

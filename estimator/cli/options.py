@@ -8,6 +8,10 @@ from typing import Any
 
 import click
 
+MOST_PROCESSES = (
+    1024  # threads or workers; no computer has more processors, and a million threads end the program
+)
+
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")

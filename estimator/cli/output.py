@@ -17,13 +17,16 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import click
+from click.core import ParameterSource
 
 from drivers.errors import DriverError, Refused
-from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, cut, quoted, reason
+from estimator.units import LARGEST
 
 EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED, EXIT_DEVICE = 2, 3, 4, 5
 EXIT_UNUSABLE, EXIT_UNDELIVERED = 6, 7
 EXIT_DRIFTED, EXIT_REJECTED = 10, 11
+LONG_WORD = re.compile(r"\S{200,}")
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
@@ -53,7 +56,38 @@ def _log(_: click.Context, __: click.Parameter, value: bool) -> None:
             logging.getLogger(package).setLevel(logging.DEBUG)
 
 
-class CoilcalCommand(click.Command):
+class ShortMessages(click.Command):
+    """A command that quotes no more of a wrong argument than tells what it is."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """See `click.Command.parse_args`."""
+        with _shortened():
+            return super().parse_args(ctx, args)
+
+
+class CoilcalGroup(ShortMessages, click.Group):
+    """A group of commands that quotes no more of a wrong argument than tells what it is."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """See `click.Group.resolve_command`."""
+        with _shortened():
+            return super().resolve_command(ctx, args)
+
+
+@contextmanager
+def _shortened() -> Iterator[None]:
+    try:
+        yield
+    except click.UsageError as error:
+        message = error.format_message()
+        if not LONG_WORD.search(message):
+            raise
+        raise click.UsageError(LONG_WORD.sub(lambda found: cut(found[0]), message), error.ctx) from error
+
+
+class CoilcalCommand(ShortMessages):
     """A command that uses the threads of `--threads`, has `--quiet` and `--verbose`, and explains its faults."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -72,7 +106,22 @@ class CoilcalCommand(click.Command):
         """Run the command; help, completion and refused arguments never get here, so they do not load torch."""
         use_threads(ctx.find_root().params.get("threads", 1))
         with explained_errors(as_json=bool(ctx.params.get("as_json"))):
+            for option in self.params:
+                if ctx.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
+                    _check_size(option, ctx.params.get(option.name or ""))
             return super().invoke(ctx)
+
+
+def _check_size(option: click.Parameter, value: object) -> None:
+    """Refuse an option that is no number, or beyond what any calculation takes: NaN passes through a range, and infinity has no upper end.
+
+    Raises:
+        InvalidInput: The value is NaN, infinite or too large.
+    """
+    for each in value if isinstance(value, tuple) else (value,):
+        if isinstance(each, int | float) and not abs(each) <= LARGEST and each != option.default:
+            rule = f"{option.opts[0]} must be a number between {-LARGEST:g} and {LARGEST:g}"
+            raise InvalidInput(f"{rule}; received {quoted(each)}")
 
 
 def use_threads(n_threads: int) -> None:
@@ -125,7 +174,7 @@ def named_numbers(text: str, option: str, count: int) -> tuple[str, list[float]]
     """Parse an option such as coil1=3 or arm1=0,0,0.1,0,0,0: a name and finite numbers.
 
     Raises:
-        InvalidInput: The text has another form, or another count of numbers.
+        InvalidInput: The text has another form or another count of numbers, or a number is too large.
     """
     name, _, values = text.partition("=")
     try:
@@ -133,7 +182,13 @@ def named_numbers(text: str, option: str, count: int) -> tuple[str, list[float]]
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(math.isfinite(number) for number in numbers):
-        raise InvalidInput(f"{option} must look like NAME={','.join(['1.0'] * count)}; received {text!r}")
+        raise InvalidInput(
+            f"{option} must look like NAME={','.join(['1.0'] * count)}; received {quoted(text)}"
+        )
+    if max(map(abs, numbers)) > LARGEST:
+        raise InvalidInput(
+            f"{option} must give numbers between {-LARGEST:g} and {LARGEST:g}; received {quoted(text)}"
+        )
     return name, numbers
 
 
@@ -147,7 +202,7 @@ def named_number(texts: Sequence[str], option: str) -> dict[str, float]:
     for text in texts:
         name, (value,) = named_numbers(text, option, 1)
         if name in numbers:
-            raise InvalidInput(f"{option} must name {name} once; received it again in {text!r}")
+            raise InvalidInput(f"{option} must name {cut(name)} once; received it again in {quoted(text)}")
         numbers[name] = value
     return numbers
 

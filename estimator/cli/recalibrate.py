@@ -47,7 +47,7 @@ PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 )
 @click.option(
     "--rollback",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 999_999),
     metavar="VERSION",
     help="Make this earlier version current again, and do nothing else.",
 )

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import json_option
-from estimator.cli.output import CoilcalCommand, explained_errors, show, use_threads
+from estimator.cli.options import MOST_PROCESSES, json_option
+from estimator.cli.output import CoilcalCommand, CoilcalGroup, explained_errors, show, use_threads
 from estimator.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ data_option = click.option(
 )
 
 
-class ServeGroup(click.Group):
+class ServeGroup(CoilcalGroup):
     """A group whose own call explains its faults as commands do."""
 
     def invoke(self, ctx: click.Context) -> Any:
@@ -63,7 +63,7 @@ class ServeGroup(click.Group):
 @click.option(
     "--port", type=click.IntRange(0, 65_535), help="Port to listen at; 8765 by default, 0 takes a free one."
 )
-@click.option("--workers", type=click.IntRange(min=1), help="Processes that run jobs.")
+@click.option("--workers", type=click.IntRange(1, MOST_PROCESSES), help="Processes that run jobs.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the jobs instead.")
 @click.option("--open", "opens", is_flag=True, help="Show the page in the browser.")
 @click.option("--check", is_flag=True, help="Say what would be done, and end.")

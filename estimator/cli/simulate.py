@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @click.option(
     "--segments",
     "n_segments",
-    type=click.IntRange(min=1),
+    type=click.IntRange(1, 10_000),
     default=1,
     show_default=True,
     help="Parts of the session before each of which things are set up anew, for causes such as segment_zero.",

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from estimator.comparison.vtk_maps import SUFFIXES, read_vtk
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.field.grid_map import GridMap
 from estimator.given_files import read_given, read_given_text
-from estimator.units import UNITS
+from estimator.store.importers.csv_lines import cells_of
+from estimator.units import LARGEST, UNITS
 
 SEPARATORS = re.compile(r"[;,\t]|\s{2,}")
 COLUMN = re.compile(
@@ -32,6 +33,13 @@ class Column:
     to_si: float
 
 
+class Line(NamedTuple):
+    """A line of a file, and its number from 1."""
+
+    number: int
+    text: str
+
+
 def read_map(path: Path, current_A: float) -> GridMap:
     """The map per ampere.
 
@@ -47,25 +55,29 @@ def read_map(path: Path, current_A: float) -> GridMap:
     if path.suffix in SUFFIXES:
         return _of_vtk(path, current_A)
     text = read_given_text(path, MOST_BYTES)
-    lines = text.splitlines()
-    comments = [line.lstrip("% ") for line in lines if line.startswith("%")]
-    rows = [line for line in lines if line.strip() and not line.startswith("%")]
-    header = comments[-1] if comments else rows.pop(0) if rows else ""
-    columns = _columns(_cells(header), LENGTH_UNIT.search(text), path)
+    comments, rows = [], []
+    for number, line in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), start=1):
+        if line.startswith("%"):
+            comments.append(Line(number, line.lstrip("% ")))
+        elif line.strip():
+            rows.append(Line(number, line))
+    header = comments[-1] if comments else rows.pop(0) if rows else Line(1, "")
+    columns = _columns(_cells(header, path), LENGTH_UNIT.search(text), path)
     numbers = _numbers(rows, columns, path)
     return _on_grid(numbers[:, :3], numbers[:, 3:] / current_A, path)
 
 
 def _of_vtk(path: Path, current_A: float) -> GridMap:
     points_m, field_T = read_vtk(path, read_given(path, MOST_BYTES))
-    n_missing = int((~np.isfinite(field_T)).any(1).sum())
+    n_missing = int((~(np.abs(field_T) <= LARGEST)).any(1).sum())
     if n_missing:
         raise InvalidInput(f"field map must be finite; {n_missing} points are not ({path})")
     return _on_grid(points_m, field_T / current_A, path)
 
 
-def _cells(line: str) -> list[str]:
-    parts = next(csv.reader([line])) if "," in line else SEPARATORS.split(line.strip())
+def _cells(line: Line, path: Path) -> list[str]:
+    text = line.text
+    parts = cells_of(text, path, line.number) if "," in text else SEPARATORS.split(text.strip())
     return [part.strip() for part in parts]
 
 
@@ -85,7 +97,7 @@ def _columns(cells: list[str], length: re.Match[str] | None, path: Path) -> list
         unit = UNITS.get(symbol)
         if unit is None or unit.dimension != ("length" if name in "xyz" else "field"):
             raise InvalidInput(
-                f"column of a field map must have a unit, as x_mm or Bx (T); received {cell!r} ({path})"
+                f"column of a field map must have a unit, as x_mm or Bx (T); received {quoted(cell)} ({path})"
             )
         columns[name] = Column(index, unit.to_si)
     wanted = ("x", "y", "z", "Bx", "By", "Bz")
@@ -97,11 +109,11 @@ def _columns(cells: list[str], length: re.Match[str] | None, path: Path) -> list
     return [columns[name] for name in wanted]
 
 
-def _numbers(rows: list[str], columns: list[Column], path: Path) -> np.ndarray:
+def _numbers(rows: list[Line], columns: list[Column], path: Path) -> np.ndarray:
     """The six columns in SI."""
     wanted, factors = [column.index for column in columns], [column.to_si for column in columns]
     table = np.empty((len(rows), len(wanted)))
-    for i, row in enumerate(rows):
+    for i, (number, row) in enumerate(rows):
         cells = (
             row.split(",")
             if "," in row
@@ -112,11 +124,13 @@ def _numbers(rows: list[str], columns: list[Column], path: Path) -> np.ndarray:
         try:
             table[i] = [float(cells[index]) for index in wanted]
         except (ValueError, IndexError) as error:
-            raise InvalidInput(f"row of a field map must hold numbers; received {row!r} ({path})") from error
-    if not np.isfinite(table).all():
-        raise InvalidInput(
-            f"field map must be finite; {int((~np.isfinite(table)).any(1).sum())} rows are not ({path})"
-        )
+            words = f"row of a field map must hold numbers; received {quoted(row)}"
+            raise InvalidInput(f"{words} ({path}, line {number})") from error
+    is_wrong = ~(np.abs(table) <= LARGEST).all(1)
+    if is_wrong.any():
+        rule = f"field map must hold finite numbers between {-LARGEST:g} and {LARGEST:g}"
+        first = rows[int(is_wrong.argmax())].number
+        raise InvalidInput(f"{rule}; {int(is_wrong.sum())} rows do not ({path}, the first in line {first})")
     return table * factors
 
 

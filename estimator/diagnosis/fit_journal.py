@@ -22,10 +22,14 @@ from torch import Tensor
 
 from estimator.code_version import code_version
 from estimator.devices import numpy_of
+from estimator.errors import CorruptStore
 from estimator.field.winding import Rule
+from estimator.given_files import MOST_TABLE_BYTES, read_given
 from estimator.inference.levenberg_marquardt import Optimum
+from estimator.json_files import json_object, sealed, unsealed
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
+from estimator.store.files import write_bytes
 
 FITS = "fits.jsonl"
 _current: ContextVar[FitJournal | None] = ContextVar("current", default=None)
@@ -35,7 +39,7 @@ class FitJournal:
     """Maxima by what was fitted, in a file with one line each.
 
     Args:
-        path: The file; a last line that was torn by an interruption is dropped.
+        path: The file. A line that was torn by an interruption or altered since is dropped, and its maximum is sought again.
     """
 
     def __init__(self, path: Path) -> None:
@@ -43,11 +47,21 @@ class FitJournal:
         self._lines: dict[str, str] = {}
         self._writing = Lock()  # fits end in several threads, and their long lines must not mix
         if path.exists():
-            whole = path.read_bytes().rpartition(b"\n")[0] + b"\n"
-            path.write_bytes(whole.lstrip(b"\n"))
-            for line in whole.decode().splitlines():
-                if line:
-                    self._lines[json.loads(line)["key"]] = line
+            content = read_given(path, MOST_TABLE_BYTES, CorruptStore)
+            whole = b"".join(line for line in content.splitlines(keepends=True) if self._take(line))
+            if whole != content:
+                write_bytes(path, whole)
+
+    def _take(self, line: bytes) -> bool:
+        """Whether a line is whole; it is remembered then."""
+        try:
+            known = unsealed(json_object(line, self.path, CorruptStore), self.path, CorruptStore)
+        except CorruptStore:
+            return False
+        if not line.endswith(b"\n") or not isinstance(known.get("key"), str):
+            return False
+        self._lines[known["key"]] = line.decode()
+        return True
 
     def __len__(self) -> int:
         return len(self._lines)
@@ -70,7 +84,7 @@ class FitJournal:
     def add(self, key: str, optimum: Optimum) -> None:
         """Remember a maximum (one row)."""
         numbers = (optimum.vector, optimum.log_posterior, optimum.precision, optimum.information)
-        line = json.dumps(
+        line = sealed(
             {
                 "key": key,
                 "is_converged": bool(optimum.is_converged[0]),
@@ -80,7 +94,7 @@ class FitJournal:
         )
         self._lines[key] = line
         with self._writing, self.path.open("a", encoding="utf-8") as file:
-            file.write(line + "\n")
+            file.write(line)
             file.flush()
             os.fsync(file.fileno())
 

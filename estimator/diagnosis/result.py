@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,6 +28,7 @@ from estimator.diagnosis.validation import Improvement
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
+from estimator.json_files import sealed
 from estimator.readings.flags import Flag
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause, Rig
@@ -325,8 +325,8 @@ class Diagnosis:
         return result
 
     def save(self, folder: Path) -> None:
-        """Write `diagnosis.json` and `rig_extended.yaml`."""
-        write_text(folder / DIAGNOSIS, json.dumps(self.to_json(), indent=2, allow_nan=False) + "\n")
+        """Write `diagnosis.json`, sealed by its SHA-256, and `rig_extended.yaml`."""
+        write_text(folder / DIAGNOSIS, sealed(self.to_json(), indent=2))
         note = NOTE if self.extended_rig.acting else ""
         write_text(folder / EXTENDED_RIG, rig_text(self.extended_rig, note))
 

@@ -129,7 +129,8 @@ def _perhaps_equal(codes: Codes) -> npt.NDArray[np.intp]:
     rows = np.flatnonzero(~np.isnan(codes).any(axis=1))
     hashes = (codes[rows] + 0.0).view(np.uint64) @ HASHED_BY
     _, index, counts = np.unique(hashes, return_inverse=True, return_counts=True)
-    return rows[counts[index] > 1]
+    alike: npt.NDArray[np.intp] = rows[counts[index] > 1]
+    return alike
 
 
 def _filled_in(codes: Codes) -> list[int]:

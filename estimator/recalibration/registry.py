@@ -16,8 +16,8 @@ import json
 import os
 import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -26,13 +26,22 @@ import numpy as np
 import xarray as xr
 
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
-from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.errors import CorruptStore, InvalidInput, quoted, reason
+from estimator.given_files import (
+    MOST_RESULT_BYTES,
+    MOST_SETTINGS_BYTES,
+    open_lock,
+    read_given,
+    read_given_text,
+)
+from estimator.json_files import json_object, read_json, sealed, unsealed
 from estimator.rig_files.write import rig_text
 from estimator.store.files import write_text
 
 VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
 RIG, PROVENANCE = "rig.yaml", "provenance.json"
 ROLLED_BACK = "rolled_back"
+TORN = b'{"conclusion": "'  # how an entry begins of which a kill left a part
 
 
 class RegistryBusy(InvalidInput):
@@ -73,6 +82,36 @@ class Entry:
     checks: Mapping[str, Any] = field(default_factory=dict)
     estimate: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
+    @classmethod
+    def of_line(cls, line: bytes, origin: str) -> Entry:
+        """The entry in a line of the log; one of version 0.2 has no seal.
+
+        Args:
+            line: The line, without its end.
+            origin: Its place, for messages.
+        Raises:
+            CorruptStore: It is no entry, or does not match its seal.
+        """
+        return cls.of(unsealed(json_object(line, origin, CorruptStore), origin, CorruptStore), origin)
+
+    @classmethod
+    def of(cls, content: object, origin: str) -> Entry:
+        """The entry that JSON holds; `origin` names its place in messages.
+
+        Raises:
+            CorruptStore: It is another object.
+        """
+        keys = {each.name for each in fields(cls)}
+        if not isinstance(content, dict) or not {"conclusion", "reason"} <= set(content) <= keys:
+            raise CorruptStore(f"entry must have the keys that coilcal writes; {origin} has others")
+        entry = cls(**content)
+        words = (entry.conclusion, entry.reason, entry.session, entry.hash, entry.taken, entry.concluded)
+        if not all(isinstance(word, str) for word in words) or not all(
+            number is None or type(number) is int for number in (entry.version, entry.made)
+        ):
+            raise CorruptStore(f"entry must be as coilcal writes it; {origin} is another")
+        return entry
+
     def line(self) -> str:
         """The entry as one line of JSON."""
         return json.dumps(asdict(self), allow_nan=False)
@@ -109,16 +148,24 @@ class Registry:
         Raises:
             CorruptStore: A line is damaged. An incomplete last line, left by a kill, is ignored.
         """
-        try:
-            lines = (self.folder / LOG).read_text(encoding="utf-8").splitlines(keepends=True)
-        except FileNotFoundError:
-            return []
-        try:
-            return [Entry(**json.loads(line)) for line in lines if line.endswith("\n")]
-        except (ValueError, TypeError) as error:
-            raise CorruptStore(
-                f"log must hold one JSON object per line; {self.folder / LOG}: {error}"
-            ) from error
+        return self._read_log()[0]
+
+    def _read_log(self) -> tuple[list[Entry], int]:
+        """All entries, and the length in bytes of their lines without the end of the last one."""
+        log = self.folder / LOG
+        if not log.exists():
+            return [], 0
+        *lines, last = read_given(log, MOST_RESULT_BYTES, CorruptStore).split(b"\n")
+        entries = [Entry.of_line(line, f"{log}, line {number}") for number, line in enumerate(lines, start=1)]
+        with suppress(
+            CorruptStore
+        ):  # a line that lacks only its end is an entry, which was reported as written
+            entries.append(Entry.of_line(last, str(log)))
+            lines.append(last)
+            last = b""
+        if not _is_torn(last):
+            raise CorruptStore(f"log must end in an entry, or in part of one; {log} does not")
+        return entries, len(b"\n".join(lines))
 
     def calibration(self, version: int | None = None) -> Calibration:
         """One version; by default the current one.
@@ -185,7 +232,7 @@ class Registry:
 
         try:
             (self.folder / VERSIONS).mkdir(parents=True, exist_ok=True)
-            file = (self.folder / LOCK).open("w")
+            file = open_lock(self.folder / LOCK)
         except OSError as error:
             raise InvalidInput(
                 f"registry must be a folder that can be written; {self.folder} is not: {reason(error)}"
@@ -232,10 +279,7 @@ class Registry:
         Returns: The delivered entries.
         """
         entries = self.entries()
-        told = (self.folder / TOLD).read_text(encoding="utf-8").strip()
-        if not told.isdecimal():
-            raise CorruptStore(f"registry must count who was told; {self.folder / TOLD} holds {told[:20]!r}")
-        n_told = int(told)
+        n_told = self._n_told()
         delivered = []
         for number, entry in enumerate(entries[n_told:], start=n_told + 1):
             if entry.hash:
@@ -263,6 +307,12 @@ class Registry:
         self._point()
         return entry
 
+    def _n_told(self) -> int:
+        told = read_given_text(self.folder / TOLD, MOST_SETTINGS_BYTES, CorruptStore).strip()
+        if not (told.isascii() and told.isdecimal() and len(told) < 10):
+            raise CorruptStore(f"registry must count who was told; {self.folder / TOLD} holds {quoted(told)}")
+        return int(told)
+
     def _path(self, version: int | None) -> Path:
         version = self.current if version is None else version
         if version not in self.versions:
@@ -274,10 +324,7 @@ class Registry:
 
     def _summary(self, version: int) -> Mapping[str, Any]:
         path = self._path(version) / SUMMARY_FILE
-        try:
-            summary: Mapping[str, Any] = dict(json.loads(path.read_text(encoding="utf-8")))
-        except (OSError, ValueError, TypeError, RecursionError) as error:
-            raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
+        summary = read_json(path, fault=CorruptStore)
         if not isinstance(summary.get("parameters"), dict):
             raise CorruptStore(f"version must be whole; {path} is damaged: it holds no parameters")
         return summary
@@ -295,12 +342,12 @@ class Registry:
             **provenance,
             "entry": asdict(entry),
         }
-        write_text(partial / PROVENANCE, json.dumps(content, indent=2, allow_nan=False) + "\n")
+        write_text(partial / PROVENANCE, sealed(content, indent=2))
         partial.rename(self.folder / VERSIONS / f"{entry.made:04d}")
 
     def _log(self, entry: Entry) -> None:
         with (self.folder / LOG).open("a", encoding="utf-8") as file:
-            file.write(entry.line() + "\n")
+            file.write(sealed(asdict(entry)))
             file.flush()
             os.fsync(file.fileno())
 
@@ -317,20 +364,44 @@ class Registry:
     def _complete(self) -> None:
         """Remove unfinished files, and complete the log and the link of committed versions."""
         shutil.rmtree(self.folder / VERSIONS / ".partial", ignore_errors=True)
-        log = self.folder / LOG
-        if log.exists() and not log.read_bytes().endswith(b"\n"):
-            os.truncate(log, log.read_bytes().rfind(b"\n") + 1)
-        entries = self.entries()
+        entries, end = self._read_log()  # checked before anything is cut off
+        if entries:
+            _end_line(self.folder / LOG, end)
+        elif (self.folder / LOG).exists():
+            os.truncate(self.folder / LOG, 0)
         if not (self.folder / TOLD).exists():  # a new registry, or one from before notifications were counted
             write_text(self.folder / TOLD, f"{len(entries)}\n")
+        if self._n_told() > len(entries):
+            rule = f"log must hold the {self._n_told()} entries that were told"
+            cure = f"take it from a backup, or remove {self.folder / TOLD} to go on without them"
+            raise CorruptStore(f"{rule}; {self.folder / LOG} holds {len(entries)}: {cure}")
         logged = {entry.made for entry in entries}
         for version in self.versions:
             if version not in logged:
                 path = self.folder / VERSIONS / f"{version:04d}" / PROVENANCE
-                try:
-                    entry = Entry(**json.loads(path.read_text(encoding="utf-8"))["entry"])
-                except (OSError, ValueError, TypeError, KeyError) as error:
-                    raise CorruptStore(f"version must be whole; {path} is damaged: {error}") from error
-                self._log(entry)
+                self._log(Entry.of(read_json(path, fault=CorruptStore).get("entry"), str(path)))
         if self.entries():
             self._point()
+
+
+def _is_torn(line: bytes) -> bool:
+    """Whether a kill may have left this of an entry: its beginning, and not all of it with something behind."""
+    if not (line.startswith(TORN) or TORN.startswith(line)) or not line.isascii() or b"\0" in line:
+        return False
+    try:
+        json.JSONDecoder().raw_decode(line.decode())
+    except ValueError:
+        return True
+    return False
+
+
+def _end_line(log: Path, end: int) -> None:
+    """Cut off what follows the last whole entry, and end its line."""
+    with log.open("r+b") as file:
+        file.seek(end)
+        if file.read() != b"\n":
+            file.seek(end)
+            file.write(b"\n")
+            file.truncate()
+            file.flush()
+            os.fsync(file.fileno())

@@ -15,8 +15,10 @@ import yaml
 from scipy.spatial.transform import Rotation
 
 from estimator.errors import InvalidInput, reason
+from estimator.given_files import MOST_SETTINGS_BYTES, read_given_text
 from estimator.rig.arms import ARMS, DenavitHartenberg
 from estimator.rig_files.joint_axes import Axis, Matrix, table_of_axes
+from estimator.yaml_section import Loader
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -67,9 +69,12 @@ def corrections_from_ros(path: Path, robot: str) -> DenavitHartenberg:
 
 def _links(path: Path) -> list[Matrix]:
     """Transforms of each link in the one before, with its joint at zero."""
+    text = read_given_text(path, MOST_SETTINGS_BYTES)
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        document = Loader(text, str(path)).get_single_data()
+    except (yaml.YAMLError, ValueError, TypeError) as error:
+        if isinstance(error, InvalidInput):
+            raise
         raise InvalidInput(f"{path} must be a YAML file that can be read: {reason(error)}") from error
     links = document.get("kinematics") if isinstance(document, dict) else None
     transforms = []

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from estimator.errors import InvalidInput, reason
+from estimator.given_files import MOST_SETTINGS_BYTES, open_given
 from estimator.rig.arms import N_JOINTS, ArmEnds, DenavitHartenberg
 from estimator.rig_files.joint_axes import Axis, Matrix, table_of_axes
 
@@ -39,6 +40,7 @@ def _axes(path: Path, base: str, flange: str) -> tuple[list[Axis], Matrix]:
         raise InvalidInput(
             f"a URDF needs the extra coilcal[urdf] (pip install 'coilcal[urdf]'); received {path}"
         ) from error
+    open_given(path, MOST_SETTINGS_BYTES, rule="must be a URDF that can be read").close()
     try:
         robot = URDF.load(str(path), build_scene_graph=False, load_meshes=False).robot
     except Exception as error:  # of its parser, of any type

@@ -16,7 +16,8 @@ from typing import Any
 
 import torch
 
-from estimator.errors import CoilcalError
+from estimator.errors import CoilcalError, CorruptStore
+from estimator.json_files import read_json
 from estimator.service.tasks import (
     BATCH,
     CALIBRATION,
@@ -196,10 +197,8 @@ def report_file(kind: str, folder: Path) -> Path:
 def _is_converged(out: Path) -> bool:
     from estimator.calibration.result import SUMMARY_FILE
 
-    try:
-        return bool(json.loads((out / SUMMARY_FILE).read_text(encoding="utf-8"))["is_converged"])
-    except FileNotFoundError:
-        return False
+    summary = out / SUMMARY_FILE
+    return summary.exists() and bool(read_json(summary, fault=CorruptStore)["is_converged"])
 
 
 def _teller(folder: Path) -> Tell:

@@ -6,15 +6,15 @@ metadata of a store that came from elsewhere are read here first, by plain JSON.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from estimator.errors import CorruptStore
+from estimator.given_files import read_given
+from estimator.json_files import json_object
 from estimator.rig.rig import Rig
 from estimator.store.chunks import admit_chunk
 from estimator.units import LARGEST
@@ -110,12 +110,8 @@ def admit_readings(stored: Mapping[str, np.ndarray], rig: Rig, file: str) -> Non
 
 def _numbers_of(file: Path, what: str) -> int:
     """Numbers that a node of zarr claims to hold, after a look at its metadata and chunks; 0 for a group."""
-    if file.stat().st_size > MOST_METADATA_BYTES:
-        raise CorruptStore(
-            f"{what} must have metadata of at most {MOST_METADATA_BYTES} bytes; {file} is larger"
-        )
     try:
-        node: Mapping[str, Any] = json.loads(file.read_text(encoding="utf-8"))
+        node = json_object(read_given(file, MOST_METADATA_BYTES, CorruptStore), file, CorruptStore)
         if node["zarr_format"] != 3:
             raise CorruptStore(f"{what} must be of zarr format 3; {file} is of {node['zarr_format']!r}")
         if node["node_type"] == "group":

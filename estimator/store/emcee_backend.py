@@ -35,6 +35,8 @@ from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.errors import CorruptStore, InvalidInput
+from estimator.given_files import MOST_RESULT_BYTES, read_given
+from estimator.json_files import json_object
 from estimator.store.journal import sync
 
 SCHEMA_VERSION = 1
@@ -264,10 +266,10 @@ def _render_group(attributes: Mapping[str, Any]) -> bytes:
 def _read_attributes(path: Path) -> dict[str, Any]:
     """Attributes of the last commit; the file must be byte for byte what a commit writes."""
     try:
-        content = (path / "zarr.json").read_bytes()
-        attributes: dict[str, Any] = json.loads(content)["attributes"]
+        content = read_given(path / "zarr.json", MOST_RESULT_BYTES, CorruptStore)
+        attributes: dict[str, Any] = json_object(content, path / "zarr.json", CorruptStore)["attributes"]
         version, _ = attributes["schema_version"], attributes.pop("attributes_crc32")
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (CorruptStore, KeyError, TypeError, AttributeError) as error:
         raise CorruptStore(f"zarr.json of chain store {path} is missing, truncated or altered") from error
     if version != SCHEMA_VERSION:
         raise CorruptStore(

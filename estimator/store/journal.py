@@ -19,6 +19,8 @@ from types import TracebackType
 from typing import Any, TypeAlias
 
 from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.given_files import MOST_TABLE_BYTES, read_given
+from estimator.json_files import json_object
 
 JOURNAL = "journal.jsonl"
 
@@ -211,7 +213,7 @@ def _line(number: int, entry: Mapping[str, Any]) -> bytes:
 
 def _parsed(path: Path) -> tuple[list[Entry], int]:
     """All entries of a journal, including the header, and the offset of their end."""
-    data = path.read_bytes()
+    data = read_given(path, MOST_TABLE_BYTES, CorruptStore)
     last = data[data.rfind(b"\n") + 1 :]
     # A last line that lacks only its line feed is whole.
     entries, size = parsed_lines(data + b"\n" if _is_whole(last) else data, 0, path)
@@ -237,12 +239,7 @@ def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Entry], int]
     for number, line in enumerate(lines, start=first):
         if not _is_whole(line):
             raise CorruptStore(f"session must match its checksums; line {number + 1} of {path} does not")
-        try:
-            entry = dict(json.loads(line.partition(b" ")[2]))
-        except (ValueError, TypeError, RecursionError) as error:
-            raise CorruptStore(
-                f"session must hold an entry in each line; line {number + 1} of {path} holds none"
-            ) from error
+        entry = json_object(line.partition(b" ")[2], f"{path}, line {number + 1}", CorruptStore)
         if entry.pop("n", None) != number:
             raise CorruptStore(
                 f"session must hold all its lines; line {number + 1} of {path} has another number"

@@ -25,6 +25,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
+from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Mover, Rig
 from estimator.rig_files.devices import without_devices
@@ -267,7 +268,9 @@ def _from_journal(path: Path) -> Session:
 def is_session(path: Path) -> bool:
     """Whether a session is at this path, sealed or growing."""
     group = path / GROUP
-    return is_growing(path) or (group.is_file() and KIND.encode() in group.read_bytes())
+    return is_growing(path) or (
+        group.is_file() and KIND.encode() in read_given(group, MOST_RESULT_BYTES, CorruptStore)
+    )
 
 
 def _described(body: Body | Mover) -> str:

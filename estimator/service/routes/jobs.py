@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
@@ -14,7 +13,9 @@ from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.result import EXTENDED_RIG
+from estimator.errors import CorruptStore
 from estimator.inference.ensemble import SamplerSettings
+from estimator.json_files import read_json
 from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
 from estimator.service.database import now
@@ -335,7 +336,7 @@ def _result_of(core: Core, job: Job) -> JobResult:
     extended = None
     if job.kind == "diagnose":
         extended = (folder / DIAGNOSIS / EXTENDED_RIG).read_text(encoding="utf-8")
-    result = json.loads(result_file(job.kind, folder).read_text(encoding="utf-8"))
+    result = read_json(result_file(job.kind, folder), fault=CorruptStore)
     return JobResult(kind=info_of(job).kind, calibration_id=calibration, result=result, extended_rig=extended)
 
 

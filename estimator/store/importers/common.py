@@ -10,7 +10,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput, Place, reason
+from estimator.errors import InvalidInput, Place, quoted
+from estimator.given_files import MOST_TABLE_BYTES, read_given_text
 from estimator.readings.observations import Observations
 from estimator.rig.rig import MotionKind, Mover, Rig
 
@@ -34,7 +35,9 @@ def finite_number(cell: str, name: str, location: str, place: Place | None = Non
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or "_" in cell:  # Python reads 1_000 as a thousand; no instrument writes that
-        raise InvalidInput(f"{name} must be a finite number; received {cell.strip()!r} ({location})", place)
+        raise InvalidInput(
+            f"{name} must be a finite number; received {quoted(cell.strip())} ({location})", place
+        )
     return value
 
 
@@ -44,10 +47,9 @@ def read_lines(path: Path) -> list[str]:
     Raises:
         InvalidInput: The file cannot be read, or is not UTF-8.
     """
-    try:
-        return path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{path} must be readable as text: {reason(error)}") from error
+    text = read_given_text(path, MOST_TABLE_BYTES)
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return lines if lines[-1] else lines[:-1]
 
 
 def read_numbers(

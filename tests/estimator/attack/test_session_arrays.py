@@ -113,7 +113,7 @@ WORDS = {
     "source is nothing": ({"source": None}, "must tell its source and time in words"),
     "truth is a list": ({"truth": [1]}, "session must be readable"),
     "truth is text": ({"truth": {"coil1.radius_m": "x"}}, "must tell its truth in finite numbers"),
-    "truth is no number": ({"truth": {"coil1.radius_m": float("nan")}}, "must tell its truth in finite numbers"),
+    "truth is no number": ({"truth": {"coil1.radius_m": float("nan")}}, "NaN is no finite number"),
 }  # fmt: skip
 RIGS = {
     "no number": ("radial_loops: 3", "radial_loops: .nan", "must be a finite number; received nan (rig inside"),
@@ -121,7 +121,7 @@ RIGS = {
     "deep": ("name: small", f"name: {'[' * 5000}", "at most 20 levels"),
 }  # fmt: skip
 VALUES = {
-    "no number": (float("nan"), "coil1.radius_m must be finite; received nan"),
+    "no number": (float("nan"), "NaN is no finite number"),
     "negative": (-1.0, "coil1.radius_m must be > 0"),
     "a word": ("x", "session must be readable"),
 }

@@ -66,9 +66,9 @@ FOLDERS = {
         with_metadata(chunk_grid={"name": "regular", "configuration": {"chunk_shape": [10**13]}}),
         "must hold at most 300000000 numbers",
     ),
-    "deep metadata": (lambda s: (s / "time_s/zarr.json").write_text("[" * 100_000), "session must be readable"),
-    "a list as metadata": (lambda s: (s / "time_s/zarr.json").write_text("[]"), "session must be readable"),
-    "long metadata": (lambda s: (s / "zarr.json").write_text(" " * 8_000_001), "metadata of at most 8000000 bytes"),
+    "deep metadata": (lambda s: (s / "time_s/zarr.json").write_text("[" * 100_000), "JSON of at most 100 levels"),
+    "a list as metadata": (lambda s: (s / "time_s/zarr.json").write_text("[]"), "must hold a JSON object; it holds []"),
+    "long metadata": (lambda s: (s / "zarr.json").write_text(" " * 8_000_001), "must hold at most 8000000 bytes"),
 }  # fmt: skip
 
 

@@ -15,7 +15,7 @@ IMPORT = "import readings.csv --rig rig.yaml"
 PREDICT = "predict calibration --out new.csv --current coil1=2"
 EXISTS = "output must not exist yet, or be replaced with --overwrite; received"
 GRID = "--grid must look like x_mm=-50:50:11, which is 11 points from -50 to 50, or z_mm=20; received"
-TRUTH = "--truth must be prior, nominal or a JSON file {{parameter: number}}; received"
+TRUTH = "--truth must be prior, nominal or a JSON file {{parameter: number}}"
 NO_CALIBRATION = "calibration must be a folder that coilcal calibrate finished (with summary.json); received"
 NO_SESSION = "session must be a folder that coilcal import, simulate or acquire wrote; received"
 
@@ -35,9 +35,9 @@ REFUSALS = {
     f"{SIMULATE} --out new.zarr --set coil1.radius_m=nan": "--set must look like NAME=1.0; received 'coil1.radius_m=nan'",
     f"{SIMULATE} --out new.zarr --set hall.noise_T=0 --set hall.noise_T=1": "--set must name hall.noise_T once; "
     "received it again in 'hall.noise_T=1'",
-    f"{SIMULATE} --out new.zarr --truth no.json": f"{TRUTH} no.json: No such file or directory",
-    f"{SIMULATE} --out new.zarr --truth rig.yaml": f"{TRUTH} rig.yaml: Expecting value: line 1 column 1 (char 0)",
-    f"{SIMULATE} --out new.zarr --truth words.json": f"{TRUTH} words.json, which holds something else",
+    f"{SIMULATE} --out new.zarr --truth no.json": f"{TRUTH}; no.json must be readable: No such file or directory",
+    f"{SIMULATE} --out new.zarr --truth rig.yaml": f"{TRUTH}; rig.yaml must be JSON; expecting value at line 1, column 1",
+    f"{SIMULATE} --out new.zarr --truth words.json": "--truth must give numbers between -1e+12 and 1e+12; received '51 mm' for 'coil1.radius_m' (words.json)",
     "simulate --rig no.yaml --plan plan.yaml --out new.zarr": "no.yaml must be readable as text: No such file or directory",
     "simulate --rig calibration --plan plan.yaml --out new.zarr": "calibration must be readable as text: Is a directory",
     "simulate --rig readings.csv --plan plan.yaml --out new.zarr": "readings.csv must hold keys and values; it holds a list or text",
@@ -87,7 +87,7 @@ REFUSALS = {
     f"{PREDICT} --grid x_mm=0 --current coil2=1": "currents must name coils of the rig (coil1); received 'coil2'",
     f"{PREDICT} --grid x_mm=0 --current coil1=1": "--current must name coil1 once; received it again in 'coil1=1'",
     f"{PREDICT} --grid x_mm=0 --level 90": "level must lie between 0 and 1; received 90.0",
-    f"{PREDICT} --grid x_mm=0 --level nan": "level must lie between 0 and 1; received nan",
+    f"{PREDICT} --grid x_mm=0 --level nan": "--level must be a number between -1e+12 and 1e+12; received nan",
     f"{PREDICT} --grid x_mm=0 --motion arm1=0,0,1": "--motion must look like NAME=1.0,1.0,1.0,1.0,1.0,1.0; received 'arm1=0,0,1'",
     f"{PREDICT} --grid x_mm=0 --motion arm2=0,0,0,0,0,0": "motion must name movers of the rig (arm1); received 'arm2'",
     "report session.zarr": f"{NO_CALIBRATION} session.zarr",

@@ -14,6 +14,7 @@ import pytest
 from click.testing import Result
 
 from estimator.errors import InvalidInput
+from estimator.json_files import read_json
 from estimator.rig_files.read import load_rig
 from estimator.rig_files.write import rig_text
 from estimator.store.session import load_session
@@ -71,7 +72,7 @@ def test_diagnosis_ends_well_and_tells_its_stages_apart_from_its_result(result: 
 
 
 def test_what_is_printed_is_what_is_written(record: dict[str, Any], out: Path):
-    assert json.loads((out / "diagnosis.json").read_text(encoding="utf-8")) == record
+    assert read_json(out / "diagnosis.json") == record
 
 
 def test_record_holds_the_keys_that_other_scripts_rely_on(record: dict[str, Any]):

@@ -191,7 +191,10 @@ def test_comsol_and_plain_csv_give_the_same_map(tmp_path: Path) -> None:
         ("x_mm,y_mm,z_mm,Bx_T,By_T\n0,0,0,1,1\n", "Bz is missing"),
         ("x,y_mm,z_mm,Bx_T,By_T,Bz_T\n", "must have a unit, as x_mm or Bx (T); received 'x'"),
         ("x_mm,y_mm,z_mm,Bx_T,By_T,Bz_T\n0,0,0,1,1,a\n", "must hold numbers; received '0,0,0,1,1,a'"),
-        ("x_mm,y_mm,z_mm,Bx_T,By_T,Bz_T\n0,0,0,1,1,nan\n", "must be finite; 1 rows are not"),
+        (
+            "x_mm,y_mm,z_mm,Bx_T,By_T,Bz_T\n0,0,0,1,1,nan\n",
+            "must hold finite numbers between -1e+12 and 1e+12; 1 rows do not",
+        ),
         ("x_mm,y_mm,z_mm,Bx_T,By_T,Bz_T\n0,0,0,1,1,1\n1,1,0,1,1,1\n", "has 2 rows for 2 x 2 x 1 points"),
         ("x_mm,y_mm,z_mm,Bx_T,By_T,Bz_T\n0,0,0,1,1,1\n", "at least 7 points along x; received 1"),
         ("", "x is missing"),

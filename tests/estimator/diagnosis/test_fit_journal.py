@@ -14,6 +14,7 @@ from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fit_journal import FITS, FitJournal, key_of, remembering
 from estimator.diagnosis.limits import Limits
 from estimator.inference import secant
+from estimator.json_files import read_json
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause
 from estimator.store.session import Session
@@ -61,9 +62,7 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
     told = []
     diagnose(session, seed=1, out=tmp_path / "killed", on_stage=told.append)
     assert told[0] == "continuing: 3 fits were made before"
-    written, expected = (
-        json.loads((tmp_path / name / "diagnosis.json").read_text()) for name in ("killed", "whole")
-    )
+    written, expected = (read_json(tmp_path / name / "diagnosis.json") for name in ("killed", "whole"))
     assert written == expected == json.loads(json.dumps(whole.to_json()))
     assert not (tmp_path / "killed" / FITS).exists()
 

@@ -105,7 +105,7 @@ def test_repeats_of_one_pose_never_straddle(
         assert decided.setdefault(key, is_out) == is_out
 
 
-def test_a_million_poses_are_split_in_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_million_poses_are_split_in_seconds() -> None:
     """Blocks are placed by some of the poses, and hold the share all the same."""
     position_m = np.random.default_rng(0).uniform(-0.1, 0.1, (200_000, 3))
     begin_s = time.process_time()

@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from estimator.calibration.result import Calibration
-from estimator.errors import CorruptStore, InvalidInput
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.recalibration.registry import Entry, Registry
 from estimator.rig_files.read import load_rig
 
 KILLS = """
 import json, os, signal, sys, shutil
+from collections.abc import Callable
 from pathlib import Path
 from estimator.calibration.result import Calibration
 from estimator.recalibration.registry import Entry, Registry
@@ -175,7 +178,7 @@ def test_a_second_job_is_refused_while_one_is_at_work(registry: Registry) -> Non
 def test_a_damaged_line_of_the_log_is_refused(registry: Registry) -> None:
     with (registry.folder / "log.jsonl").open("a", encoding="utf-8") as file:
         file.write('{"conclusion": \n')
-    with pytest.raises(CorruptStore, match="one JSON object per line"):
+    with pytest.raises(CorruptStore, match=r"log.jsonl, line 2 must be JSON; expecting value at column"):
         registry.entries()
 
 
@@ -183,13 +186,13 @@ DAMAGE = {
     "told is a word": ("told", "x\n", "registry must count who was told"),
     "told is negative": ("told", "-5\n", "registry must count who was told"),
     "told is empty": ("told", "", "registry must count who was told"),
-    "summary is a list": ("versions/0001/summary.json", "[]", "version must be whole"),
-    "summary is null": ("versions/0001/summary.json", "null", "version must be whole"),
-    "summary is deep": ("versions/0001/summary.json", "[" * 100_000, "version must be whole"),
+    "summary is a list": ("versions/0001/summary.json", "[]", "must hold a JSON object; it holds \\[\\]"),
+    "summary is null": ("versions/0001/summary.json", "null", "must hold a JSON object; it holds null"),
+    "summary is deep": ("versions/0001/summary.json", "[" * 100_000, "must be JSON of at most 100 levels"),
     "provenance of a version without its line": (
         "versions/0001/provenance.json",
         "{}",
-        "version must be whole",
+        "entry must have the keys that coilcal writes",
     ),
 }
 
@@ -203,6 +206,88 @@ def test_a_damaged_file_is_refused_in_a_sentence(
         (registry.folder / "log.jsonl").write_text("", encoding="utf-8")
     with pytest.raises(CorruptStore, match=message), registry.writing():  # noqa: PT012
         registry.tell(lambda _: None)
+        registry.history()
+
+
+LINES = ["first", "second", "third"]
+
+
+def with_log(registry: Registry, change: Callable[[bytes], bytes]) -> bytes:
+    """Three entries in the log, whose bytes were changed; what it holds then."""
+    with registry.writing():
+        for words in LINES[1:]:
+            registry.commit(Entry("rejected", words, "b.zarr", f"hash {words}"))
+    log = registry.folder / "log.jsonl"
+    log.write_bytes(change(log.read_bytes()))
+    return log.read_bytes()
+
+
+def test_an_entry_whose_line_lacks_its_end_is_kept(registry: Registry) -> None:
+    """A kill between the entry and its line feed, or an editor: the next entry would have been written behind it."""
+    with_log(registry, lambda log: log.removesuffix(b"\n"))
+    assert [entry.reason for entry in registry.entries()] == LINES
+    with registry.writing():
+        registry.commit(Entry("rejected", "fourth"))
+    assert [entry.reason for entry in registry.entries()] == [*LINES, "fourth"]
+
+
+@pytest.mark.parametrize("n_left", [1, 10, 60])
+def test_a_torn_entry_is_cut_off(registry: Registry, n_left: int) -> None:
+    with_log(registry, lambda log: log + log.splitlines()[2][:n_left])
+    assert [entry.reason for entry in registry.entries()] == LINES
+    with registry.writing():
+        registry.commit(Entry("rejected", "fourth"))
+    assert [entry.reason for entry in registry.entries()] == [*LINES, "fourth"]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda log: log.replace(b"second", b"secund"),
+        lambda log: log.replace(b"\n", b" ", 1),
+        lambda log: log.replace(b"\n", b"\0"),
+        lambda log: b"\0" * len(log),
+        lambda log: log[20:],
+        lambda log: log + b"garbage",
+        lambda log: log.replace(b"\n", b" "),
+        lambda log: log.replace(b"third", b"fourth").removesuffix(b"\n"),
+        lambda log: b"\xff" + log,
+    ],
+)
+def test_a_damaged_log_is_refused_and_left_as_it_is(
+    registry: Registry, change: Callable[[bytes], bytes]
+) -> None:
+    """It was cut off behind its last line end before anybody looked at it."""
+    damaged = with_log(registry, change)
+    with pytest.raises(CorruptStore) as caught, registry.writing():
+        pass
+    assert "\n" not in str(caught.value)
+    assert (registry.folder / "log.jsonl").read_bytes() == damaged
+
+
+def test_a_log_that_lost_what_was_told_is_refused(registry: Registry) -> None:
+    with registry.writing():
+        registry.commit(Entry("rejected", "bad", "b.zarr", "hash b"))
+        registry.tell(lambda _: None)
+    log = registry.folder / "log.jsonl"
+    log.write_text(log.read_text().splitlines(keepends=True)[0])
+    with pytest.raises(CorruptStore, match="must hold the 2 entries that were told"), registry.writing():
+        pass
+
+
+def test_a_log_of_version_0_2_is_read(registry: Registry) -> None:
+    old = [Entry("rejected", words).line() + "\n" for words in LINES]
+    (registry.folder / "log.jsonl").write_text("".join(old))
+    with registry.writing():
+        pass
+    assert [entry.reason for entry in registry.entries()][:3] == LINES
+
+
+@pytest.mark.parametrize("name", ["log.jsonl", "told", "lock", "versions/0001/summary.json"])
+def test_a_pipe_in_the_registry_is_refused_at_once(registry: Registry, name: str) -> None:
+    (registry.folder / name).unlink(missing_ok=True)
+    os.mkfifo(registry.folder / name)
+    with pytest.raises(CoilcalError, match="it is a named pipe"), registry.writing():
         registry.history()
 
 

@@ -1,0 +1,155 @@
+"""Numbers at the ends of what a number can be, in every option of every command: a result, or one sentence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import click
+import pytest
+import torch
+from click.testing import Result
+
+from estimator.calibration.result import Calibration
+from estimator.cli.main import main
+from estimator.errors import InvalidInput
+from tests.estimator.cli.conftest import invoke
+
+EXTREMES = ["1e300", "-1e300", "1e13", "inf", "-inf", "nan", "1e999", "9" * 400, "9" * 5000]
+ALLOWED = ["1e12", "-1e12", "1e-300", "5e-324", "-0.0"]
+GRID, CURRENT = ("--grid", "x_mm=5"), ("--current", "coil1=2")
+MOTION = ("--motion", "arm1=0.01,0,0,0,0,0")
+
+
+def numeric_options(
+    command: click.Command, name: tuple[str, ...] = ()
+) -> Iterator[tuple[tuple[str, ...], click.Parameter]]:
+    """Every option of a number, with the words of its command."""
+    if isinstance(command, click.Group):
+        for below in command.commands.values():
+            yield from numeric_options(below, (*name, below.name or ""))
+    for option in command.params:
+        if isinstance(option.type, click.types.FloatParamType | click.types.IntParamType):
+            yield name, option
+
+
+OPTIONS = [
+    pytest.param(name, option, id=" ".join((*name, option.opts[0]))) for name, option in numeric_options(main)
+]
+
+
+@pytest.mark.parametrize(("name", "option"), OPTIONS)
+@pytest.mark.parametrize("value", EXTREMES)
+def test_every_option_of_a_number_refuses_what_no_calculation_takes(
+    name: tuple[str, ...],
+    option: click.Parameter,
+    value: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The other arguments are nonsense that comes after the numbers, so nothing is calculated, served or measured."""
+    if float(value) == option.default:
+        pytest.skip("no limit, as where it is left out")
+    monkeypatch.chdir(tmp_path)
+    command: click.Command = main
+    for word in name:
+        assert isinstance(command, click.Group)
+        command = command.commands[word]
+    others = [
+        argument
+        for each in command.params
+        if each.required and each is not option
+        for argument in given(each)
+    ]
+    result = (
+        invoke(*(name or ("show", "none")), *others, option.opts[0], value)
+        if name
+        else invoke(option.opts[0], value, "show", "none")
+    )
+    assert_one_sentence(result)
+    assert option.opts[0] in result.stderr
+    assert len(result.stderr) < 700
+    assert list(tmp_path.iterdir()) == []
+
+
+def given(option: click.Parameter) -> list[str]:
+    """Nonsense for an argument or option that must be there."""
+    return ["none"] if isinstance(option, click.Argument) else [option.opts[0], "none"]
+
+
+def assert_one_sentence(result: Result) -> None:
+    assert result.exit_code == 2, result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    assert "Traceback" not in result.output
+
+
+@pytest.mark.parametrize("value", EXTREMES)
+@pytest.mark.parametrize(
+    "call",
+    [
+        (*GRID, *CURRENT, "--motion", "arm1=0.01,0,0,0,0,{}"),
+        (*GRID, *CURRENT, "--motion", "arm1={},0,0,0,0,0"),
+        (*GRID, *MOTION, "--current", "coil1={}"),
+        (*CURRENT, *MOTION, "--grid", "x_mm={}"),
+        (*CURRENT, *MOTION, "--grid", "x_mm=0:{}:2"),
+        (*CURRENT, *MOTION, "--grid", "x_mm=0:1:{}"),
+    ],
+    ids=" ".join,
+)
+def test_no_number_of_a_prediction_ends_in_a_traceback(
+    workspace: Path, tmp_path: Path, call: tuple[str, ...], value: str
+) -> None:
+    out = tmp_path / "field.csv"
+    result = invoke(
+        "predict", workspace / "calibration", "--out", out, *(word.replace("{}", value) for word in call)
+    )
+    assert_one_sentence(result)
+    assert result.stderr.count("\n") == 1
+    assert len(result.stderr) < 300
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("value", ALLOWED)
+@pytest.mark.parametrize("where", ["motion", "turn", "current", "grid"])
+def test_the_largest_and_smallest_numbers_that_are_taken_give_a_field_or_a_sentence(
+    workspace: Path, tmp_path: Path, where: str, value: str
+) -> None:
+    words = {
+        "motion": (*GRID, *CURRENT, "--motion", f"arm1={value},0,0,0,0,0"),
+        "turn": (*GRID, *CURRENT, "--motion", f"arm1=0,0,0,0,{value},0"),
+        "current": (*GRID, *MOTION, "--current", f"coil1={value}"),
+        "grid": (*CURRENT, *MOTION, "--grid", f"x_mm={value}"),
+    }
+    result = invoke("predict", workspace / "calibration", "--out", tmp_path / "field.csv", *words[where])
+    assert result.exit_code in (0, 2), result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+
+
+@pytest.mark.parametrize("value", [1e300, math.inf, math.nan, -1e13])
+def test_the_python_api_refuses_them_as_well(small_calibration: Calibration, value: float) -> None:
+    points_m = torch.zeros(1, 3, dtype=torch.float64)
+    still, moved = torch.zeros(6, dtype=torch.float64), torch.zeros(6, dtype=torch.float64)
+    moved[5] = value
+    with pytest.raises(InvalidInput, match="motion of arm1 must be six numbers between"):
+        small_calibration.field(points_m, {"coil1": 1.0}, {"arm1": moved})
+    with pytest.raises(InvalidInput, match="current of coil1 must "):
+        small_calibration.field(points_m, {"coil1": value}, {"arm1": still})
+
+
+@pytest.mark.parametrize("option", ["--set", "--hide"])
+@pytest.mark.parametrize("value", EXTREMES)
+def test_no_number_of_a_truth_ends_in_a_traceback(
+    workspace: Path, tmp_path: Path, option: str, value: str, refused: Callable[..., str]
+) -> None:
+    name = "coil1.radius_m" if option == "--set" else "sensor_offset[hall].x"
+    call = (
+        "simulate",
+        "--rig",
+        workspace / "rig.yaml",
+        "--plan",
+        workspace / "plan.yaml",
+        "--out",
+        tmp_path / "new.zarr",
+    )
+    assert len(refused(invoke(*call, option, f"{name}={value}"))) < 300
