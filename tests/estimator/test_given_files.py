@@ -52,7 +52,7 @@ STRANGE: dict[str, tuple[Callable[[Path], Path], str]] = {
 }
 READERS: dict[str, Callable[[Path, Rig], object]] = {
     "a rig": lambda path, _: load_rig(path),
-    "a plan": lambda path, rig: load_plan(path, rig),
+    "a plan": load_plan,
     "a truth": lambda path, rig: truth_of(rig, str(path), 0),
     "settings": lambda path, _: load_settings(path, {}),
     "a field map": lambda path, _: read_map(path, 1.0),
