@@ -93,7 +93,9 @@ def serve_group(
                 and ctx.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
             ):
                 option = next(param.opts[0] for param in ctx.command.params if param.name == name)
-                rule = f"must stand behind {ctx.invoked_subcommand}, where that has it, and not in front of it"
+                rule = (
+                    f"must stand behind {ctx.invoked_subcommand}, where that has it, and not in front of it"
+                )
                 raise click.UsageError(f"{option} {rule}")
         return
     with _settings(config, data=data, host=host, port=port, workers=workers, scheduler=scheduler) as settings:
