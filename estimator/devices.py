@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 
 PRECISIONS = {"double": torch.float64, "single": torch.float32}
 
@@ -32,7 +32,7 @@ def device_named(name: str) -> torch.device:
         torch.ones(1, dtype=torch.float64, device=device).sum().item()
     except (RuntimeError, AssertionError, TypeError) as error:
         raise InvalidInput(
-            f"device must be one that torch can compute on here, such as cpu; received {name!r}"
+            f"device must be one that torch can compute on here, such as cpu; received {quoted(name)}"
         ) from error
     return device
 
@@ -44,7 +44,7 @@ def precision_named(name: str) -> torch.dtype:
         InvalidInput: There is no such precision.
     """
     if name not in PRECISIONS:
-        raise InvalidInput(f"precision must be one of {', '.join(PRECISIONS)}; received {name!r}")
+        raise InvalidInput(f"precision must be one of {', '.join(PRECISIONS)}; received {quoted(name)}")
     return PRECISIONS[name]
 
 

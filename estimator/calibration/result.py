@@ -19,7 +19,7 @@ from torch import Tensor
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.devices import numpy_of
-from estimator.errors import CorruptStore, InvalidInput, cut, reason
+from estimator.errors import CorruptStore, InvalidInput, cut, quoted, reason
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
@@ -273,7 +273,7 @@ class Calibration:
                 tree.load()
             if tree.attrs["schema_version"] != SCHEMA_VERSION:
                 raise CorruptStore(
-                    f"calibration schema_version must be {SCHEMA_VERSION}; received {tree.attrs['schema_version']!r} ({folder})"
+                    f"calibration schema_version must be {SCHEMA_VERSION}; received {quoted(tree.attrs['schema_version'])} ({folder})"
                 )
             stored_hash = tree.attrs.pop("sha256")
             if stored_hash != _tree_hash(tree):
@@ -335,7 +335,7 @@ class Calibration:
         for name in currents_A:
             if name not in names:
                 raise InvalidInput(
-                    f"currents must name coils of the rig ({', '.join(names)}); received {name!r}"
+                    f"currents must name coils of the rig ({', '.join(names)}); received {quoted(name)}"
                 )
             if not abs(currents_A[name]) <= LARGEST:
                 rule = f"current of {name} must lie between {-LARGEST:g} and {LARGEST:g}"

@@ -9,7 +9,7 @@ import click
 
 from estimator.cli.options import json_option, seed_option
 from estimator.cli.output import CoilcalCommand, show, tell_progress
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 
 if TYPE_CHECKING:
     from estimator.benchmarks.rows import Row
@@ -91,7 +91,7 @@ def parts_of(only: str | None) -> list[str]:
     named = list(PARTS) if only is None else [name.strip() for name in only.split(",")]
     for name in named:
         if name not in PARTS:
-            raise InvalidInput(f"--only must name parts of {', '.join(PARTS)}; received {name!r}")
+            raise InvalidInput(f"--only must name parts of {', '.join(PARTS)}; received {quoted(name)}")
     return [part for part in PARTS if part in named]
 
 

@@ -52,7 +52,8 @@ def kind_of(path: Path) -> str | None:
     if path.is_file():
         return _kind_of_file(path)
     if not path.is_dir():
-        raise InvalidInput(f"path must exist; received {path}")
+        rule = "be a file or a folder" if path.exists() else "exist"
+        raise InvalidInput(f"path must {rule}; received {path}")
     marks = {
         "session that grows": is_growing(path),
         "session": is_session(path),

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator.client import Client, RemoteSession, ServiceFault
-from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted, reason
 from estimator.given_files import MOST_SETTINGS_BYTES
 from estimator.json_files import read_json, sealed
 from estimator.rig.rig import Rig
@@ -228,7 +228,7 @@ def connected(url: str, token: str | None, tell: Callable[[str], None]) -> Clien
         InvalidInput: The address is none, or the service refuses the token.
     """
     if not url.startswith(("http://", "https://")):
-        raise InvalidInput(f"--to must be an http or https address; received {url!r}")
+        raise InvalidInput(f"--to must be an http or https address; received {quoted(url)}")
     client = Client(url, token, attempts=1)
     try:
         scope = client.request("GET", "/v1/state").json()["scope"]

@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 import click
 from apscheduler.schedulers.background import BackgroundScheduler
 
-from estimator.errors import CoilcalError, InvalidInput
+from estimator.errors import CoilcalError, InvalidInput, quoted
 
 INTERVAL = re.compile(r"(?P<number>\d+(\.\d+)?)(?P<unit>[smhd])")
 SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
@@ -32,7 +32,7 @@ def interval_s(text: str) -> float:
     match = INTERVAL.fullmatch(text)
     seconds = float(match["number"]) * SECONDS[match["unit"]] if match else 0.0
     if seconds < 1.0:
-        raise InvalidInput(f"--every must be a time such as 30s, 15m, 6h or 1d; received {text!r}")
+        raise InvalidInput(f"--every must be a time such as 30s, 15m, 6h or 1d; received {quoted(text)}")
     return seconds
 
 

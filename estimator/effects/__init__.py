@@ -144,7 +144,7 @@ from estimator.effects.corrections.steps import (
 )
 from estimator.effects.corrections.turning import TurnsByAngle
 from estimator.effects.stages import CurrentEffect
-from estimator.errors import InvalidInput, closest
+from estimator.errors import InvalidInput, closest, quoted
 
 # In the order in which a reading comes about; those of one stage are applied in this order.
 EFFECTS: dict[str, Effect] = {
@@ -355,5 +355,7 @@ def effect_of(name: str) -> Effect:
         InvalidInput: There is none; the message names the closest.
     """
     if name not in EFFECTS:
-        raise InvalidInput(f"cause must be one that coilcal knows; received {name!r}{closest_cause(name)}")
+        raise InvalidInput(
+            f"cause must be one that coilcal knows; received {quoted(name)}{closest_cause(name)}"
+        )
     return EFFECTS[name]

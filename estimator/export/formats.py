@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from estimator.errors import InvalidInput, reason
+from estimator.errors import InvalidInput, quoted, reason
 
 if TYPE_CHECKING:
     from estimator.export.calibrated import Motion
@@ -168,7 +168,7 @@ def export(
     from estimator.export.request import Request
 
     if to not in FORMATS:
-        raise InvalidInput(f"format must be one of {', '.join(FORMATS)}; received {to!r}")
+        raise InvalidInput(f"format must be one of {', '.join(FORMATS)}; received {quoted(to)}")
     chosen = FORMATS[to]
     for name, given in (("grid", grid), ("currents", currents_A), ("motion", motion)):
         if given and name not in chosen.takes:

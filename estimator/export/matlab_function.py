@@ -8,7 +8,7 @@ from dataclasses import astuple
 import torch
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
 from estimator.export.plain_model import numbers_of
@@ -36,7 +36,7 @@ def matlab_function(magnet: Magnet, name: str) -> str:
     """
     if not NAME.fullmatch(name):
         raise InvalidInput(
-            f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {name!r}"
+            f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {quoted(name)}"
         )
     model = magnet.model("matlab")
     sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
@@ -58,7 +58,7 @@ def matlab_function(magnet: Magnet, name: str) -> str:
     )
     if name in DEFINED.findall(text)[1:]:
         raise InvalidInput(
-            f"name of the function must not be that of a function inside it; received {name!r}"
+            f"name of the function must not be that of a function inside it; received {quoted(name)}"
         )
     return text
 

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.export.calibrated import Calibrated, Motion
 from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
@@ -68,7 +68,7 @@ class Request:
         unknown = [name for name in self.motion if name not in known]
         if unknown:
             names = ", ".join(known) or "none"
-            raise InvalidInput(f"motion must name movers of the rig ({names}); received {unknown[0]!r}")
+            raise InvalidInput(f"motion must name movers of the rig ({names}); received {quoted(unknown[0])}")
 
     @property
     def calibrated(self) -> Calibrated:
@@ -128,7 +128,7 @@ class Request:
         unknown = [name for name in self.currents_A if name not in self.magnet.coils]
         if unknown:
             raise InvalidInput(
-                f"currents must name coils of the magnet ({', '.join(self.magnet.coils)}); received {unknown[0]!r}"
+                f"currents must name coils of the magnet ({', '.join(self.magnet.coils)}); received {quoted(unknown[0])}"
             )
         field_T, gradient = points_m.new_zeros(len(points_m), 3), points_m.new_zeros(len(points_m), 3, 3)
         for part in self.magnet.parts:

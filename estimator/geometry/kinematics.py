@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.frames import Transform
 from estimator.rig.arms import ARMS, DenavitHartenberg
 
@@ -44,7 +44,7 @@ def base_from_joints(
     """
     if isinstance(robot, str):
         if robot not in ARMS:
-            raise InvalidInput(f"robot must be one of {', '.join(ARMS)}; received {robot!r}")
+            raise InvalidInput(f"robot must be one of {', '.join(ARMS)}; received {quoted(robot)}")
         robot = ARMS[robot]
     x, _, z = torch.eye(3, dtype=joints_rad.dtype, device=joints_rad.device)
     columns = zip(joints_rad.unbind(-1), robot.theta_rad, robot.a_m, robot.d_m, robot.alpha_rad, strict=True)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
-from estimator.errors import InvalidInput, closest
+from estimator.errors import InvalidInput, closest, quoted
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 
@@ -58,14 +58,14 @@ def cause_of(text: str, rig: Rig) -> Cause:
     """
     match = WRITTEN.match(text)
     if match is None:
-        raise InvalidInput(f"a cause must look like cause or cause[place]; received {text!r}")
+        raise InvalidInput(f"a cause must look like cause or cause[place]; received {quoted(text)}")
     effect = effect_of(match["name"])
     places = effect.places(rig)
     place = match["place"] or (places[0] if len(places) == 1 else None)
     if place not in places:
         hint = closest(place or "", places)
         raise InvalidInput(
-            f"{effect.name} must say where, one of {', '.join(places)}; received {text!r}{hint}"
+            f"{effect.name} must say where, one of {', '.join(places)}; received {quoted(text)}{hint}"
         )
     return Cause(effect.name, place)
 
@@ -73,7 +73,9 @@ def cause_of(text: str, rig: Rig) -> Cause:
 def _read(text: str, rig: Rig) -> tuple[Cause, str]:
     cause = cause_of(text, rig)
     if cause in rig.acting:
-        raise InvalidInput(f"{cause.label} must not be in the rig already to be hidden; received {text!r}")
+        raise InvalidInput(
+            f"{cause.label} must not be in the rig already to be hidden; received {quoted(text)}"
+        )
     match = WRITTEN.match(text)
     given = match["key"] if match else None
     extent = effect_of(cause.name).extent_of((given,) if given else ())
@@ -81,6 +83,6 @@ def _read(text: str, rig: Rig) -> tuple[Cause, str]:
     key = given or keys[0]
     if key not in keys:
         raise InvalidInput(
-            f"{cause.name} must be given by one of {', '.join(keys)}; received {text!r}{closest(key, keys)}"
+            f"{cause.name} must be given by one of {', '.join(keys)}; received {quoted(text)}{closest(key, keys)}"
         )
     return cause, key

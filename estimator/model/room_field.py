@@ -13,7 +13,7 @@ from torch.func import jvp
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.effects.use import uses_of
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.field.coil import distance_to_coil, rule_of_coil
 from estimator.field.winding import DEFAULT_TOLERANCE, Rule
 from estimator.field.zones import Zone, zones_of
@@ -60,7 +60,7 @@ class RoomField:
         unknown = [name for name in motion if name not in names]
         if unknown:
             raise InvalidInput(
-                f"motion must name movers of the rig ({', '.join(names) or 'none'}); received {unknown[0]!r}"
+                f"motion must name movers of the rig ({', '.join(names) or 'none'}); received {quoted(unknown[0])}"
             )
         for name, rows in motion.items():
             if rows.shape not in ((6,), (1, 6), (len(points_m), 6)):

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 import yaml
 
-from estimator.errors import Faults, InvalidInput, in_order
+from estimator.errors import Faults, InvalidInput, in_order, quoted
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
 from estimator.rig.rig import POSE_QUANTITIES, Mover, Rig
@@ -170,7 +170,7 @@ def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
     names = [mover.name for mover in rig.movers]
     for key in section:
         if key not in (*names, "scattered"):
-            received = f"{key!r} instead of {' or '.join(names)}"
+            received = f"{quoted(key)} instead of {' or '.join(names)}"
             with section.faults.noting():
                 section.refuse(key, f"must name a mover of rig {rig.name!r}", received)
     n_scattered = _count(section, "scattered") if "scattered" in section else None

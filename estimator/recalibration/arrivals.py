@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 
-from estimator.errors import CoilcalError, reason
+from estimator.errors import CoilcalError, CorruptStore, reason
+from estimator.given_files import MOST_TABLE_BYTES, open_given
 from estimator.recalibration import policy
 from estimator.store.session import Session, is_growing, load_session
 
 GROWING = "it is still being measured, or its measurement was abandoned"
 BEING_COPIED = "it cannot be read and changed less than a minute ago: it may still be being copied"
+BLOCK_BYTES = 1_000_000  # that are hashed at once
 CHANGED = "it changed while other sessions were judged"
 
 
@@ -74,8 +76,11 @@ def _hash_of_files(path: Path) -> str:
     for part in _parts(path):
         result.update(str(part.relative_to(path)).encode())
         try:
-            result.update(part.read_bytes() if part.is_file() else b"")
-        except OSError as error:
+            if part.is_file():
+                with open_given(part, MOST_TABLE_BYTES, CorruptStore) as file:
+                    while block := file.read(BLOCK_BYTES):
+                        result.update(block)
+        except (OSError, CorruptStore) as error:
             result.update(reason(error).encode())
     return result.hexdigest()
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from estimator.effects import EFFECTS, closest_cause
 from estimator.effects.base import Quantity
-from estimator.errors import Faults, InvalidInput, closest, in_order
+from estimator.errors import Faults, InvalidInput, closest, in_order, quoted
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.bodies import read_coil, read_mover, read_sensor
 from estimator.rig_files.devices import DEVICES, read_devices
@@ -123,7 +123,7 @@ def _cause(section: Section, label: str, above: Section, name: str, rig: Rig, nu
     if match is None:
         above.refuse(label, "must be written as cause[place], such as axis_gain[hall]", repr(label))
     if match["name"] not in EFFECTS:
-        received = f"{match['name']!r}{closest_cause(match['name'])}"
+        received = f"{quoted(match['name'])}{closest_cause(match['name'])}"
         above.refuse(label, "must be a cause that coilcal knows", received)
     effect = EFFECTS[match["name"]]
     if (belongs := "corrections" if effect.is_correction else "effects") != name:

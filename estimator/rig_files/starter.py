@@ -9,7 +9,7 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.rig_files.read import NAME, SCHEMA_VERSION
 
 PLACE_SD_MM = 3.0  # of a place that was measured with a ruler
@@ -242,5 +242,5 @@ def check_name(name: str) -> str:
         InvalidInput: It has other characters.
     """
     if not all(NAME.fullmatch(word) for word in name.split()) or not name.strip():
-        raise InvalidInput(f"name must consist of letters, digits, _, - and blanks; received {name!r}")
+        raise InvalidInput(f"name must consist of letters, digits, _, - and blanks; received {quoted(name)}")
     return " ".join(name.split())

@@ -34,7 +34,7 @@ from emcee.backends import Backend
 from numpy.typing import NDArray
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
-from estimator.errors import CorruptStore, InvalidInput
+from estimator.errors import CorruptStore, InvalidInput, quoted
 from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.json_files import json_object
 from estimator.store.journal import sync
@@ -174,7 +174,7 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
         stored = attributes["fingerprint"]
         if fingerprint not in (None, stored):
             raise InvalidInput(
-                f"chain store must have the fingerprint {fingerprint!r}; received {stored!r} ({path})"
+                f"chain store must have the fingerprint {fingerprint!r}; received {quoted(stored)} ({path})"
             )
         return cls(path, attributes)
 
@@ -241,7 +241,9 @@ def _explained_if_unwritable(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InvalidInput(f"chain store must be writable; received {error.strerror!r} ({path})") from error
+        raise InvalidInput(
+            f"chain store must be writable; received {quoted(error.strerror)} ({path})"
+        ) from error
 
 
 def _layout(name: str, attributes: Mapping[str, Any]) -> tuple[int, tuple[int, ...]]:
@@ -273,7 +275,7 @@ def _read_attributes(path: Path) -> dict[str, Any]:
         raise CorruptStore(f"zarr.json of chain store {path} is missing, truncated or altered") from error
     if version != SCHEMA_VERSION:
         raise CorruptStore(
-            f"chain store must have schema version {SCHEMA_VERSION}; received {version!r} ({path})"
+            f"chain store must have schema version {SCHEMA_VERSION}; received {quoted(version)} ({path})"
         )
     if _render_group(attributes) != content:
         raise CorruptStore(f"zarr.json of chain store {path} is altered: its checksum does not match")

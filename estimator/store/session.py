@@ -24,7 +24,7 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
-from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted, reason
 from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Mover, Rig
@@ -279,10 +279,12 @@ def _described(body: Body | Mover) -> str:
 
 def _check_kind(attributes: Mapping[str, Any], path: Path) -> None:
     if attributes.get("kind") != KIND:
-        raise InvalidInput(f"session must be of kind {KIND!r}; received {attributes.get('kind')!r} ({path})")
+        raise InvalidInput(
+            f"session must be of kind {KIND!r}; received {quoted(attributes.get('kind'))} ({path})"
+        )
     if attributes.get("schema_version") != SCHEMA_VERSION:
         raise CorruptStore(
-            f"session schema_version must be {SCHEMA_VERSION}; received {attributes.get('schema_version')!r} ({path})"
+            f"session schema_version must be {SCHEMA_VERSION}; received {quoted(attributes.get('schema_version'))} ({path})"
         )
 
 

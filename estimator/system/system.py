@@ -19,7 +19,7 @@ from estimator.calibration.result import INTERVAL_DRAWS, Calibration
 from estimator.effects.base import Effect
 from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
@@ -119,7 +119,7 @@ class System:
         for name in currents_A:
             if name not in self.calibrations:
                 raise InvalidInput(
-                    f"currents must name coils of the system ({', '.join(self.coils)}); received {name!r}"
+                    f"currents must name coils of the system ({', '.join(self.coils)}); received {quoted(name)}"
                 )
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in self.coils], dtype=torch.float64)
 
@@ -138,7 +138,7 @@ class System:
         for name in motion:
             if name not in mover_names:
                 raise InvalidInput(
-                    f"motion must name movers of the system ({', '.join(sorted(mover_names)) or 'none'}); received {name!r}"
+                    f"motion must name movers of the system ({', '.join(sorted(mover_names)) or 'none'}); received {quoted(name)}"
                 )
         rooms = []
         for part in self.parts:

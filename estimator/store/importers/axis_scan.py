@@ -10,7 +10,7 @@ from pathlib import Path
 
 import torch
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import current_by_coil, map_observations, read_numbers
 from estimator.store.session import Session
@@ -58,5 +58,5 @@ def _to_si(symbol: str, dimension: str) -> float:
     unit = UNITS.get(symbol)
     if unit is None or unit.dimension != dimension:
         known = ", ".join(u.symbol for u in UNITS.values() if u.dimension == dimension)
-        raise InvalidInput(f"unit of {dimension} must be one of {known}; received {symbol!r}")
+        raise InvalidInput(f"unit of {dimension} must be one of {known}; received {quoted(symbol)}")
     return unit.to_si

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import map_observations, read_lines, read_numbers
 from estimator.store.session import Session
@@ -43,7 +43,7 @@ def read_grid_maps(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, flo
         raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")
     unknown = [name for name in currents_A or {} if name not in [coil.name for coil in rig.coils]]
     if unknown:
-        raise InvalidInput(f"currents must name coils of rig {rig.name!r}; received {unknown[0]!r}")
+        raise InvalidInput(f"currents must name coils of rig {rig.name!r}; received {quoted(unknown[0])}")
     coils = [_coil(path, rig) for path in paths]
     maps = [_map(path) for path in paths]
     rows = torch.cat(maps)

@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import (
     current_by_coil,
@@ -83,7 +83,7 @@ def _seconds(date_and_time: Float[Tensor, "row 2"], path: Path) -> Float[Tensor,
             seconds.append((datetime.strptime(text, "%d%m%Y %H%M%S") - datetime(2000, 1, 1)).total_seconds())
         except ValueError as error:
             raise InvalidInput(
-                f"date and time must read DDMMYYYY HHMMSS; received {text!r} ({path})"
+                f"date and time must read DDMMYYYY HHMMSS; received {quoted(text)} ({path})"
             ) from error
     return torch.tensor(seconds, dtype=torch.float64)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import UTC, datetime, timedelta
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, quoted
 
 CLOCKS_APART = timedelta(days=1)  # a date later than that from now is a typing error
 
@@ -27,7 +27,7 @@ def moment(text: str, name: str, where: str = "") -> str:
         time = datetime.fromisoformat(text.strip()).astimezone(UTC)
     except (ValueError, OverflowError):
         rule = f"{name} must be a date such as 2026-03-01 or 2026-03-01T09:30+01:00"
-        raise InvalidInput(f"{rule}; received {text.strip()[:40]!r}{place}") from None
+        raise InvalidInput(f"{rule}; received {quoted(text.strip())}{place}") from None
     if time > datetime.now(UTC) + CLOCKS_APART:
-        raise InvalidInput(f"{name} must not lie in the future; received {text.strip()!r}{place}")
+        raise InvalidInput(f"{name} must not lie in the future; received {quoted(text.strip())}{place}")
     return time.isoformat(timespec="seconds")
