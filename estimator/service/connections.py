@@ -48,6 +48,13 @@ class StrictLines(ReceiveBuffer):
         lines: list[bytearray] | None = super().maybe_extract_lines()
         return lines
 
+    def maybe_extract_next_line(self) -> bytearray | None:
+        """See h11; the line that says how long a chunk is, in whose extension h11 takes a carriage return for a letter."""
+        line: bytearray | None = super().maybe_extract_next_line()
+        if line is not None and b"\r" in line[:-2]:
+            raise h11.LocalProtocolError("a line must hold no carriage return before its end")
+        return line
+
 
 class PromptHttp(H11Protocol):
     """A connection that is closed where a request does not come, and sooner where its place is needed."""

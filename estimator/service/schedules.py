@@ -12,7 +12,7 @@ from datetime import UTC, datetime, timedelta
 from zoneinfo import ZoneInfo
 
 from apscheduler.triggers.cron import CronTrigger
-from sqlalchemy import select
+from sqlalchemy import ColumnElement, and_, select
 from sqlalchemy.orm import Session
 
 from estimator.inference.ensemble import SamplerSettings
@@ -121,16 +121,24 @@ def _asked(schedule: Schedule, session: SessionRow) -> dict[str, object]:
 
 def _is_judging(db: Session, rig_name: str) -> bool:
     """Whether a session of a rig is being judged, or waits for it."""
-    jobs = select(Job).where(Job.kind == RECALIBRATE, Job.state.not_in(ENDED))
-    return any(job.options.get("registry") == rig_name for job in db.scalars(jobs))
+    return (
+        db.scalar(select(Job.id).where(is_judgement_of(rig_name), Job.state.not_in(ENDED)).limit(1))
+        is not None
+    )
+
+
+def is_judgement_of(rig_name: str) -> ColumnElement[bool]:
+    """Condition of jobs that judge a session in the registry of a rig."""
+    return and_(Job.kind == RECALIBRATE, Job.options["registry"].as_string() == rig_name)
 
 
 def _oldest_unjudged(db: Session, rig_name: str) -> SessionRow | None:
-    """The first closed session of a rig, in any version of its file, for which no judgement was asked."""
+    """The first closed session of a rig, in any version of its file, for which no judgement in the rig's own registry was asked."""
+    judged = select(Job.session_id).where(is_judgement_of(rig_name))
     rows = (
         select(SessionRow)
         .join(RigVersion, RigVersion.id == SessionRow.rig_id)
         .where(RigVersion.name == rig_name, SessionRow.state == "closed")
-        .where(SessionRow.id.not_in(select(Job.session_id).where(Job.kind == RECALIBRATE)))
+        .where(SessionRow.id.not_in(judged))
     )
     return db.scalar(rows.order_by(SessionRow.created, SessionRow.id).limit(1))

@@ -20,6 +20,7 @@ from estimator.service.problems import Problem
 from estimator.service.requests import CoreOf, Cursor, Id, Item, Limit, Page, Reader, Writer, audited
 from estimator.service.routes.calibrations import Interval
 from estimator.service.routes.rigs import rig_row_of
+from estimator.service.schedules import is_judgement_of
 from estimator.service.schema import CalibrationRow, Job
 
 router = APIRouter(prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
@@ -119,7 +120,7 @@ def get_registry(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryInfo:  # n
     return RegistryInfo(
         rig_name=name,
         current=current,
-        calibration_id=None if made is None else _calibration_id(core, made),
+        calibration_id=None if made is None else _calibration_id(core, name, made),
         n_versions=len(registry.versions),
         n_entries=len(entries),
     )
@@ -134,7 +135,7 @@ def list_entries(caller: Reader, asked: AskedOf) -> Page[EntryInfo]:  # noqa: AR
 @router.get("/versions")
 def list_versions(caller: Reader, asked: AskedOf) -> Page[VersionInfo]:  # noqa: ARG001
     """Versions with their parameters, newest first."""
-    registry = asked.registry
+    name, registry = registry_of(asked.core, asked.rig_id)
     made = [(entry.made, entry) for entry in registry.entries() if entry.made is not None]
     current = registry.current
 
@@ -144,7 +145,7 @@ def list_versions(caller: Reader, asked: AskedOf) -> Page[VersionInfo]:  # noqa:
         return VersionInfo(
             version=version,
             is_current=version == current,
-            calibration_id=_calibration_id(asked.core, entry),
+            calibration_id=_calibration_id(asked.core, name, entry),
             session_id=_session_id(entry),
             conclusion=entry.conclusion,
             taken=entry.taken,
@@ -168,14 +169,15 @@ def roll_back_to(
     if not registry.versions:
         raise Problem(409, "registry", "must have a version; it has none", place=f"registry of {name}")
     try:
-        entry = roll_back(registry.folder, body.version)
+        with core.database.writing() as db:  # a change that cannot be noted is not made
+            audited(db, request, caller, "registry.roll_back", f"{rig_id} {body.version}")
+            db.flush()
+            entry = roll_back(registry.folder, body.version)
     except RegistryBusy:
         headers = {"Retry-After": str(RETRY_AFTER_S)}
         raise Problem(
             409, "registry", "must be free; a recalibration is at work on it", place=name, headers=headers
         ) from None
-    with core.database.writing() as db:
-        audited(db, request, caller, "registry.roll_back", f"{rig_id} {body.version}")
     return _entry_info(len(registry.entries()), entry)
 
 
@@ -187,12 +189,12 @@ def _session_id(entry: Entry) -> str | None:
     return Path(entry.session).stem if entry.session else None
 
 
-def _calibration_id(core: Core, entry: Entry) -> str | None:
-    """The calibration that the first recalibration of the entry's session has left."""
+def _calibration_id(core: Core, rig_name: str, entry: Entry) -> str | None:
+    """The calibration that the first recalibration of the entry's session for this registry has left."""
     rows = (
         select(CalibrationRow.id)
         .join(Job, Job.id == CalibrationRow.job_id)
-        .where(Job.kind == "recalibrate", CalibrationRow.session_id == _session_id(entry))
+        .where(is_judgement_of(rig_name), CalibrationRow.session_id == _session_id(entry))
     )
     with core.database.reading() as db:
         return db.scalars(rows.order_by(Job.number)).first()

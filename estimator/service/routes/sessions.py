@@ -263,7 +263,7 @@ def append_readings(
     n_readings, n_new = core.sessions.append(session_id, readings)
     core.metrics.readings.inc(n_new)
     appender = session_id, caller.token_id
-    if n_new and appender not in core.appenders:  # thousands of entries with one meaning help nobody
+    if appender not in core.appenders:  # thousands of entries with one meaning help nobody
         with core.database.writing() as db:
             audited(db, request, caller, "session.append", session_id)
         core.appenders.add(appender)

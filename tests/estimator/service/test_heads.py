@@ -84,6 +84,8 @@ HEADS = {
     "an encoding with a tab": RIGS + b"Transfer-Encoding : chunked\r\n\r\n0\r\n\r\n",
     "a chunk that is longer than it says": RIGS
     + b"Content-Type: application/yaml\r\nTransfer-Encoding: chunked\r\n\r\n2\r\n{}XY0\r\n\r\n",
+    "a carriage return in a chunk's extension": RIGS
+    + b"Content-Type: application/yaml\r\nTransfer-Encoding: chunked\r\n\r\n2;a\rb\r\n{}\r\n0\r\n\r\n",
     "two hosts": b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nHost: b\r\n\r\n",
     "no host": b"GET /healthz HTTP/1.1\r\n\r\n",
     "a zero in a header": b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nX: a\0b\r\n\r\n",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import re
@@ -9,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -16,6 +18,7 @@ from fastapi import APIRouter
 from sqlalchemy import select, text
 from starlette.testclient import TestClient
 
+from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
 from estimator.service import app as app_module
 from estimator.service import guard, rate_limits
@@ -23,8 +26,8 @@ from estimator.service.app import create_app
 from estimator.service.core import Core
 from estimator.service.job_queue import DONE
 from estimator.service.requests import Id, Writer
-from estimator.service.routes import schedules
-from estimator.service.schema import Audit, Base, Job
+from estimator.service.routes import registries, schedules
+from estimator.service.schema import Audit, Base, CalibrationRow, Job
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, create_token, revoke_token
 from estimator.store.session import Session
@@ -240,6 +243,81 @@ def test_no_user_takes_the_open_sessions_or_the_schedules_of_all(
     for user in ("anne", "bert"):
         assert made[user, "sessions"] == [201, 201, 429]
         assert made[user, "schedules"] == [201, 201, 409]
+
+
+def test_what_another_user_judges_elsewhere_keeps_no_session_from_being_judged(
+    bench: Bench, rig_text: str
+) -> None:
+    """A recalibration of Anne's sessions in Bert's registry hid them from Anne's schedule, and stood for hers in her registry."""
+    bench.client.headers.update(bench.users["bert"])
+    theirs = upload_rig(bench.client, re.sub(r"(?m)^name: .*$", "name: bert's rig", rig_text))
+    for session_id in (bench.closed_id, bench.spare_id):
+        body = {"session_id": session_id, "rig_id": theirs}
+        assert bench.client.post("/v1/jobs/recalibrate", json=body).status_code == 201
+    assert bench.ask("POST", "/v1/schedules/{schedule_id}/run", "anne").status_code == 202
+    assert bench.core.schedules.tick() == 1
+    with bench.core.database.writing() as db:
+        found = {}
+        for job in db.scalars(
+            select(Job).where(Job.session_id == bench.closed_id, Job.kind == "recalibrate")
+        ):
+            found[job.user] = f"{job.user} calibration"
+            row = CalibrationRow(id=found[job.user], job_id=job.id, session_id=job.session_id, user=job.user)
+            row.rig_name, row.created = "small", f"2026-{len(found)}"
+            db.add(row)
+    assert set(found) == {"anne", "bert"}
+    entry = SimpleNamespace(session=f"{bench.closed_id}.zarr")
+    for rig_name, user in (("small", "anne"), ("bert's rig", "bert"), ("a third", None)):
+        assert registries._calibration_id(bench.core, rig_name, entry) == found.get(user)
+
+
+def test_a_roll_back_that_cannot_be_noted_is_not_made(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[object] = []
+
+    def fails(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "full")
+
+    monkeypatch.setattr(registries, "roll_back", lambda *call: made.append(call))
+    monkeypatch.setattr(Registry, "versions", [1])
+    monkeypatch.setattr(registries, "audited", fails)
+    refusal(bench.ask("POST", "/v1/rigs/{rig_id}/registry/roll-back", "anne"), 507)
+    assert made == []
+
+
+def test_whatever_somebody_makes_is_noted_once(bench: Bench, rig_text: str, readings_csv: bytes) -> None:
+    archive = bench.client.get(
+        f"/v1/sessions/{bench.closed_id}/session.zip", headers=bench.users["anne"]
+    ).content
+    of_rig = {"params": {"rig_id": bench.rig_id}}
+    token, _ = create_token(bench.core.database, "carl", Scope.WRITE, 1.0)
+    calls: dict[str, dict[str, Any]] = {
+        "/v1/login": {"json": {"token": token}},
+        "/v1/rigs": {"content": rig_text + "\n", "headers": {"Content-Type": "application/yaml"}},
+        "/v1/sessions": {"json": {"rig_id": bench.rig_id, "source": "x"}},
+        "/v1/sessions/import-csv": {
+            "content": readings_csv,
+            "headers": {"Content-Type": "text/csv"},
+            **of_rig,
+        },
+        "/v1/sessions/import-zip": {
+            "content": archive,
+            "headers": {"Content-Type": "application/zip"},
+            **of_rig,
+        },
+    }
+    for (method, path), rule in sorted(RULES.items(), key=lambda item: item[0][0] == "DELETE"):
+        if rule not in (NEW, ADMIN, SELF):
+            continue
+        n = len(bench.audit())
+        if path == "/v1/logout":
+            answer = bench.client.post(path, headers={"Origin": "http://127.0.0.1:8765"})
+        elif path in calls:
+            headers = {**calls[path].get("headers", {}), **bench.users["anne"]}
+            answer = bench.client.request(method, path, **{**calls[path], "headers": headers})
+        else:
+            answer = bench.ask(method, path, "root" if rule == ADMIN else "anne")
+        assert answer.is_success, (path, answer.text)
+        assert len(bench.audit()) == n + 1, path
 
 
 def test_refusals_do_not_fill_the_audit_log(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
