@@ -30,7 +30,8 @@ def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
     FILE is a readings CSV, a plan (.yaml), or a file of instruments (.yaml) as `coilcal rig-simulator` writes it. No instrument is opened.
 
     Where nothing is wrong, say what they hold, and which readings cannot have been measured so by what their digits say: blocks that were
-    copied, stretches that were filled in, bits that are stuck. Exit code 2 where a file is wrong.
+    copied, stretches that were filled in, a sensor that stood still while it was moved, bits that are stuck. Exit code 2 where a file is
+    wrong.
     """
     from estimator.cli.device_faults import device_faults
     from estimator.cli.understood import rig_lines, rig_record

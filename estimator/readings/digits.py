@@ -1,8 +1,8 @@
-"""What digits of the readings say without any model: blocks that were copied, stretches that were filled in, bits that are stuck.
+"""What digits of the readings say without any model: sensors that stood still, copied blocks, filled stretches, bits that are stuck.
 
 Each needs a coincidence that noise does not make. Maps that symmetry repeats, and readings with less noise than their last digit, have
-fields that agree to the last digit too. So a copy must be a block in the same order in which all three components change, and a straight
-line must end in kinks.
+fields that agree to the last digit too. So a copy must be a block in the same order in which all three components change, a straight
+line must end in kinks, and a reading that is repeated at other settings must begin and end in steps, in a session that repeats few.
 """
 
 from __future__ import annotations
@@ -22,12 +22,15 @@ MOST_DECIMALS = 11  # of a tesla in which steps of the readings are looked for
 MANY_STEPS = 30  # by which a component changes that noise and rounding leave alone
 # Odd numbers, by which the bits of three components become one number; equal rows have equal ones.
 HASHED_BY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
+FEWEST_ROWS = 3  # of a sensor that are compared with each other
 FEWEST_COPIED = 4  # consecutive readings
 LEAST_MOVED = 0.01  # of its range that a current or a coordinate differs between a reading and its copy
 FEWEST_FILLED_IN = 3  # consecutive readings
+MOST_BY_CHANCE = 1e-3  # stretches in which a reading is repeated as often, expected where the sensor works
 FEWEST_CODES = 30  # different ones beside a bit that is stuck: 30 coins that fall alike
 
 WORDS = {
+    Reason.HELD: "repeats the reading before to the last digit while place or current change",
     Reason.COPIED: "holds the fields of earlier readings",
     Reason.FILLED_IN: "lies on straight lines between neighbours",
 }
@@ -55,12 +58,15 @@ def flags_of_digits(observations: Observations) -> list[Flag]:
         own_T = observations.field_sensor_T[own].cpu().numpy().astype(np.float64)
         steps_T = [step_of(component_T) for component_T in own_T.T]
         codes = np.stack([_codes(own_T[:, axis], steps_T[axis]) for axis in range(3)], axis=1)
+        settings = _settings(observations, own)
+        held = _held(codes, settings)
+        codes[held] = np.nan
         alike = _perhaps_equal(codes)
-        copied = _copied(codes, alike, _settings(observations, own)) if len(alike) else []
+        copied = _copied(codes, alike, settings) if len(alike) else []
         codes[copied] = np.nan
         filled_in = _filled_in(codes)
         codes[filled_in] = np.nan
-        for reason, rows in ((Reason.COPIED, copied), (Reason.FILLED_IN, filled_in)):
+        for reason, rows in ((Reason.HELD, held), (Reason.COPIED, copied), (Reason.FILLED_IN, filled_in)):
             if rows:
                 flags.append(Flag.of(observations, reason, WORDS[reason], None, own[rows].tolist()))
         for axis in range(3):
@@ -100,6 +106,39 @@ def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Codes:
     ranges = np.ptp(settings, axis=0)
     scaled: Codes = settings / np.where(ranges > 0.0, ranges, 1.0)
     return scaled
+
+
+def _held(codes: Codes, settings: Codes) -> list[int]:
+    """Rows that repeat all components of the row before while settings change, in stretches that begin and end in steps of the field.
+
+    A field of few steps of the last digit is repeated by nature, and so is a uniform one; that one is reached without a step.
+    """
+    if len(codes) < FEWEST_ROWS:
+        return []
+    change = np.abs(np.diff(codes, axis=0))
+    is_compared = ~np.isnan(change).all(axis=1)
+    is_repeated = is_compared & (np.nan_to_num(change) == 0.0).all(axis=1)
+    is_repeated &= (np.isnan(codes[1:]) == np.isnan(codes[:-1])).all(axis=1)
+    is_moved = np.abs(np.diff(settings, axis=0)).max(axis=1, initial=0.0) > LEAST_MOVED
+    is_large = np.nan_to_num(np.abs(codes[1:])).max(axis=1) > MANY_STEPS
+    is_step = np.nan_to_num(change).max(axis=1) > MANY_STEPS
+    is_counted = (
+        np.stack((is_moved, ~is_moved)) & is_compared & is_large
+    )  # a reading may well be repeated at one place
+    steps = np.stack((is_counted, is_counted & is_repeated)).sum(axis=2)  # all of them, and those that repeat
+    last_moved = np.maximum.accumulate(np.where(is_compared & is_moved, np.arange(len(change)), -1))
+    rows: list[int] = []
+    for run in sorted(runs_of(np.flatnonzero(is_repeated).tolist()), key=len, reverse=True):
+        n_held = is_counted[:, run].sum(axis=1)
+        elsewhere = steps - n_held
+        log_chance = np.log(len(change)) + n_held @ np.log((elsewhere[1] + 1) / (elsewhere[0] + 2))
+        before, after = last_moved[run[0] - 1] if run[0] else -1, run[-1] + 1
+        beside = [step for step in (before, after) if 0 <= step < len(change) and is_compared[step]]
+        is_sharp = bool(beside) and bool(is_step[beside].all())
+        if log_chance < np.log(MOST_BY_CHANCE) and is_sharp and is_moved[run].any():
+            rows += [step + 1 for step in run[int(is_moved[run].argmax()) :]]
+            steps = elsewhere
+    return sorted(rows)
 
 
 def _copied(codes: Codes, alike: npt.NDArray[np.intp], settings: Codes) -> list[int]:

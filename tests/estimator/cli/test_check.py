@@ -221,3 +221,24 @@ def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(
     )
     assert f"  {words}" in checked.stdout.splitlines()
     assert words in run("import", path, "--rig", rig, "--out", tmp_path / "copied.zarr").stdout
+
+
+def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(
+    workspace: Path, run: Run, tmp_path: Path
+) -> None:
+    rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
+    header = rows[0].split(",")
+    fields = [header.index(f"B{axis}_T") for axis in "xyz"]
+    cells = [row.split(",") for row in rows]
+    for row in cells[12:21]:
+        for column in fields:
+            row[column] = cells[11][column]
+    path = tmp_path / "frozen.csv"
+    path.write_text("\n".join(map(",".join, cells)), encoding="utf-8")
+    told = json.loads(run("check", workspace / "rig.yaml", path, "--json").stdout)
+    assert told["faults"] == []
+    (flag,) = told["flagged"]
+    assert (flag["reason"], flag["component"]) == ("held", None)
+    assert flag["readings"] == list(range(12, 21))
+    words = "repeats the reading before to the last digit while place or current change, in readings 12 to 20"
+    assert words in run("check", workspace / "rig.yaml", path).stdout

@@ -109,3 +109,61 @@ def test_steps_are_the_largest_decimal_of_which_all_values_are_multiples():
     assert step_of(np.array([0.0104, 0.0116, np.nan, -0.0080])) == pytest.approx(4e-4)
     assert step_of(np.array([0.1, np.pi])) == 0.0
     assert step_of(np.array([0.5, 0.5])) == 0.0
+
+
+def held_T(field_T: np.ndarray, first: int, last: int) -> np.ndarray:
+    """Fields of a sensor that repeats the reading before a stretch of rows, `last` excluded."""
+    field_T = field_T.copy()
+    field_T[first:last] = field_T[first - 1]
+    return field_T
+
+
+@pytest.mark.parametrize(("first", "last"), [(20, 26), (22, N), (1, 40), (50, 54)])
+def test_a_sensor_that_stood_still_is_told_by_its_digits(measured_T, first, last):
+    (flag,) = flags_of_digits(readings_of(held_T(measured_T, first, last)))
+    assert (flag.reason, flag.component, flag.readings) == (Reason.HELD, None, tuple(range(first, last)))
+
+
+def test_two_stretches_in_which_a_sensor_stood_still_are_told(measured_T):
+    twice = held_T(held_T(measured_T, 10, 20), 35, 41)
+    (flag,) = flags_of_digits(readings_of(twice))
+    assert flag.readings == (*range(10, 20), *range(35, 41))
+    assert flag.where() == "readings 11 to 20 and 36 to 41"
+
+
+def test_a_sensor_of_one_component_that_stood_still_is_told(measured_T):
+    measured_T[:, :2] = np.nan
+    assert flags_of_digits(readings_of(measured_T)) == []
+    (flag,) = flags_of_digits(readings_of(held_T(measured_T, 20, 32)))
+    assert flag.readings == tuple(range(20, 32))
+
+
+def test_readings_that_are_repeated_at_one_place_are_right(measured_T):
+    """Four readings a stop; the sensor stands still from the third reading of a stop on, and the fourth is right by chance."""
+    stop = np.arange(N) // 4
+    places_m = stop[:, None] * [1.0, 0.5, 0.2]
+    dwelling_T = measured_T[4 * stop]
+    assert flags_of_digits(readings_of(dwelling_T, places_m)) == []
+    noise_T = np.random.default_rng(5).integers(-9, 9, (N, 3)) * 1e-7
+    noisy_T = dwelling_T + noise_T
+    (flag,) = flags_of_digits(readings_of(held_T(noisy_T, 19, 33), places_m))
+    assert flag.readings == tuple(range(20, 33))
+
+
+@pytest.mark.parametrize("digit_T", [1e-4, 1e-5])
+def test_a_uniform_field_and_one_of_few_digits_are_left_alone(digit_T):
+    """Along a long solenoid, from far outside to its middle, without noise."""
+    z = np.linspace(-3.0, 0.5, N)
+    along_T = 0.05 * (np.tanh((z + 1.0) / 0.2) + 1.0)
+    field_T = np.stack((0.1 * along_T, 0.0 * z, along_T), 1)
+    field_T = np.round(field_T / digit_T) * digit_T
+    assert flags_of_digits(readings_of(field_T, np.stack((0 * z, 0 * z, z), 1))) == []
+
+
+def test_a_map_of_which_symmetry_repeats_whole_circles_is_left_alone():
+    """Components along and across the radius, alike all around each of three circles."""
+    circle = np.arange(N) // 20
+    angle = np.arange(N) * 2.0 * np.pi / 20
+    places_m = np.stack((np.cos(angle), np.sin(angle), circle), 1)
+    field_T = np.stack((0.01 + 0.003 * circle, 0.002 * circle, 0.05 + 0.01 * circle**2), 1).round(4)
+    assert flags_of_digits(readings_of(field_T, places_m)) == []
