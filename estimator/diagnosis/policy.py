@@ -120,9 +120,13 @@ MOST_ROUNDS_OF_FLAGS = 3
 """How often such readings are looked for, each time without those found before. Effort: a fit each; a finer fit shows finer mistakes.
 Study: not in it."""
 
-LEAST_EXPLAINED_OF_FAR = 0.8
-"""Share of the readings that miss by far that such mistakes must explain. By judgement: where a model is wrong, few of them are as a
-mistake would have them. Study: not in it."""
+MUCH_MORE_PROBABLE = 100.0
+"""How many times more probable a mistake must be than a wrong model and than a wild value, in each stretch of rows and in all that it
+explains. By judgement. Study: not in it."""
+
+DEGREES_OF_ERRORS = 3.0
+"""Degrees of freedom of Student's t, which errors of a wrong model follow beside those of the neighbours. By judgement: few enough that one
+in a thousand misses by twelve standard deviations. Study: not in it."""
 
 BETTER_BY = 1.0
 """Standard deviations by which a mistake must fit a reading better than none, where it was clearly made in others beside it. By

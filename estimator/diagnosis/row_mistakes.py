@@ -1,11 +1,12 @@
 """Ways to write a row of a table down wrongly, each with the fields that rows would then hold.
 
-A field may be reversed, in another unit, with two axes exchanged, of another sensor or of a neighbouring row; or it was measured with
-another current or at another place than the row says.
+A field may be reversed, in another unit, with two axes exchanged, of another sensor or of a neighbouring row; a counter may have wrapped;
+or it was measured with another current or at another place than the row says.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -18,6 +19,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.expectation import Expectation, distance, predict_T
 from estimator.diagnosis.fitting import Fit
+from estimator.readings.digits import step_of
 from estimator.readings.flags import in_time
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -31,6 +33,11 @@ FACTORS = {
     0.01: "is a hundred times too small",
     1000.0: "is a thousand times too large",
     1e-3: "is a thousand times too small",
+}
+MOST_COUNTS = 2**16
+COUNTERS = {
+    MOST_COUNTS: "is off by a multiple of 65536 counts, as of a counter of 16 bits that wrapped",
+    2**8: "is off by a multiple of 256 counts, as of two bytes that were read at different times",
 }
 OF_ANOTHER_ROW = "holds the field of the reading"
 ROWS_BESIDE = 8  # how many rows away a field may have been written down
@@ -47,6 +54,9 @@ class Mistake:
         magnifies: Factor by which it makes errors of the readings larger.
         is_exact: Whether it repeats recorded digits, so that it fits exactly or not at all.
         is_reversal: Whether it reverses a current, or all that a sensor reads.
+        real: The readings with the settings that they were taken at, where others were recorded.
+        follows_field: Whether it is made where the field is large, so that its rows follow the field.
+        log_choices: Logarithm of the number of fields that a reading with this mistake may hold.
     """
 
     words: str
@@ -55,6 +65,9 @@ class Mistake:
     magnifies: float = 1.0
     is_exact: bool = False
     is_reversal: bool = False
+    real: Observations | None = None
+    follows_field: bool = False
+    log_choices: float = 0.0
 
 
 def mistakes_of(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> list[Mistake]:
@@ -67,6 +80,7 @@ def mistakes_of(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -
     """
     return [
         *_of_what_was_expected(expected),
+        *_of_counters(expected),
         *_of_other_settings(fit, values, expected),
         *_of_other_readings(fit.rig, expected),
     ]
@@ -92,14 +106,40 @@ def _of_what_was_expected(expected: Expectation) -> Iterator[Mistake]:
         yield Mistake(f"has {'xyz'[first]} and {'xyz'[second]} exchanged", None, predicted_T[:, order])
 
 
+def _of_counters(expected: Expectation) -> Iterator[Mistake]:
+    """Fields that are whole multiples of the counts of one or two bytes off, in counts of the last digit of each component."""
+    measured_T, predicted_T = expected.observations.field_sensor_T, expected.predicted_T
+    count_T = torch.zeros_like(measured_T)
+    for sensor in expected.observations.sensor.unique().tolist():
+        own = expected.observations.sensor == sensor
+        count_T[own] = count_T.new_tensor(
+            [step_of(of_axis_T) for of_axis_T in measured_T[own].cpu().numpy().T]
+        )
+    explained = torch.zeros_like(expected.is_far)
+    for counts, words in COUNTERS.items():
+        multiple = ((measured_T - predicted_T) / (counts * count_T)).nan_to_num(0.0, 0.0, 0.0).round()
+        is_off = multiple.any(dim=1) & expected.is_far & ~explained
+        if not bool(is_off.any()):
+            continue
+        # Another reading would be one multiple off, had this been made in it.
+        expected_T = predicted_T + torch.where(is_off[:, None], multiple, 1.0) * counts * count_T
+        choices = 2.0 * float(multiple[is_off].abs().max()) + 1.0
+        yield Mistake(
+            words, None, expected_T, follows_field=counts == MOST_COUNTS, log_choices=3.0 * math.log(choices)
+        )
+        off = distance(measured_T, expected_T, expected.size_T)
+        explained |= is_off & (off < policy.NEAR_TO_EXPECTED)
+
+
 def _of_other_settings(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> Iterator[Mistake]:
     """Fields of other currents or poses than recorded, of those that make one of the readings fit that miss by far."""
     far, size_T = expected.observations.rows(expected.is_far), expected.size_T[expected.is_far]
     for setting in (*_other_currents(fit.rig), *_other_poses(fit.rig, far)):
         there_T = predict_T(fit, values, setting.of(far))
         if bool((distance(far.field_sensor_T, there_T, size_T) < policy.NEAR_TO_EXPECTED).any()):
-            everywhere_T = predict_T(fit, values, setting.of(expected.observations))
-            yield Mistake(setting.words, None, everywhere_T, is_reversal=setting.is_reversed_current)
+            real = setting.of(expected.observations)
+            real_T = predict_T(fit, values, real)
+            yield Mistake(setting.words, None, real_T, is_reversal=setting.is_reversed_current, real=real)
 
 
 class _Setting(NamedTuple):

@@ -1,11 +1,13 @@
 """Readings that were recorded otherwise than they were measured, found one by one by what the fit of the others predicts for them.
 
-A reading is flagged where it misses by far and one of few mistakes (`row_mistakes`) makes it fit. The fit they are compared with is robust
-(`robust_fit`). Nothing is flagged unless those mistakes explain most of what misses by far: else it is the model that is wrong.
+A reading is flagged where it misses by far and one of few mistakes (`row_mistakes`) is much more probable than both its rivals: a model
+that is wrong there as it is wrong at the neighbours (`local_errors`), and a wild value. The fit they are compared with is robust
+(`robust_fit`). Mistakes are made in single rows and in stretches of time. Rows that follow a setting or the field are no mistakes.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import NamedTuple
@@ -19,6 +21,7 @@ from estimator.diagnosis.expectation import Expectation, distance, predict_T
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.robust_fit import robust_fit
 from estimator.diagnosis.row_mistakes import OF_ANOTHER_ROW, ROWS_BESIDE, Mistake, mistakes_of
+from estimator.diagnosis.row_odds import Trial, would_show
 from estimator.readings.flags import Flag, Reason
 from estimator.readings.observations import Observations
 
@@ -45,54 +48,58 @@ def some_miss_by_far(fit: Fit, observations: Observations) -> bool:
 
 
 def suspects_of(fit: Fit, observations: Observations) -> Suspects:
-    """Readings that a mistake explains where the model of a fit does not; none unless mistakes explain most of what misses by far.
+    """Readings that a mistake explains much better than a wrong model, beside the robust fit that most readings agree with best.
 
     Args:
         fit: Of the rig to some of the readings.
         observations: The readings to look at, a whole session.
     """
+    best, least_T = Suspects([], False), math.inf
     for start in (fit.values, fit.posterior.model.nominal):
         robust = robust_fit(fit, start, observations)
-        suspects = suspects_beside(robust, robust.values, observations)
-        if suspects.flags:
-            break
-    return suspects
+        expected = Expectation(observations, predict_T(robust, robust.values, observations))
+        size_T = float(expected.size_T.median())
+        if size_T < least_T:
+            best, least_T = _suspects(robust, robust.values, expected), size_T
+    return best
 
 
 def suspects_beside(fit: Fit, values: Mapping[str, Tensor], observations: Observations) -> Suspects:
-    """Such readings, each flagged for the mistake that explains most of those left, where values of the rig are known.
+    """Such readings, each flagged for the mistake that is most probable, where values of the rig are known.
 
     Args:
         fit: Of the rig.
         values: Of its parameters, by the readings that do not miss by far.
         observations: The readings to look at.
     """
-    expected = Expectation(observations, predict_T(fit, values, observations))
-    is_far = expected.is_far
-    if not bool(is_far.any()):
+    return _suspects(fit, values, Expectation(observations, predict_T(fit, values, observations)))
+
+
+def _suspects(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> Suspects:
+    if not bool(expected.is_far.any()):
         return Suspects([], False)
-    mistakes = mistakes_of(fit, values, expected)
-    explained = torch.stack([is_far & _explains(mistake, expected) for mistake in mistakes])
-    left, is_flagged = is_far.clone(), torch.zeros_like(is_far)
+    observations, mistakes = expected.observations, mistakes_of(fit, values, expected)
+    trial = Trial.of(expected, mistakes)
+    is_left = torch.ones_like(expected.is_far)
     flags, may_be_causes = list[Flag](), False
-    while bool((explained & left).any()):
-        number = int((explained & left).sum(dim=1).argmax())
-        mistake, is_clear = mistakes[number], explained[number] & left
-        words = _words(
-            mistake, [m for m, fits in zip(mistakes, explained, strict=True) if fits[is_clear].all()]
+    while True:
+        best = max(
+            (trial.claim(number, is_left) for number in range(len(mistakes))),
+            key=lambda claim: claim.log_odds,
         )
-        for sensor in observations.sensor[is_clear].unique().tolist():
-            is_own = (observations.sensor == sensor) & ~is_flagged
-            also = _of_the_same(is_clear & is_own, mistake, expected)
-            is_its = is_own & (is_clear | also)
-            is_flagged, left = is_flagged | is_its, left & ~is_its
+        if best.log_odds < math.log(policy.MUCH_MORE_PROBABLE):
+            return Suspects(_in_few_words(observations, flags), may_be_causes)
+        mistake = best.mistake
+        alike = [m for m, fits in zip(mistakes, trial.explained, strict=True) if fits[best.rows].all()]
+        for sensor in observations.sensor[best.rows].unique().tolist():
+            is_own = (observations.sensor == sensor) & is_left
+            is_its = is_own & (best.rows | _of_the_same(best.rows & is_own, mistake, expected))
+            is_left = is_left & ~is_its
             reason = Reason.HELD if mistake.is_exact else Reason.OTHERWISE
             readings = is_its.nonzero().flatten().tolist()
-            flags.append(Flag.of(observations, reason, words, mistake.component, readings))
-            is_without = _would_show(mistake, expected) & (observations.sensor == sensor) & ~is_its
+            flags.append(Flag.of(observations, reason, _words(mistake, alike), mistake.component, readings))
+            is_without = would_show(mistake, expected) & (observations.sensor == sensor) & ~is_its
             may_be_causes |= _may_be_cause(mistake, observations.time_s, is_its, is_without)
-    is_most = float(left.sum()) <= (1.0 - policy.LEAST_EXPLAINED_OF_FAR) * float(is_far.sum())
-    return Suspects(_in_few_words(observations, flags) if is_most else [], may_be_causes)
 
 
 def _words(mistake: Mistake, alike: Sequence[Mistake]) -> str:
@@ -140,24 +147,6 @@ def _may_be_cause(
     """
     later_s = time_s[is_without & (time_s >= time_s[is_its].min())]
     return not len(later_s) or (mistake.is_reversal and bool((later_s > time_s[is_its].max()).all()))
-
-
-def _explains(mistake: Mistake, expected: Expectation) -> Bool[Tensor, " reading"]:
-    """Readings that a mistake would make fit, of those that it would change by far."""
-    measured_T = expected.observations.field_sensor_T
-    fits = (
-        distance(measured_T, mistake.expected_T, mistake.magnifies * expected.size_T)
-        < policy.NEAR_TO_EXPECTED
-    )
-    if mistake.is_exact:
-        fits &= (measured_T == mistake.expected_T)[:, mistake.component]
-    return fits & _would_show(mistake, expected, mistake.magnifies)
-
-
-def _would_show(mistake: Mistake, expected: Expectation, magnified: float = 1.0) -> Bool[Tensor, " reading"]:
-    """Readings that a mistake would change by far, with errors that are magnified."""
-    off = distance(expected.predicted_T, mistake.expected_T, magnified * expected.size_T)
-    return off > policy.FAR_FROM_EXPECTED
 
 
 def _of_the_same(

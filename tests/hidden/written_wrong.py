@@ -15,6 +15,7 @@ Fields = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.int64]
 
 DIGIT_T = 1e-7  # to which the laboratory writes its readings
+HALF_OF_COUNTS, LEAST_COUNT_T = 2**15, 1e-9
 
 
 class Written(NamedTuple):
@@ -28,7 +29,7 @@ def written(kind: str, field_T: Fields, rng: np.random.Generator) -> Written:
     """A laboratory's table with one mistake in it; fields of one sensor in order of time, in T."""
     measured = np.round(field_T / DIGIT_T) * DIGIT_T
     changed, rows = KINDS[kind](measured.copy(), rng)
-    return Written(np.round(changed / DIGIT_T) * DIGIT_T, rows)
+    return Written(changed if kind == "wrapped" else np.round(changed / DIGIT_T) * DIGIT_T, rows)
 
 
 def _pasted(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
@@ -83,6 +84,18 @@ def _neighbour_row(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, R
     measured = field_T.copy()
     field_T[rows] = measured[rows - 1]
     return field_T, rows
+
+
+def _wrapped(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """A counter of 16 bits begins anew where the field of a component is beyond its range; its counts are written down."""
+    largest_T = np.abs(field_T).max(axis=1)
+    count_T = (
+        np.ceil(np.quantile(largest_T, rng.uniform(0.7, 0.95)) / HALF_OF_COUNTS / LEAST_COUNT_T)
+        * LEAST_COUNT_T
+    )
+    counts = np.round(field_T / count_T)
+    held = (counts + HALF_OF_COUNTS) % (2 * HALF_OF_COUNTS) - HALF_OF_COUNTS
+    return held * count_T, np.flatnonzero((held != counts).any(axis=1))
 
 
 class Placed(NamedTuple):
@@ -145,6 +158,7 @@ KINDS: dict[str, Callable[[Fields, np.random.Generator], tuple[Fields, Rows]]] =
     "unsigned": _unsigned,
     "columns": _columns,
     "neighbour_row": _neighbour_row,
+    "wrapped": _wrapped,
 }
 
 PLACES: dict[str, Callable[[Fields, np.random.Generator], tuple[Fields, Rows]]] = {
