@@ -161,18 +161,6 @@ def test_what_is_enough_depends_on_what_is_asked_for(tmp_path):
     assert not is_enough(tmp_path / "none", SamplerSettings())
 
 
-def test_one_session_of_absurd_numbers_leaves_the_others(sessions, address, tmp_path):
-    whole = load_session(sessions[0])
-    absurd = whole.observations.with_field(1e200 * whole.observations.field_sensor_T)
-    replace(whole, observations=absurd).save(tmp_path / "absurd.zarr")
-    result = batch(
-        [*sessions, tmp_path / "absurd.zarr"], out=tmp_path, has_posterior=False, scheduler=address
-    )
-    assert (len(result.names), result.n_new) == (3, 3)
-    (what,) = result.failed
-    assert what.endswith("absurd.zarr")  # it is refused as it is opened
-
-
 def test_only_what_is_missing_of_a_stack_counts_as_new(sessions, address, tmp_path):
     def ask() -> BatchResult:
         return batch(sessions, out=tmp_path, has_posterior=False, scheduler=address)

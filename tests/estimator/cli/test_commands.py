@@ -353,7 +353,7 @@ def test_damaged_files_give_exit_code_3(
         assert "was altered or lost a chunk" in refused(run(*command), 3)
         chunk.write_bytes(content)
     (tmp_path / "calibration" / "summary.json").write_text("{", encoding="utf-8")
-    assert "is damaged" in refused(run("report", tmp_path / "calibration"), 3)
+    assert "summary.json must be JSON" in refused(run("report", tmp_path / "calibration"), 3)
     assert sorted(tmp_path.rglob("*")) == before
 
 

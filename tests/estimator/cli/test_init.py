@@ -93,7 +93,7 @@ def test_whoever_sits_at_a_terminal_is_asked_for_the_rest(
     ("options", "words"),
     [
         (["--radius-mm", "-1"], "radius_mm must be > 0 and below 1000000; received -1"),
-        (["--noise-ut", "nan"], "noise_uT must be > 0"),
+        (["--noise-ut", "nan"], "--noise-ut must be a number"),
         (
             ["--radius-mm", "20"],
             "radius_mm must exceed 24.74, the thickness of its layers and some room; received 20",
