@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import arviz
@@ -24,7 +23,7 @@ from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan, load_plan
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.store.session import Session, load_session
+from estimator.store.session import Session
 from tests.estimator.conftest import SIDEWAYS, TWO_COILS
 
 HYPOTHESES = ("plain", "axis_gain")
