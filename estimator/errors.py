@@ -47,6 +47,10 @@ class InvalidInput(CoilcalError, ValueError):
         self.place = place
 
 
+class DiskFull(InvalidInput):
+    """There is no room for what is written; what was there before is as it was."""
+
+
 class CorruptStore(CoilcalError):
     """A file on disk is truncated, altered or of another schema version."""
 

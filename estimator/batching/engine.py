@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 import os
+import signal
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from multiprocessing import resource_tracker
 from typing import Any, Protocol, cast, runtime_checkable
 
 import dask
@@ -185,6 +188,20 @@ def _replacing(local: LocalCluster, n: int) -> Iterator[None]:
 
 
 @contextmanager
+def _deaf_to_interruptions() -> Iterator[None]:
+    """Threads and processes that begin meanwhile, and those that these start, never get Ctrl-C, which a terminal sends to all.
+
+    This program hears it, and ends them in order.
+    """
+    resource_tracker.ensure_running()  # in Python 3.11 the thread that starts it is deaf no more
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextmanager
 def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
     """Start workers, or connect to those of a scheduler.
 
@@ -207,7 +224,8 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
         address = scheduler
         if address is None:
             n = workers or len(os.sched_getaffinity(0))
-            local = LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0")
+            with _deaf_to_interruptions():
+                local = LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0")
             address = stack.enter_context(local).scheduler_address
             stack.enter_context(_replacing(local, n))
         try:
@@ -216,4 +234,8 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
             raise InvalidInput(f"scheduler must answer within {PATIENCE_S} s; {address} did not") from error
         connected = Cluster(client, address)
         stack.callback(connected.close)  # closes the client of that time, which may be a later one
-        yield connected
+        try:
+            yield connected
+        except KeyboardInterrupt:  # workers that are killed are not worth a warning then
+            logging.getLogger("distributed.nanny").setLevel(logging.ERROR)
+            raise

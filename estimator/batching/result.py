@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.json_files import read_json
-from estimator.store.files import write_text
+from estimator.store.files import write_bytes, write_text
 
 
 @dataclass(frozen=True)
@@ -80,9 +81,9 @@ class BatchResult:
         """Write the table as `summary.csv`, with all digits, and as `summary.parquet`."""
         table = self.table()
         write_text(folder / "summary.csv", table.to_csv(index=False, lineterminator="\n"))
-        partial = folder / "summary.parquet.partial"
-        table.to_parquet(partial, index=False)
-        partial.replace(folder / "summary.parquet")
+        parquet = io.BytesIO()
+        table.to_parquet(parquet, index=False)
+        write_bytes(folder / "summary.parquet", parquet.getvalue())
 
     def dataset(self) -> xr.Dataset:
         """Medians, standard deviations and intervals by job and parameter; NaN where a job lacks the parameter."""

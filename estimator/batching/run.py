@@ -26,14 +26,23 @@ from estimator.batching.work import (
 )
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
-from estimator.errors import InvalidInput, reason
+from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
+from estimator.store.files import kind_of
+from estimator.store.made import Made
+from estimator.store.staging import only_writer
 
 # A larger stack is slower than two smaller ones, because it no longer fits the processor's cache.
 STACK_READINGS, STACK_JOBS = 8000 // (1 + policy.MORE_STARTS), 64
 LEADS_ABOVE = 0.05  # probability of a hypothesis above which its posterior is sampled
 JOBS = "jobs"
+MADE = Made(
+    "a batch",
+    "",  # nothing replaces one
+    (JOBS, "summary.csv", "summary.parquet", "overview.html"),
+    lambda folder: kind_of(folder / JOBS) == "a folder",
+)
 
 
 def batch(
@@ -79,17 +88,16 @@ def batch(
     if scheduler is None:  # workers of a cluster may have what this computer has not
         device_named(device)
     precision_named(precision)
+    MADE.check_open(Path(out))
     folder = Path(out).absolute() / JOBS
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InvalidInput(
-            f"output must be a folder that can be written; {out} is not: {reason(error)}"
-        ) from error
     described_rig = load_rig(rig) if rig else None
     hypotheses, chosen = tuple(dict.fromkeys(hypotheses)), settings or SamplerSettings()
     paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
-    with nullcontext(ThisProcess()) if workers == 0 else cluster(workers, scheduler) as connected:
+    with (
+        only_writer(out),
+        nullcontext(ThisProcess()) if workers == 0 else cluster(workers, scheduler) as connected,
+    ):
+        folder.mkdir(exist_ok=True)
         run = _Run(folder, connected, tell or (lambda done, total, words: None))
         described = run.describe(
             paths, (described_rig, hypotheses, is_each_coil, seed, chosen, (device, precision))

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import uuid
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,11 +12,11 @@ import torch
 from estimator.batching.jobs import Job, jobs_of, readings_and_rig
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
-from estimator.calibration.result import SUMMARY_FILE
+from estimator.calibration.result import CALIBRATION, SUMMARY_FILE
 from estimator.code_version import code_version
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.errors import CoilcalError, CorruptStore
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.json_files import read_json, sealed
 from estimator.model.measurement_model import MeasurementModel
@@ -28,9 +25,10 @@ from estimator.readings.metrics import HALF_WIDTH_90, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text
-from estimator.store.session import load_session, replace_folder
+from estimator.store.session import load_session
+from estimator.store.staging import staged
 
-RESULT_FILE, CALIBRATION_FOLDER, UNFINISHED = "result.json", "calibration", ".unfinished"
+RESULT_FILE, CALIBRATION_FOLDER = "result.json", "calibration"
 
 
 def describe(
@@ -101,15 +99,16 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
     Returns: Why there is no posterior, in a sentence; None if there is one.
     """
     torch.set_num_threads(1)
-    job_folder = Path(folder) / job.name
-    finished, unfinished = job_folder / CALIBRATION_FOLDER, job_folder / f".{CALIBRATION_FOLDER}.unfinished"
+    finished = Path(folder) / job.name / CALIBRATION_FOLDER
     try:
         session, rig = readings_and_rig(job, load_session(job.session))
-        with _only_writer(job_folder / RESULT_FILE):
+        # Waits for another worker at the same job: a worker whose scheduler was lost keeps working.
+        with staged(finished, overwrite=True, made=CALIBRATION, goes_on=True, waits=True) as unfinished:
             if is_enough(finished, settings):  # finished by a worker that was thought to be lost
+                shutil.rmtree(unfinished, ignore_errors=True)
                 return None
             if finished.exists() and not unfinished.exists():
-                copy = job_folder / f".{CALIBRATION_FOLDER}.copy"
+                copy = unfinished.with_name("copy")
                 shutil.rmtree(copy, ignore_errors=True)
                 shutil.copytree(finished, copy)
                 copy.rename(unfinished)
@@ -124,7 +123,6 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
                     device=job.device,
                     precision=job.precision,
                 )
-            replace_folder(unfinished, finished)
     except CoilcalError as error:
         return str(error)
     return None
@@ -138,17 +136,6 @@ def is_enough(posterior: Path, settings: SamplerSettings) -> bool:
     ess, rhat = sampling["smallest_ess"], sampling["largest_rhat"]
     has_met = ess >= settings.target_ess and rhat is not None and rhat <= settings.largest_rhat
     return bool(has_met or sampling["steps"] >= settings.max_steps)
-
-
-@contextmanager
-def _only_writer(path: Path) -> Iterator[None]:
-    """Wait for another worker at the same job: a worker whose scheduler was lost keeps working."""
-    import fcntl  # missing on Windows, where results can still be read
-
-    with path.open("r+b") as file:
-        with suppress(OSError):  # file systems without locks
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield
 
 
 def _words(error: Exception) -> str:
@@ -184,12 +171,12 @@ def _vector_rms_T(fit: Fit, observations: Observations) -> float:
 
 def _write(folder: Path, result: dict[str, Any]) -> None:
     """Write a result folder under a temporary name and rename it; an existing one stays, because it holds the same result."""
-    attempt = f".{folder.name}.{uuid.uuid4().hex}{UNFINISHED}"
-    if not (folder / RESULT_FILE).exists():
-        unfinished = folder.with_name(attempt)
-        unfinished.mkdir(parents=True)
-        write_text(unfinished / RESULT_FILE, sealed(result, indent=2))
-        with suppress(OSError):  # another attempt was faster
-            unfinished.rename(folder)
-    for leftover in folder.parent.glob(f".{folder.name}.*{UNFINISHED}"):
-        shutil.rmtree(leftover, ignore_errors=True)
+    if (folder / RESULT_FILE).exists():
+        return
+    try:
+        with staged(folder, waits=True) as unfinished:
+            unfinished.mkdir()
+            write_text(unfinished / RESULT_FILE, sealed(result, indent=2))
+    except InvalidInput:
+        if not (folder / RESULT_FILE).exists():  # else another attempt was faster
+            raise

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
@@ -17,7 +16,13 @@ import torch
 from emcee.backends import Backend
 
 from estimator.calibration.notes import notes
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.calibration.result import (
+    CHAIN_STORE,
+    SUMMARY_FILE,
+    Calibration,
+    check_calibration,
+    remove_calibration,
+)
 from estimator.calibration.starting_point import (
     StartingPoint,
     independent,
@@ -29,7 +34,7 @@ from estimator.calibration.summary import finite, summary
 from estimator.devices import device_named, precision_named
 from estimator.effects.everywhere import WithEverywhere, with_everywhere
 from estimator.effects.use import as_meant
-from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
 from estimator.inference.laplace import OpenDirection
@@ -40,9 +45,10 @@ from estimator.model.preflight import check_precision, check_readings, check_uni
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend
+from estimator.store.files import unwritable
+from estimator.store.made import check_folder
 from estimator.store.session import Session
 
-CHAIN_STORE = "chain.zarr"
 PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
 
 
@@ -111,7 +117,7 @@ def calibrate(
     folder = None if out is None else Path(out)
     computed = [] if (device, precision) == ("cpu", "double") else [device, precision]
     fingerprint = _fingerprint(session, rig, settings, has_integer_counts, computed)
-    backend = None if folder is None or overwrite else _unfinished_chain(folder, fingerprint)
+    backend = _unfinished_chain(folder, fingerprint, overwrite)
     observations = as_meant(rig, session.observations).calibration
     check_units(rig, observations, session.source)
     MeasurementModel.build(rig, session.observations)  # refuses sensors inside a winding, in validation too
@@ -200,8 +206,14 @@ def _check_free(rig: Rig, has_integer_counts: bool) -> None:
         )
 
 
-def _unfinished_chain(folder: Path, fingerprint: str) -> Backend | None:
-    """The chain to continue; None if the folder holds none."""
+def _unfinished_chain(folder: Path | None, fingerprint: str, overwrite: bool) -> Backend | None:
+    """The chain to continue; None if the folder holds none that is to be continued."""
+    if folder is None:
+        return None
+    check_folder(folder.absolute())
+    check_calibration(folder)
+    if overwrite:
+        return None
     if _is_finished(folder):
         raise InvalidInput(
             f"output must not hold a finished calibration unless --overwrite replaces it; received {folder}"
@@ -222,9 +234,7 @@ def _make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InvalidInput(
-            f"output must be a folder that can be written; {folder} is not: {reason(error)}"
-        ) from error
+        raise unwritable(folder, error) from error
 
 
 def _new_backend(
@@ -237,7 +247,7 @@ def _new_backend(
     if folder is None:
         return Backend()
     if overwrite:
-        _remove_result(folder)
+        remove_calibration(folder)
     return ZarrBackend.create(
         folder / CHAIN_STORE,
         coordinate_names=coordinates.labels,
@@ -255,16 +265,6 @@ def _is_finished(folder: Path) -> bool:
         return bool(read_json(folder / SUMMARY_FILE, fault=CorruptStore).get("is_converged", True))
     except CorruptStore:
         return True  # damaged, but not to be overwritten unasked
-
-
-def _remove_result(folder: Path) -> None:
-    """Delete the files of an earlier calibration from a folder, and nothing else."""
-    for name in (SUMMARY_FILE, CHAIN_STORE, POSTERIOR_STORE, "report.html"):
-        path = folder / name
-        if path.is_dir():
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
 
 
 def _fingerprint(

@@ -19,7 +19,7 @@ from torch import Tensor
 from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.devices import numpy_of
-from estimator.errors import CorruptStore, InvalidInput, cut, quoted, reason
+from estimator.errors import CorruptStore, InvalidInput, cut, quoted
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
@@ -31,12 +31,19 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import MotionKind, Rig
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.admission import admit, admit_readings
-from estimator.store.files import write_text
-from estimator.store.session import digest, observation_arrays, observations_from, quiet_zarr, replace_folder
+from estimator.store.files import kind_of, unwritable, write_text
+from estimator.store.made import GROUP, Made, arrays_of, holds
+from estimator.store.session import ARRAYS, digest, observation_arrays, observations_from, quiet_zarr
+from estimator.store.staging import staged
 from estimator.units import LARGEST
 
 SCHEMA_VERSION = 1
-POSTERIOR_STORE, SUMMARY_FILE = "posterior.zarr", "summary.json"
+POSTERIOR_STORE, SUMMARY_FILE, CHAIN_STORE, REPORT = (
+    "posterior.zarr",
+    "summary.json",
+    "chain.zarr",
+    "report.html",
+)
 SUMMARY_SEAL = "summary_sha256"
 SUMMARY_KEYS: Mapping[str, type] = {
     **dict.fromkeys(
@@ -233,19 +240,23 @@ class Calibration:
         return formats.export(self.magnet(), to, path, grid=grid, currents_A=currents_A, motion=motion)
 
     def save(self, folder: Path | str) -> None:
-        """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`), then `summary.json`, which marks the result as complete."""
+        """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`), then `summary.json`, which marks the result as complete.
+
+        Raises:
+            InvalidInput: The folder cannot be written, or files of somebody else have these names in it.
+        """
         folder = Path(folder)
+        CALIBRATION.check_open(folder)
+        summary = json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n"
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            partial = folder / (POSTERIOR_STORE + ".partial")
-            shutil.rmtree(partial, ignore_errors=True)
-            summary = json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n"
-            self._write_posterior(partial, summary)
-            (folder / SUMMARY_FILE).unlink(missing_ok=True)  # never beside a posterior that is not its own
-            replace_folder(partial, folder / POSTERIOR_STORE)
+            with staged(folder / POSTERIOR_STORE, overwrite=True, made=POSTERIOR) as new:
+                self._write_posterior(new, summary)
+                (folder / SUMMARY_FILE).unlink(
+                    missing_ok=True
+                )  # never beside a posterior that is not its own
             write_text(folder / SUMMARY_FILE, summary)
         except OSError as error:
-            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
+            raise unwritable(folder, error) from error
 
     @classmethod
     def load(cls, folder: Path | str) -> Calibration:
@@ -341,6 +352,66 @@ class Calibration:
                 rule = f"current of {name} must lie between {-LARGEST:g} and {LARGEST:g}"
                 raise InvalidInput(f"{rule}; received {currents_A[name]:g}")
         return like.new_tensor([float(currents_A.get(name, 0.0)) for name in names])
+
+
+# By what damage may leave of them, too.
+POSTERIOR_FILES = (
+    rf"zarr\.json|(?:posterior|sample_stats)/(?:{arrays_of('[^/]+')})"
+    rf"|(?:observed_data|constant_data)/(?:{arrays_of(ARRAYS)})"
+)
+CHAIN_FILES = arrays_of("chain|log_prob|checkpoint|accepted")
+POSTERIOR = Made(
+    "a posterior",
+    POSTERIOR_FILES,
+    (GROUP,),
+    lambda folder: holds(folder / GROUP, '"best"') or (folder / "sample_stats" / GROUP).is_file(),
+)
+CHAIN = Made(
+    "a chain of samples",
+    CHAIN_FILES,
+    (GROUP,),
+    lambda folder: holds(folder / GROUP, '"array_crc32"') or (folder / "log_prob" / GROUP).is_file(),
+)
+CALIBRATION = Made(
+    "a calibration",
+    rf"summary\.json|report\.html|posterior\.zarr/(?:{POSTERIOR_FILES})|chain\.zarr/(?:{CHAIN_FILES})",
+    (SUMMARY_FILE, POSTERIOR_STORE, CHAIN_STORE, REPORT),
+    lambda folder: (
+        holds(folder / SUMMARY_FILE, '"coverage90"')
+        or POSTERIOR.is_one(folder / POSTERIOR_STORE)
+        or CHAIN.is_one(folder / CHAIN_STORE)
+    ),
+)
+
+
+def remove_calibration(folder: Path) -> None:
+    """Delete the files of an earlier calibration from a folder, and nothing else.
+
+    Raises:
+        InvalidInput: One of them holds something that coilcal did not write; nothing is deleted then.
+    """
+    check_calibration(folder)
+    for name in CALIBRATION.names:
+        path = folder / name
+        if kind_of(path) == "a folder":
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
+
+
+def check_calibration(folder: Path) -> None:
+    """Refuse a folder in which files of somebody else have the names of a calibration.
+
+    Raises:
+        InvalidInput: It holds such files.
+    """
+    CALIBRATION.check_open(folder)
+    for name, store in ((POSTERIOR_STORE, POSTERIOR), (CHAIN_STORE, CHAIN)):
+        if kind_of(folder / name) is not None:
+            store.check_replaceable(folder / name)
+    for name in (SUMMARY_FILE, REPORT):
+        if kind_of(folder / name) not in (None, "a file"):
+            raise InvalidInput(f"output must be a file; {folder / name} is {kind_of(folder / name)}")
 
 
 def _check_level(level: float) -> None:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import devices_option, json_option, overwrite_option, seed_option
-from estimator.cli.output import EXIT_UNDELIVERED, CoilcalCommand, refuse_existing, show
+from estimator.cli.options import OutputPath, devices_option, json_option, overwrite_option, seed_option
+from estimator.cli.output import EXIT_INTERRUPTED, EXIT_UNDELIVERED, CoilcalCommand, show
 from estimator.errors import CorruptStore, InvalidInput
 
 if TYPE_CHECKING:
@@ -20,14 +20,13 @@ if TYPE_CHECKING:
     from estimator.store.session import Session
 
 FEWEST_READINGS = 6  # `estimator.acquisition.pace` says why; it needs torch
-INTERRUPTED = 130
 DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 
 
 @click.command("acquire", cls=CoilcalCommand)
 @click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
 @click.argument("plan_path", metavar="PLAN", type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
+@click.option("--out", type=OutputPath(), required=True, help="Session to write (zarr).")
 @devices_option
 @click.option("--dry-run", is_flag=True, help="Show the plan and its duration; touch no instrument.")
 @click.option(
@@ -83,15 +82,17 @@ def acquire_command(
     from drivers.interlock import sigterm_as_exception
     from estimator.cli.acquire_task import check_plan, measure, plan_record, plan_text, read_task
     from estimator.cli.instruments import Bench
-    from estimator.store.journal import JOURNAL, read_journal
-    from estimator.store.session import is_growing, seal
+    from estimator.store.journal import read_journal
+    from estimator.store.made import JOURNAL
+    from estimator.store.session import SESSION, is_growing, seal
+    from estimator.store.staging import check_output
 
     is_resumed = is_growing(out) and not overwrite
     if url is not None and not overwrite and not is_resumed and (out / JOURNAL).is_file():
         _deliver_rest(out, url, as_json)
         return
     if not is_resumed:
-        refuse_existing(out, overwrite)
+        check_output(out, overwrite, SESSION)
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
     task = read_task(bench, plan_path, n_readings, longest_settle_s, speed_mm_per_s, seed)
@@ -109,7 +110,7 @@ def acquire_command(
             "coilcal: interrupted; the currents are off, the arms stay where they are, and the same command goes on",
             err=True,
         )
-        sys.exit(end.code if isinstance(end, SystemExit) else INTERRUPTED)
+        sys.exit(end.code if isinstance(end, SystemExit) else EXIT_INTERRUPTED)
     session = seal(out)
     n_readings_taken = len(session.observations)
     n_validation = int(session.observations.is_validation.sum())

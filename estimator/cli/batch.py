@@ -8,16 +8,23 @@ from pathlib import Path
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import MOST_PROCESSES, ess_option, json_option, prediction_options, seed_option
+from estimator.cli.options import (
+    MOST_PROCESSES,
+    OutputPath,
+    ess_option,
+    json_option,
+    prediction_options,
+    seed_option,
+)
 from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show, tell_progress
 from estimator.errors import InvalidInput
 
 
-@click.command("batch", cls=CoilcalCommand)
+@click.command("batch", cls=CoilcalCommand, goes_on=True)
 @click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(is_filled=True),
     required=True,
     help="Folder for posteriors, tables and overview.html.",
 )

@@ -11,6 +11,7 @@ import click
 from estimator.cli.command_line import command_of
 from estimator.cli.options import (
     REFUSED_SINGLE,
+    OutputPath,
     ess_option,
     json_option,
     other_rig_option,
@@ -24,11 +25,11 @@ MOST_WALKERS, MOST_STEPS = 100_000, 1_000_000_000  # more fit into no memory
 MOST_LISTED = 50  # amplitudes on the screen
 
 
-@click.command("calibrate", cls=CoilcalCommand)
+@click.command("calibrate", cls=CoilcalCommand, goes_on=True)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(is_filled=True),
     required=True,
     help="Folder for summary.json, posterior.zarr and report.html.",
 )
@@ -88,8 +89,8 @@ def calibrate_command(
     from estimator.inference.ensemble import SamplerSettings
     from estimator.rig_files.read import load_rig
     from estimator.store.files import write_text
-    from estimator.store.only_writer import only_writer
     from estimator.store.session import load_session
+    from estimator.store.staging import only_writer
 
     session = load_session(session_path)
     rig = load_rig(rig_path) if rig_path else None
@@ -108,8 +109,8 @@ def calibrate_command(
             precision=precision,
             on_stage=reporter,
         )
-    command = command_of(click.get_current_context())
-    write_text(out / "report.html", calibration_report(calibration, command))
+        command = command_of(click.get_current_context())
+        write_text(out / "report.html", calibration_report(calibration, command))
     show(dict(calibration.summary()), _text(calibration.summary(), out), as_json)
     if not calibration.summary()["is_converged"]:
         click.echo(

@@ -8,9 +8,11 @@ from pathlib import Path
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import json_option, overwrite_option, seed_option
-from estimator.cli.output import CoilcalCommand, refuse_existing, show
-from estimator.errors import InvalidInput, reason
+from estimator.cli.options import OutputPath, json_option, overwrite_option, seed_option
+from estimator.cli.output import CoilcalCommand, show
+from estimator.errors import InvalidInput
+
+PAGE, RESULT = "comparison.html", "comparison.json"
 
 
 @click.command("compare", cls=CoilcalCommand)
@@ -35,7 +37,7 @@ from estimator.errors import InvalidInput, reason
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(is_filled=True),
     required=True,
     help="Folder for comparison.json and comparison.html.",
 )
@@ -59,20 +61,18 @@ def compare_command(
     from estimator.comparison.compare import compare
     from estimator.comparison.map_files import read_map
     from estimator.comparison.report import comparison_report, sentences
-    from estimator.store.files import write_text
     from estimator.store.session import load_session
+    from estimator.store.staging import check_output, only_writer, write_output
 
     if map_current_A == 0.0:
         raise InvalidInput("--map-current must not be 0: a map without current says nothing of the coil")
-    refuse_existing(out / "comparison.json", overwrite)
+    for name in (PAGE, RESULT):
+        check_output(out / name, overwrite)
     session = load_session(path)
     comparison = compare(session, read_map(map_path, map_current_A), coil, seed=seed)
     result = comparison.to_json()
     command = command_of(click.get_current_context())
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        write_text(out / "comparison.html", comparison_report(comparison, session.source, command))
-        write_text(out / "comparison.json", json.dumps(result, indent=2, allow_nan=False) + "\n")
-    except OSError as error:
-        raise InvalidInput(f"output must be writable; {out} is not: {reason(error)}") from error
-    show(result, "\n".join([*sentences(comparison), f"report: {out / 'comparison.html'}"]), as_json)
+    with only_writer(out):
+        write_output(out / PAGE, comparison_report(comparison, session.source, command), overwrite)
+        write_output(out / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n", overwrite)
+    show(result, "\n".join([*sentences(comparison), f"report: {out / PAGE}"]), as_json)

@@ -7,8 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from estimator.calibration.calibrate import CHAIN_STORE
-from estimator.calibration.result import SUMMARY_FILE, Calibration
+from estimator.calibration.result import CHAIN_STORE, SUMMARY_FILE, Calibration
 from estimator.cli.understood import rig_lines, rig_record
 from estimator.cli.words import duration_words
 from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS

@@ -20,7 +20,7 @@ from estimator.json_files import read_json, sealed
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text
 from estimator.store.follow import Follower
-from estimator.store.journal import JOURNAL
+from estimator.store.made import JOURNAL
 
 RECEIPT = "delivery.json"
 MOST_AT_ONCE = 200  # readings of one request

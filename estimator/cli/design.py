@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from estimator.cli.options import json_option, other_rig_option, overwrite_option
-from estimator.cli.output import CoilcalCommand, refuse_existing, show
+from estimator.cli.options import OutputPath, json_option, other_rig_option, overwrite_option
+from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
     from estimator.diagnosis.next_readings.design import Design
@@ -53,7 +53,7 @@ MOST_STOPS = 500
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(),
     help="Plan to write (YAML), for coilcal simulate and coilcal acquire.",
 )
 @other_rig_option
@@ -81,11 +81,11 @@ def design_command(
     from estimator.cli.count_progress import CountReporter
     from estimator.diagnosis.next_readings.design import design
     from estimator.rig_files.read import load_rig
-    from estimator.store.files import write_text
     from estimator.store.session import load_session
+    from estimator.store.staging import check_output, write_output
 
     if out is not None:
-        refuse_existing(out, overwrite)
+        check_output(out, overwrite)
     rig = load_rig(rig_path) if rig_path else None
     with CountReporter() as reporter:
         proposal = design(
@@ -99,7 +99,7 @@ def design_command(
             on_count=reporter,
         )
     if out is not None:
-        write_text(out, proposal.plan)
+        write_output(out, proposal.plan, overwrite)
     result = {**proposal.to_json(), "plan": None if out is None else str(out)}
     show(result, _text(proposal, out), as_json)
 

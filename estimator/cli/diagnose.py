@@ -13,23 +13,24 @@ from typing import TYPE_CHECKING
 import click
 
 from estimator.cli.command_line import command_of
+from estimator.cli.interruption import interrupt
 from estimator.cli.options import (
     REFUSED_SINGLE,
+    OutputPath,
     json_option,
     other_rig_option,
     overwrite_option,
     prediction_options,
     seed_option,
 )
-from estimator.cli.output import CoilcalCommand, refuse_existing, show
-from estimator.errors import InvalidInput
+from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
     from estimator.diagnosis.limits import Limits
     from estimator.diagnosis.result import Diagnosis
 
 
-@click.command("diagnose", cls=CoilcalCommand)
+@click.command("diagnose", cls=CoilcalCommand, goes_on=True)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
 @click.option(
     "--validation",
@@ -40,7 +41,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(),
     required=True,
     help="Folder for diagnosis.json, rig_extended.yaml and report.html.",
 )
@@ -106,26 +107,24 @@ def diagnose_command(
     from estimator.diagnosis.fit_journal import FITS
     from estimator.diagnosis.limits import Limits
     from estimator.diagnosis.report import diagnosis_report
-    from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS, REPORT
+    from estimator.diagnosis.result import CALIBRATION_FOLDER, MADE, REPORT
     from estimator.rig_files.read import load_rig
     from estimator.store.files import write_text
-    from estimator.store.only_writer import only_writer
     from estimator.store.session import load_session
+    from estimator.store.staging import check_output, staged
 
     was_cut_short = (out / FITS).exists()
-    refuse_existing(out, overwrite or was_cut_short)
-    if out.exists() and not (out / DIAGNOSIS).exists():
-        raise InvalidInput(
-            f"--overwrite replaces folders that coilcal diagnose has made; received {out}, which has no {DIAGNOSIS}"
-        )
+    check_output(out, overwrite or was_cut_short, MADE)
     session = load_session(session_path)
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
-    unfinished = out.with_name(f".{out.name}.unfinished")
     limits = Limits(policy.MOST_CAUSES if most_causes is None else most_causes, minutes)
-    with only_writer(unfinished, out), SearchReporter() as reporter, _stopping(limits, reporter.stage):
-        if was_cut_short and not (unfinished / FITS).exists():
-            shutil.copy(out / FITS, unfinished / FITS)
+    with (
+        SearchReporter() as reporter,
+        _stopping(limits, reporter.stage),
+        staged(out, overwrite or was_cut_short, MADE, goes_on=True) as unfinished,
+    ):
+        _keep_fits(unfinished, out if was_cut_short else None)
         diagnosis = diagnose(
             session,
             rig,
@@ -147,9 +146,21 @@ def diagnose_command(
             write_text(
                 unfinished / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command)
             )
-        shutil.rmtree(out, ignore_errors=True)
-        unfinished.rename(out)
     show(diagnosis.to_json(), _text(diagnosis, out), as_json)
+
+
+def _keep_fits(unfinished: Path, before: Path | None) -> None:
+    """Leave nothing of an interrupted diagnosis but its fits; where it has none, take those of one that was cut short."""
+    from estimator.diagnosis.fit_journal import FITS
+
+    unfinished.mkdir(exist_ok=True)
+    for path in unfinished.iterdir():
+        if path.is_dir():
+            shutil.rmtree(path)
+        elif path.name != FITS:
+            path.unlink()
+    if before is not None and not (unfinished / FITS).exists():
+        shutil.copy(before / FITS, unfinished / FITS)
 
 
 @contextmanager
@@ -158,7 +169,8 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
 
     def stop(*_: object) -> None:
         if limits.stopped.is_set():
-            raise KeyboardInterrupt
+            interrupt()
+            return
         limits.stopped.set()
         tell(
             "stopping after the fit at hand; the report of the best so far follows (once more to quit at once)"

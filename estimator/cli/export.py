@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes
-from estimator.cli.options import json_option, overwrite_option
-from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
+from estimator.cli.options import OutputPath, json_option, overwrite_option
+from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 from estimator.export.formats import FORMATS
 
 TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items())
@@ -25,7 +25,7 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
 @click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Format.")
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(),
     help="File to write; by default one named after the rig, in this folder.",
 )
 @click.option(
@@ -65,18 +65,27 @@ def export_command(
     import torch
 
     from estimator.calibration.result import Calibration
-    from estimator.export.formats import default_path
+    from estimator.export.formats import default_path, export
     from estimator.export.request import Grid
+    from estimator.store.staging import check_output
     from estimator.system.system import System
 
     loaded = [Calibration.load(folder) for folder in folders]
     calibrated = loaded[0] if len(loaded) == 1 else System.of(*loaded)
     path = default_path(calibrated.magnet(), to) if out is None else out
-    refuse_existing(path, overwrite)
+    check_output(path, overwrite)
     grid = Grid(*grid_axes(axes).values()) if axes else None
     motion = {
         name: torch.tensor(values, dtype=torch.float64)
         for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
-    calibrated.export(to, path, grid=grid, currents_A=named_number(currents, "--current"), motion=motion)
+    export(
+        calibrated.magnet(),
+        to,
+        path,
+        grid=grid,
+        currents_A=named_number(currents, "--current"),
+        motion=motion,
+        overwrite=overwrite,
+    )
     show({"file": str(path), "format": to}, f"{FORMATS[to].words} written to {path}", as_json)

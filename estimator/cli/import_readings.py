@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from estimator.cli.options import json_option, overwrite_option, seed_option
-from estimator.cli.output import CoilcalCommand, named_number, refuse_existing, show
+from estimator.cli.options import OutputPath, json_option, overwrite_option, seed_option
+from estimator.cli.output import CoilcalCommand, named_number, show
 from estimator.store.importers import IMPORTERS
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ VALIDATION_SHARE = 0.2
 @click.command("import", cls=CoilcalCommand)
 @click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--rig", "rig_path", type=click.Path(path_type=Path), required=True, help="Rig file.")
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
+@click.option("--out", type=OutputPath(), required=True, help="Session to write (zarr).")
 @click.option(
     "--format",
     "kind",
@@ -76,8 +76,10 @@ def import_command(
     from estimator.readings.flags import told
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.recorded import moment
+    from estimator.store.session import SESSION
+    from estimator.store.staging import check_output
 
-    refuse_existing(out, overwrite)
+    check_output(out, overwrite, SESSION)
     created = None if recorded_at is None else moment(recorded_at, "--recorded-at")
     rig = load_rig(rig_path)
     session = IMPORTERS[kind](paths, rig, named_number(currents, "--current"))

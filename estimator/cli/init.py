@@ -9,8 +9,8 @@ from typing import Any
 
 import click
 
-from estimator.cli.options import json_option, overwrite_option
-from estimator.cli.output import CoilcalCommand, refuse_existing, show
+from estimator.cli.options import OutputPath, json_option, overwrite_option
+from estimator.cli.output import CoilcalCommand, show
 
 QUESTIONS: dict[str, tuple[type | tuple[str, ...], Any, str]] = {
     "name": (str, "my rig", "Name of the rig"),
@@ -48,7 +48,7 @@ def _options(command: Callable[..., Any]) -> Callable[..., Any]:
 
 
 @click.command("init", cls=CoilcalCommand)
-@click.argument("folder", default=".", type=click.Path(path_type=Path))
+@click.argument("folder", default=".", type=OutputPath(is_filled=True))
 @_options
 @click.option("--yes", "is_quiet", is_flag=True, help="Ask nothing: take the defaults of what is not given.")
 @overwrite_option
@@ -69,11 +69,11 @@ def init_command(folder: Path, is_quiet: bool, overwrite: bool, as_json: bool, *
         starter_plan_text,
         starter_rig_text,
     )
-    from estimator.store.files import write_text
+    from estimator.store.staging import check_output, only_writer, write_output
 
     rig_path, plan_path = folder / "rig.yaml", folder / "plan.yaml"
     for path in (rig_path, plan_path):
-        refuse_existing(path, overwrite)
+        check_output(path, overwrite)
     answers = {key: _answer(key, given[key], is_quiet or as_json) for key in QUESTIONS}
     named = {
         "name": check_name(answers["name"]),
@@ -85,9 +85,9 @@ def init_command(folder: Path, is_quiet: bool, overwrite: bool, as_json: bool, *
     rig = rig_from_text(rig_text, str(rig_path))
     plan = plan_from_text(plan_text, rig, str(plan_path))
     readings = simulate(rig, plan, {}, seed=0)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(rig_path, rig_text)
-    write_text(plan_path, plan_text)
+    with only_writer(folder):
+        write_output(rig_path, rig_text, overwrite)
+        write_output(plan_path, plan_text, overwrite)
     result = {"rig": str(rig_path), "plan": str(plan_path), "readings": len(readings), "free": len(rig.free)}
     show(result, _text(folder, rig_path, plan_path, len(readings), len(rig.free)), as_json)
 

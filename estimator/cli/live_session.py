@@ -16,7 +16,8 @@ from estimator.live.stream import Estimate, Stream
 from estimator.reporting.numbers import displays, with_sd
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
-from estimator.store.journal import JOURNAL, Entry
+from estimator.store.journal import Entry
+from estimator.store.made import JOURNAL
 from estimator.store.session import Session
 
 if TYPE_CHECKING:

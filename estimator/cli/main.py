@@ -47,7 +47,7 @@ from estimator.cli.simulate import simulate_command
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.
 
-    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge, 5 an instrument failed.
+    Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge, 5 an instrument failed, 130 interrupted.
 
     Of calibrate also: 6 the result is unusable.
 

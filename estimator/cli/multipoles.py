@@ -6,15 +6,15 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import json_option, other_rig_option, overwrite_option
-from estimator.cli.output import CoilcalCommand, refuse_existing, show
+from estimator.cli.options import OutputPath, json_option, other_rig_option, overwrite_option
+from estimator.cli.output import CoilcalCommand, show
 
 
 @click.command("multipoles", cls=CoilcalCommand)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(),
     required=True,
     help="Rig file to write, for coilcal calibrate --rig.",
 )
@@ -32,13 +32,13 @@ def multipoles_command(
     from estimator.calibration.multipole_places import with_multipoles
     from estimator.rig_files.read import load_rig
     from estimator.rig_files.write import rig_text
-    from estimator.store.files import write_text
     from estimator.store.session import load_session
+    from estimator.store.staging import check_output, write_output
 
-    refuse_existing(out, overwrite)
+    check_output(out, overwrite)
     session = load_session(session_path)
     rig, multipoles = with_multipoles(load_rig(rig_path) if rig_path else session.rig, session.observations)
-    write_text(out, rig_text(rig))
+    write_output(out, rig_text(rig), overwrite)
     places_mm = [[round(1e3 * x_m, 4) for x_m in place_m] for place_m in multipoles.places_m]
     lines = [
         f"multipole at ({', '.join(f'{x_mm:.2f}' for x_mm in place_mm)}) mm: log evidence {gain:+.1f}"

@@ -14,6 +14,19 @@ MOST_PROCESSES = (
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 
+
+class OutputPath(click.Path):
+    """A path that a command writes; `CoilcalCommand` keeps it away from what the command reads.
+
+    Attributes:
+        is_filled: Files are added to the folder, which may hold anything else; otherwise the whole path is made or replaced.
+    """
+
+    def __init__(self, is_filled: bool = False) -> None:
+        super().__init__(path_type=Path)
+        self.is_filled = is_filled
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as one JSON object.")
 overwrite_option = click.option("--overwrite", is_flag=True, help="Replace an existing output.")
 seed_option = click.option(

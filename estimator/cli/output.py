@@ -5,6 +5,7 @@ This file and `options` are loaded for every page of help, so they import nothin
 
 from __future__ import annotations
 
+import errno
 import json
 import logging
 import math
@@ -20,13 +21,28 @@ import click
 from click.core import ParameterSource
 
 from drivers.errors import DriverError, Refused
+from estimator.cli.interruption import heed_no_more, heed_once
+from estimator.cli.options import OutputPath
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, cut, quoted, reason
+from estimator.store.files import real, unwritable
 from estimator.units import LARGEST
 
 EXIT_BAD_INPUT, EXIT_CORRUPT, EXIT_NOT_CONVERGED, EXIT_DEVICE = 2, 3, 4, 5
 EXIT_UNUSABLE, EXIT_UNDELIVERED = 6, 7
+EXIT_INTERRUPTED = 130
 EXIT_DRIFTED, EXIT_REJECTED = 10, 11
 LONG_WORD = re.compile(r"\S{200,}")
+PARTS = frozenset(  # of calibrations and diagnoses, which are read as a whole
+    {
+        "summary.json",
+        "posterior.zarr",
+        "chain.zarr",
+        "diagnosis.json",
+        "rig_extended.yaml",
+        "fits.jsonl",
+        "calibration",
+    }
+)
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
@@ -66,7 +82,15 @@ class ShortMessages(click.Command):
 
 
 class CoilcalGroup(ShortMessages, click.Group):
-    """A group of commands that quotes no more of a wrong argument than tells what it is."""
+    """A group of commands that quotes no more of a wrong argument than tells what it is; the program heeds Ctrl-C once."""
+
+    def main(self, *args: Any, **kwargs: Any) -> Any:
+        """Run the program."""
+        heed_once()
+        try:
+            return super().main(*args, **kwargs)
+        finally:
+            heed_no_more()
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -88,10 +112,15 @@ def _shortened() -> Iterator[None]:
 
 
 class CoilcalCommand(ShortMessages):
-    """A command that uses the threads of `--threads`, has `--quiet` and `--verbose`, and explains its faults."""
+    """A command that uses the threads of `--threads`, has `--quiet` and `--verbose`, and explains its faults.
 
-    def __init__(self, *args: Any, **kwargs: Any) -> None:
+    Attributes:
+        goes_on: After an interruption, the same command goes on where it was.
+    """
+
+    def __init__(self, *args: Any, goes_on: bool = False, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self.goes_on = goes_on
         words = {
             "quiet": ("No progress on standard error; faults and warnings stay.", _keep_quiet),
             "verbose": ("Log on standard error what modules do.", _log),
@@ -104,8 +133,9 @@ class CoilcalCommand(ShortMessages):
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; help, completion and refused arguments never get here, so they do not load torch."""
-        use_threads(ctx.find_root().params.get("threads", 1))
-        with explained_errors(as_json=bool(ctx.params.get("as_json"))):
+        with explained_errors(as_json=bool(ctx.params.get("as_json")), goes_on=self.goes_on):
+            use_threads(ctx.find_root().params.get("threads", 1))
+            keep_apart(ctx)
             for option in self.params:
                 if ctx.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
                     _check_size(option, ctx.params.get(option.name or ""))
@@ -124,6 +154,42 @@ def _check_size(option: click.Parameter, value: object) -> None:
             raise InvalidInput(f"{rule}; received {quoted(each)}")
 
 
+def keep_apart(ctx: click.Context) -> None:
+    """Refuse a call that would write over what it reads, or two outputs over each other.
+
+    Raises:
+        InvalidInput: An output is an input, a part of one, or a folder that would be replaced with an input in it.
+    """
+    outputs: list[tuple[Path, OutputPath]] = []
+    inputs: list[Path] = []
+    for parameter in ctx.command.params:
+        value = ctx.params.get(parameter.name or "")
+        for given in value if isinstance(value, tuple) else (value,):
+            if isinstance(parameter.type, OutputPath) and given is not None:
+                outputs.append((given, parameter.type))
+            elif isinstance(given, str | Path) and os.path.lexists(given):
+                inputs.append(Path(given))
+    for n, (output, kind) in enumerate(outputs):
+        for other, _ in outputs[:n]:
+            if _is_within(output, other) or _is_within(other, output):
+                raise InvalidInput(f"outputs must not be inside each other; received {other} and {output}")
+        for given in inputs:
+            if real(output) == real(given):
+                raise InvalidInput(
+                    f"output must be another path than what is read; received {output} for both"
+                )
+            if not kind.is_filled and _is_within(given, output):
+                raise InvalidInput(f"output must not hold what is read; {output} holds {given}: take another")
+            if _is_within(output, given) and output.name in PARTS and output.exists():
+                raise InvalidInput(
+                    f"output must not replace a part of what is read; {output} is a part of {given}"
+                )
+
+
+def _is_within(path: Path, folder: Path) -> bool:
+    return real(path).is_relative_to(real(folder))
+
+
 def use_threads(n_threads: int) -> None:
     """Set the threads of one tensor operation, here and in the processes that this one starts."""
     import torch
@@ -133,7 +199,7 @@ def use_threads(n_threads: int) -> None:
 
 
 @contextmanager
-def explained_errors(as_json: bool = False) -> Iterator[None]:
+def explained_errors(as_json: bool = False, goes_on: bool = False) -> Iterator[None]:
     """Turn faults that coilcal can explain into one sentence on standard error and an exit code, and into JSON where that was asked for."""
     try:
         yield
@@ -141,10 +207,28 @@ def explained_errors(as_json: bool = False) -> Iterator[None]:
         _end(str(error), EXIT_CORRUPT if isinstance(error, CorruptStore) else EXIT_BAD_INPUT, as_json)
     except DriverError as error:
         _end(str(error), EXIT_BAD_INPUT if isinstance(error, Refused) else EXIT_DEVICE, as_json)
+    except (KeyboardInterrupt, click.Abort):
+        _end("interrupted; the same command goes on" if goes_on else "interrupted", EXIT_INTERRUPTED, as_json)
     except BrokenPipeError:
         raise
     except OSError as error:  # the system refused a path before coilcal checked it
-        _end(f"{error.filename} must be readable and writable: {reason(error)}", EXIT_BAD_INPUT, as_json)
+        _end(system_words(error), EXIT_BAD_INPUT, as_json)
+
+
+def system_words(error: OSError) -> str:
+    """What the system refused, in a sentence.
+
+    Examples:
+        >>> system_words(PermissionError(13, "Permission denied", "rig.yaml"))
+        'rig.yaml must be readable and writable: Permission denied'
+        >>> system_words(OSError(28, "No space left on device"))
+        'the system must allow what coilcal asks of it; it refused with: No space left on device'
+    """
+    if error.filename is None:
+        return f"the system must allow what coilcal asks of it; it refused with: {reason(error)}"
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return str(unwritable(str(error.filename), error))
+    return f"{error.filename} must be readable and writable: {reason(error)}"
 
 
 def _end(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
@@ -158,16 +242,6 @@ def _end(sentence: str, exit_code: int, as_json: bool) -> NoReturn:
 def printable(text: str) -> str:
     """A line that may hold what stands in a file, without the characters that would steer the terminal."""
     return CONTROL.sub(lambda found: repr(found[0])[1:-1], text)
-
-
-def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Protect an existing file or folder unless the user gave `--overwrite`.
-
-    Raises:
-        InvalidInput: It exists.
-    """
-    if path.exists() and not overwrite:
-        raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {path}")
 
 
 def named_numbers(text: str, option: str, count: int) -> tuple[str, list[float]]:
@@ -209,4 +283,10 @@ def named_number(texts: Sequence[str], option: str) -> dict[str, float]:
 
 def show(result: Mapping[str, Any], text: str, as_json: bool) -> None:
     """Print a result for people or for programs."""
-    click.echo(json.dumps(result, indent=2, allow_nan=False) if as_json else text)
+    try:
+        click.echo(json.dumps(result, indent=2, allow_nan=False) if as_json else text)
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        sys.stdout = None  # or Python fails to flush it once more at its end
+        raise unwritable("standard output", error) from error

@@ -9,9 +9,8 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
-from estimator.cli.options import json_option, overwrite_option, prediction_options
-from estimator.cli.output import CoilcalCommand, named_number, named_numbers, refuse_existing, show
-from estimator.errors import InvalidInput, reason
+from estimator.cli.options import OutputPath, json_option, overwrite_option, prediction_options
+from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 
 BLOCK = 2_000  # points predicted at once, with all draws of the posterior
 HEADER = (
@@ -50,7 +49,7 @@ HEADER = (
 @click.option(
     "--level", type=float, default=0.9, show_default=True, help="Probability of the credible intervals."
 )
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="CSV file to write.")
+@click.option("--out", type=OutputPath(), required=True, help="CSV file to write.")
 @prediction_options("points")
 @overwrite_option
 @json_option
@@ -76,9 +75,9 @@ def predict_command(
     from estimator.calibration.result import Calibration
     from estimator.cli.count_progress import CountReporter
     from estimator.devices import device_named, precision_named
-    from estimator.store.files import write_text
+    from estimator.store.staging import check_output, write_output
 
-    refuse_existing(out, overwrite)
+    check_output(out, overwrite)
     there = {"device": device_named(device), "dtype": precision_named(precision)}
     calibration = Calibration.load(folder)
     coordinates_m = grid_axes(axes)
@@ -108,11 +107,7 @@ def predict_command(
         writer.writerow(
             [f"{number:.9g}" if np.isfinite(number) else "" for number in numbers] + [int(is_inside[row])]
         )
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        write_text(out, buffer.getvalue())
-    except OSError as error:
-        raise InvalidInput(f"output must be writable; {out} is not: {reason(error)}") from error
+    write_output(out, buffer.getvalue(), overwrite)
     n_inside = int(is_inside.sum())
     inside = f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
     text = f"{len(points_m)} points written to {out}{inside}\n{grid_words(coordinates_m)}"

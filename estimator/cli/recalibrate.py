@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import ess_option, json_option, seed_option
+from estimator.cli.options import OutputPath, ess_option, json_option, seed_option
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED, CoilcalCommand, show
 from estimator.errors import InvalidInput
 
@@ -22,7 +22,7 @@ EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
 PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 
 
-@click.command("recalibrate", cls=CoilcalCommand)
+@click.command("recalibrate", cls=CoilcalCommand, goes_on=True)
 @click.option(
     "--rig",
     "rig_path",
@@ -36,7 +36,7 @@ PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 )
 @click.option(
     "--registry",
-    type=click.Path(path_type=Path),
+    type=OutputPath(is_filled=True),
     required=True,
     help="Folder for versions, current, log.jsonl and history.html; made if it does not exist.",
 )
@@ -169,8 +169,7 @@ def _exit_code(entry: Entry) -> int:
 
 def _reported(judge_inbox: Callable[[], list[Entry]], registry: Path, as_json: bool) -> list[Entry]:
     """Judge the inbox and print what came of it."""
-    from estimator.recalibration.recalibrate import HISTORY
-    from estimator.recalibration.registry import Registry
+    from estimator.recalibration.registry import HISTORY, Registry
 
     added = judge_inbox()
     current = Registry(registry).current

@@ -7,16 +7,13 @@ from pathlib import Path
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import json_option, overwrite_option
-from estimator.cli.output import CoilcalCommand, refuse_existing, show
-from estimator.errors import InvalidInput, reason
+from estimator.cli.options import OutputPath, json_option, overwrite_option
+from estimator.cli.output import CoilcalCommand, show
 
 
 @click.command("report", cls=CoilcalCommand)
 @click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Page to write; report.html in the folder by default."
-)
+@click.option("--out", type=OutputPath(), help="Page to write; report.html in the folder by default.")
 @overwrite_option
 @json_option
 def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
@@ -26,13 +23,11 @@ def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: boo
     """
     from estimator.calibration.report import calibration_report
     from estimator.calibration.result import Calibration
-    from estimator.store.files import write_text
+    from estimator.store.staging import check_output, write_output
 
     path = out or folder / "report.html"
-    refuse_existing(path, overwrite or out is None)
-    page = calibration_report(Calibration.load(folder), command_of(click.get_current_context()))
-    try:
-        write_text(path, page)
-    except OSError as error:
-        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+    calibration = Calibration.load(folder)
+    check_output(path, overwrite or out is None)
+    page = calibration_report(calibration, command_of(click.get_current_context()))
+    write_output(path, page, overwrite or out is None)
     show({"report": str(path)}, f"report: {path}", as_json)

@@ -7,8 +7,15 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import hide_option, overwrite_option, seed_option, set_option, truth_option
-from estimator.cli.output import CoilcalCommand, named_number, refuse_existing
+from estimator.cli.options import (
+    OutputPath,
+    hide_option,
+    overwrite_option,
+    seed_option,
+    set_option,
+    truth_option,
+)
+from estimator.cli.output import CoilcalCommand, named_number
 
 
 @click.command("rig-simulator", cls=CoilcalCommand)
@@ -19,7 +26,7 @@ from estimator.cli.output import CoilcalCommand, named_number, refuse_existing
 @seed_option
 @click.option(
     "--out",
-    type=click.Path(path_type=Path),
+    type=OutputPath(),
     help="File to write the devices section to, for the option --devices of other commands.",
 )
 @overwrite_option
@@ -47,10 +54,10 @@ def rig_simulator_command(
     from estimator.model.simulated_field import simulated_rig
     from estimator.rig_files.devices import DEVICES
     from estimator.rig_files.read import load_rig
-    from estimator.store.files import write_text
+    from estimator.store.staging import check_output, write_output
 
     if out is not None:
-        refuse_existing(out, overwrite)
+        check_output(out, overwrite)
     rig = load_rig(rig_path)
     values = truth_of(rig, truth, seed) | named_number(assignments, "--set")
     true_rig = simulated_rig(rig, values, full_names(rig, named_number(hidden, "--hide")))
@@ -60,7 +67,7 @@ def rig_simulator_command(
             {DEVICES: simulators.section}, sort_keys=False, default_flow_style=None, width=120
         )
         if out is not None:
-            write_text(out, text)
+            write_output(out, text, overwrite)
         click.echo(text)
         click.echo("coilcal: the rig runs; Ctrl-C ends it", err=True)
         sys.stdout.flush()

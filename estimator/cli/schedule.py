@@ -11,6 +11,7 @@ from queue import Empty, SimpleQueue
 import click
 from apscheduler.schedulers.background import BackgroundScheduler
 
+from estimator.cli.interruption import interrupt
 from estimator.errors import CoilcalError, InvalidInput, quoted
 
 INTERVAL = re.compile(r"(?P<number>\d+(\.\d+)?)(?P<unit>[smhd])")
@@ -52,11 +53,8 @@ def keep_running(job: Callable[[], object], every_s: float) -> None:
         misfire_grace_time=None,
     )
 
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
     for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, stop)
+        signal.signal(number, interrupt)
     try:
         scheduler.start()
         # The job runs in this thread, where signals arrive; the scheduler's own thread only says when it is due.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from estimator.cli.options import (
+    OutputPath,
     hide_option,
     json_option,
     overwrite_option,
@@ -15,7 +16,7 @@ from estimator.cli.options import (
     set_option,
     truth_option,
 )
-from estimator.cli.output import CoilcalCommand, named_number, refuse_existing, show
+from estimator.cli.output import CoilcalCommand, named_number, show
 from estimator.errors import InvalidInput, quoted
 from estimator.given_files import MOST_SETTINGS_BYTES, read_given
 from estimator.json_files import json_object
@@ -46,8 +47,8 @@ if TYPE_CHECKING:
     help="Parts of the session before each of which things are set up anew, for causes such as segment_zero.",
 )
 @seed_option
-@click.option("--out", type=click.Path(path_type=Path), required=True, help="Session to write (zarr).")
-@click.option("--csv", "csv_path", type=click.Path(path_type=Path), help="Write the readings as CSV as well.")
+@click.option("--out", type=OutputPath(), required=True, help="Session to write (zarr).")
+@click.option("--csv", "csv_path", type=OutputPath(), help="Write the readings as CSV as well.")
 @overwrite_option
 @json_option
 def simulate_command(
@@ -69,11 +70,12 @@ def simulate_command(
     from estimator.readings.plan import load_plan
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.readings_csv import write_readings_csv
-    from estimator.store.session import Session
+    from estimator.store.session import SESSION, Session
+    from estimator.store.staging import check_output
 
-    refuse_existing(out, overwrite)
+    check_output(out, overwrite, SESSION)
     if csv_path is not None:
-        refuse_existing(csv_path, overwrite)
+        check_output(csv_path, overwrite)
     rig = load_rig(rig_path)
     values = truth_of(rig, truth, seed) | named_number(assignments, "--set")
     plan = load_plan(plan_path, rig)
@@ -86,7 +88,7 @@ def simulate_command(
     values |= causes
     session = Session(rig, readings, f"simulated with plan {plan.name!r}, seed {seed}", truth=values)
     if csv_path is not None:
-        write_readings_csv(session, csv_path)
+        write_readings_csv(session, csv_path, overwrite)
     session.save(out, overwrite)
     from estimator.reporting.numbers import displays
 

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from estimator.client.predictions import Currents, Motion
 from estimator.client.steps import Steps, send
-from estimator.errors import InvalidInput, reason
-from estimator.store.files import write_bytes
+from estimator.store.staging import write_output
 
 if TYPE_CHECKING:
     from estimator.export.request import Grid
@@ -36,9 +35,5 @@ def exported(
     answer = yield from send("POST", f"/v1/calibrations/{calibration_id}/export", json=body)
     usual_name = Path(answer.headers["Content-Disposition"].partition('filename="')[2].rstrip('"')).name
     path = Path(usual_name if path is None else path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_bytes(path, answer.content)
-    except OSError as error:
-        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+    write_output(path, answer.content, overwrite=True)
     return path

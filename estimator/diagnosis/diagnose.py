@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +11,7 @@ from typing import NamedTuple
 import torch
 
 from estimator.calibration.calibrate import Stage
-from estimator.calibration.result import Calibration
+from estimator.calibration.result import Calibration, remove_calibration
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.elsewhere import computed_on
@@ -40,6 +39,7 @@ from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.result import (
     CALIBRATION_FOLDER,
+    MADE,
     Diagnosis,
     Findings,
     Fits,
@@ -62,6 +62,7 @@ from estimator.readings.observations import Observations
 from estimator.readings.split import thinned
 from estimator.rig.rig import Cause, Rig
 from estimator.side_by_side import meanwhile, one_thread_for_an_operation
+from estimator.store.made import check_folder
 from estimator.store.session import Session
 
 
@@ -119,6 +120,9 @@ def diagnose(
     if dtype is not torch.float64:
         check_precision(rig, session.observations)
     question, folder = Question(rig, session.source, seed), None if out is None else Path(out)
+    if folder is not None:
+        check_folder(folder.absolute())
+        MADE.check_open(folder)
     limits = limits or Limits()
 
     def judged(first: FirstFit) -> tuple[Diagnosis, Observations]:
@@ -199,7 +203,9 @@ def _with_posterior(
         )
     except (_Stopped, InvalidInput) as error:
         if out is not None:
-            shutil.rmtree(out, ignore_errors=True)
+            remove_calibration(out)
+            with suppress(OSError):
+                out.rmdir()
         return replace(result, posterior_refusal="" if isinstance(error, _Stopped) else str(error))
     return replace(result, posterior=sampled)
 

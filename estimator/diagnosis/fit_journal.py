@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -29,7 +28,7 @@ from estimator.inference.levenberg_marquardt import Optimum
 from estimator.json_files import json_object, sealed, unsealed
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
-from estimator.store.files import write_bytes
+from estimator.store.files import append_text, write_bytes
 
 FITS = "fits.jsonl"
 _current: ContextVar[FitJournal | None] = ContextVar("current", default=None)
@@ -93,10 +92,8 @@ class FitJournal:
             }
         )
         self._lines[key] = line
-        with self._writing, self.path.open("a", encoding="utf-8") as file:
-            file.write(line)
-            file.flush()
-            os.fsync(file.fileno())
+        with self._writing:
+            append_text(self.path, line)
 
 
 @contextmanager

@@ -9,11 +9,12 @@ from typing import Any
 
 import torch
 
-from estimator.calibration.result import Calibration
+from estimator.calibration.result import CALIBRATION, Calibration
 from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.differences import clearest_difference
 from estimator.diagnosis.extension import NOTE
+from estimator.diagnosis.fit_journal import FITS
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Addition, Search
@@ -34,12 +35,20 @@ from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.write import rig_text
 from estimator.store.files import write_text
+from estimator.store.made import Made, holds
 
 DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER = (
     "diagnosis.json",
     "rig_extended.yaml",
     "report.html",
     "calibration",
+)
+MADE = Made(
+    "a diagnosis",
+    r"diagnosis\.json|rig_extended\.yaml|report\.html|panels\.json|fits\.jsonl"
+    rf"|calibration/(?:{CALIBRATION.files})",
+    (DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER),
+    lambda folder: holds(folder / DIAGNOSIS, '"verdict"') or holds(folder / FITS, '"key"'),
 )
 MOST_KINDS_TOLD = 3  # of causes that were taken together
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
 from typing import Literal
 
@@ -17,8 +18,8 @@ from estimator.store.session import observation_arrays
 ENGINE: Literal["h5netcdf"] = "h5netcdf"  # comes with ArviZ
 
 
-def write_netcdf(calibrated: Calibrated, path: Path) -> None:
-    """Write groups `posterior`, `sample_stats`, `observed_data` and `constant_data`; draws carry their units.
+def netcdf(calibrated: Calibrated) -> bytes:
+    """A file with groups `posterior`, `sample_stats`, `observed_data` and `constant_data`; draws carry their units.
 
     Raises:
         InvalidInput: No parameter is free, so there is no posterior.
@@ -44,4 +45,7 @@ def write_netcdf(calibrated: Calibrated, path: Path) -> None:
             "/constant_data": xr.Dataset(arrays),
         }
     )
-    tree.to_netcdf(path, engine=ENGINE)
+    with tempfile.TemporaryDirectory() as folder:  # older xarray writes trees to a path only
+        path = Path(folder) / "posterior.nc"
+        tree.to_netcdf(path, engine=ENGINE)
+        return path.read_bytes()

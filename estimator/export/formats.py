@@ -1,6 +1,6 @@
-"""The formats of `coilcal export`: what each holds, what it asks for, and what writes it.
+"""The formats of `coilcal export`: what each holds, what it asks for, and what makes it.
 
-A writer is loaded when it is called, so that the command line can list the formats without loading torch.
+A maker is loaded when it is called, so that the command line can list the formats without loading torch.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from estimator.errors import InvalidInput, quoted, reason
+from estimator.errors import InvalidInput, quoted
+from estimator.store.staging import write_output
 
 if TYPE_CHECKING:
     from estimator.export.calibrated import Motion
@@ -27,98 +28,92 @@ class Format:
     Attributes:
         ending: Of the file that is written where none is named.
         words: What the file is, in a few words.
-        write: Writes the file.
+        content: Makes the content of the file.
         takes: What of `grid`, `currents` and `motion` it takes.
     """
 
     ending: str
     words: str
-    write: Callable[[Request], None]
+    content: Callable[[Request], bytes]
     takes: tuple[str, ...] = ()
 
 
-def _json(request: Request) -> None:
+def _json(request: Request) -> bytes:
     from estimator.export.json_model import json_model
 
-    _text(request, json_model(request.magnet))
+    return json_model(request.magnet).encode()
 
 
-def _cpp(request: Request) -> None:
+def _cpp(request: Request) -> bytes:
     from estimator.export.cpp_header import cpp_header
 
-    _text(request, cpp_header(request.magnet))
+    return cpp_header(request.magnet).encode()
 
 
-def _matlab(request: Request) -> None:
+def _matlab(request: Request) -> bytes:
     from estimator.export.matlab_function import matlab_function
 
-    _text(request, matlab_function(request.magnet, request.path.stem))
+    return matlab_function(request.magnet, request.path.stem).encode()
 
 
-def _arviz(request: Request) -> None:
-    from estimator.export.arviz_netcdf import write_netcdf
+def _arviz(request: Request) -> bytes:
+    from estimator.export.arviz_netcdf import netcdf
 
-    write_netcdf(request.calibrated, request.path)
+    return netcdf(request.calibrated)
 
 
-def _magpylib(request: Request) -> None:
+def _magpylib(request: Request) -> bytes:
     from estimator.export.magpylib_module import magpylib_module
 
-    _text(request, magpylib_module(request.magnet, request.motion))
+    return magpylib_module(request.magnet, request.motion).encode()
 
 
-def _csv(request: Request) -> None:
+def _csv(request: Request) -> bytes:
     from estimator.export.grid_csv import grid_csv
 
-    _text(request, grid_csv(request))
+    return grid_csv(request).encode()
 
 
-def _vtk(request: Request) -> None:
+def _vtk(request: Request) -> bytes:
     from estimator.export.vtk_grid import vtk_grid
 
-    _text(request, vtk_grid(request))
+    return vtk_grid(request).encode()
 
 
-def _openpmd(request: Request) -> None:
-    from estimator.export.openpmd_grid import write_openpmd
+def _openpmd(request: Request) -> bytes:
+    from estimator.export.openpmd_grid import openpmd
 
-    write_openpmd(request)
-
-
-def _torch(request: Request) -> None:
-    from estimator.export.torch_program import write_program
-
-    write_program(request.magnet, request.path)
+    return openpmd(request)
 
 
-def _mag_manip(request: Request) -> None:
+def _torch(request: Request) -> bytes:
+    from estimator.export.torch_program import program_file
+
+    return program_file(request.magnet)
+
+
+def _mag_manip(request: Request) -> bytes:
     from estimator.export.mag_manip import vfield_yaml
 
-    _text(request, vfield_yaml(request))
+    return vfield_yaml(request).encode()
 
 
-def _mpem(request: Request) -> None:
+def _mpem(request: Request) -> bytes:
     from estimator.export.mpem import mpem_yaml
 
-    _text(request, mpem_yaml(request))
+    return mpem_yaml(request).encode()
 
 
-def _urdf(request: Request) -> None:
+def _urdf(request: Request) -> bytes:
     from estimator.export.frames_urdf import urdf
 
-    _text(request, urdf(request.calibrated))
+    return urdf(request.calibrated).encode()
 
 
-def _tf(request: Request) -> None:
+def _tf(request: Request) -> bytes:
     from estimator.export.frames_urdf import static_transforms
 
-    _text(request, static_transforms(request.calibrated))
-
-
-def _text(request: Request, text: str) -> None:
-    from estimator.store.files import write_text
-
-    write_text(request.path, text)
+    return static_transforms(request.calibrated).encode()
 
 
 FORMATS: Mapping[str, Format] = {
@@ -153,6 +148,7 @@ def export(
     grid: Grid | None = None,
     currents_A: Mapping[str, float] | None = None,
     motion: Motion | None = None,
+    overwrite: bool = True,
 ) -> Path:
     """Write a calibration, or several as one magnet, in a format for other programs.
 
@@ -161,6 +157,7 @@ def export(
         to: A name in `FORMATS`.
         path: File to write; one named after the rig, in the current folder, where none is given.
         grid, currents_A, motion: As in `Request`, for formats that take them.
+        overwrite: Replace a file that is there.
     Returns: The file.
     Raises:
         InvalidInput: An unknown format, something it does not take or lacks, a model that it cannot express, or no way to write the file.
@@ -174,11 +171,8 @@ def export(
         if given and name not in chosen.takes:
             raise InvalidInput(f"export to {to} must have no {name}, for which it leaves room; received some")
     path = default_path(magnet, to) if path is None else Path(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        chosen.write(Request(to, magnet, path, grid, currents_A or {}, motion or {}))
-    except OSError as error:
-        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+    content = chosen.content(Request(to, magnet, path, grid, currents_A or {}, motion or {}))
+    write_output(path, content, overwrite)
     return path
 
 

@@ -5,6 +5,7 @@ Text attributes have a fixed length, as the standard's HDF5 page asks.
 
 from __future__ import annotations
 
+import io
 from itertools import product
 
 import h5py
@@ -21,8 +22,8 @@ TESLA = (0.0, 1.0, -2.0, -1.0, 0.0, 0.0, 0.0)
 TESLA_PER_METRE = (-1.0, *TESLA[1:])
 
 
-def write_openpmd(request: Request) -> None:
-    """Write meshes `B` (components x, y, z) and `gradB` (`xy` is dB_x / dy) of one iteration; NaN inside a winding.
+def openpmd(request: Request) -> bytes:
+    """A file with meshes `B` (components x, y, z) and `gradB` (`xy` is dB_x / dy) of one iteration; NaN inside a winding.
 
     Raises:
         InvalidInput: No evenly spaced grid, no currents, or a name that is not there.
@@ -47,7 +48,8 @@ def write_openpmd(request: Request) -> None:
         "gridUnitSI": np.float64(1.0),
         "timeOffset": np.float64(0.0),
     }
-    with h5py.File(request.path, "w") as file:
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
         _describe(file, request)
         iteration = file.create_group(BASE.replace("%T", "0"))
         iteration.attrs.update(
@@ -64,6 +66,7 @@ def write_openpmd(request: Request) -> None:
             for key, values in arrays.items():
                 dataset = record.create_dataset(key, data=values)
                 dataset.attrs.update({"unitSI": np.float64(1.0), "position": np.zeros(3)})
+    return content.getvalue()
 
 
 def _describe(file: h5py.File, request: Request) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+import io
 
 import torch
 from jaxtyping import Float, Int
@@ -23,8 +23,8 @@ TRACED_POINTS = 4  # any number but 0 and 1 leaves the number of points open
 DESCRIPTION = "description.txt"  # in the file, beside the graph
 
 
-def write_program(magnet: Magnet, path: Path) -> None:
-    """Write the program: `program.module()(points_m, currents_A, motion)` gives field_T and gradient_T_per_m.
+def program_file(magnet: Magnet) -> bytes:
+    """The program as a file: `program.module()(points_m, currents_A, motion)` gives field_T and gradient_T_per_m.
 
     Raises:
         InvalidInput: A rig has something that the program cannot express.
@@ -40,7 +40,9 @@ def write_program(magnet: Magnet, path: Path) -> None:
         program = torch.export.export(MagnetProgram(model), arguments, dynamic_shapes=shapes)
     for node in program.graph.nodes:
         node.meta.pop("stack_trace", None)  # paths of this computer
-    torch.export.save(program, path, extra_files={DESCRIPTION: _description(magnet, model)})
+    content = io.BytesIO()
+    torch.export.save(program, content, extra_files={DESCRIPTION: _description(magnet, model)})
+    return content.getvalue()
 
 
 def _description(magnet: Magnet, model: PlainModel) -> str:

@@ -4,7 +4,6 @@
     current          a link to the version in use, replaced by renaming
     log.jsonl        one entry per session or rollback, in order, one line each
     told             number of entries without a pending notification
-    lock             held by the job that writes
 
 Renaming a finished version into `versions` commits it. Its log entry follows from its provenance and the link from the last entry, so the
 next job that opens the folder completes the work of an interrupted one.
@@ -14,9 +13,8 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,22 +24,30 @@ import numpy as np
 import xarray as xr
 
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
-from estimator.errors import CorruptStore, InvalidInput, quoted, reason
+from estimator.errors import CorruptStore, InvalidInput, quoted
 from estimator.given_files import (
     MOST_RESULT_BYTES,
     MOST_SETTINGS_BYTES,
-    open_lock,
     read_given,
     read_given_text,
 )
 from estimator.json_files import json_object, read_json, sealed, unsealed
 from estimator.rig_files.write import rig_text
-from estimator.store.files import write_text
+from estimator.store.files import append_text, kind_of, unfinished_name, unwritable, write_text
+from estimator.store.made import Made
+from estimator.store.staging import OutputBusy, clear, only_writer, staged
 
-VERSIONS, CURRENT, LOG, TOLD, LOCK = "versions", "current", "log.jsonl", "told", "lock"
+VERSIONS, CURRENT, LOG, TOLD = "versions", "current", "log.jsonl", "told"
 RIG, PROVENANCE = "rig.yaml", "provenance.json"
+HISTORY = "history.html"
 ROLLED_BACK = "rolled_back"
 TORN = b'{"conclusion": "'  # how an entry begins of which a kill left a part
+MADE = Made(
+    "a registry",
+    "",  # nothing replaces one
+    (VERSIONS, CURRENT, LOG, TOLD, HISTORY),
+    lambda folder: kind_of(folder / VERSIONS) == "a folder" and kind_of(folder / CURRENT) in (None, "a link"),
+)
 
 
 class RegistryBusy(InvalidInput):
@@ -226,25 +232,20 @@ class Registry:
 
         Raises:
             RegistryBusy: Another job holds it.
-            InvalidInput: The folder cannot be written.
+            InvalidInput: The folder cannot be written, or files of somebody else have the names of a registry in it.
         """
-        import fcntl  # missing on Windows, where registries can still be read
-
-        try:
-            (self.folder / VERSIONS).mkdir(parents=True, exist_ok=True)
-            file = open_lock(self.folder / LOCK)
-        except OSError as error:
-            raise InvalidInput(
-                f"registry must be a folder that can be written; {self.folder} is not: {reason(error)}"
-            ) from error
-        with file:
+        MADE.check_open(self.folder)
+        with ExitStack() as stack:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
+                stack.enter_context(only_writer(self.folder))
+                (self.folder / VERSIONS).mkdir(exist_ok=True)
+                self._complete()
+            except OutputBusy:
                 raise RegistryBusy(
                     f"registry must be free; another recalibration is at work on {self.folder}"
                 ) from None
-            self._complete()
+            except OSError as error:
+                raise unwritable(self.folder, error, "registry") from error
             yield
 
     def commit(
@@ -330,9 +331,6 @@ class Registry:
         return summary
 
     def _save(self, entry: Entry, calibration: Calibration, provenance: Mapping[str, Any]) -> None:
-        partial = self.folder / VERSIONS / ".partial"
-        calibration.save(partial)
-        (partial / RIG).write_text(rig_text(calibration.rig), encoding="utf-8")
         content = {
             "version": entry.made,
             "previous": self.current,
@@ -342,28 +340,29 @@ class Registry:
             **provenance,
             "entry": asdict(entry),
         }
-        write_text(partial / PROVENANCE, sealed(content, indent=2))
-        partial.rename(self.folder / VERSIONS / f"{entry.made:04d}")
+        with staged(self.folder / VERSIONS / f"{entry.made:04d}") as new:
+            calibration.save(new)
+            write_text(new / RIG, rig_text(calibration.rig))
+            write_text(new / PROVENANCE, sealed(content, indent=2))
 
     def _log(self, entry: Entry) -> None:
-        with (self.folder / LOG).open("a", encoding="utf-8") as file:
-            file.write(sealed(asdict(entry)))
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            append_text(self.folder / LOG, sealed(asdict(entry)))
+        except OSError as error:
+            raise unwritable(self.folder / LOG, error, "registry") from error
 
     def _point(self) -> None:
         """Link `current` to the version of the last log entry."""
         version = self.entries()[-1].version
         if version is None or version == self.current:
             return
-        link = self.folder / f"{CURRENT}.new"
-        link.unlink(missing_ok=True)
+        link = self.folder / unfinished_name(CURRENT)
         link.symlink_to(Path(VERSIONS) / f"{version:04d}")
         link.replace(self.folder / CURRENT)
 
     def _complete(self) -> None:
         """Remove unfinished files, and complete the log and the link of committed versions."""
-        shutil.rmtree(self.folder / VERSIONS / ".partial", ignore_errors=True)
+        clear(self.folder / VERSIONS / f"{max(self.versions, default=0) + 1:04d}")
         entries, end = self._read_log()  # checked before anything is cut off
         if entries:
             _end_line(self.folder / LOG, end)

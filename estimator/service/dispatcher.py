@@ -23,8 +23,7 @@ from estimator.service.schema import Job
 from estimator.service.settings import Settings
 from estimator.service.storage import shortage
 from estimator.service.work import JOB, RESULT, STOP, run_job
-from estimator.store.files import write_text
-from estimator.store.journal import sync
+from estimator.store.files import sync, write_text
 
 LOOK_EVERY_S = 0.5
 FULL_EVERY_S = 5.0  # between two looks while the disk is full

@@ -29,8 +29,8 @@ def recalibrate_job(job: Mapping[str, Any], folder: Path, session_path: Path, te
     """Judge a session against the current version of its rig's registry; a version that is made is the job's calibration too."""
     from estimator.inference.ensemble import SamplerSettings
     from estimator.recalibration.alerts import calls_for_action
-    from estimator.recalibration.recalibrate import HISTORY, recalibrate
-    from estimator.recalibration.registry import Registry, RegistryBusy
+    from estimator.recalibration.recalibrate import recalibrate
+    from estimator.recalibration.registry import HISTORY, Registry, RegistryBusy
     from estimator.store.session import load_session
 
     session, options, registry = load_session(session_path), job["options"], Registry(job["registry"])

@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -37,7 +36,8 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from estimator.errors import CorruptStore, InvalidInput, quoted
 from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.json_files import json_object
-from estimator.store.journal import sync
+from estimator.store.files import sync, unwritable, write_bytes
+from estimator.store.staging import staged
 
 SCHEMA_VERSION = 1
 
@@ -134,13 +134,8 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
             raise InvalidInput(
                 f"coordinates, n_walkers and checkpoint_steps must be >= 1; received {counts} ({path})"
             )
-        # Built beside the path and renamed, so that a kill leaves either no store or a whole one.
-        unfinished = path.with_name(path.name + ".partial")
-        with _explained_if_unwritable(path):
-            if path.exists():
-                raise InvalidInput(f"a new chain store must not exist yet; received {path}")
-            shutil.rmtree(unfinished, ignore_errors=True)
-            unfinished.mkdir(parents=True)
+        with staged(path) as unfinished:
+            unfinished.mkdir()
             for name, (dimensions, fill_value) in _ARRAYS.items():
                 _, chunk_shape = _layout(name, attributes)
                 zarr.create_array(
@@ -153,7 +148,6 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
                     compressors=[ZstdCodec(level=3), Crc32cCodec()],
                 )
             (unfinished / "zarr.json").write_bytes(_render_group(attributes))
-            unfinished.rename(path)
         return cls(path, attributes)
 
     @classmethod
@@ -228,10 +222,7 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
             for name, new in new_rows.items():
                 _append_rows(self.path / name, _layout(name, before)[0], new)
             # Written inside an array, so that a file left behind by a kill does not appear in a listing of the group.
-            unfinished = self.path / "chain" / "commit.partial"
-            unfinished.write_bytes(_render_group(after))
-            sync(unfinished)
-            unfinished.replace(self.path / "zarr.json")
+            write_bytes(self.path / "zarr.json", _render_group(after), scratch=self.path / "chain")
             sync(self.path)
         self._committed = after
 
@@ -241,9 +232,7 @@ def _explained_if_unwritable(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise InvalidInput(
-            f"chain store must be writable; received {quoted(error.strerror)} ({path})"
-        ) from error
+        raise unwritable(path, error, "chain store") from error
 
 
 def _layout(name: str, attributes: Mapping[str, Any]) -> tuple[int, tuple[int, ...]]:

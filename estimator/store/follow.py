@@ -11,7 +11,8 @@ from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.rig_files.state import rig_from_state
 from estimator.store.growing import GROWING
-from estimator.store.journal import JOURNAL, Entry, parsed_lines
+from estimator.store.journal import Entry, parsed_lines
+from estimator.store.made import JOURNAL
 from estimator.store.session import is_growing
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import shutil
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,11 +17,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TypeAlias
 
-from estimator.errors import CorruptStore, InvalidInput, reason
+from estimator.errors import CorruptStore, InvalidInput
 from estimator.given_files import MOST_TABLE_BYTES, read_given
 from estimator.json_files import json_object
-
-JOURNAL = "journal.jsonl"
+from estimator.store.files import unwritable
+from estimator.store.made import JOURNAL
+from estimator.store.staging import staged
 
 Entry: TypeAlias = dict[str, Any]
 
@@ -57,27 +57,17 @@ class Journal:
             InvalidInput: The folder exists, or cannot be written.
         """
         folder = folder.absolute()
-        begun = folder.with_name(folder.name + ".begun")
-        path = begun / JOURNAL
+        journal = None
         try:
-            with unwritten(begun):
-                shutil.rmtree(begun, ignore_errors=True)
-            begun.mkdir(parents=True)
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
-        except OSError as error:
-            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
-        journal = cls(descriptor, folder / JOURNAL)
-        try:
-            _lock(descriptor, path)
-            journal._write([header])
-            sync(begun)
-            begun.rename(folder)  # from now on there is a session, and it has a header
-            sync(folder.parent)
-        except OSError as error:
-            journal.close()
-            raise InvalidInput(f"output must be writable; {folder} is not: {reason(error)}") from error
+            with staged(folder) as new:
+                new.mkdir()
+                descriptor = os.open(new / JOURNAL, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o644)
+                journal = cls(descriptor, folder / JOURNAL)
+                _lock(descriptor, new / JOURNAL)
+                journal._write([header])
         except BaseException:
-            journal.close()
+            if journal is not None:
+                journal.close()
             raise
         journal.header = dict(header)
         return journal
@@ -94,7 +84,7 @@ class Journal:
         try:
             descriptor = os.open(path, os.O_RDWR)
         except OSError as error:
-            raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
+            raise unwritable(path, error, "session") from error
         journal = cls(descriptor, path)
         try:
             _lock(descriptor, path)
@@ -105,7 +95,7 @@ class Journal:
             os.pwrite(descriptor, b"\n", journal._end - 1)  # in case a crash lost only the line feed
         except OSError as error:
             journal.close()
-            raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
+            raise unwritable(path, error, "session") from error
         except BaseException:
             journal.close()
             raise
@@ -158,9 +148,7 @@ class Journal:
                 os.ftruncate(self._descriptor, self._end)
             except OSError:
                 self.close()  # nothing may follow the remains of the line
-            raise InvalidInput(
-                f"session must be writable; {self._path.parent} is not: {reason(error)}"
-            ) from error
+            raise unwritable(self._path.parent, error, "session") from error
         self._end += len(lines)
         self._n_lines += len(entries)
 
@@ -251,12 +239,3 @@ def parsed_lines(data: bytes, first: int, path: Path) -> tuple[list[Entry], int]
 def _is_whole(line: bytes) -> bool:
     checksum, _, text = line.partition(b" ")
     return checksum == b"%08x" % zlib.crc32(text)
-
-
-def sync(path: Path) -> None:
-    """Wait until a file, or the list of names in a folder, is on disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

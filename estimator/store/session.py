@@ -24,21 +24,22 @@ import zarr
 from zarr.codecs import Crc32cCodec, ZstdCodec
 from zarr.errors import ZarrUserWarning
 
-from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted, reason
-from estimator.given_files import MOST_RESULT_BYTES, read_given
+from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Mover, Rig
 from estimator.rig_files.devices import without_devices
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.rig_files.write import rig_text
 from estimator.store.admission import admit, admit_readings
+from estimator.store.files import sync, unwritable
 from estimator.store.growing import GROWING, observations_of
-from estimator.store.journal import JOURNAL, read_journal, sync, unwritten
+from estimator.store.journal import read_journal, unwritten
+from estimator.store.made import GROUP, JOURNAL, Made, arrays_of, has_journal, holds
+from estimator.store.staging import scratch_folder, staged
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
-GROUP = "zarr.json"
-PARTIAL = "sealing.partial"
+SEALING = "arrays"  # name under which they are made
 
 
 @dataclass(frozen=True)
@@ -109,24 +110,12 @@ class Session:
                 `load_session` would refuse the readings.
         """
         path = path.absolute()
-        if path.exists() and not overwrite:
-            raise InvalidInput(f"output must not exist yet, or be replaced with --overwrite; received {path}")
-        partial = path.with_name(path.name + ".partial")
-        try:
-            if path.exists() and not is_session(path):
-                raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with unwritten(path):
-                shutil.rmtree(partial, ignore_errors=True)
-                self._write(partial)
-                admit(partial, "session")
-                replace_folder(partial, path)
-        except CorruptStore as fault:  # so would whoever opens it
-            shutil.rmtree(partial, ignore_errors=True)
-            raise InvalidInput(str(fault)) from fault
-        except OSError as error:
-            shutil.rmtree(partial, ignore_errors=True)
-            raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+        with unwritten(path), staged(path, overwrite, SESSION) as new:
+            self._write(new)
+            try:
+                admit(new, "session")
+            except CorruptStore as fault:  # so would whoever opens it
+                raise InvalidInput(str(fault)) from fault
 
     def _write(self, path: Path) -> None:
         attributes: dict[str, Any] = {
@@ -210,21 +199,19 @@ def seal(path: Path) -> Session:
         CorruptStore: The journal is damaged.
     """
     session = _from_journal(path)
-    partial = path / PARTIAL
     try:
-        shutil.rmtree(partial, ignore_errors=True)
-        session._write(partial)
-        for file in partial.rglob("*"):
-            sync(file)
-        # The group's own file makes the folder a session, so it is moved last: after a kill before that, the session is still a journal.
-        for part in sorted(partial.iterdir(), key=lambda part: part.name == GROUP):
-            if part.name != GROUP:
-                shutil.rmtree(path / part.name, ignore_errors=True)
-            part.rename(path / part.name)
-        sync(path)
-        partial.rmdir()
+        with scratch_folder(path / SEALING) as arrays:
+            session._write(arrays)
+            for file in arrays.rglob("*"):
+                sync(file)
+            # The group's own file makes the folder a session, so it is moved last: after a kill before that, it is still a journal.
+            for part in sorted(arrays.iterdir(), key=lambda part: part.name == GROUP):
+                if part.name != GROUP:
+                    shutil.rmtree(path / part.name, ignore_errors=True)
+                part.rename(path / part.name)
+            sync(path)
     except OSError as error:
-        raise InvalidInput(f"session must be writable; {path} is not: {reason(error)}") from error
+        raise unwritable(path, error, "session") from error
     return session
 
 
@@ -234,13 +221,12 @@ def remove_session(path: Path) -> None:
     Raises:
         InvalidInput: The path holds no session, a process writes it, or it cannot be deleted.
     """
-    if not is_session(path):
-        raise InvalidInput(f"only a session is replaced by a session; {path} is something else")
+    SESSION.check_replaceable(path)
     try:
         with unwritten(path):
             shutil.rmtree(path)
     except OSError as error:
-        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+        raise unwritable(path, error) from error
 
 
 def _from_journal(path: Path) -> Session:
@@ -267,10 +253,18 @@ def _from_journal(path: Path) -> Session:
 
 def is_session(path: Path) -> bool:
     """Whether a session is at this path, sealed or growing."""
-    group = path / GROUP
-    return is_growing(path) or (
-        group.is_file() and KIND.encode() in read_given(group, MOST_RESULT_BYTES, CorruptStore)
-    )
+    return is_growing(path) or holds(path / GROUP, KIND)
+
+
+def _is_own(folder: Path) -> bool:
+    return has_journal(folder) or holds(folder / GROUP, KIND)
+
+
+ARRAYS = (
+    "time_s|sensor_index|current_A|field_sensor_T|is_validation|repeat|current_measured_A|segment"
+    "|motion_[^/]+|temperature_[^/]+_C"
+)  # of `observation_arrays`
+SESSION = Made("a session", rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json", (GROUP, JOURNAL), _is_own)
 
 
 def _described(body: Body | Mover) -> str:
@@ -354,16 +348,3 @@ def quiet_zarr() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)
         yield
-
-
-def replace_folder(finished: Path, path: Path) -> None:
-    """Replace a folder by a finished one.
-
-    A kill leaves the old folder or the new one; between the two renames it leaves both, whole, as `.old` and under the name of `finished`.
-    """
-    old = path.with_name(path.name + ".old")
-    shutil.rmtree(old, ignore_errors=True)
-    if path.exists():
-        path.rename(old)
-    finished.rename(path)
-    shutil.rmtree(old, ignore_errors=True)

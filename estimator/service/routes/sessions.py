@@ -44,8 +44,8 @@ from estimator.service.requests import (
 from estimator.service.schema import RigVersion, SessionRow
 from estimator.service.tokens import Caller
 from estimator.service.watching import Watched
+from estimator.store.files import sync
 from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
-from estimator.store.journal import sync
 from estimator.store.session import Session, load_session
 
 OPEN, CLOSED = "open", "closed"

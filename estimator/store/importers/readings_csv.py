@@ -8,6 +8,7 @@ may replace the SI unit.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -19,13 +20,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import Faults, InvalidInput, in_order, reason
+from estimator.errors import Faults, InvalidInput, in_order
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import MotionKind, Mover, Rig
 from estimator.store.importers.csv_table import Column, Table, read_table
 from estimator.store.importers.recorded import moment
 from estimator.store.session import Session
+from estimator.store.staging import write_output
 from estimator.units import split_unit
 
 FIELD = ("Bx", "By", "Bz")
@@ -101,11 +103,11 @@ def _session(table: Table, rig: Rig) -> Session:
     return replace(session, created=_recorded_at(table)) if "recorded_at" in table else session
 
 
-def write_readings_csv(session: Session, path: Path) -> None:
+def write_readings_csv(session: Session, path: Path, overwrite: bool = True) -> None:
     """Write a session's readings in SI with all digits, so that reading the file gives exactly the same numbers.
 
     Raises:
-        InvalidInput: The file cannot be written.
+        InvalidInput: The file cannot be written, or is there and `overwrite` is not set.
     """
     rig, o = session.rig, session.observations
     names = [sensor.name for sensor in rig.sensors]
@@ -125,13 +127,11 @@ def write_readings_csv(session: Session, path: Path) -> None:
     if o.recorded_segment is not None:
         columns["segment"] = ["" if i == NO_SEGMENT else i for i in o.recorded_segment.tolist()]
     columns |= {f"{name}_temperature_C": values.tolist() for name, values in o.temperature_C.items()}
-    try:
-        with path.open("w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows(zip(*columns.values(), strict=True))
-    except OSError as error:
-        raise InvalidInput(f"output must be writable; {path} is not: {reason(error)}") from error
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    write_output(path, text.getvalue(), overwrite)
 
 
 def _columns(rig: Rig) -> dict[str, Column]:

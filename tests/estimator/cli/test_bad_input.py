@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from click.testing import Result
 
-from estimator.store.only_writer import only_writer
+from estimator.store.staging import only_writer, staged
 
 SIMULATE = "simulate --rig rig.yaml --plan plan.yaml"
 IMPORT = "import readings.csv --rig rig.yaml"
@@ -22,10 +24,10 @@ NO_SESSION = "session must be a folder that coilcal import, simulate or acquire 
 REFUSALS = {
     f"{SIMULATE} --out simulated.zarr": f"{EXISTS} simulated.zarr",
     f"{SIMULATE} --out new.zarr --csv readings.csv": f"{EXISTS} readings.csv",
-    f"{SIMULATE} --out . --overwrite": "only a session is replaced by a session; {here} is something else",
-    f"{SIMULATE} --out calibration --overwrite": "only a session is replaced by a session; {here}/calibration is something else",
-    f"{SIMULATE} --out rig.yaml --overwrite": "only a session is replaced by a session; {here}/rig.yaml is something else",
-    f"{SIMULATE} --out rig.yaml/new.zarr": "output must be writable; {here}/rig.yaml/new.zarr is not: File exists",
+    f"{SIMULATE} --out . --overwrite": "output must not hold what is read; . holds rig.yaml: take another",
+    f"{SIMULATE} --out calibration --overwrite": "only a session is replaced by a session; calibration is something else",
+    f"{SIMULATE} --out rig.yaml --overwrite": "output must be another path than what is read; received rig.yaml for both",
+    f"{SIMULATE} --out rig.yaml/new.zarr": "output must be writable; {here}/rig.yaml/new.zarr is not: Not a directory",
     f"{SIMULATE} --out new.zarr --csv rig.yaml/new.csv": "output must be writable; rig.yaml/new.csv is not: Not a directory",
     f"{SIMULATE} --out {'x' * 300}": f"{'x' * 300} must be readable and writable: File name too long",
     f"{SIMULATE} --out new.zarr --set coil1.radius=0.05": "rig 'small' has no parameter 'coil1.radius'; the closest is coil1.radius_m",
@@ -66,8 +68,8 @@ REFUSALS = {
     "calibrate session.zarr --out calibration": "output must not hold a finished calibration unless --overwrite replaces it; "
     "received calibration",
     "calibrate session.zarr --out new --walkers 2": "walkers must be at least 6 for 3 free parameters; received 2",
-    "calibrate session.zarr --out rig.yaml": "output must be a folder that can be written; rig.yaml is not: File exists",
-    "calibrate session.zarr --out rig.yaml/new": "output must be a folder that can be written; rig.yaml/new is not: Not a directory",
+    "calibrate session.zarr --out rig.yaml": "output must be writable; rig.yaml is not: Not a directory",
+    "calibrate session.zarr --out rig.yaml/new": "output must be writable; rig.yaml/new is not: Not a directory",
     "calibrate session.zarr --out new --rig no.yaml": "no.yaml must be readable as text: No such file or directory",
     "calibrate session.zarr --out calibration --overwrite --rig other.yaml": "movers of the rig must be those of the session "
     "(arm1 (displacement)); received arm2 (displacement) (rig 'small')",
@@ -75,7 +77,7 @@ REFUSALS = {
     "predict no --out new.csv --grid x_mm=0 --current coil1=2": f"{NO_CALIBRATION} no",
     "predict calibration --out field.csv --grid x_mm=0 --current coil1=2": f"{EXISTS} field.csv",
     "predict calibration --out rig.yaml/new.csv --grid x_mm=0 --current coil1=2": "output must be writable; "
-    "rig.yaml/new.csv is not: File exists",
+    "rig.yaml/new.csv is not: Not a directory",
     f"{PREDICT} --grid x=1": f"{GRID} 'x=1'",
     f"{PREDICT} --grid x_deg=1": f"{GRID} 'x_deg=1'",
     f"{PREDICT} --grid u_mm=1": f"{GRID} 'u_mm=1'",
@@ -138,15 +140,15 @@ def test_a_mistake_gives_one_sentence_and_exit_code_2_and_leaves_nothing(
     assert refused(run(*command.split())) == message.format(here=in_workspace)
 
 
-@pytest.mark.parametrize(("command", "written"), [("calibrate", "out"), ("diagnose", ".out.unfinished")])
+@pytest.mark.parametrize(("command", "writer"), [("calibrate", only_writer), ("diagnose", staged)])
 def test_two_programs_do_not_write_one_output(
     run: Callable[..., Result],
     refused: Callable[[Result], str],
     in_workspace: Path,
     command: str,
-    written: str,
+    writer: Callable[[Path], AbstractContextManager[Any]],
 ) -> None:
-    with only_writer(in_workspace / written):
+    with writer(in_workspace / "out"):
         words = refused(run(command, "session.zarr", "--out", "out"))
     assert words == "output must be written by one program at a time; another writes out"
 

@@ -49,8 +49,10 @@ def diagnosed(out: Path) -> dict[str, Any]:
 
 def await_fits(running: subprocess.Popen[str], out: Path, n: int) -> None:
     """Wait until so many fits are kept."""
-    fits = out.with_name(f".{out.name}.unfinished") / FITS
-    while not fits.exists() or len(fits.read_bytes().splitlines()) < n:
+    while not any(
+        len(fits.read_bytes().splitlines()) >= n
+        for fits in out.parent.glob(f".{out.name}.*.coilcal/new/{out.name}/{FITS}")
+    ):
         assert running.poll() is None
         time.sleep(0.005)
 

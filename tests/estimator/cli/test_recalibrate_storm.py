@@ -71,12 +71,17 @@ def contents(registry: Registry, version: int) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files}
 
 
+def is_committing_now(versions: Path) -> bool:
+    """Whether a version is being written, or was when a kill came."""
+    return any(versions.glob(".*.coilcal"))
+
+
 def killed(folder: Path, registry: str, after_s: float, is_committing: bool) -> bool:
     """Run and kill some time after the start, or after a version began to be written. Whether it had not ended by then."""
-    partial = folder / registry / "versions" / ".partial"
+    versions = folder / registry / "versions"
     running = start(folder, registry)
     for is_left_over in (True, False):
-        while is_committing and partial.exists() == is_left_over and running.poll() is None:
+        while is_committing and is_committing_now(versions) == is_left_over and running.poll() is None:
             time.sleep(0.001)
     with suppress(subprocess.TimeoutExpired):
         assert running.wait(timeout=after_s) == 0
@@ -120,6 +125,6 @@ def test_killed_at_20_random_instants_the_last_good_calibration_stays_current(la
             assert {version: contents(stormy, version) for version in stormy.versions} == wanted
         else:
             n_kills += 1
-            met.add((stormy.current, len(log(stormy)), (stormy.folder / "versions" / ".partial").exists()))
+            met.add((stormy.current, len(log(stormy)), is_committing_now(stormy.folder / "versions")))
         logger.info("kill %d, %d whole runs; the kills met %s", n_kills, n_ends, sorted(met))
     assert len(met) > 2  # in different states

@@ -96,15 +96,18 @@ def test_a_backup_of_a_service_that_takes_readings_holds_those_that_were_acknowl
     assert (data.stat().st_mode & 0o777, (tmp_path / "0.tar").stat().st_mode & 0o777) == (0o700, 0o600)
 
 
+BEGUN = ".a.zarr.0123456789abcdef.coilcal"  # what a kill left of a session that was being written
+
+
 @pytest.fixture
 def data(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tmp_path: Path) -> Path:
     """A data folder that is served, with things that a kill or a job may have left."""
     client = idle()
     imported = import_csv(client, upload_rig(client, rig_text), readings_csv)
     folder = tmp_path / "data" / "sessions"
-    (folder / "a.zarr.begun").mkdir()
-    (folder / "a.zarr.begun" / "journal.jsonl").write_bytes(b"x")
-    sealing = folder / f"{imported['id']}.zarr" / "sealing.partial"
+    (folder / BEGUN).mkdir()
+    (folder / BEGUN / "journal.jsonl").write_bytes(b"x")
+    sealing = folder / f"{imported['id']}.zarr" / ".arrays.0123456789abcdef.coilcal"
     sealing.mkdir()
     job = tmp_path / "data" / "jobs" / "j"
     (job / "versions" / "0001").mkdir(parents=True)
@@ -124,7 +127,7 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
     assert linked.resolve().is_relative_to(tmp_path / "restored" / "sessions")
     assert (linked / "zarr.json").is_file()
     assert not (tmp_path / "restored" / "jobs" / "j" / "outside").is_symlink()
-    assert not (tmp_path / "restored" / "sessions" / "a.zarr.begun").exists()
+    assert not (tmp_path / "restored" / "sessions" / BEGUN).exists()
     assert (data / "page.key").is_file()
     assert not (tmp_path / "restored" / "page.key").exists()
     assert (data / "page.key").read_bytes() not in (tmp_path / "b.tar").read_bytes()

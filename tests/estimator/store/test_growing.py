@@ -18,8 +18,10 @@ import torch
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, load_so_far, new_header
-from estimator.store.journal import JOURNAL, Journal, read_journal
+from estimator.store.journal import Journal, read_journal
+from estimator.store.made import JOURNAL
 from estimator.store.session import Session, is_growing, load_session, remove_session, seal
+from estimator.store.staging import staged
 
 ROOT = Path(__file__).parents[3]
 
@@ -199,7 +201,7 @@ def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None
 
 
 def test_what_exists_is_not_begun_again(folder: Path) -> None:
-    with pytest.raises(InvalidInput, match="output must be writable"):
+    with pytest.raises(InvalidInput, match="output must not exist yet"):
         Journal.create(folder, {"kind": "other"})
 
 
@@ -325,9 +327,10 @@ def test_a_writer_of_a_journal_that_was_removed_before_the_lock_is_refused(
 
 
 def test_a_session_that_another_process_begins_is_not_begun_again(tmp_path: Path) -> None:
-    begun = tmp_path / "session.zarr.begun"
+    path = tmp_path / "session.zarr"
     with (
-        Journal.create(begun, {"kind": "test"}),
-        pytest.raises(InvalidInput, match="one process at a time"),
+        staged(path),
+        pytest.raises(InvalidInput, match=r"one program at a time; another writes .*session\.zarr$"),
     ):
-        Journal.create(tmp_path / "session.zarr", {"kind": "test"})
+        Journal.create(path, {"kind": "test"})
+    Journal.create(path, {"kind": "test"}).close()

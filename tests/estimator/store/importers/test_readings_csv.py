@@ -243,8 +243,9 @@ def test_unreadable_files_are_refused(tmp_path: Path, rig: Rig) -> None:
 
 def test_an_unwritable_folder_is_refused(tmp_path: Path, rig: Rig) -> None:
     session = read_readings_csv(written(tmp_path, HEADER, ROW), rig)
+    (tmp_path / "file").write_text("")
     with pytest.raises(InvalidInput, match="must be writable"):
-        write_readings_csv(session, tmp_path / "none" / "readings.csv")
+        write_readings_csv(session, tmp_path / "file" / "readings.csv")
 
 
 def test_one_stray_quote_loses_no_rows(tmp_path: Path, rig: Rig) -> None:
