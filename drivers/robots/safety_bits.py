@@ -7,6 +7,9 @@ from drivers.robots.rtde import Value
 _NORMAL = 1 << 0
 _PLAYING = 2
 
+NOT_RUNNING = "its program is not running"
+"""The reason of `why_not_running` where no safety stop holds the arm."""
+
 _STOPS = (
     (1 << 7, "its emergency stop is pressed: release the button and restart it at the pendant"),
     (1 << 6, "its emergency stop is pressed: release the button and restart it at the pendant"),
@@ -54,4 +57,4 @@ def why_not_running(values: dict[str, Value]) -> str | None:
         'its program is not running'
     """
     reason = why_stopped(values)
-    return reason or (None if values["runtime_state"] == _PLAYING else "its program is not running")
+    return reason or (None if values["runtime_state"] == _PLAYING else NOT_RUNNING)

@@ -266,3 +266,81 @@ def test_an_arm_stops_when_the_host_program_is_killed(rig, world):
     time.sleep(0.5)
     assert not world.is_moving(0)
     assert travelled_m(world, killed_at_m) < 0.02 * 0.3
+
+
+class Pauses:
+    """Gives a process no time for 0.3 s, longer than the watchdog of the controller waits, again and again."""
+
+    def __init__(self, pid):
+        self.pid, self.is_over = pid, threading.Event()
+        self.thread = threading.Thread(target=self.pause)
+        self.n = 0
+
+    def __enter__(self):
+        self.thread.start()
+        return self
+
+    def __exit__(self, *_):
+        self.is_over.set()
+        self.thread.join()
+
+    def pause(self):
+        while not self.is_over.wait(0.25):
+            os.kill(self.pid, signal.SIGSTOP)
+            time.sleep(0.3)
+            os.kill(self.pid, signal.SIGCONT)
+            self.n += 1
+
+
+@pytest.mark.parametrize("process", ["child", "simulator"])
+def test_legal_moves_are_made_though_a_process_gets_no_time_for_a_while(rig, world, process):
+    simulator, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=20.0)
+    pid = arm.motion_pid if process == "child" else simulator.pid
+    with Pauses(pid) as pauses:
+        for target in (HOME, NEAR, HOME, NEAR):
+            arm.move_to(target, speed_m_per_s=0.05, timeout_s=30.0)
+            assert world.snapshot().base_from_flange[0].position_m == pytest.approx(
+                target.position_m, abs=1e-3
+            )
+    assert pauses.n > 2
+    assert arm.motion_pid == pid or process == "simulator"
+
+
+def test_legal_moves_are_made_beside_busy_processes(rig, world):
+    _, arm = rig
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(6)]
+    try:
+        for target in (NEAR, HOME, NEAR, HOME):
+            arm.move_to(target, speed_m_per_s=0.1, timeout_s=30.0)
+    finally:
+        for process in busy:
+            process.kill()
+            process.wait()
+    assert world.snapshot().base_from_flange[0].position_m == pytest.approx(HOME.position_m)
+
+
+def test_a_program_that_somebody_stops_in_mid_motion_is_not_started_again_by_itself(rig, world):
+    simulator, arm = rig
+    arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=20.0)
+
+    def stop():
+        with socket.create_connection((simulator.address, 29999)) as dashboard:
+            dashboard.sendall(b"stop\n")
+            time.sleep(0.5)
+
+    timer = later(0.5, stop)
+    with pytest.raises(DeviceFault, match="must finish its motion; its program is not running"):
+        arm.move_to(FAR, speed_m_per_s=0.05, timeout_s=20.0)
+    timer.join()
+    stopped = world.snapshot().base_from_flange[0]
+    time.sleep(0.5)
+    assert world.snapshot().base_from_flange[0] == stopped
+
+
+def test_an_arm_that_is_held_before_its_first_motion_says_by_what(rig):
+    simulator, arm = rig
+    simulator.faults.fault = Fault.EMERGENCY_STOP
+    time.sleep(0.3)
+    with pytest.raises(DeviceFault, match="must start its control script; its emergency stop is pressed"):
+        arm.move_to(NEAR, speed_m_per_s=0.2, timeout_s=20.0)
