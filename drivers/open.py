@@ -21,6 +21,7 @@ of bytes (`drivers.robots.recorded`). As YAML, the section reads
         slew_A_per_s: 10
         continuous_A: 3           # more is allowed until the coil is as warm as this makes it
         thermal_time_constant_min: 5
+        # watchdog_s: 10          # only of an scpi supply with OUTP:PROT:WDOG: off when it hears nothing for so long
         longest_start_s: 60       # optional, also of an arm: time for the start of its process on a busy computer
         highest_temperature_C: 80    # optional; needs a thermometer on this coil, such as `warmth` below
       arm1:

@@ -140,6 +140,49 @@ def test_a_coil_that_gets_too_hot_trips_while_it_is_read():
     assert rig.is_at_rest
 
 
+HOT_LIMITS = CurrentLimits(-5.0, 5.0, 10.0, 3.0, 100.0, highest_temperature_K=350.0)
+
+
+@pytest.mark.parametrize("temperature_K", [351.0, np.nan])
+def test_no_current_is_set_in_a_coil_that_is_too_hot_or_of_unknown_temperature(temperature_K):
+    rig = Rig(HOT_LIMITS, lambda: temperature_K)
+    with pytest.raises(DeviceFault, match="too hot|must have a thermometer that gives a number"):
+        rig.source.set_current_A(2.0, timeout_s=0.2)
+    assert rig.memory_source.told == [("off",)]
+
+
+def test_the_thermometer_is_asked_before_each_current_and_not_only_while_it_flows():
+    order = []
+
+    def read_K():
+        order.append("thermometer")
+        return 300.0
+
+    rig = Rig(HOT_LIMITS, read_K)
+    tell = rig.memory_source.set_current_A
+
+    def set_current_A(current_A, *, timeout_s):
+        order.append("current")
+        tell(current_A, timeout_s=timeout_s)
+
+    rig.memory_source.set_current_A = set_current_A
+    for current_A in (2.0, -2.0):
+        order.clear()
+        rig.source.set_current_A(current_A, timeout_s=0.2)
+        assert order[:2] == ["thermometer", "current"]
+        assert order[2:] == ["thermometer"]
+
+
+def test_a_thermometer_that_fails_before_a_current_keeps_it_from_being_set():
+    def read_K():
+        raise DeviceFault("the cable is out")
+
+    rig = Rig(HOT_LIMITS, read_K)
+    with pytest.raises(DeviceFault, match="the cable is out"):
+        rig.source.set_current_A(2.0, timeout_s=0.2)
+    assert rig.memory_source.told == [("off",)]
+
+
 def test_a_coil_that_gets_too_hot_while_nobody_asks_trips_and_who_measures_waits_until_all_is_at_rest():
     temperature_K = [300.0]
     rig = Rig(
