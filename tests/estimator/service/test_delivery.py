@@ -162,7 +162,7 @@ def test_a_session_goes_to_one_service(
         Delivery(path, client, "http://other.example", lambda _: None)
     assert Delivery(path, client, "http://other.example", lambda _: None, is_new=True).receipt.hash is None
     (path / "delivery.json").write_text("[]", encoding="utf-8")
-    with pytest.raises(CorruptStore, match="receipt must be as coilcal writes it"):
+    with pytest.raises(CorruptStore, match="delivery.json must hold a JSON object"):
         Delivery(path, client, URL, lambda _: None)
 
 
