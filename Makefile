@@ -30,11 +30,10 @@ test:   # mypy beside the first tests, of which many only wait
 
 checks: lint types imports
 
-docs: $(DOCS_INSTALLED)   # the site, site/index.html: tutorials are run, pages of causes are written; no internet; a warning is an error
+docs: $(DOCS_INSTALLED)   # the site, site/index.html: tutorials are run, pages of causes are written; no internet; a warning is an error, and a site from before stays until a new one is whole
 	$(RUN) scripts.documentation.causes --out docs/reference/causes
 	$(RUN) scripts.documentation.rig_keys --out docs/reference/rig-keys.txt
-	$(RUN) sphinx -W --keep-going -b html -d site/.doctrees docs site
-	$(RUN) scripts.documentation.offline site
+	$(RUN) scripts.documentation.site docs site
 
 lint: $(INSTALLED)
 	$(RUN) ruff check

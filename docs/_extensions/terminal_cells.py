@@ -19,7 +19,7 @@ def setup(app: Sphinx) -> dict[str, Any]:
 def _as_typed(_: Sphinx, doctree: nodes.document) -> None:
     for block in list(doctree.findall(nodes.literal_block)):
         magic, _, rest = block.astext().partition("\n")
-        if magic == "%%sh":
+        if magic.split()[:1] == ["%%sh"]:  # options only choose lines of the output
             _replace(block, "console", _with_prompts(rest))
         elif magic.startswith("%%writefile "):
             name = magic.split()[1]
