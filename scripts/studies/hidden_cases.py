@@ -50,25 +50,40 @@ def options_of(
 
 def gather(options: argparse.Namespace, run: Callable[[str, int], Row]) -> list[Row]:
     """Rows of all cases that the options ask for; those that the file lacks are run. Diagnoses that failed are printed and left out."""
-    options.out.parent.mkdir(parents=True, exist_ok=True)
-    rows = read(options.out)
     seeds = range(options.first_seed, options.first_seed + options.cases)
     cases = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
+    rows = rows_of(cases, run, options.out, options.workers, line)
+    failed = [row for row in rows if "error" in row]
+    for row in failed:
+        print(line(row))
+    print(f"{len(failed)} of {len(cases)} diagnoses failed; they are in no share below")
+    return [row for row in rows if "error" not in row]
+
+
+def rows_of(
+    cases: Sequence[Case],
+    run: Callable[[str, int], Row],
+    out: Path,
+    workers: int,
+    line_of: Callable[[Row], str],
+) -> list[Row]:
+    """Rows of some cases, in their order; those that a file lacks are run in processes of their own, and appended as they end.
+
+    A case that fails has a row with its error.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    rows = read(out)
     missing = [case for case in cases if case not in rows]
     with (
-        multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool,
-        options.out.open("a") as file,
+        multiprocessing.get_context("spawn").Pool(workers, initializer=one_thread) as pool,
+        out.open("a") as file,
     ):
         for i, row in enumerate(pool.imap_unordered(partial(_guarded, run), missing), start=1):
             file.write(json.dumps(row) + "\n")
             file.flush()
             rows[row["kind"], row["seed"]] = row
-            print(f"{i} of {len(missing)}: {line(row)}", file=sys.stderr)
-    failed = [rows[case] for case in cases if "error" in rows[case]]
-    for row in failed:
-        print(line(row))
-    print(f"{len(failed)} of {len(cases)} diagnoses failed; they are in no share below")
-    return [rows[case] for case in cases if "error" not in rows[case]]
+            print(f"{i} of {len(missing)}: {line_of(row)}", file=sys.stderr)
+    return [rows[case] for case in cases]
 
 
 def one_thread() -> None:

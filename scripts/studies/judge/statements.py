@@ -1,0 +1,89 @@
+"""What the judge says of one printed statement, and numbers as people read them."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from typing import Any
+
+MICRO = ("u", "µ", "μ")
+FACTORS = {"": 1.0, "m": 1e-3, "n": 1e-9, **dict.fromkeys(MICRO, 1e-6)}
+UNITS = "T|rad|A|m|s"
+SIZE = re.compile(
+    rf"(?P<number>[-−+]?\d[\d.,]*(?:e[-+]?\d+)?)\s*(?:(?P<prefix>[munµμ]?)(?P<unit>{UNITS})\b|(?P<percent>%))?"
+)
+LAST_DIGIT = 0.5 + 1e-6  # of the last printed digit: what rounding explains
+
+
+@dataclass(frozen=True)
+class Statement:
+    """One statement, judged.
+
+    Attributes:
+        kind: What is stated, such as `good` or `unseen_error`.
+        source: Which output has it: `calibrate` or `diagnose`.
+        text: As it was printed.
+        is_true: Whether it is so.
+        why: The truth, beside which it can be checked.
+        off: By how much a printed number is off, as a share of the true one; None where it is no number.
+    """
+
+    kind: str
+    source: str
+    text: str
+    is_true: bool
+    why: str
+    off: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """In the form of JSON, without what does not apply."""
+        return {key: value for key, value in asdict(self).items() if value is not None}
+
+
+def size_of(text: str) -> float:
+    """A printed size in SI units; per cent as a share.
+
+    Examples:
+        >>> size_of("24.9 uT"), size_of("1.7 mT"), size_of("−3.2"), size_of("88.5 %")
+        (2.49e-05, 0.0017, -3.2, 0.885)
+    """
+    match = SIZE.search(text)
+    if match is None:
+        raise ValueError(f"text must hold a number; received {text!r}")
+    number = float(match["number"].replace(",", "").replace("−", "-"))
+    factor = 0.01 if match["percent"] else FACTORS[match["prefix"] or ""]
+    return float(f"{number * factor:.12g}")
+
+
+def agrees(printed: float, value: float, digits: int) -> bool:
+    """Whether a number would be printed so, to this many digits.
+
+    Examples:
+        >>> agrees(24.9, 24.94, 3), agrees(24.9, 24.96, 3), agrees(25.0, 24.96, 3)
+        (True, False, True)
+    """
+    if not (math.isfinite(printed) and math.isfinite(value)):
+        return False
+    largest = max(abs(printed), abs(value))
+    if largest == 0.0:
+        return True
+    step = 10.0 ** (math.floor(math.log10(largest)) - digits + 1)
+    return abs(printed - value) <= LAST_DIGIT * step
+
+
+def number_statement(
+    kind: str, source: str, text: str, printed: float, values: Iterable[float], digits: int
+) -> Statement:
+    """Whether a printed number is one of those that the files give, to its digits; `off` is of the nearest.
+
+    Args:
+        printed: In the unit of `values`.
+        values: Of the models that are handed out.
+        digits: To which it was printed.
+    """
+    nearest = min(values, key=lambda value: abs(value - printed))
+    off = abs(printed - nearest) / abs(nearest) if nearest else math.inf if printed else 0.0
+    why = f"printed {printed:.6g}, from the files {nearest:.6g}"
+    return Statement(kind, source, text, agrees(printed, nearest, digits), why, off)

@@ -1,0 +1,444 @@
+"""The judge of printed statements catches a false one of each kind, and takes true ones for true."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from estimator import Calibration, Session
+from estimator.cli.calibrate import _text
+from estimator.effects import EFFECTS
+from estimator.reporting.page import ReportPage, Table, render_report
+from estimator.rig_files.write import rig_text
+from scripts.studies.judge import sessions
+from scripts.studies.judge.case import CALIBRATE_TEXT, DIAGNOSE_TEXT, Case
+from scripts.studies.judge.handed_out import HandedOut
+from scripts.studies.judge.intervals import false_intervals, missed_90
+from scripts.studies.judge.sessions import KINDS, ended, hidden_case
+from scripts.studies.judge.statements import Statement
+from scripts.studies.judge.truth import TrueCause, Truth
+from scripts.studies.truthful import judged, line, show
+from tests.estimator.conftest import (
+    TRUTH,
+    small_calibration,
+    small_plan,
+    small_rig,
+    small_session,
+)
+
+__all__ = ["small_calibration", "small_plan", "small_rig", "small_session"]  # fixtures
+
+pytestmark = pytest.mark.whole
+GAIN = TrueCause("axis_gain", "hall", True, 9.0, {"x": 0.01})
+OUTSIDE = TrueCause("chair_moved", "room", False, 9.0, {})
+NAMED = {
+    "name": "axis_gain",
+    "probability": 0.97,
+    "p_not_in_library": 0.03,
+    "alternatives": [],
+    "parameters": {"x": {"median": 0.0101, "sd": 0.001, "ci90": [0.0085, 0.0117]}},
+}
+FLAG = {
+    "reason": "otherwise",
+    "words": "fits another sign",
+    "sensor": "hall",
+    "component": None,
+    "readings": [3, 4],
+}
+OUTLIER = {"reading": 3, "component": "x", "sensor": "hall", "probability": 0.999}
+DIAGNOSED: dict[str, Any] = {"verdict": "named", "causes": [], "flagged": [], "outliers": []}
+MOVED = ["parameter", "before", "after", "unit", "moved (sd)"]
+Told = Callable[..., dict[str, list[Statement]]]
+
+
+@pytest.fixture(scope="module")
+def folder(
+    small_session: Session, small_calibration: Calibration, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """What `calibrate` and `diagnose` would have written, but for what a test adds."""
+    made = tmp_path_factory.mktemp("judged")
+    small_session.save(made / "session.zarr")
+    small_calibration.save(made / "calibration")
+    small_calibration.save(made / "diagnosis" / "calibration")
+    rig = small_calibration.rig.with_values(
+        {p.name: small_calibration.best[p.name] for p in small_calibration.rig.free}
+    )
+    (made / "diagnosis" / "rig_extended.yaml").write_text(rig_text(rig, ""), encoding="utf-8")
+    return made
+
+
+@pytest.fixture
+def told(folder: Path, small_session: Session) -> Told:
+    """Statements by kind of what was printed, each judged beside a truth."""
+    n = len(small_session.observations)
+    clean = Truth(dict(TRUTH), (), np.zeros((n, 3), dtype=bool))
+
+    def judge(
+        calibrate: str = "",
+        diagnose: str = "",
+        truth: Truth = clean,
+        moved: list[str] | None = None,
+        **diagnosed: Any,
+    ) -> dict[str, list[Statement]]:
+        (folder / CALIBRATE_TEXT).write_text(calibrate, encoding="utf-8")
+        (folder / DIAGNOSE_TEXT).write_text(diagnose, encoding="utf-8")
+        (folder / "diagnosis" / "diagnosis.json").write_text(
+            json.dumps(DIAGNOSED | diagnosed), encoding="utf-8"
+        )
+        tables = [Table("Parameters biased in the plain model", MOVED, [moved])] if moved else []
+        page = ReportPage("", "", [], [], [], tables, [], [], {})
+        (folder / "diagnosis" / "report.html").write_text(render_report(page), encoding="utf-8")
+        statements, _ = judged(Case(folder, truth))
+        return {
+            kind: [one for one in statements if one.kind == kind] for kind in {one.kind for one in statements}
+        }
+
+    return judge
+
+
+def are_true(statements: dict[str, list[Statement]], kind: str) -> list[bool]:
+    return [statement.is_true for statement in statements[kind]]
+
+
+@pytest.fixture
+def printed(folder: Path, small_calibration: Calibration) -> str:
+    """What `coilcal calibrate` prints of it."""
+    return _text(small_calibration.summary(), folder / "calibration")
+
+
+def wrong_truth(calibration: Calibration) -> Truth:
+    """A truth that the intervals exclude."""
+    sd = float(calibration.draws["coil1.radius_m"].std())
+    return Truth(
+        {**TRUTH, "coil1.radius_m": TRUTH["coil1.radius_m"] + 12.0 * sd}, (), np.zeros((36, 3), dtype=bool)
+    )
+
+
+def test_what_is_printed_of_a_right_calibration_is_true_and_every_line_is_read(
+    told: Told, printed: str, folder: Path
+) -> None:
+    statements = told(printed)
+    assert not [one for each in statements.values() for one in each if not one.is_true]
+    assert {"good", "error", "coverage", "interval_as_drawn", "loop_counts"} <= set(statements)
+    _, unread = judged(Case(folder, None))
+    assert unread == []
+
+
+def test_good_is_false_where_an_interval_excludes_the_truth(
+    told: Told, printed: str, small_calibration: Calibration
+) -> None:
+    assert are_true(told(printed), "good") == [
+        True,
+        True,
+    ]  # of `calibrate`, and of the calibration beside the diagnosis
+    assert are_true(told(printed, truth=wrong_truth(small_calibration)), "good") == [False, False]
+
+
+def test_good_of_a_map_is_false_where_held_out_readings_are_missed(
+    told: Told, printed: str, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told(printed)
+    statements, _ = judged(Case(folder, None))
+    assert [one.is_true for one in statements if one.kind == "good"] == [True, True]
+    right = HandedOut.readings_T
+    monkeypatch.setattr(HandedOut, "readings_T", lambda self, *readings: right(self, *readings) + 1e-5)
+    statements, _ = judged(Case(folder, None))
+    assert [one.is_true for one in statements if one.kind == "good"] == [False, False]
+
+
+@pytest.mark.parametrize(
+    ("kind", "was", "is_now"),
+    [
+        ("error", r"validation: error ", "validation: error 1"),
+        ("coverage", r"intervals ", "intervals 1"),
+        (
+            "interval_as_drawn",
+            "coil1.radius_m                         ",
+            "coil1.radius_m                         9",
+        ),
+        ("expected_noise", "expected noise leaves ", "expected noise leaves 1"),
+    ],
+)
+def test_a_printed_number_that_the_files_do_not_give_is_false(
+    told: Told, printed: str, kind: str, was: str, is_now: str
+) -> None:
+    assert was in printed
+    changed = printed.replace(was, is_now)
+    if kind == "interval_as_drawn":
+        lines = printed.splitlines()
+        row = next(one for one in lines if one.startswith("coil1.radius_m "))
+        name, median, *rest = row.split()
+        changed = printed.replace(row, f"{name} {float(median) + 0.1:.6g} {'  '.join(rest[:2])}  {rest[2]}")
+    assert all(are_true(told(printed), kind))
+    assert not all(are_true(told(changed), kind))
+
+
+def test_a_loop_count_that_is_stated_as_a_fact_is_false_where_it_is_another(
+    told: Told, printed: str, small_calibration: Calibration
+) -> None:
+    best = small_calibration.summary()["loop_counts"][0]
+    assert best["probability"] > 0.99, "else nothing is stated as a fact"
+    other = Truth({**TRUTH, "coil1.axial_loops": 14.0}, (), np.zeros((36, 3), dtype=bool))
+    known = {"coil1.radial_loops": 3.0}
+    right = Truth({**TRUTH, **known}, (), np.zeros((36, 3), dtype=bool))
+    assert all(are_true(told(printed, truth=right), "loop_counts"))
+    assert not any(
+        are_true(told(printed, truth=replace(other, values={**other.values, **known})), "loop_counts")
+    )
+
+
+def test_a_distance_from_a_prior_is_computed_anew(told: Told, small_calibration: Calibration) -> None:
+    prior = small_calibration.rig.parameters["coil1.radius_m"].prior
+    assert prior is not None
+    distance = prior.distance(float(np.median(small_calibration.draws["coil1.radius_m"])))
+    words = "coil1.radius_m lies {:+.1f} prior standard deviations from its prior's centre: narrow prior"
+    assert are_true(told(words.format(distance)), "tension") == [True]
+    assert are_true(told(words.format(distance + 1.0)), "tension") == [False]
+
+
+def hidden(*causes: TrueCause, wrong: tuple[int, ...] = ()) -> Truth:
+    """The small session with causes, and rows recorded otherwise than they were measured."""
+    rows = np.zeros((36, 3), dtype=bool)
+    rows[list(wrong)] = True
+    return Truth(dict(TRUTH), causes, rows)
+
+
+@pytest.mark.parametrize(("name", "is_true"), [("axis_gain", True), ("iron_plate", False)])
+def test_a_name_as_a_fact_is_that_of_what_is_hidden(told: Told, name: str, is_true: bool) -> None:
+    statements = told("", "verdict: named", hidden(GAIN), causes=[NAMED | {"name": name}])
+    assert are_true(statements, "name_as_fact") == [is_true]
+
+
+@pytest.mark.parametrize(
+    ("name", "unknown", "truth", "is_true"),
+    [
+        ("axis_gain", 0.03, hidden(GAIN), True),
+        ("iron_plate", 0.03, hidden(GAIN), True),  # three per cent were left for anything else
+        ("iron_plate", 0.001, hidden(GAIN), False),
+        ("iron_plate", 0.001, hidden(OUTSIDE), True),  # a relative of a moved chair
+        ("axis_gain", 0.001, hidden(OUTSIDE), False),
+        ("axis_gain", 0.001, hidden(), False),
+    ],
+)
+def test_the_truth_has_a_probability(
+    told: Told, name: str, unknown: float, truth: Truth, is_true: bool
+) -> None:
+    entry = NAMED | {"name": name, "p_not_in_library": unknown}
+    words = f"  {name} (97 %), or something not in the library (3 %)"
+    assert are_true(told("", words, truth, causes=[entry]), "cause_probability") == [is_true]
+
+
+@pytest.mark.parametrize(("median", "is_true"), [(0.0101, True), (0.0201, False)])
+def test_a_size_holds_the_truth(told: Told, median: float, is_true: bool) -> None:
+    interval = {"median": median, "sd": 0.001, "ci90": [median - 0.0016, median + 0.0016]}
+    statements = told("", "", hidden(GAIN), causes=[NAMED | {"parameters": {"x": interval}}])
+    assert are_true(statements, "size") == [is_true]
+
+
+@pytest.mark.parametrize(
+    ("truth", "is_true"),
+    [
+        (hidden(), True),
+        (hidden(GAIN), False),
+        (hidden(replace(GAIN, sigma=3.0)), True),
+        (hidden(wrong=(4,)), False),
+    ],
+)
+def test_nothing_is_wrong_only_where_nothing_visible_is(told: Told, truth: Truth, is_true: bool) -> None:
+    statements = told("", "These readings show nothing wrong.", truth)
+    assert are_true(statements, "nothing_wrong") == [is_true]
+
+
+def test_nothing_to_mend_is_false_where_the_rig_as_it_is_gives_false_intervals(
+    told: Told, small_calibration: Calibration
+) -> None:
+    words = "There is nothing to mend: use the rig file as it is."
+    assert are_true(told("", words), "nothing_wrong") == [True]
+    assert are_true(told("", words, wrong_truth(small_calibration)), "nothing_wrong") == [False]
+
+
+@pytest.mark.parametrize(("least", "is_true"), [("2 %", True), ("0.5 %", False)])
+def test_what_would_have_shown_is_not_there(told: Told, least: str, is_true: bool) -> None:
+    words = (
+        f"These readings show nothing wrong; they would have shown, for example, axis_gain x from {least}."
+    )
+    statements = told("", words, hidden(replace(GAIN, sigma=3.0)))
+    assert are_true(statements, "would_have_shown") == [is_true]
+
+
+@pytest.mark.parametrize(("truth", "is_true"), [(hidden(), False), (hidden(GAIN), True)])
+def test_a_doubt_that_is_nearly_certain_is_false_of_a_clean_session(
+    told: Told, truth: Truth, is_true: bool
+) -> None:
+    words = "Nothing is sure enough to be named, but it is only < 1 % probable that nothing is wrong."
+    assert are_true(told("", words, truth), "doubts") == [is_true]
+
+
+@pytest.mark.parametrize(
+    ("truth", "is_true"),
+    [(hidden(), False), (hidden(GAIN), False), (hidden(OUTSIDE), True), (hidden(wrong=(4,)), True)],
+)
+def test_no_known_cause_is_false_where_a_known_one_is_hidden_or_none(
+    told: Told, truth: Truth, is_true: bool
+) -> None:
+    words = "Something is wrong that no known cause explains: what it misses depends on time."
+    assert are_true(told("", words, truth), "no_known_cause") == [is_true]
+
+
+@pytest.mark.parametrize(("truth", "is_true"), [(hidden(GAIN), False), (hidden(GAIN, OUTSIDE), True)])
+def test_nothing_is_left_beside_all_that_was_named(told: Told, truth: Truth, is_true: bool) -> None:
+    words = "odds 400 to 1 that something is left, 0.5 of the noise rms, which depends on time"
+    assert are_true(told("", words, truth, causes=[NAMED]), "something_left") == [is_true]
+
+
+@pytest.mark.parametrize(("readings", "is_true"), [([3, 4], True), ([3, 4, 5], False)])
+def test_every_flagged_reading_is_wrong(told: Told, readings: list[int], is_true: bool) -> None:
+    statements = told("", "", hidden(wrong=(2, 3)), flagged=[FLAG | {"readings": readings}])
+    assert are_true(statements, "flag") == [is_true]
+
+
+@pytest.mark.parametrize(("off_sigma", "is_true"), [(9.0, True), (1.0, False)])
+def test_an_outlier_is_far_from_what_is_true(
+    told: Told, small_session: Session, off_sigma: float, is_true: bool
+) -> None:
+    expected_T = small_session.observations.field_sensor_T.numpy().copy()
+    expected_T[2, 0] += off_sigma * 5e-6
+    truth = replace(hidden(), expected_T=expected_T, noise_T=np.full(36, 5e-6))
+    assert are_true(told("", "", truth, outliers=[OUTLIER]), "outlier") == [is_true]
+
+
+@pytest.mark.parametrize(("before", "is_true"), [("53.80 ± 0.10", True), ("51.85 ± 0.10", False)])
+def test_a_parameter_that_was_right_is_not_biased(told: Told, before: str, is_true: bool) -> None:
+    row = ["radius", before, "51.80 ± 0.90", "mm", "−20.0"]
+    assert are_true(told("", "", hidden(GAIN), moved=row), "biased") == [is_true]
+
+
+@pytest.fixture
+def unseen_uT(small_calibration: Calibration) -> float:
+    """What the calibration that was handed out misses unseen readings by."""
+    return float(1e6 * small_calibration.summary()["rmse"]["validation"]["vector_T"])
+
+
+def test_the_error_on_unseen_readings_is_that_of_what_was_handed_out(told: Told, unseen_uT: float) -> None:
+    words = "On {} readings that no fit has seen the rms error falls from 300 µT to {:.3g} µT."
+    statements = told("", words.format(9, unseen_uT))
+    assert are_true(statements, "unseen_error") == are_true(statements, "unseen_number") == [True]
+    statements = told("", words.format(8, 1.1 * unseen_uT))
+    assert are_true(statements, "unseen_error") == are_true(statements, "unseen_number") == [False]
+
+
+def test_an_error_that_does_not_fall_is_no_gain(told: Told, unseen_uT: float) -> None:
+    words = "On 9 readings that no fit has seen the rms error falls from {:.4g} µT to {:.3g} µT."
+    assert are_true(told("", words.format(3.0 * unseen_uT, unseen_uT)), "gain") == [True]
+    assert are_true(told("", words.format(1.001 * unseen_uT, 0.1 * unseen_uT)), "gain") == [False]
+
+
+def test_the_last_line_is_that_of_what_was_handed_out(told: Told, unseen_uT: float) -> None:
+    words = (
+        "unseen readings: 300 -> {:.4g} uT rms of the vector; coverage of 90 % intervals 20.0 % -> {:.1f} %; "
+        "log predictive density +3.0 +- 1.0"
+    )
+    statements = told("", words.format(unseen_uT, 90.0))
+    assert are_true(statements, "unseen_error") == are_true(statements, "coverage") == [True]
+    statements = told("", words.format(0.9 * unseen_uT, 40.0))
+    assert are_true(statements, "unseen_error") == are_true(statements, "coverage") == [False]
+
+
+def test_the_first_sentence_does_not_quote_what_fitted_readings_leave(told: Told, unseen_uT: float) -> None:
+    words = "Something is wrong: the rig as described misses by 300 µT rms, the extended rig by {:.3g} µT"
+    component_uT = unseen_uT / np.sqrt(3.0)
+    assert are_true(told("", words.format(component_uT)), "first_sentence") == [True]
+    assert are_true(told("", words.format(0.1 * component_uT)), "first_sentence") == [False]
+
+
+def test_numbers_far_from_their_priors_are_those_of_what_was_handed_out(
+    told: Told, small_calibration: Calibration
+) -> None:
+    prior = small_calibration.rig.parameters["coil1.radius_m"].prior
+    assert prior is not None
+    distance = prior.distance(float(np.median(small_calibration.draws["coil1.radius_m"])))
+    words = "Far from what the rig file expects: radius is 51.8 mm where 51 is expected, {:+.1f} widths of its prior."
+    assert are_true(told("", words.format(distance)), "tension") == [True]
+    assert are_true(told("", words.format(distance + 2.0)), "tension") == [False]
+
+
+def test_intervals_of_what_was_handed_out_hold_the_truth(told: Told, small_calibration: Calibration) -> None:
+    assert are_true(told(), "extended_intervals") == [True]
+    assert are_true(told("", "", wrong_truth(small_calibration)), "extended_intervals") == [False]
+
+
+def test_a_line_that_nobody_judges_is_counted(told: Told, folder: Path) -> None:
+    told("", "verdict: named\nThe moon is made of 3.5 kg of cheese.")
+    _, unread = judged(Case(folder, hidden()))
+    assert unread == ["The moon is made of # kg of cheese."]
+
+
+@pytest.mark.parametrize(
+    ("code", "error", "truth", "kind", "is_true"),
+    [
+        (1, "Traceback\nKeyError: 'x'", hidden(GAIN), "crash", False),
+        (2, "coilcal: units look like mm", hidden(GAIN), "refused", True),
+        (2, "coilcal: units look like mm", hidden(), "refused", False),
+    ],
+)
+def test_a_crash_is_false_and_so_is_the_refusal_of_a_clean_session(
+    tmp_path: Path, code: int, error: str, truth: Truth, kind: str, is_true: bool
+) -> None:
+    (statement,) = ended(Case(tmp_path, truth), "calibrate.txt", (code, "", error), "calibrate")
+    assert (statement.kind, statement.is_true) == (kind, is_true)
+
+
+def test_predictions_are_those_of_the_field_at_the_sensor(
+    folder: Path, small_calibration: Calibration
+) -> None:
+    """One reading after another, by the public method."""
+    readings = small_calibration.observations
+    shown_T = HandedOut.of_folder(folder / "calibration").readings_T(readings)
+    points_m = readings.field_sensor_T.new_zeros(1, 3)
+    for i in (0, 7, 35):
+        motion = {name: rows[i] for name, rows in readings.motion.items()}
+        field_T = small_calibration.field(points_m, {"coil1": float(readings.current_A[i, 0])}, motion)
+        assert np.allclose(field_T[0], shown_T[i], rtol=1e-9, atol=0.0)
+
+
+def test_intervals_far_from_the_truth_are_counted(folder: Path, small_calibration: Calibration) -> None:
+    model = HandedOut.of_folder(folder / "calibration")
+    missed, n = missed_90(model, hidden())
+    assert n == 3
+    excluded = wrong_truth(small_calibration)
+    assert set(false_intervals(model, excluded)) == {"coil1.radius_m"}
+    assert missed_90(model, excluded) == (missed + 1, n)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_each_kind_of_session_has_its_truth(kind: str, tmp_path: Path) -> None:
+    truth = hidden_case(kind, 900_001, tmp_path)
+    assert truth.is_clean == (kind == "clean")
+    assert all(cause.is_known == (cause.name in EFFECTS) for cause in truth.causes)
+    assert truth.wrong.any() or kind not in (sessions.ROWS, sessions.PLACES)
+    assert (tmp_path / "readings.csv").exists()
+
+
+def test_false_statements_are_counted_by_kind(capsys: pytest.CaptureFixture[str]) -> None:
+    said = [Statement("good", "calibrate", "good: ...", False, "radius is 12 sd off")]
+    said += [Statement("error", "calibrate", "error 3 uT", True, "")] * 3
+    row = {"kind": "single", "seed": 7, "name": "7", "hidden": "axis_gain of hall", "unread": ["# cheeses"]}
+    row |= {
+        "verdicts": ["good", "named"],
+        "statements": [one.to_json() for one in said],
+        "missed_90": {"calibrate": [1, 3]},
+    }
+    show([row, {"kind": "clean", "seed": 8, "error": "KeyError: 1"}])
+    printed = capsys.readouterr().out
+    assert "1 sessions, 4 statements judged, 1 false" in printed
+    assert "in a thousand: 250.0" in printed
+    assert "radius is 12 sd off" in printed
+    assert "not judged: clean 8: KeyError: 1" in printed
+    assert "1 # cheeses" in printed
+    assert "1 of 4 false" in line(row)
