@@ -61,9 +61,16 @@ class Case:
 
     @cached_property
     def by_diagnosis(self) -> list[HandedOut]:
-        """All that `diagnose` handed out: the extended rig with its values, and its calibration."""
+        """All that `diagnose` handed out: the extended rig with its values, and its calibration.
+
+        Where it extended nothing, the rig as described, calibrated; nothing where that was fitted to rows that the diagnosis left out.
+        """
         rig = HandedOut.of_rig_file(self.folder / DIAGNOSIS / "rig_extended.yaml")
-        return [rig] if self.extended is None else [rig, self.extended]
+        if self.extended is not None:
+            return [rig, self.extended]
+        if rig.rig.acting != self.plain.rig.acting:
+            return [rig]
+        return [] if self.flagged.any() else [self.plain]
 
     def lines(self, name: str) -> list[str]:
         """Lines of a printed text."""

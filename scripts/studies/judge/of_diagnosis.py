@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,8 @@ from scripts.studies.judge.statements import Statement, number_statement, size_o
 DIAGNOSE = "diagnose"
 CLEARLY_VISIBLE = 8.0  # sigma of a flaw that a session shows beyond doubt
 RIGHT_SIGMA = 3.5  # of the noise: an outlier is farther from what was true
-CLEARLY_MOVED = 2.0  # sd: from which on a number is said to be biased, and not only to have moved a little
+CLEARLY_OFF = 3.0  # sd of the plain fit by which a claimed bias is not the true one
+ROUGHLY = 0.02  # of an error of a fit beside that of a calibration of the same rig
 ALMOST_ALL = 0.98  # an error that falls to more than this does not fall
 WORSE = 1.5  # held-out over fitted error, beyond which a fitted one says nothing of predictions
 FEWEST_COMPONENTS = 20  # from which on an rms says anything
@@ -60,7 +62,7 @@ def nothing_wrong(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement
     if case.truth is None:
         return
     visible = [c for c in case.truth.causes if c.sigma is None or c.sigma >= CLEARLY_VISIBLE]
-    wrong = int((case.truth.wrong & ~case.flagged).any(axis=1).sum())
+    wrong = case.truth.mistakes_left(case.flagged)
     excluded = false_intervals(case.plain, case.truth) if "mend" in text else {}
     is_true = not (visible or wrong or excluded)
     why = "; ".join([f"hidden: {case.truth.words}", f"wrong rows left: {wrong}", *excluded.values()])
@@ -106,7 +108,7 @@ def something_left(case: Case, text: str, _: re.Match[str]) -> Iterator[Statemen
     if case.truth is not None:
         found = {plain_name(cause["name"]) for cause in case.diagnosis["causes"]}
         left = [cause.name for cause in case.truth.causes if cause.name not in found]
-        wrong = bool((case.truth.wrong & ~case.flagged).any())
+        wrong = bool(case.truth.mistakes_left(case.flagged))
         why = f"hidden: {case.truth.words}; named: {', '.join(sorted(found)) or 'nothing'}"
         yield Statement("something_left", DIAGNOSE, text, bool(left) or wrong, why)
 
@@ -156,12 +158,21 @@ def gain(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     if unseen <= policy.MOST_READINGS_FITTED:
         yield number_statement("unseen_number", DIAGNOSE, text, float(match["n"]), [float(unseen)], 9)
     errors = [model.errors(case.held_out).vector_T for model in case.by_diagnosis]
-    yield number_statement("unseen_error", DIAGNOSE, text, after, errors, 3)
+    if not errors:
+        return
+    yield _error_statement(case, text, after, errors, 3)
     if "falls from" in match["rest"]:
         nearest = min(errors)
         plain = case.plain.errors(case.held_out).vector_T
         why = f"with the calibration {plain:.4g} T, with what was handed out {nearest:.4g} T"
         yield Statement("gain", DIAGNOSE, text, nearest < max(ALMOST_ALL * before, plain), why)
+
+
+def _error_statement(case: Case, text: str, printed: float, values: list[float], digits: int) -> Statement:
+    """An error on unseen readings, to its digits; roughly where no calibration was handed out that could have it."""
+    statement = number_statement("unseen_error", DIAGNOSE, text, printed, values, digits)
+    is_near = case.extended is None and (statement.off or 0.0) < ROUGHLY
+    return replace(statement, is_true=statement.is_true or is_near)
 
 
 def _before_and_after(words: str) -> tuple[float, float]:
@@ -182,7 +193,9 @@ def unseen(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """The last line: error and coverage of what was handed out."""
     errors = [model.errors(case.held_out) for model in case.by_diagnosis]
     values = [one.vector_T for one in errors]
-    yield number_statement("unseen_error", DIAGNOSE, text, 1e-6 * float(match["after"]), values, 4)
+    if not values:
+        return
+    yield _error_statement(case, text, 1e-6 * float(match["after"]), values, 4)
     if case.extended is not None and (coverage := case.extended.coverage90(case.held_out)) is not None:
         yield coverage_statement(DIAGNOSE, text, size_of(match["ca"]), coverage, errors[-1].n_components)
 
@@ -193,8 +206,8 @@ def unseen(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
 def first_sentence(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """What is quoted first of the extended rig is what it misses unseen readings by."""
     after = size_of(match["after"])
-    unseen_T = min(model.errors(case.held_out).component_T for model in case.by_diagnosis)
-    n = case.by_diagnosis[0].errors(case.held_out).n_components
+    errors = [model.errors(case.held_out) for model in case.by_diagnosis]
+    unseen_T, n = min((one.component_T, one.n_components) for one in errors) if errors else (after, 0)
     why = f"unseen components are missed by {unseen_T:.3g} T rms"
     if n >= FEWEST_COMPONENTS:
         yield Statement("first_sentence", DIAGNOSE, text, unseen_T <= WORSE * after, why, unseen_T / after)
@@ -264,15 +277,14 @@ def moved(case: Case) -> Iterator[Statement]:
     }
     for row in case.tables[title][1:]:
         name, factor = shown.get(row[0], ("", 1.0))
-        true = case.truth.values.get(name)
-        moved_sd = size_of(row[4])
+        true, moved_sd = case.truth.values.get(name), size_of(row[4])
         before, sd = (size_of(part) for part in re.split(r"\s*±\s*", row[1], maxsplit=1))
-        if true is None or abs(moved_sd) < CLEARLY_MOVED or sd <= 0.0:
+        if true is None or moved_sd == 0.0 or sd <= 0.0:
             continue
-        bias_sd = abs(true * factor - before) / sd
+        bias_sd = (true * factor - before) / sd
         text = f"{row[0]} biased in the plain model: {row[1]} -> {row[2]} {row[3]}, {row[4]} sd"
-        is_true = bias_sd > min(0.5 * abs(moved_sd), 3.0)
-        why = f"true {true * factor:.6g}, {bias_sd:.1f} sd from the plain value (hidden: {case.truth.words})"
+        is_true = abs(moved_sd - bias_sd) < CLEARLY_OFF or bias_sd / moved_sd > 0.5
+        why = f"true {true * factor:.6g}, {bias_sd:+.1f} sd from the plain value (hidden: {case.truth.words})"
         yield Statement("biased", DIAGNOSE, text, is_true, why)
 
 
@@ -307,7 +319,7 @@ for pattern in (
     r"^written: ",
     r"^Readings .*are not as they were measured",
     r"components? (is|are) probably (an )?outlier",
-    r"^Size, with 90 %|known best:|\(.+ to .+\)$",
+    r"^Size, with 90 %|known best:|\(.+ to .+\)$|^[\w −]+ {2,}[−\d]\S*( \S+)?$",
     r"\([a-z]\w*(\[[\w, ]+\])?, [<>\d ]+ %\)",
     r"^this session cannot tell apart|^To tell them apart, measure|The readings leave room",
     r"^The prior of .* holds its|^Check .* in the rig file",

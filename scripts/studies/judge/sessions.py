@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from estimator import block_split
+from estimator.cli.output import EXIT_BAD_INPUT, EXIT_NOT_CONVERGED, EXIT_UNUSABLE
 from estimator.effects import EFFECTS
 from scripts.studies.diagnose_real import MICE, MORE, session_of
 from scripts.studies.judge.case import (
@@ -36,7 +37,7 @@ KINDS = ("single", "pair", "discrete", "iron", "clean", "open", "unknown12", "un
 MAPS = {data_set.name: data_set for data_set in (*DATA_SETS, *MORE, *MICE)}
 SHARE, SPLIT_SEED = 0.2, 1  # of a map that no fit sees, in blocks
 COILCAL = [sys.executable, "-c", "from estimator.cli.main import main; main()"]
-EXITS = (0, 3, 4)  # done; unusable, or not converged: outcomes that the output tells
+EXITS = (0, EXIT_NOT_CONVERGED, EXIT_UNUSABLE)  # outcomes, which the output tells
 HIDDEN = "hidden.json"
 Ran = tuple[int, str, str]
 
@@ -127,7 +128,7 @@ def ended(case: Case, text: str, ran: Ran, command: str) -> list[Statement]:
         (case.folder / text).write_text(out, encoding="utf-8")
         return []
     last = (error.strip().splitlines() or [""])[-1]
-    is_refusal = code == 2 and "Traceback" not in error
+    is_refusal = code == EXIT_BAD_INPUT and "Traceback" not in error
     is_true = is_refusal and case.truth is not None and not case.truth.is_clean
     hidden = "a measured map" if case.truth is None else case.truth.words
     kind = "refused" if is_refusal else "crash"
