@@ -100,9 +100,11 @@ def prepared(kind: str, seed: int, folder: Path) -> tuple[Case, list[Statement]]
     if not (folder / SESSION).exists():
         failed += run("import.txt", "import", "readings.csv", "--rig", "rig.yaml", "--out", SESSION)
     if not failed and not (folder / CALIBRATE_TEXT).exists():
-        failed += run(CALIBRATE_TEXT, "calibrate", SESSION, "--out", CALIBRATION, "--seed", "1")
+        failed += run(
+            CALIBRATE_TEXT, "calibrate", SESSION, "--out", CALIBRATION, "--seed", "1", "--overwrite"
+        )
     if not failed and not (folder / DIAGNOSE_TEXT).exists():
-        failed += run(DIAGNOSE_TEXT, "diagnose", SESSION, "--out", DIAGNOSIS, "--seed", "1")
+        failed += run(DIAGNOSE_TEXT, "diagnose", SESSION, "--out", DIAGNOSIS, "--seed", "1", "--overwrite")
     return case, failed
 
 
