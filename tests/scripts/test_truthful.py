@@ -14,6 +14,7 @@ import pytest
 from estimator import Calibration, Session
 from estimator.cli.calibrate import _text
 from estimator.effects import EFFECTS
+from estimator.readings.observations import Observations
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.rig_files.write import rig_text
 from scripts.studies.judge import sessions
@@ -191,6 +192,32 @@ def test_a_loop_count_that_is_stated_as_a_fact_is_false_where_it_is_another(
     assert not any(
         are_true(told(printed, truth=replace(other, values={**other.values, **known})), "loop_counts")
     )
+
+
+def test_currents_are_said_to_be_the_same_only_where_they_are(
+    told: Told, printed: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert are_true(told(printed), "same_currents") == [True]
+    right = Case.observations.func  # type: ignore[attr-defined]
+
+    def other(case: Case) -> Observations:
+        readings = right(case)
+        current_A = readings.current_A.clone()
+        current_A[0] *= -1.0
+        return replace(readings, current_A=current_A)
+
+    monkeypatch.setattr(Case, "observations", property(other))
+    assert are_true(told(printed), "same_currents") == [False]
+
+
+def test_what_is_fitted_everywhere_has_a_truth() -> None:
+    names = ["background_field[room].x_T", "sensor_offset[hall].z_T", "coil1.radius_m", "other.radius_m"]
+    field = TrueCause("background_field", "room", True, 9.0, {"x_T": 2e-5})
+    none = {"background_field[room].x_T": 0.0, "sensor_offset[hall].z_T": 0.0}
+    own = {"coil1.radius_m": TRUTH["coil1.radius_m"]}
+    assert hidden().numbers(names) == own | none
+    assert hidden(field).numbers(names) == own | none | {"background_field[room].x_T": 2e-5}
+    assert hidden(OUTSIDE).numbers(names) == own
 
 
 def test_a_distance_from_a_prior_is_computed_anew(told: Told, small_calibration: Calibration) -> None:

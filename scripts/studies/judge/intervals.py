@@ -29,12 +29,13 @@ def miss_sd(value: float, median: float, ci90: tuple[float, float]) -> float:
 
 def false_intervals(model: HandedOut, truth: Truth) -> dict[str, str]:
     """Numbers of the rig whose posterior excludes the truth, with words that say by how much; `together` where only all of them do."""
-    draws = {name: values for name, values in model.flat_draws.items() if name in truth.values}
+    true_values = truth.numbers(model.flat_draws)
+    draws = {name: values for name, values in model.flat_draws.items() if name in true_values}
     if not truth.is_clean:  # what a wrong model misses counts as noise of the readings
         draws = {name: values for name, values in draws.items() if not name.endswith(".noise_T")}
     excluded = {}
     for name, values in draws.items():
-        true = truth.values[name]
+        true = true_values[name]
         if name.endswith("_loops") and bool((values == np.round(values)).all()):
             share = float((values == true).mean())
             if share < LEAST_COUNT:
@@ -44,20 +45,19 @@ def false_intervals(model: HandedOut, truth: Truth) -> dict[str, str]:
         beyond = miss_sd(true, median, (low, high))
         if beyond > FALSE_SD and not values.min() <= true <= values.max():
             excluded[name] = f"{name} is {true:.6g}, {beyond:.1f} sd from {median:.6g}"
-    if not excluded and (p := _joint(draws, truth.values)) < LEAST_JOINT:
+    if not excluded and (p := _joint(draws, true_values)) < LEAST_JOINT:
         excluded["together"] = f"all numbers together have probability {p:.1g}"
     return excluded
 
 
 def missed_90(model: HandedOut, truth: Truth) -> tuple[int, int]:
     """How many 90 % intervals of numbers of the rig miss the truth, and their number."""
-    missed = n = 0
-    for name, values in model.flat_draws.items():
-        if name in truth.values:
-            low, high = np.quantile(values, [0.05, 0.95])
-            missed += not low <= truth.values[name] <= high
-            n += 1
-    return missed, n
+    true_values = truth.numbers(model.flat_draws)
+    missed = 0
+    for name, true in true_values.items():
+        low, high = np.quantile(model.flat_draws[name], [0.05, 0.95])
+        missed += not low <= true <= high
+    return missed, len(true_values)
 
 
 def _joint(draws: Mapping[str, np.ndarray], values: Mapping[str, float]) -> float:

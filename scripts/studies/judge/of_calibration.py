@@ -137,6 +137,15 @@ def tension_statement(source: str, text: str, printed: str, distance: float) -> 
     return Statement("tension", source, text, is_true, f"printed {printed}, from the files {distance:.3g}")
 
 
+@sentence(r"^Every reading was taken with the same currents")
+def same_currents(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
+    """That no two fitted readings differ in their currents."""
+    fitted = case.observations.rows(~case.observations.is_validation)
+    n = len(np.unique(fitted.current_A.numpy(), axis=0))
+    yield Statement("same_currents", CALIBRATE, text, n == 1, f"{n} settings of the currents")
+
+
+sentence(r"^Fitted besides, |^The rig file takes the gains")(nothing)
 sentence(
     r"^(suspect|unusable): |^Run coilcal diagnose|^Do not use it|^Something in the rig file|^With the causes|^Raise `degree`"
 )(nothing)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -15,6 +15,10 @@ from tests.hidden.study import is_relative, label, true_quantities
 
 SHARP_SIGMA, SMOOTH_SIGMA = 1.0, 0.05  # what a wrong row is off at least; what a right one may be off
 MOST_SHARE = 0.5  # of the rows that are wrong by a mistake
+EVERYWHERE = {
+    "background_field",
+    "sensor_offset",
+}  # no laboratory is without them, so a calibration fits them
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,21 @@ class Truth:
         ]
         rows = int(self.wrong.any(axis=1).sum())
         return "; ".join([*causes, *([f"{rows} rows recorded otherwise"] if rows else [])]) or "nothing"
+
+    def numbers(self, names: Iterable[str]) -> dict[str, float]:
+        """True values of some of a rig's free numbers: those of the rig, and of the field and the zero that are fitted everywhere.
+
+        Where something else is hidden, that may well be in the room's field, and its true value is not known.
+        """
+        known = {name: self.values[name] for name in names if name in self.values}
+        if not set(self.names) <= EVERYWHERE:
+            return known
+        hidden = {f"{cause.name}[{cause.place}]": cause.quantities for cause in self.causes}
+        for name in names:
+            cause_label, _, key = name.rpartition(".")
+            if cause_label.partition("[")[0] in EVERYWHERE:
+                known[name] = hidden.get(cause_label, {}).get(key, 0.0)
+        return known
 
     def cause(self, name: str) -> TrueCause | None:
         """The hidden cause of a name; None where that is not hidden."""
