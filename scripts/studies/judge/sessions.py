@@ -129,6 +129,7 @@ def ended(case: Case, text: str, ran: Ran, command: str) -> list[Statement]:
     if code in EXITS:
         (case.folder / text).write_text(out, encoding="utf-8")
         return []
+    (case.folder / text).with_suffix(".error").write_text(error, encoding="utf-8")
     last = (error.strip().splitlines() or [""])[-1]
     is_refusal = code == EXIT_BAD_INPUT and "Traceback" not in error
     is_true = is_refusal and case.truth is not None and not case.truth.is_clean
