@@ -98,7 +98,7 @@ class _Neighbours(NamedTuple):
 
     @classmethod
     def of(cls, at: Float[Tensor, "reading setting"]) -> _Neighbours:
-        """Of readings with these settings, in order of time."""
+        """Neighbours of readings with these settings, which are in order of time."""
         is_next = (at.diff(dim=0).abs() > SAME_STOP).any(dim=1)
         stop = torch.cat((torch.zeros(1, dtype=torch.int64), is_next.long().cumsum(dim=0)))
         n = min(len(at), NEIGHBOURS + min(int(stop.bincount().max()), MOST_OF_A_STOP))
@@ -131,7 +131,8 @@ class _Neighbours(NamedTuple):
         between = _matern(torch.cdist(there, there) / scale) * (counts[:, :, None] & counts[:, None])
         between = between + torch.diag_embed(torch.where(counts, roughness, 1.0).to(between))
         weights = torch.linalg.solve(between, _matern(to_here / scale) * counts[:, :, None])
-        return (weights * _limited(error_T[neighbours])).sum(dim=1)
+        kriged_T: Tensor = (weights * _limited(error_T[neighbours])).sum(dim=1)
+        return kriged_T
 
     def median(self, size_T: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading 3"]:
         """Median size at the neighbours of each reading; 0 where it has none."""

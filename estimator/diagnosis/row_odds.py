@@ -177,7 +177,7 @@ def _log_density(mistake: Mistake, expected: Expectation) -> Float[Tensor, " rea
 
 
 def _log_density_by_chance(expected: Expectation) -> Float[Tensor, " reading"]:
-    """The same where each component may be anything that its sensor reads."""
+    """Log density of the readings where each component may be anything that its sensor reads."""
     measured_T = expected.observations.field_sensor_T
     density = _of_errors(measured_T - expected.predicted_T, expected.size_T[:, None].expand(-1, 3))
     for sensor in expected.observations.sensor.unique().tolist():
@@ -191,7 +191,8 @@ def _of_errors(
     error_T: Float[Tensor, "reading 3"], size_T: Float[Tensor, "reading 3"]
 ) -> Float[Tensor, "reading 3"]:
     errors = torch.distributions.StudentT(policy.DEGREES_OF_ERRORS, 0.0, size_T, validate_args=False)
-    return errors.log_prob(error_T.nan_to_num(0.0))
+    density: Tensor = errors.log_prob(error_T.nan_to_num(0.0))
+    return density
 
 
 def _columns(readings: Observations, field_T: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column"]:

@@ -119,9 +119,9 @@ def _held(codes: Codes, settings: Codes) -> list[int]:
     is_compared = ~np.isnan(change).all(axis=1)
     is_repeated = is_compared & (np.nan_to_num(change) == 0.0).all(axis=1)
     is_repeated &= (np.isnan(codes[1:]) == np.isnan(codes[:-1])).all(axis=1)
-    is_moved = np.abs(np.diff(settings, axis=0)).max(axis=1, initial=0.0) > LEAST_MOVED
-    is_large = np.nan_to_num(np.abs(codes[1:])).max(axis=1) > MANY_STEPS
-    is_step = np.nan_to_num(change).max(axis=1) > MANY_STEPS
+    is_moved: npt.NDArray[np.bool_] = np.abs(np.diff(settings, axis=0)).max(axis=1, initial=0.0) > LEAST_MOVED
+    is_large: npt.NDArray[np.bool_] = np.nan_to_num(np.abs(codes[1:])).max(axis=1) > MANY_STEPS
+    is_step: npt.NDArray[np.bool_] = np.nan_to_num(change).max(axis=1) > MANY_STEPS
     is_counted = (
         np.stack((is_moved, ~is_moved)) & is_compared & is_large
     )  # a reading may well be repeated at one place
