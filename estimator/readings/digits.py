@@ -116,7 +116,7 @@ def _held(codes: Codes, settings: Codes) -> list[int]:
     if len(codes) < FEWEST_ROWS:
         return []
     change = np.abs(np.diff(codes, axis=0))
-    is_compared: npt.NDArray[np.bool_] = ~np.isnan(change).all(axis=1)
+    is_compared: npt.NDArray[np.bool_] = np.logical_not(np.isnan(change).all(axis=1))
     is_repeated: npt.NDArray[np.bool_] = is_compared & (np.nan_to_num(change) == 0.0).all(axis=1)
     is_repeated &= (np.isnan(codes[1:]) == np.isnan(codes[:-1])).all(axis=1)
     is_moved: npt.NDArray[np.bool_] = np.abs(np.diff(settings, axis=0)).max(axis=1, initial=0.0) > LEAST_MOVED
