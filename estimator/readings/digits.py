@@ -102,10 +102,10 @@ def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Codes:
     columns = [
         values.cpu().numpy()[own] for values in (observations.current_A, *observations.motion.values())
     ]
-    settings = np.concatenate(columns, axis=1).astype(np.float64)
+    settings: Codes = np.concatenate(columns, axis=1, dtype=np.float64)
     ranges = np.ptp(settings, axis=0)
-    scaled: Codes = settings / np.where(ranges > 0.0, ranges, 1.0)
-    return scaled
+    settings /= np.where(ranges > 0.0, ranges, 1.0)
+    return settings
 
 
 def _held(codes: Codes, settings: Codes) -> list[int]:
@@ -119,6 +119,8 @@ def _held(codes: Codes, settings: Codes) -> list[int]:
     is_compared: npt.NDArray[np.bool_] = np.logical_not(np.isnan(change).all(axis=1))
     is_repeated: npt.NDArray[np.bool_] = is_compared & (np.nan_to_num(change) == 0.0).all(axis=1)
     is_repeated &= (np.isnan(codes[1:]) == np.isnan(codes[:-1])).all(axis=1)
+    if not is_repeated.any():
+        return []
     is_moved: npt.NDArray[np.bool_] = np.abs(np.diff(settings, axis=0)).max(axis=1, initial=0.0) > LEAST_MOVED
     is_large: npt.NDArray[np.bool_] = np.nan_to_num(np.abs(codes[1:])).max(axis=1) > MANY_STEPS
     is_step: npt.NDArray[np.bool_] = np.nan_to_num(change).max(axis=1) > MANY_STEPS
