@@ -180,6 +180,14 @@ def test_a_printed_number_that_the_files_do_not_give_is_false(
     assert not all(are_true(told(changed), kind))
 
 
+def test_a_noise_by_repeats_is_near_the_true_one(told: Told, printed: str) -> None:
+    changed = printed.replace("expected noise leaves 8.66", "expected noise leaves 5.3")
+    assert changed != printed
+    for noise_T, is_true in ((3e-6, True), (5e-6, False)):
+        truth = replace(hidden(), noise_T=np.full(36, noise_T))
+        assert are_true(told(changed, truth=truth), "expected_noise") == [is_true]
+
+
 def test_a_loop_count_that_is_stated_as_a_fact_is_false_where_it_is_another(
     told: Told, printed: str, small_calibration: Calibration
 ) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
@@ -25,6 +26,7 @@ SCATTERED_SHARE = (
 )
 LUCKY_SD = 4.0
 LAST_OF_A_DISTANCE = 0.1
+NEAR_NOISE = 0.25  # of the true noise: what its estimate from few repeats may be off
 sentence = Readers()
 
 
@@ -61,7 +63,14 @@ def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     error_T = case.plain.errors(readings).vector_T
     noise_T = noise_rms_T(case.observations, case.plain.rig, case.plain.rig.nominal_values(), role)
     yield number_statement("error", CALIBRATE, text, size_of(match["size"]), [error_T], 3)
-    yield number_statement("expected_noise", CALIBRATE, text, size_of(match["noise"]), [noise_T], 3)
+    stated = number_statement("expected_noise", CALIBRATE, text, size_of(match["noise"]), [noise_T], 3)
+    if case.truth is not None and case.truth.noise_T is not None and not stated.is_true:
+        # Readings that were repeated know the noise better than the rig file does.
+        sigma_T = case.truth.noise_T[(case.observations.is_validation != is_seen).numpy()]
+        true_T = float(np.sqrt(3.0 * np.square(sigma_T).mean()))
+        is_near = abs(size_of(match["noise"]) / true_T - 1.0) < NEAR_NOISE
+        stated = replace(stated, is_true=is_near, why=f"{stated.why}, true {true_T:.4g}")
+    yield stated
 
 
 @sentence(
