@@ -191,7 +191,7 @@ class Supervised:
         *,
         timeout_s: float,
         is_urgent: bool = False,
-        grace_s: float = _GRACE_S,
+        grace_s: float | None = None,
         **arguments: Any,
     ) -> Any:
         """Call a method of the device; return its result or raise its error. No call is ever sent twice.
@@ -257,10 +257,10 @@ class Supervised:
         rule: str,
         received: str,
         *,
-        grace_s: float = _GRACE_S,
+        grace_s: float | None = None,
         is_watched: bool = True,
     ) -> Any:
-        limit = Deadline.after(deadline.remaining_s + grace_s)
+        limit = Deadline.after(deadline.remaining_s + (_GRACE_S if grace_s is None else grace_s))
         while True:
             try:
                 if not self._connection.poll(min(BEAT_S, limit.remaining_s)):

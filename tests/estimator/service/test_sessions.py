@@ -262,7 +262,7 @@ def zip_of(files: dict[str, bytes], mode: int = 0, method: int = zipfile.ZIP_DEF
         (zip_of({"notes.txt": b"hello"}), 422, "zarr.json"),
         (zip_of({"zarr.json": b'{"zarr_format": 2}'}), 422, "format 3"),
         (zip_of({"zarr.json": b"{}", ".zgroup": b"{}"}), 422, "format"),
-        (zip_of({"zarr.json": b"not json"}), 422, "damaged"),
+        (zip_of({"zarr.json": b"not json"}), 422, "zarr.json must be JSON"),
     ],
 )
 def test_an_archive_that_is_no_session_is_refused_and_leaves_nothing(
