@@ -16,7 +16,7 @@ from torch import Tensor
 from estimator.inference.laplace import log_evidence
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.positive_definite import inverse
+from estimator.inference.positive_definite import inverse, lower_factor
 
 NEGLIGIBLE = 1e-5
 MOST_TUPLES, MOST_EFFECTIVE = 600, 200.0
@@ -59,7 +59,7 @@ def count_mixture(
         return laplace_mixture(levenberg_marquardt(integer, fit.vector[:1]), 0)
     generator = torch.Generator().manual_seed(int(rng.integers(2**31)))
     normal = torch.randn(DRAWS, fit.vector.shape[1], generator=generator, dtype=fit.vector.dtype)
-    sample = fit.vector[0] + normal.to(fit.vector) @ torch.linalg.cholesky(inverse(fit.precision)[0]).T
+    sample = fit.vector[0] + normal.to(fit.vector) @ lower_factor(inverse(fit.precision)[0]).T
     start_of = _starts(continuous, integer, torch.cat((fit.vector[:1], sample)), n_counts)
     if not start_of:
         return None

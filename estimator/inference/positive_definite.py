@@ -73,6 +73,24 @@ def log_determinant(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*
     return log_det
 
 
+def lower_factor(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*batch row row"]:
+    """Lower triangular factor L of a covariance L L^T, with a positive diagonal.
+
+    Directions that rounding has made negative, as in the inverse of a nearly singular precision, get the least variance that rounding
+    leaves.
+
+    Examples:
+        >>> lower_factor(torch.diag(torch.tensor([4.0, 1e12], dtype=torch.float64))).diagonal().tolist()
+        [2.0, 1000000.0]
+    """
+    scaled, scale = _scaled(matrix)
+    factor, failed = torch.linalg.cholesky_ex(scaled)
+    if failed.any():
+        factor = torch.where(failed[..., None, None] != 0, _one_by_one(_nearest_factor, scaled), factor)
+    lower: Tensor = factor / scale[..., :, None]
+    return lower
+
+
 def inner_products(columns: Float[Tensor, "*batch row column"]) -> Float[Tensor, "*batch column column"]:
     """Inner products of the columns of a matrix with each other. NumPy computes only half of so symmetric a product.
 
@@ -96,6 +114,17 @@ def _scaled(matrix: Tensor) -> tuple[Tensor, Tensor]:
     """The matrix with a unit diagonal, and what rows and columns were multiplied by."""
     scale = diagonal_of(matrix).clamp(min=1e-300).rsqrt()
     return matrix * scale[..., :, None] * scale[..., None, :], scale
+
+
+def _nearest_factor(matrix: Float[Tensor, "row row"]) -> Float[Tensor, "row row"]:
+    """Lower factor of the nearest covariance in which rounding has made no direction negative."""
+    if not torch.isfinite(matrix).all():
+        return torch.full_like(matrix, torch.nan)
+    eigenvalues, vectors = torch.linalg.eigh(matrix)
+    least = len(matrix) * torch.finfo(matrix.dtype).eps * eigenvalues[-1]
+    upper = torch.linalg.qr((vectors * eigenvalues.clamp(min=least).sqrt()).mT).R
+    lower: Tensor = (upper * torch.sgn(upper.diagonal())[:, None]).mT
+    return lower
 
 
 def _one_by_one(function: Callable[..., Tensor], *stacks: Float[Tensor, "*batch _ _"]) -> Tensor:

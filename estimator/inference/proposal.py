@@ -16,6 +16,7 @@ from scipy.special import gammaln, logsumexp
 from estimator.devices import numpy_of
 from estimator.inference.bend import Bend
 from estimator.inference.lattice import CountMixture
+from estimator.inference.positive_definite import lower_factor
 
 DEGREES_OF_FREEDOM = 12.0
 FLOOR = 0.05  # share of proposals spread evenly over all tuples, so that each is proposed now and then
@@ -91,7 +92,7 @@ class MixtureProposal:
         self.mixture = mixture
         self.counts = numpy_of(mixture.counts)
         self.mean = numpy_of(mixture.mean)
-        self.factor = np.linalg.cholesky(numpy_of(mixture.covariance))
+        self.factor = numpy_of(lower_factor(mixture.covariance))
         self.inverse_factor = np.linalg.inv(self.factor)
         self.n = self.mean.shape[1]
         self.bend = Bend.none(self.n) if bend is None else bend

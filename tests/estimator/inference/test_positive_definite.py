@@ -9,7 +9,7 @@ import mpmath
 import torch
 from torch.testing import assert_close
 
-from estimator.inference.positive_definite import inverse, log_determinant, solve, solve_each
+from estimator.inference.positive_definite import inverse, log_determinant, lower_factor, solve, solve_each
 
 SEVERAL_THREADS = """
 import torch
@@ -72,6 +72,21 @@ def test_a_matrix_without_values_has_none_and_leaves_the_others_theirs() -> None
     solution = solve(both, torch.ones(2, 3, dtype=torch.float64))
     assert solution[0].isnan().all()
     assert_close(solution[1], torch.full_like(solution[1], 0.25), rtol=1e-12, atol=0.0)
+
+
+def test_a_factor_of_a_covariance_that_rounding_has_made_indefinite_is_that_of_its_neighbour() -> None:
+    generator = torch.Generator().manual_seed(1)
+    root = torch.randn(6, 3, generator=generator, dtype=torch.float64)
+    sizes = torch.tensor([1e-6, 1.0, 1e3, 1e-3, 1.0, 10.0], dtype=torch.float64)
+    singular = sizes[:, None] * (root @ root.mT) * sizes  # of rank three
+    singular -= 1e-15 * torch.diag(singular.diagonal())
+    good = torch.diag(sizes**2)
+    factors = lower_factor(torch.stack((singular, good)))
+    assert_close(factors[1], torch.diag(sizes), rtol=1e-15, atol=0.0)
+    assert (factors[0].triu(1) == 0.0).all()
+    assert (factors[0].diagonal() > 0.0).all()
+    scale = sizes[:, None] * sizes
+    assert_close(factors[0] @ factors[0].mT / scale, singular / scale, rtol=0.0, atol=1e-13)
 
 
 def test_batches_of_many_rows_are_solved_with_several_threads() -> None:
