@@ -58,7 +58,7 @@ def _grown_one_by_one(
     grown = correlation
     for i in torch.argsort(lacking, descending=True).tolist():
         along = grown[i] / grown[i, i]
-        grown = grown + (lacking[i] + 1.0 - grown[i, i]).clamp(min=0.0) * along[:, None] * along
+        grown = grown + (lacking[i] + correlation[i, i] - grown[i, i]).clamp(min=0.0) * along[:, None] * along
     share, turn = torch.linalg.eigh(grown - correlation)
     factor: Tensor = (turn * share.clamp(min=0.0).sqrt()).T
     return factor

@@ -111,11 +111,11 @@ class Session:
         """
         path = path.absolute()
         with unwritten(path), staged(path, overwrite, SESSION) as new:
-            self._write(new)
             try:
+                self._write(new)
                 admit(new, "session")
             except CorruptStore as fault:  # so would whoever opens it
-                raise InvalidInput(str(fault)) from fault
+                raise InvalidInput(str(fault).replace(str(new), str(path))) from fault
 
     def _write(self, path: Path) -> None:
         attributes: dict[str, Any] = {
