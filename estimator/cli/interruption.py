@@ -25,6 +25,13 @@ def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
 
 
+def heed(*numbers: signal.Signals) -> None:
+    """Let each of these signals interrupt what begins now, once."""
+    _Last.heeded_s = None
+    for number in numbers:
+        signal.signal(number, interrupt)
+
+
 def heed_once() -> None:
     """Let Ctrl-C interrupt the program once, until its end; for the main thread of a program of its own."""
     if threading.current_thread() is not threading.main_thread():

@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -147,17 +147,20 @@ def test_two_attempts_at_one_fit_leave_one_result_and_nothing_else(
 ) -> None:
     (job,), _ = jobs_of(str(sessions[0]), None, ("plain",), False, 0, SETTINGS)
     real = work.write_text
-    inner: list[dict[str, str]] = []
+    others: list[Future[dict[str, str]]] = []
 
-    def overtaken(path: Path, text: str) -> None:
-        real(path, text)
-        if not inner:
-            inner.append({})
-            inner[0] = fit([job], str(tmp_path))
+    with ThreadPoolExecutor(1) as pool:
 
-    monkeypatch.setattr(work, "write_text", overtaken)
-    assert fit([job], str(tmp_path)) == {}
-    assert inner == [{}]
+        def overtaken(path: Path, text: str) -> None:
+            real(path, text)
+            if not others:
+                others.append(pool.submit(fit, [job], str(tmp_path)))
+                with pytest.raises(TimeoutError):  # it waits for the one that writes
+                    others[0].result(timeout=2)
+
+        monkeypatch.setattr(work, "write_text", overtaken)
+        assert fit([job], str(tmp_path)) == {}
+        assert [other.result(timeout=60) for other in others] == [{}]
     assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()] == [
         f"{job.name}/result.json"
     ]
