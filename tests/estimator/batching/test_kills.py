@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import shutil
 import signal
@@ -19,10 +18,12 @@ from estimator.batching import batch, work
 from estimator.batching.jobs import jobs_of
 from estimator.batching.result import BatchResult
 from estimator.batching.work import fit, sampled
+from estimator.calibration.result import CALIBRATION
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
+from estimator.store.staging import staged
 from tests.estimator.batching.schedulers import free_address, started, stop
 
 SETTINGS = SamplerSettings(n_walkers=16, target_ess=10.0, largest_rhat=2.0, check_every=20)
@@ -131,13 +132,12 @@ def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior
     assert sampled(job, str(tmp_path / "other"), SETTINGS) is None
     place = tmp_path / "one" / job.name
     monkeypatch.setattr(work, "calibrate", refuse)
-    with (place / "result.json").open("r+b") as orphan, ThreadPoolExecutor(1) as pool:
-        fcntl.flock(orphan, fcntl.LOCK_EX)
-        waiting = pool.submit(sampled, job, str(tmp_path / "one"), SETTINGS)
-        with pytest.raises(TimeoutError):
-            waiting.result(timeout=1)
-        shutil.copytree(tmp_path / "other" / job.name / "calibration", place / "calibration")
-        fcntl.flock(orphan, fcntl.LOCK_UN)
+    with ThreadPoolExecutor(1) as pool:
+        with staged(place / "calibration", made=CALIBRATION) as orphan:
+            waiting = pool.submit(sampled, job, str(tmp_path / "one"), SETTINGS)
+            with pytest.raises(TimeoutError):
+                waiting.result(timeout=1)
+            shutil.copytree(tmp_path / "other" / job.name / "calibration", orphan)
         assert waiting.result(timeout=30) is None
     assert sorted(path.name for path in place.iterdir()) == ["calibration", "result.json"]
 
