@@ -80,7 +80,7 @@ def _beside_the_field(diagnosis: Diagnosis) -> str:
         f" and {len(lacking) - MOST_BESIDE} more" if len(lacking) > MOST_BESIDE else ""
     )
     return (
-        f" That is with {names}, which a reading shows and the field that predict gives does not have."
+        f" That is with {names}, which acts on readings and not on the field that predict gives."
         if names
         else ""
     )

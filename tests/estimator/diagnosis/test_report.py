@@ -160,7 +160,7 @@ def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis: Diagn
 
     both = told(OFFSET, HEATING, Cause("background_field", "room"))
     beside = re.search(
-        r"That is with (.*), which a reading shows and the field that predict gives does not have", both
+        r"That is with (.*), which acts on readings and not on the field that predict gives", both
     )
     assert beside is not None
     assert set(beside[1].split(", ")) == {"coil_heating", "sensor_offset"}
