@@ -43,6 +43,7 @@ def test_as_described_it_is_suspect_and_readings_without_current_say_so(session:
     assert not summary["fitted_besides"]
 
 
+@pytest.mark.slow
 def test_a_laboratory_with_nothing_unmentioned_is_good_and_one_with_much_is_not() -> None:
     clean = judged(910003, as_described=False)
     assert (clean["ordinary"], clean["verdict"], clean["false"]) == ((), "good", [])

@@ -36,7 +36,9 @@ def flagged(session: Session) -> list[int]:
     return sorted(reading for flag in (*first.flags, *first.suspects().flags) for reading in flag.readings)
 
 
-@pytest.mark.parametrize(("plate_m", "opening_m"), [(0.2, 0.08), (0.15, 0.1)])
+@pytest.mark.parametrize(
+    ("plate_m", "opening_m"), [(0.2, 0.08), pytest.param(0.15, 0.1, marks=pytest.mark.slow)]
+)
 def test_no_reading_behind_an_iron_plate_is_flagged(tmp_path, plate_m, opening_m):
     """What is left of the field there is what the coils would make with one of them off or reversed, in whole ranges of place."""
     write_plated_solenoid(tmp_path, plate_m, opening_m, np.random.default_rng(4))

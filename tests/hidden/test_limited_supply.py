@@ -17,7 +17,9 @@ from tests.hidden.limited_supply import NOISE_T, LimitedSupply
 LIMIT_A = 2.5
 
 
-@pytest.fixture(scope="module", params=[(1.0, 2.0, 3.0), (1.5, 3.0, 0.0)], ids=str)
+@pytest.fixture(
+    scope="module", params=[(1.0, 2.0, 3.0), pytest.param((1.5, 3.0, 0.0), marks=pytest.mark.slow)], ids=str
+)
 def hidden(request: pytest.FixtureRequest) -> LimitedSupply:
     return LimitedSupply.drawn(request.param, LIMIT_A, 40, seed=1)
 

@@ -402,6 +402,6 @@ def test_an_output_below_a_file_is_refused_before_the_work(small_session: Sessio
     (tmp_path / "file").write_text("", encoding="utf-8")
     stages: list[Stage] = []
     for out in (tmp_path / "file", tmp_path / "file" / "out"):
-        with pytest.raises(InvalidInput, match=r"output must be a folder that can be written; .* is not: "):
+        with pytest.raises(InvalidInput, match=r"output must be writable; .* is not: "):
             calibrate(small_session, out=out, on_stage=stages.append)
     assert not stages

@@ -283,7 +283,7 @@ def test_a_log_of_version_0_2_is_read(registry: Registry) -> None:
     assert [entry.reason for entry in registry.entries()][:3] == LINES
 
 
-@pytest.mark.parametrize("name", ["log.jsonl", "told", "lock", "versions/0001/summary.json"])
+@pytest.mark.parametrize("name", ["log.jsonl", "told", "versions/0001/summary.json"])
 def test_a_pipe_in_the_registry_is_refused_at_once(registry: Registry, name: str) -> None:
     (registry.folder / name).unlink(missing_ok=True)
     os.mkfifo(registry.folder / name)
