@@ -110,10 +110,14 @@ def check_outside_stores(path: Path) -> None:
     Raises:
         InvalidInput: A folder above the path is one.
     """
-    for folder in path.parents:
+    _check_no_store(path, *path.parents)
+
+
+def _check_no_store(output: Path, *folders: Path) -> None:
+    for folder in folders:
         if (folder / GROUP).is_file() or has_journal(folder):
             raise InvalidInput(
-                f"output must stand outside of sessions and other stores; {path} is inside {folder}"
+                f"output must stand outside of sessions and other stores; {output} is inside {folder}"
             )
 
 
@@ -123,7 +127,7 @@ def check_folder(folder: Path) -> None:
     Raises:
         InvalidInput: The folder is one, or is inside of one.
     """
-    check_outside_stores(folder / "file")
+    _check_no_store(folder, folder, *folder.parents)
 
 
 def has_journal(folder: Path) -> bool:
