@@ -308,7 +308,7 @@ def test_without_json_the_summary_is_a_table(workspace: Path, run: Run, tmp_path
     )
     notes, _, table = result.stdout.partition("\n\n")
     assert notes.startswith(("good: ", "suspect: "))
-    assert "Every reading was taken with the same currents" in notes
+    assert "The currents changed too little" in notes
     lines = table.splitlines()
     assert lines[0].split() == ["parameter", "median", "90", "%", "credible", "interval", "unit"]
     assert [line.split()[0] for line in lines[1:4]] == [
