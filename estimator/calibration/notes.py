@@ -24,8 +24,8 @@ def notes(described: WithEverywhere) -> list[str]:
         )
     if described.missing:
         sentences.append(
-            f"The currents changed too little to tell these from the coils, so they were not fitted: {_listed(described.missing)}. Unless they were "
-            "subtracted from the readings, read places without current too: the Earth's field alone is 25 to 65 µT."
+            f"The currents changed too little to tell these from the coils, so they were not fitted: {_listed(described.missing)}. "
+            "Unless they were subtracted from the readings, read places without current too: the Earth's field alone is 25 to 65 µT."
         )
     rig = described.rig
     gains = [f"{coil.name}.current_gain" for coil in rig.wound] + [
