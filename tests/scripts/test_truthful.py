@@ -202,10 +202,10 @@ def test_a_loop_count_that_is_stated_as_a_fact_is_false_where_it_is_another(
     )
 
 
-def test_currents_are_said_to_be_the_same_only_where_they_are(
+def test_currents_are_said_to_change_too_little_only_where_they_do(
     told: Told, printed: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert are_true(told(printed), "same_currents") == [True]
+    assert are_true(told(printed), "too_little_change") == [True]
     right = Case.observations.func  # type: ignore[attr-defined]
 
     def other(case: Case) -> Observations:
@@ -215,7 +215,7 @@ def test_currents_are_said_to_be_the_same_only_where_they_are(
         return replace(readings, current_A=current_A)
 
     monkeypatch.setattr(Case, "observations", property(other))
-    assert are_true(told(printed), "same_currents") == [False]
+    assert are_true(told(printed), "too_little_change") == [False]
 
 
 def test_what_is_fitted_everywhere_has_a_truth() -> None:
