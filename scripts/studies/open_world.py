@@ -213,8 +213,8 @@ def show_unseen(rows: list[Row]) -> None:
         )
 
 
-def show_reliability(stated_ones: list[Statement]) -> None:
-    print("stated probability of a name -> share of names that are right (kind open)")
+def show_reliability(stated_ones: list[Statement], kind: str = "open") -> None:
+    print(f"stated probability of a name -> share of names that are right (kind {kind})")
     for low, high, mine in _binned(stated_ones):
         mean = sum(p for p, _ in mine) / len(mine)
         right = sum(is_right for _, is_right in mine)

@@ -40,7 +40,7 @@ def draw_open_session(stream: Sequence[int], choice: Choice | None, sigma: float
         visible: tuple[Visible, ...] = ()
         if choice is not None:
             pool = choice(patterns(scene.schedule.protocol, rig.motion))
-            found = _hidden(adjustable_of(rig, scene), pool, sigma, rng) if pool else None
+            found = flaw_among(adjustable_of(rig, scene), pool, sigma, rng) if pool else None
             if found is None:
                 continue
             flaws, visible = (found[0],), (Visible(found[1], None),)
@@ -96,7 +96,7 @@ def _scene(rig: StatedRig, scene: Scene, drawn: dict[str, float]) -> Scene:
     return replace(scene, arm=arm, flange_from_coil=turn("mount_"), turn=scene.schedule.turn)
 
 
-def _hidden(
+def flaw_among(
     adjustable: Adjustable, pool: Sequence[str], sigma: float, rng: np.random.Generator
 ) -> tuple[Flaw, float] | None:
     """A flaw of the wanted visible size, and what that came to; None where no cause of the pool reaches it."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.library import UNFORESEEN, names
+from tests.hidden.mixed_session import draw_mixed_session
 from tests.hidden.open_session import draw_open_session, within
 from tests.hidden.session import draw_session
 
@@ -25,6 +26,7 @@ OPEN_KINDS = (
     "unforeseen30",
     "unforeseen12",
 )  # new ones at the end: seeds count them
+MIXED_KINDS = ("mixed",)  # new ones at the end: seeds count them
 KNOWN_SHARE, NATURAL_SIGMA = 0.7, (4.0, 40.0)  # of kind `open`
 PROTOCOLS = ("paper", "recommended")
 SIGMA = 8.0
@@ -37,9 +39,11 @@ def draw_case(kind: str, seed: int, library: Collection[str] = ()) -> HiddenSess
     """A session of a kind; all about it is drawn from the seed.
 
     Args:
-        kind: One of `KINDS` or of `OPEN_KINDS`.
+        kind: One of `KINDS`, `OPEN_KINDS` or `MIXED_KINDS`.
         library: Names of the causes that coilcal knows; the kinds of the open world depend on them.
     """
+    if kind in MIXED_KINDS:
+        return draw_mixed_session([994, MIXED_KINDS.index(kind)], seed)
     if kind in OPEN_KINDS:
         return _draw_open(kind, seed, library)
     rng = np.random.default_rng([991, KINDS.index(kind), seed])
@@ -160,6 +164,18 @@ RELATIVES: dict[str, tuple[str, ...]] = {
     "rocking_mount": ("backlash",),
     "coarse_range": ("cubic_response",),
     "clocks_apart": ("sensor_lag",),
+    "compressor_dips": ("current_step", "current_spell"),
+    "flexing_cable": ("current_step",),
+    "tapered_former": ("turns_gradient", "winding_misstated", "axial_pitch", "radial_pitch"),
+    "warm_short": ("current_step", "current_spell", "short_layer"),
+    "remembering_bolt": ("iron_body", "background_step", "background_drift"),
+    "neighbour_ramp": ("background_spell", "background_step", "background_drift"),
+    "lost_steps": ("mover_slipped", "robot_scale"),
+    "frame_breathing": ("robot_scale",),
+    "warm_mount": ("mount_tilt", "coil_misplaced"),
+    "toggling_probe": ("sensor_bumped", "sensor_misplaced"),
+    "warmup_gain": ("thermal_lag", "temperature_drift", "gain_spell"),
+    "autozero_jumps": ("offset_step", "offset_spell", "offset_drift", "sensor_offset"),
 }
 
 TRANSLATED: dict[str, Translation] = {

@@ -12,6 +12,7 @@ from tests.hidden.causes.surroundings import vector
 from tests.hidden.flaw import Cause, Known, Stage, Truth, afflicted_sensor, direction, sign
 from tests.hidden.protocols import CARTESIAN, Array
 from tests.hidden.scene import Scene
+from tests.hidden.stated_rig import MOUNT_M
 
 REACH_M = 0.5
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -99,6 +100,15 @@ def winding_creep(scene: Scene, size: float, rng: np.random.Generator) -> tuple[
 def moved(scene: Scene, error_m: Array) -> Scene:
     """The arm misses its targets by so much, along the axes of its displacements."""
     return replace(scene, displacement_m=scene.displacement_m + error_m)
+
+
+def turned_about_flange(scene: Scene, turn: Array) -> Scene:
+    """The coil turns by so much, reading by matrix, about the flange that carries it."""
+    before = np.broadcast_to(np.eye(3), turn.shape) if scene.turn is None else scene.turn
+    made = replace(scene, turn=before @ turn)
+    if scene.arm is None:  # the frame that displacements tell of is the coil's own, not the flange's
+        made = moved(made, turn @ MOUNT_M - MOUNT_M)
+    return made
 
 
 CAUSES = (

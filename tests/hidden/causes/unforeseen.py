@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.hidden.causes.bending import moved
+from tests.hidden.causes.bending import turned_about_flange
 from tests.hidden.causes.outside import as_if_all_were
 from tests.hidden.causes.sensor import REFERENCE_C
 from tests.hidden.causes.surroundings import vector, with_source
@@ -16,7 +16,6 @@ from tests.hidden.coil import Block, blocks_of, circular_field, closed_curve_fie
 from tests.hidden.flaw import Cause, Known, Stage, Truth, afflicted_sensor, direction, sign
 from tests.hidden.protocols import Array
 from tests.hidden.scene import Scene
-from tests.hidden.stated_rig import MOUNT_M
 
 LEAST_MOVE_M = 1e-6
 LOWEST_PROBE_M = -0.05  # of a cage; below, the coil travels
@@ -109,11 +108,8 @@ def rocking_mount(scene: Scene, size: float, rng: np.random.Generator) -> tuple[
     side = np.where(np.abs(step_m) > LEAST_MOVE_M, np.sign(step_m), 0.0)
     last = np.maximum.accumulate(np.where(side != 0.0, np.arange(len(side)), 0))
     turn = Rotation.from_rotvec((0.5 * size * side[last])[:, None] * axis).as_matrix()
-    before = np.broadcast_to(np.eye(3), turn.shape) if scene.turn is None else scene.turn
-    made = replace(scene, turn=before @ turn)
-    if scene.arm is None:  # the frame that displacements tell of is the coil's own, not the flange's
-        made = moved(made, turn @ MOUNT_M - MOUNT_M)
-    return made, Truth("coil1", (Known("play_rad", size, "rad"), *vector("axis", axis, "1")))
+    known = (Known("play_rad", size, "rad"), *vector("axis", axis, "1"))
+    return turned_about_flange(scene, turn), Truth("coil1", known)
 
 
 def warm_stand(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene, Truth]:

@@ -1,0 +1,128 @@
+"""Mixed sessions hold what they say: each flaw at its visible size beside the others, all from the seed alone, and older seeds as before."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.hidden.conftest import Sessions
+from tests.hidden.flaw import Flaw
+from tests.hidden.handed_in import HiddenSession
+from tests.hidden.library import ALL
+from tests.hidden.links import LISTED, UNLISTED
+from tests.hidden.mixed_session import (
+    LISTED_SIGMA,
+    PRESENT,
+    TWO_SENSORS,
+    UNLISTED_SIGMA,
+    beside_sigma,
+    draw_mixture,
+    in_order,
+    of_first_sensor,
+    possible,
+)
+from tests.hidden.open_session import adjustable_of
+from tests.hidden.study import draw_case
+from tests.hidden.visible_size import effect_T
+
+SEEDS = (1, 4, 5)  # a pair beside the unlisted one; one cause and two sensors; a pair and one sensor
+
+
+@pytest.fixture(scope="module")
+def drawn() -> dict[int, HiddenSession]:
+    return {seed: draw_case("mixed", seed) for seed in SEEDS}
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_every_flaw_has_its_visible_size_alone_and_beside_the_others(
+    seed: int, drawn: dict[int, HiddenSession]
+) -> None:
+    hidden = drawn[seed]
+    mixture = draw_mixture(np.random.default_rng([994, 0, seed]))
+    assert hidden.rig is not None
+    adjustable = adjustable_of(hidden.rig, hidden.scene)
+    sigmas = {flaw.cause.name: adjustable.visible_sigma([flaw]) for flaw in hidden.flaws}
+    assert [visible.sigma for visible in hidden.visible] == pytest.approx(list(sigmas.values()))
+    wanted = [*mixture.listed_sigma, mixture.unlisted_sigma]
+    assert sorted(sigmas.values()) == pytest.approx(sorted(wanted), rel=5e-3)
+    for sigma, beside in zip(sigmas.values(), beside_sigma(adjustable, hidden.flaws), strict=True):
+        assert beside == pytest.approx(sigma, rel=PRESENT)
+    (unknown,) = (name for name in sigmas if name in UNLISTED)
+    assert sigmas[unknown] == pytest.approx(mixture.unlisted_sigma, rel=5e-3)
+    assert len(set(sigmas) & set(LISTED)) == len(mixture.listed_sigma)
+
+
+@pytest.mark.parametrize("seed", SEEDS[1:2])
+def test_a_record_comes_back_with_its_seed_and_is_written(
+    seed: int, drawn: dict[int, HiddenSession], tmp_path: Path
+) -> None:
+    again = draw_case("mixed", seed)
+    np.testing.assert_array_equal(again.record.field_T, drawn[seed].record.field_T)
+    assert again.truth() == drawn[seed].truth()
+    again.write(tmp_path)
+    assert len((tmp_path / "readings.csv").read_text().splitlines()) == len(again.schedule) + 1
+
+
+def test_flaws_add_to_the_noise_of_the_same_session_without_them(drawn: dict[int, HiddenSession]) -> None:
+    hidden = drawn[SEEDS[0]]
+    noise_T = hidden.unflawed.field_T - hidden.scene.measured().readings_T
+    assert np.std(noise_T / hidden.scene.sigma_T) == pytest.approx(1.0, abs=0.1)
+    added_T = hidden.record.field_T - hidden.unflawed.field_T
+    np.testing.assert_allclose(added_T, effect_T(hidden.scene, hidden.flaws), atol=1e-12)
+
+
+def test_shares_of_arms_sensors_and_causes_are_those_of_the_plan() -> None:
+    mixtures = [draw_mixture(np.random.default_rng(k)) for k in range(2000)]
+    assert np.mean([m.is_pose for m in mixtures]) == pytest.approx(0.5, abs=0.04)
+    assert np.mean([m.has_several for m in mixtures]) == pytest.approx(1.0 / 3.0, abs=0.04)
+    assert np.mean([len(m.listed_sigma) for m in mixtures]) == pytest.approx(1.5, abs=0.04)
+    for sizes, (low, high) in (
+        ([s for m in mixtures for s in m.listed_sigma], LISTED_SIGMA),
+        ([m.unlisted_sigma for m in mixtures], UNLISTED_SIGMA),
+    ):
+        assert low <= min(sizes) < 1.01 * low
+        assert 0.99 * high < max(sizes) <= high
+        assert np.median(sizes) == pytest.approx(np.sqrt(low * high), rel=0.1)
+
+
+def test_one_sensor_takes_all_readings_and_has_no_flaw_of_two(sessions: Sessions) -> None:
+    two = sessions["displacement", "recommended"][1]
+    one = of_first_sensor(two)
+    assert len(one.schedule.sensors) == len(one.noise_T) == 1
+    own = two.schedule.sensor == 0
+    np.testing.assert_allclose(
+        one.measured().readings_T[own], two.measured().readings_T[own], rtol=1e-9, atol=1e-15
+    )
+    assert set(possible(two, LISTED)) - set(possible(one, LISTED)) == set(TWO_SENSORS)
+    assert set(possible(one, UNLISTED)) == set(UNLISTED)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [("coil_ovality", "axial_pitch"), ("lead_wire", "turns_gradient"), ("axis_gain", "sensor_lag")],
+)
+def test_a_flaw_that_replaces_what_was_there_acts_first(first: str, second: str, sessions: Sessions) -> None:
+    scene = sessions["displacement", "recommended"][1]
+    flaws = [Flaw(ALL[name], 0.05 * ALL[name].largest, 3) for name in (first, second)]
+    alone = [effect_T(scene, [flaw]) for flaw in flaws]
+    together, undone = effect_T(scene, in_order(flaws)), effect_T(scene, flaws)
+    least = min(np.linalg.norm(one) for one in alone)
+    assert np.linalg.norm(together - sum(alone)) < 0.1 * least
+    assert np.linalg.norm(undone - sum(alone)) > 0.5 * np.linalg.norm(alone[0])
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "cause", "last_T"),
+    [
+        ("single", 3, "background_drift", -0.00017649367099709923),
+        ("open", 3, "sensor_lag", 0.006263488871028925),
+        ("unknown12", 4, "chair_moved", -0.0014818993129395105),
+        ("unforeseen30", 5, "coarse_range", 0.008804021848799259),
+    ],
+)
+def test_seeds_of_other_kinds_mean_what_they_meant(kind: str, seed: int, cause: str, last_T: float) -> None:
+    hidden = draw_case(kind, seed, LISTED)
+    assert hidden.flaws[0].cause.name == cause
+    assert hidden.record.field_T[-1, 2] == pytest.approx(last_T, rel=1e-9)
