@@ -28,7 +28,9 @@ from scripts.studies.mixed_counts import (
     coil_inside,
     is_stated,
     is_stated_alone,
+    is_taken,
     judged,
+    link_of_correction,
     link_told,
     listed,
     p_of_its_links,
@@ -116,6 +118,10 @@ def show_stated(rows: list[Row]) -> None:
             f"{words}: stated {share_and_interval(sum(is_stated(r, t) for r, t in mine), len(mine))}, alone {alone}"
         )
     every = sum(all(is_stated(row, truth) for truth in listed(row)) for row in rows)
+    taken = sum(is_taken(row, truth) for row, truth in pairs)
+    print(
+        f"listed causes that are stated or stand in the rig unnamed: {share_and_interval(taken, len(pairs))}"
+    )
     print(f"sessions whose listed causes are all stated: {share_and_interval(every, len(rows))}")
 
 
@@ -148,6 +154,9 @@ def show_unlisted(rows: list[Row]) -> None:
     told = sum(tells_of_unlisted(row) for row in rows)
     print(f"something unlisted is told: {share_and_interval(told, len(rows))}")
     print(f"  its probability, mean: {fmean(p_unlisted(row) for row in rows):.2f}")
+    corrections = [(row, link) for row in rows if (link := link_of_correction(row)) is not None]
+    near = sum(link in unlisted(row)["links"] for row, link in corrections)
+    print(f"  strongest correction sits in its link: {share_and_interval(near, len(corrections))}")
     with_links = [row for row in rows if row["links"]]
     if not with_links:
         print("  no diagnosis tells of links")

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from scripts.studies.hidden_cases import Row
 from scripts.studies.open_world import ABSENT, Statement, stated
+from tests.hidden.links import LINK_OF_DEPARTURE
 from tests.hidden.study import is_relative, true_quantities
 
 STATED = 0.9  # probability from which a cause, or a set of causes, counts as stated
@@ -34,6 +35,7 @@ def listed(row: Row) -> list[Row]:
 
 def unlisted(row: Row) -> Row:
     """The hidden cause that no list holds."""
+    cause: Row
     (cause,) = (cause for cause in row["truth"] if not cause["is_listed"])
     return cause
 
@@ -46,6 +48,12 @@ def is_stated_alone(row: Row, truth: Row) -> bool:
 def is_stated(row: Row, truth: Row) -> bool:
     """Whether a hidden cause is stated alone or is in a set of causes that together have at least `STATED`."""
     return any(truth["label"] in names for names in stated_sets(row)) or is_stated_alone(row, truth)
+
+
+def is_taken(row: Row, truth: Row) -> bool:
+    """Whether a hidden cause is stated, or stands in the rig without being named, for something unlisted may look like it."""
+    stand_ins = [cause["name"].partition("[")[0] for cause in row["told"]["stand_ins"]]
+    return is_stated(row, truth) or truth["label"] in stand_ins
 
 
 def stated_sets(row: Row) -> list[set[str]]:
@@ -130,3 +138,13 @@ def p_of_its_links(row: Row) -> float:
     """Probability that a diagnosis gives to the links in which the unlisted cause may sit; 0 where it tells of none."""
     links = row["links"] or {}
     return float(sum(links.get(link, 0.0) for link in unlisted(row)["links"]))
+
+
+def link_of_correction(row: Row) -> str | None:
+    """The link of the departure with the most evidence, in predictions or of the session alone; None where none was found."""
+    correction = row["correction"] or {"parts": [], "of_session": []}
+    departures = [*correction["parts"], *correction["of_session"]]
+    if not departures:
+        return None
+    strongest = max(departures, key=lambda part: float(part["log_bayes_factor"]))
+    return LINK_OF_DEPARTURE.get(strongest["name"].partition("[")[0])

@@ -110,6 +110,20 @@ LINK_OF_LISTED: dict[str, tuple[str, ...]] = {
     "offset_drift": ("zero",),
 }
 
+# Departures by which coilcal corrects what no cause of its list explains; by their names.
+LINK_OF_DEPARTURE: dict[str, str] = {
+    **dict.fromkeys(("current_wanders", "current_swings", "current_steps", "current_remembered"), "current"),
+    **dict.fromkeys(("coil_harmonics", "coil_multipoles", "coil_bore"), "winding"),
+    **dict.fromkeys(("room_harmonics", "room_bore", "room_answers", "room_wanders", "room_steps"), "room"),
+    **dict.fromkeys(("guide_errors", "guides_wander", "guide_swings", "guides_step"), "mover"),
+    **dict.fromkeys(("moves_remembered", "sides_remembered"), "mover"),
+    **dict.fromkeys(("turns_wander", "turns_by_angle"), "mount"),
+    **dict.fromkeys(("sensor_response", "response_by_place", "response_wanders"), "response"),
+    **dict.fromkeys(("axis_curves", "gain_curve", "axis_steps", "gain_steps"), "response"),
+    **dict.fromkeys(("reading_ripples", "response_steps", "field_remembered"), "response"),
+    **dict.fromkeys(("zero_wanders", "zero_swings", "zero_steps", "current_pickup"), "zero"),
+}
+
 UNLISTED, LISTED = tuple(LINK), tuple(LINK_OF_LISTED)
 
 # What one sensor alone cannot tell from the links above.

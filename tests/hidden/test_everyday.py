@@ -14,7 +14,16 @@ from tests.hidden.causes.everyday import strongest_so_far
 from tests.hidden.conftest import Sessions
 from tests.hidden.flaw import Cause, Flaw, Stage
 from tests.hidden.library import ALL, CAUSES, EVERYDAY, LATER, OUTSIDE, UNFORESEEN
-from tests.hidden.links import LINK, LINK_OF_LISTED, LINKS, LISTED, UNLISTED, WITH_ONE_SENSOR, links_of
+from tests.hidden.links import (
+    LINK,
+    LINK_OF_DEPARTURE,
+    LINK_OF_LISTED,
+    LINKS,
+    LISTED,
+    UNLISTED,
+    WITH_ONE_SENSOR,
+    links_of,
+)
 from tests.hidden.scene import Scene
 from tests.hidden.stated_rig import MOUNT_M
 from tests.hidden.study import RELATIVES
@@ -70,6 +79,8 @@ def test_every_cause_with_a_size_has_links_and_a_list_that_holds_it_or_none() ->
     assert not set(UNLISTED) & set(EFFECTS)
     for table in (LINK, LINK_OF_LISTED, WITH_ONE_SENSOR):
         assert {link for links in table.values() for link in links} <= set(LINKS)
+    assert set(LINK_OF_DEPARTURE.values()) <= set(LINKS)
+    assert set(LINK_OF_DEPARTURE) <= set(EFFECTS)
     assert {link for name in EVERYDAY for link in LINK[name]} == set(LINKS)
     assert links_of("warmup_gain", 2) == ("response",)
     assert links_of("warmup_gain", 1) == ("response", "current")

@@ -125,7 +125,10 @@ def lost_steps(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Sce
 
 
 def frame_breathing(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene, Truth]:
-    """The air conditioner warms and cools the mover's frame: distances from the first reading's place swing by the share `size`, once in 80 to 300 s."""
+    """The air conditioner warms and cools the mover's frame, once in 80 to 300 s.
+
+    Distances from the first reading's place swing by the share `size`.
+    """
     period_s, phase_rad = rng.uniform(80.0, 300.0), rng.uniform(-np.pi, np.pi)
     swing = size * np.sin(2.0 * np.pi * scene.schedule.time_s / period_s + phase_rad)
     known = (
@@ -159,7 +162,10 @@ def toggling_probe(scene: Scene, size: float, rng: np.random.Generator) -> tuple
 
 
 def warmup_gain(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene, Truth]:
-    """A sensor's amplifier was switched on at the first reading: its gain is off by the share `size` and settles in 5 to 30 % of the session."""
+    """A sensor's amplifier was switched on at the first reading: its gain is off by the share `size`.
+
+    It settles in 5 to 30 % of the session.
+    """
     is_its, name = afflicted_sensor(scene, rng)
     excess, time_s = sign(rng) * size, scene.schedule.time_s
     tau_s = rng.uniform(0.05, 0.3) * time_s[-1]
