@@ -77,7 +77,7 @@ def draw_mixed_session(stream: Sequence[int], seed: int) -> HiddenSession:
         adjustable = adjustable_of(rig, scene)
         for _ in range(MIXTURES_TRIED):
             flaws = _flaws(adjustable, mixture, rng)
-            visible = _visible(adjustable, flaws) if flaws else ()
+            visible = visible_of(adjustable, flaws) if flaws else ()
             if visible:
                 return _session(seed, rig, scene, flaws, visible, rng)
     raise ValueError(f"no mixture of seed {seed} reaches its visible sizes")
@@ -151,7 +151,7 @@ def _flaws(adjustable: Adjustable, mixture: Mixture, rng: np.random.Generator) -
     return in_order(flaws)
 
 
-def _visible(adjustable: Adjustable, flaws: Sequence[Flaw]) -> tuple[Visible, ...]:
+def visible_of(adjustable: Adjustable, flaws: Sequence[Flaw]) -> tuple[Visible, ...]:
     """How visible each flaw is, alone and beside the other listed ones at any size; none where the mixture does not count."""
     sigmas = [adjustable.visible_sigma([flaw]) for flaw in flaws]
     beside = beside_sigma(adjustable, flaws)

@@ -22,6 +22,7 @@ from tests.hidden.mixed_session import (
     in_order,
     of_first_sensor,
     possible,
+    visible_of,
 )
 from tests.hidden.open_session import adjustable_of
 from tests.hidden.study import draw_case
@@ -111,6 +112,21 @@ def test_a_flaw_that_replaces_what_was_there_acts_first(first: str, second: str,
     least = min(np.linalg.norm(one) for one in alone)
     assert np.linalg.norm(together - sum(alone)) < 0.1 * least
     assert np.linalg.norm(undone - sum(alone)) > 0.5 * np.linalg.norm(alone[0])
+
+
+def test_a_mixture_counts_where_each_flaw_is_there_and_none_is_anothers_twin(sessions: Sessions) -> None:
+    rig, scene = sessions["displacement", "recommended"]
+    two, one = adjustable_of(rig, scene), adjustable_of(rig, of_first_sensor(scene))
+    replaced = [Flaw(ALL[name], 0.1 * ALL[name].largest, 3) for name in ("axis_gain", "sensor_lag")]
+    twins = [Flaw(ALL[name], ALL[name].largest, 3) for name in ("background_field", "sensor_offset")]
+    assert visible_of(two, replaced) == ()  # the second takes the place of the first
+    assert visible_of(one, twins) == ()  # the same to every reading of one sensor
+    for mixture in (in_order(replaced), twins):
+        visible = visible_of(two, mixture)
+        assert [size.sigma for size in visible] == pytest.approx([two.visible_sigma([f]) for f in mixture])
+        for size in visible:
+            assert size.unlike_sigma is not None
+            assert 3.0 <= size.unlike_sigma <= size.sigma
 
 
 @pytest.mark.parametrize(
