@@ -120,7 +120,7 @@ def show_stated(rows: list[Row]) -> None:
     every = sum(all(is_stated(row, truth) for truth in listed(row)) for row in rows)
     taken = sum(is_taken(row, truth) for row, truth in pairs)
     print(
-        f"listed causes that are stated or stand in the rig unnamed: {share_and_interval(taken, len(pairs))}"
+        f"listed causes in any set of the verdict, or in the rig unnamed: {share_and_interval(taken, len(pairs))}"
     )
     print(f"sessions whose listed causes are all stated: {share_and_interval(every, len(rows))}")
 

@@ -51,9 +51,9 @@ def is_stated(row: Row, truth: Row) -> bool:
 
 
 def is_taken(row: Row, truth: Row) -> bool:
-    """Whether a hidden cause is stated, or stands in the rig without being named, for something unlisted may look like it."""
-    stand_ins = [cause["name"].partition("[")[0] for cause in row["told"]["stand_ins"]]
-    return is_stated(row, truth) or truth["label"] in stand_ins
+    """Whether a hidden cause is in a set of the verdict at all, or stands in the rig unnamed."""
+    stand_ins = {cause["name"].partition("[")[0] for cause in row["told"]["stand_ins"]}
+    return truth["label"] in stand_ins or any(truth["label"] in stated(cause) for cause in row["causes"])
 
 
 def stated_sets(row: Row) -> list[set[str]]:

@@ -124,6 +124,10 @@ LINK_OF_DEPARTURE: dict[str, str] = {
     **dict.fromkeys(("zero_wanders", "zero_swings", "zero_steps", "current_pickup"), "zero"),
 }
 
+# Causes that the list holds under another name, to the last digit or nearly so: no mixed session hides them as unlisted.
+UNDER_ANOTHER_NAME = {"polarity_gain": "current_asymmetry", "soft_limit": "current_compression"}
+WITH_ONE_SENSOR_UNDER_ANOTHER_NAME = {"tool_left": "background_spell"}
+
 UNLISTED, LISTED = tuple(LINK), tuple(LINK_OF_LISTED)
 
 # What one sensor alone cannot tell from the links above.

@@ -14,7 +14,12 @@ import numpy as np
 from tests.hidden.flaw import Flaw, record
 from tests.hidden.handed_in import HiddenSession, Visible
 from tests.hidden.library import patterns
-from tests.hidden.links import LISTED, UNLISTED
+from tests.hidden.links import (
+    LISTED,
+    UNDER_ANOTHER_NAME,
+    UNLISTED,
+    WITH_ONE_SENSOR_UNDER_ANOTHER_NAME,
+)
 from tests.hidden.open_session import adjustable_of, draw_open_scene, flaw_among
 from tests.hidden.protocols import Array
 from tests.hidden.rivals import rival_of, unlike_sigma
@@ -116,8 +121,9 @@ def of_first_sensor(scene: Scene) -> Scene:
 
 def possible(scene: Scene, names: Sequence[str]) -> list[str]:
     """Causes of some that can happen in a session, at a visible size, and are no other's twin there."""
-    schedule = scene.schedule
-    left_out = TWO_SENSORS if len(schedule.sensors) == 1 else ()
+    schedule, left_out = scene.schedule, set(UNDER_ANOTHER_NAME)
+    if len(schedule.sensors) == 1:
+        left_out |= {*TWO_SENSORS, *WITH_ONE_SENSOR_UNDER_ANOTHER_NAME}
     return [n for n in patterns(schedule.protocol, schedule.motion) if n in names and n not in left_out]
 
 

@@ -87,6 +87,7 @@ def test_a_cause_that_stands_in_unnamed_is_taken_and_not_stated() -> None:
     assert is_taken(unnamed, gain)
     assert not is_stated(unnamed, gain)
     assert not is_taken(unnamed, truth("backlash", 9.0))
+    assert is_taken(row(cause("cross_axis", 0.4, 0.4, axis_gain=0.2)), gain)
 
 
 def test_a_relative_of_a_listed_cause_is_no_wrong_name_and_one_of_the_unlisted_is() -> None:
@@ -175,7 +176,7 @@ def test_the_summary_counts_by_size(capsys: pytest.CaptureFixture[str]) -> None:
         "sessions whose listed causes are all stated: 33.3% (1 of 3)",
         "statements of a listed cause: 3",
         "not there                33.3% (1 of 3)",
-        "listed causes that are stated or stand in the rig unnamed: 50.0% (2 of 4)",
+        "listed causes in any set of the verdict, or in the rig unnamed: 50.0% (2 of 4)",
         "something unlisted is told: 33.3% (1 of 3)",
         "most probable link right: 100.0% (1 of 1)",
         "probability of its links, mean: 0.80",

@@ -100,10 +100,10 @@ def strongest_so_far(values: Array) -> Array:
 def neighbour_ramp(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Scene, Truth]:
     """The laboratory next door ramps its magnet up, holds it and ramps it down: a uniform field rises to `size`, stays and falls.
 
-    Each ramp takes 5 to 15 % of the session, the whole 40 to 70 %.
+    Each ramp takes 15 to 30 % of the session, the whole 60 to 90 %.
     """
     time_s, field_T = scene.schedule.time_s, size * direction(rng)
-    whole_s, ramp_s = rng.uniform(0.4, 0.7) * time_s[-1], rng.uniform(0.05, 0.15) * time_s[-1]
+    whole_s, ramp_s = rng.uniform(0.6, 0.9) * time_s[-1], rng.uniform(0.15, 0.3) * time_s[-1]
     begin_s = rng.uniform(0.05, 0.95) * (time_s[-1] - whole_s)
     since_s = time_s - begin_s
     ramped_T = np.clip(np.minimum(since_s, whole_s - since_s) / ramp_s, 0.0, 1.0)[:, None] * field_T
