@@ -25,6 +25,7 @@ from scripts.studies.hidden_cases import (
 from scripts.studies.mixed_counts import (
     MODELS,
     SIZES,
+    STATED,
     coil_inside,
     is_stated,
     is_stated_alone,
@@ -40,7 +41,7 @@ from scripts.studies.mixed_counts import (
     tells_of_unlisted,
     unlisted,
 )
-from scripts.studies.open_world import NEAR_NOISE, show_reliability
+from scripts.studies.open_world import NEAR_NOISE, is_named_wrongly, show_reliability
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.links import LISTED, links_of
 from tests.hidden.study import MIXED_KINDS, draw_case
@@ -126,16 +127,20 @@ def show_stated(rows: list[Row]) -> None:
 
 
 def show_names(rows: list[Row]) -> None:
-    """Stated names by what they are worth."""
-    verdicts = [judged(row) for row in rows]
-    right, relative, wrong, like = (sum(counts) for counts in zip(*verdicts, strict=True))
-    total = right + relative + wrong
-    print(f"statements of a listed cause: {total}")
-    for words, count in (("right", right), ("relative of a listed one", relative), ("not there", wrong)):
-        print(f"  {words:24} {share_and_interval(count, total)}")
-    print(f"  of those not there, {like} are relatives of the unlisted cause")
-    sessions = sum(one.wrong > 0 for one in verdicts)
-    print(f"  sessions with a name that is not there: {share_and_interval(sessions, len(rows))}")
+    """Sets of names by what they are worth: stated ones, and all of the verdicts whatever their probability."""
+    for words, least in (("statements of a listed cause", STATED), ("sets of names at any probability", 0.0)):
+        counts = [judged(row, least) for row in rows]
+        right, relative, wrong, like = (sum(numbers) for numbers in zip(*counts, strict=True))
+        total = right + relative + wrong
+        print(f"{words}: {total}")
+        for kind, count in (("right", right), ("relative of a listed one", relative), ("not there", wrong)):
+            print(f"  {kind:24} {share_and_interval(count, total)}")
+        print(f"  of those not there, {like} are relatives of the unlisted cause")
+        sessions = sum(one.wrong > 0 for one in counts)
+        print(f"  sessions with a name that is not there: {share_and_interval(sessions, len(rows))}")
+    named = [row for row in rows if row["verdict"] == "named"]
+    wrong = sum(is_named_wrongly(row) for row in named)
+    print(f"verdicts `named` with a name that is not there: {share_and_interval(wrong, len(named))}")
 
 
 def show_intervals(rows: list[Row]) -> None:

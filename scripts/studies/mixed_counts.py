@@ -56,23 +56,23 @@ def is_taken(row: Row, truth: Row) -> bool:
     return truth["label"] in stand_ins or any(truth["label"] in stated(cause) for cause in row["causes"])
 
 
-def stated_sets(row: Row) -> list[set[str]]:
-    """Names of every stated cause with its alternatives; where something unlisted has too much, nothing is stated."""
+def stated_sets(row: Row, least: float = STATED) -> list[set[str]]:
+    """Names of every cause with its alternatives, where these have a probability together; the rest is something unlisted."""
     sets = []
     for cause in row["causes"]:
         names = stated(cause)
         del names[ABSENT]
-        if sum(names.values()) >= STATED:
+        if sum(names.values()) >= least:
             sets.append(set(names))
     return sets
 
 
-def judged(row: Row) -> Judged:
-    """Statements that hold a listed cause, else a declared relative of one, else nothing that is there."""
+def judged(row: Row, least: float = STATED) -> Judged:
+    """Sets of names with a probability together that hold a listed cause, else a declared relative of one, else nothing that is there."""
     truths = {cause["label"] for cause in listed(row)}
     hidden = unlisted(row)["label"]
     right = relative = wrong = like_the_unlisted = 0
-    for names in stated_sets(row):
+    for names in stated_sets(row, least):
         if names & truths:
             right += 1
         elif any(is_relative(name, truth) for name in names for truth in truths):

@@ -127,6 +127,8 @@ LINK_OF_DEPARTURE: dict[str, str] = {
 # Causes that the list holds under another name, to the last digit or nearly so: no mixed session hides them as unlisted.
 UNDER_ANOTHER_NAME = {"polarity_gain": "current_asymmetry", "soft_limit": "current_compression"}
 WITH_ONE_SENSOR_UNDER_ANOTHER_NAME = {"tool_left": "background_spell"}
+# At 30 sigma one listed cause leaves 2.8 and 3.8 of these; they were found when others were drawn already, so a draw of one is void.
+WITH_ONE_SENSOR_NEARLY = {"remembering_bolt": "background_step", "neighbour_ramp": "periodic_interference"}
 
 UNLISTED, LISTED = tuple(LINK), tuple(LINK_OF_LISTED)
 

@@ -18,6 +18,7 @@ from tests.hidden.links import (
     LISTED,
     UNDER_ANOTHER_NAME,
     UNLISTED,
+    WITH_ONE_SENSOR_NEARLY,
     WITH_ONE_SENSOR_UNDER_ANOTHER_NAME,
 )
 from tests.hidden.open_session import adjustable_of, draw_open_scene, flaw_among
@@ -81,7 +82,7 @@ def draw_mixed_session(stream: Sequence[int], seed: int) -> HiddenSession:
         rig, scene = draw_mixed_scene(mixture, rng)
         adjustable = adjustable_of(rig, scene)
         for _ in range(MIXTURES_TRIED):
-            flaws = _flaws(adjustable, mixture, rng)
+            flaws = flaws_of(adjustable, mixture, rng)
             visible = visible_of(adjustable, flaws) if flaws else ()
             if visible:
                 return _session(seed, rig, scene, flaws, visible, rng)
@@ -144,14 +145,15 @@ def beside_sigma(adjustable: Adjustable, flaws: Sequence[Flaw]) -> list[float]:
     return [float(np.linalg.norm(adjustable.cleared(one))) for one in added]
 
 
-def _flaws(adjustable: Adjustable, mixture: Mixture, rng: np.random.Generator) -> tuple[Flaw, ...]:
-    """Flaws of the wanted sizes; none where a size is out of reach."""
+def flaws_of(adjustable: Adjustable, mixture: Mixture, rng: np.random.Generator) -> tuple[Flaw, ...]:
+    """Flaws of the wanted sizes; none where a size is out of reach, or one sensor takes the unlisted cause for a listed one."""
+    void = WITH_ONE_SENSOR_NEARLY if len(adjustable.scene.schedule.sensors) == 1 else ()
     flaws: list[Flaw] = []
     for sigma, names in (*((s, LISTED) for s in mixture.listed_sigma), (mixture.unlisted_sigma, UNLISTED)):
         taken = [flaw.cause.name for flaw in flaws]
         pool = [name for name in possible(adjustable.scene, names) if name not in taken]
         drawn = flaw_among(adjustable, pool, sigma, rng)
-        if drawn is None:
+        if drawn is None or drawn[0].cause.name in void:
             return ()
         flaws.append(drawn[0])
     return in_order(flaws)

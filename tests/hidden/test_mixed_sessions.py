@@ -7,18 +7,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.hidden import mixed_session
 from tests.hidden.conftest import Sessions
 from tests.hidden.flaw import Flaw
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.library import ALL
-from tests.hidden.links import LISTED, UNDER_ANOTHER_NAME, UNLISTED
+from tests.hidden.links import LISTED, UNDER_ANOTHER_NAME, UNLISTED, WITH_ONE_SENSOR_NEARLY
 from tests.hidden.mixed_session import (
     LISTED_SIGMA,
     PRESENT,
     TWO_SENSORS,
     UNLISTED_SIGMA,
+    Mixture,
     beside_sigma,
     draw_mixture,
+    flaws_of,
     in_order,
     of_first_sensor,
     possible,
@@ -113,6 +116,18 @@ def test_a_flaw_that_replaces_what_was_there_acts_first(first: str, second: str,
     least = min(np.linalg.norm(one) for one in alone)
     assert np.linalg.norm(together - sum(alone)) < 0.1 * least
     assert np.linalg.norm(undone - sum(alone)) > 0.5 * np.linalg.norm(alone[0])
+
+
+def test_one_sensor_hides_no_unlisted_cause_that_is_nearly_a_listed_one(
+    sessions: Sessions, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, scene = sessions["displacement", "recommended"]
+    mixture = Mixture(False, True, (), 6.0)
+    for name in WITH_ONE_SENSOR_NEARLY:
+        monkeypatch.setattr(mixed_session, "UNLISTED", (name,))
+        for session, is_void in ((scene, False), (of_first_sensor(scene), True)):
+            flaws = flaws_of(adjustable_of(rig, session), mixture, np.random.default_rng(0))
+            assert (flaws == ()) == is_void
 
 
 def test_a_tool_that_lies_about_for_a_while_is_a_spell_to_one_sensor(sessions: Sessions) -> None:

@@ -79,6 +79,7 @@ def test_a_cause_is_stated_alone_or_in_a_set_that_leaves_little_to_the_unlisted(
     doubted = row(cause("axis_gain", 0.85, 0.15), hidden=(gain,))
     assert not is_stated(doubted, gain)
     assert judged(doubted) == Judged(0, 0, 0, 0)
+    assert judged(doubted, 0.0) == Judged(1, 0, 0, 0)
 
 
 def test_a_cause_that_stands_in_unnamed_is_taken_and_not_stated() -> None:
@@ -176,6 +177,7 @@ def test_the_summary_counts_by_size(capsys: pytest.CaptureFixture[str]) -> None:
         "sessions whose listed causes are all stated: 33.3% (1 of 3)",
         "statements of a listed cause: 3",
         "not there                33.3% (1 of 3)",
+        "verdicts `named` with a name that is not there: 0.0% (0 of 2)",
         "listed causes in any set of the verdict, or in the rig unnamed: 50.0% (2 of 4)",
         "something unlisted is told: 33.3% (1 of 3)",
         "most probable link right: 100.0% (1 of 1)",
