@@ -16,6 +16,8 @@ from estimator.readings.plan import plan_from_text
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.starter import Starter, starter_plan_text, starter_rig_text
 
+pytestmark = pytest.mark.whole
+
 RIG = rig_from_text(starter_rig_text(Starter()))
 PLAN = plan_from_text(starter_plan_text(Starter()), RIG)
 TRUTH = {

@@ -89,6 +89,7 @@ def columns(rig: Rig, points_m: Tensor) -> Tensor:
     return unwound_field_per_ampere(rig.unwound[0], points_m, values).flatten(1).T
 
 
+@pytest.mark.whole
 def test_magnets_beside_the_box_are_followed_into_the_corners() -> None:
     """Three magnets 2 mm off a face, by posterior means without the corners: a ball that holds the corners holds the magnets too."""
     axis = torch.linspace(-5e-3, 5e-3, 8).double()

@@ -21,10 +21,7 @@ CHANGES = (
     "os.symlink",
 )
 KILLED = 9
-ASIDE = re.compile(
-    r"\.coilcal/new/[^/]+/."
-)  # where a whole store is written, with operations that are all alike
-ONE_IN = 40  # of those that are tried
+ASIDE = re.compile(r"\.coilcal/new/[^/]+/.")  # where a whole store is written
 
 
 def is_change(event: str, arguments: tuple[Any, ...]) -> bool:
@@ -39,22 +36,30 @@ def is_change(event: str, arguments: tuple[Any, ...]) -> bool:
     return event in CHANGES
 
 
-def killed_at_each_operation(work: Callable[[], object], most: int = 1000) -> Iterator[int]:
+def is_inside_a_store(event: str, name: str) -> bool:
+    """Whether a change is one of many alike in a store that is written aside or deleted; deletion names files below an open folder."""
+    return bool(ASIDE.search(name)) or (event in ("os.remove", "os.rmdir") and "/" not in name)
+
+
+def killed_at_each_operation(work: Callable[[], object], one_in: int = 1, most: int = 1000) -> Iterator[int]:
     """Run `work` in a process that ends before its first, second, ... change of a file, until one runs to its end.
 
-    Of the changes inside a store that is made aside, one in some is tried.
+    Args:
+        work: What is killed.
+        one_in: Of so many changes inside a store that is written aside or deleted, one is tried.
+        most: Changes that it may make.
     """
     for n in range(most):
         child = os.fork()
         if child == 0:
-            left, n_aside = n, 0
+            left, n_inside = n, 0
 
             def hook(event: str, arguments: tuple[Any, ...]) -> None:
-                nonlocal left, n_aside
+                nonlocal left, n_inside
                 if is_change(event, arguments):
-                    if ASIDE.search(str(arguments[0])):
-                        n_aside += 1
-                        if n_aside % ONE_IN != 1:
+                    if is_inside_a_store(event, str(arguments[0])):
+                        n_inside += 1
+                        if n_inside % one_in != 1 % one_in:
                             return
                     if left == 0:
                         os._exit(KILLED)

@@ -425,7 +425,7 @@ def test_existing_store_is_not_overwritten(store: Path) -> None:
 
 def test_killed_at_any_file_operation_a_new_store_is_absent_or_whole(tmp_path: Path) -> None:
     path = tmp_path / "chain.zarr"
-    for _ in killed_at_each_operation(lambda: create(path)):
+    for _ in killed_at_each_operation(lambda: create(path), one_in=20):
         if path.exists():
             assert ZarrBackend.open(path).iteration == 0
             shutil.rmtree(path)

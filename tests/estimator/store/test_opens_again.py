@@ -18,6 +18,8 @@ from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session, load_session
 
+pytestmark = pytest.mark.whole  # hundreds of sessions are written and read
+
 COLUMNS = {
     "t_s": "1",
     "sensor": "hall",
@@ -59,7 +61,7 @@ def rig() -> Rig:
     )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150)
 @given(st.sampled_from(list(COLUMNS)), CELLS)
 @example("t_s", "1e300")
 @example("hall_temperature_C", "-1e13")

@@ -19,6 +19,8 @@ from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session, load_session
 from tests.estimator.store.interrupted import killed_at_each_operation
 
+pytestmark = pytest.mark.whole  # hundreds of sessions are written and read
+
 RIG = """\
 schema_version: 1
 name: two of each
@@ -318,7 +320,7 @@ def test_killed_at_any_file_operation_a_session_is_the_old_one_or_the_new_one(
 ) -> None:
     new = replace(session, source="new")
     met = set()
-    for n in killed_at_each_operation(lambda: new.save(store, overwrite=True)):
+    for n in killed_at_each_operation(lambda: new.save(store, overwrite=True), one_in=20):
         found = load_session(store)
         met.add(found.source)
         assert_equal(found, new if found.source == "new" else session)
@@ -332,7 +334,7 @@ def test_killed_at_any_file_operation_a_new_session_is_absent_or_whole(
     session: Session, tmp_path: Path
 ) -> None:
     path = tmp_path / "s.zarr"
-    for _ in killed_at_each_operation(lambda: session.save(path, overwrite=True)):
+    for _ in killed_at_each_operation(lambda: session.save(path, overwrite=True), one_in=20):
         if path.exists():
             assert_equal(load_session(path), session)
     assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
