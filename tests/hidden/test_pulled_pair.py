@@ -16,7 +16,8 @@ def test_soft_brackets_are_named_and_measured(tmp_path, seed):
     softness = (4e-4, 2.5e-4)
     write(tmp_path, PulledPair(softness, rng), 20, rng)
     rig = load_rig(tmp_path / "rig.yaml")
-    found = diagnose(read_readings_csv(tmp_path / "readings.csv", rig), seed=seed).to_json()
+    session = read_readings_csv(tmp_path / "readings.csv", rig)
+    found = diagnose(session, seed=seed, has_corrections=False).to_json()
     assert found["verdict"] == "named"
     causes = {cause["name"]: cause["parameters"] for cause in found["causes"]}
     assert set(causes) == {f"coil_pulled[{name}]" for name in NAMES}

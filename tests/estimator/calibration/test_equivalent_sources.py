@@ -135,6 +135,6 @@ def test_it_is_saved_written_and_exported_or_refused(calibration: Calibration, t
 
 
 def test_a_diagnosis_asks_no_cause_of_a_winding(session: Session, rig: Rig) -> None:
-    result = diagnose(session, rig, seed=1, limits=Limits(most_causes=1))
+    result = diagnose(session, rig, seed=1, has_corrections=False, limits=Limits(most_causes=1))
     assert all(not c.cause.name.startswith("winding") for c in result.findings.causes)
     json.dumps(result.to_json())

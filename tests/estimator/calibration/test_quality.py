@@ -55,10 +55,12 @@ def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(
         str(tmp_path / "turned.zarr"),
         "--out",
         str(tmp_path / "out"),
+        "--walkers",
+        "16",
         "--ess",
         "50",
         "--max-steps",
-        "300",
+        "100",
     ]
     result = CliRunner().invoke(main, arguments)
     assert result.exit_code == 6

@@ -80,11 +80,11 @@ def sentence_of(result: Result) -> str:
 @pytest.mark.parametrize(
     ("device", "fault", "word"),
     [
-        ("hall", Fault.GARBAGE, "hall failed: "),
+        pytest.param("hall", Fault.GARBAGE, "hall failed: ", marks=pytest.mark.slow),
         pytest.param("hall", Fault.STALL, "hall failed: an answer must end with", marks=pytest.mark.slow),
         ("warmth", Fault.PARTIAL, "the thermometer of coil1 failed: "),
         ("arm1", Fault.PROTECTIVE_STOP, "protective stop"),
-        ("arm1", Fault.EMERGENCY_STOP, "emergency"),
+        pytest.param("arm1", Fault.EMERGENCY_STOP, "emergency", marks=pytest.mark.slow),
     ],
 )
 def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
@@ -209,7 +209,11 @@ def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when
 
 @pytest.mark.parametrize(
     ("device", "fault", "is_off"),
-    [("coil1", Fault.DROP, False), ("coil1", Fault.MUTE, True), ("arm1", Fault.MUTE, True)],
+    [
+        ("coil1", Fault.DROP, False),
+        pytest.param("coil1", Fault.MUTE, True, marks=pytest.mark.slow),
+        ("arm1", Fault.MUTE, True),
+    ],
 )
 def test_what_cannot_be_reached_is_not_known_to_be_at_rest(
     run: Run, running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, is_off: bool

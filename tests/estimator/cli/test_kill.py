@@ -12,30 +12,16 @@ import numpy as np
 
 from estimator.calibration.result import Calibration
 from estimator.store.emcee_backend import ZarrBackend
+from tests.estimator.cli.conftest import Run
 
 ROOT = Path(__file__).parents[3]
 PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 STEPS = 300
 
 
-def start(session: Path, out: Path) -> subprocess.Popen[bytes]:
-    call = [
-        "calibrate",
-        session,
-        "--out",
-        out,
-        "--walkers",
-        "16",
-        "--ess",
-        "1e9",
-        "--max-steps",
-        str(STEPS),
-        "--seed",
-        "3",
-    ]
-    return subprocess.Popen(
-        [*PROGRAM, *map(str, call)], cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
-    )
+def command(session: Path, out: Path) -> list[str]:
+    limits = ["--walkers", "16", "--ess", "1e9", "--max-steps", str(STEPS), "--seed", "3"]
+    return ["calibrate", str(session), "--out", str(out), *limits]
 
 
 def committed_steps(out: Path) -> int:
@@ -49,9 +35,16 @@ def committed_steps(out: Path) -> int:
         return 0
 
 
-def test_a_killed_calibration_continues_to_the_same_posterior(workspace: Path, tmp_path: Path) -> None:
+def test_a_killed_calibration_continues_to_the_same_posterior(
+    run: Run, workspace: Path, tmp_path: Path
+) -> None:
     session = workspace / "session.zarr"
-    killed = start(session, tmp_path / "killed")
+    killed = subprocess.Popen(
+        [*PROGRAM, *command(session, tmp_path / "killed")],
+        cwd=ROOT,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+    )
     while committed_steps(tmp_path / "killed") < 100:
         assert killed.poll() is None
         time.sleep(0.005)
@@ -62,11 +55,10 @@ def test_a_killed_calibration_continues_to_the_same_posterior(workspace: Path, t
     left = [path.name for path in (tmp_path / "killed").iterdir() if not path.name.startswith(".writer.")]
     assert left == ["chain.zarr"]
 
-    again, alone = start(session, tmp_path / "killed"), start(session, tmp_path / "alone")
-    for process in (again, alone):
-        _, errors = process.communicate(timeout=300)
-        assert process.returncode == 4  # an effective sample size of 1e9 is never reached
-        assert f"coilcal: sampling did not converge in {STEPS} steps".encode() in errors
+    for name in ("killed", "alone"):
+        ended = run(*command(session, tmp_path / name))
+        assert ended.exit_code == 4  # an effective sample size of 1e9 is never reached
+        assert f"coilcal: sampling did not converge in {STEPS} steps" in ended.stderr
     chains = [ZarrBackend.open(tmp_path / name / "chain.zarr") for name in ("killed", "alone")]
     assert np.array_equal(chains[0].get_chain(), chains[1].get_chain())
     assert np.array_equal(chains[0].get_log_prob(), chains[1].get_log_prob())

@@ -6,7 +6,7 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -20,6 +20,7 @@ from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
+from tests.once import once
 
 ROOT = Path(__file__).parents[3]
 LARGE = (
@@ -83,46 +84,111 @@ def test_completion_offers_the_commands() -> None:
     assert coilcal(variables=COMPLETION)[1] == "plain,calibrate\n"
 
 
-def test_import_loads_neither_plots_nor_samplers(workspace: Path, tmp_path: Path) -> None:
-    call = ["import", workspace / "readings.csv", "--rig", workspace / "rig.yaml"]
-    exit_code, _, libraries, _ = coilcal(*call, "--out", tmp_path / "session.zarr")
-    assert (exit_code, libraries) == (0, MODEL | {"zarr"})
+Ended = tuple[int, str, set[str]]
+FORKS = f"""
+import importlib, json, os, sys
+for library in {sorted(MODEL)}:
+    importlib.import_module(library)
+from estimator.cli.main import main
+for number, call in enumerate(json.load(sys.stdin)):
+    child = os.fork()
+    if child == 0:
+        sys.argv = ["coilcal", *call]
+        with open(str(number), "w") as sys.stdout:
+            try:
+                main(prog_name="coilcal")
+            except SystemExit as ending:
+                exit_code = ending.code
+        with open(f"{{number}}.json", "w") as file:
+            json.dump([exit_code or 0, [name for name in {LARGE} if name in sys.modules]], file)
+        os._exit(0)
+    os.waitpid(child, 0)
+"""
 
 
-def test_devices_check_loads_the_rig_alone(rig_text: str, tmp_path: Path) -> None:
-    path = tmp_path / "rig.yaml"
+@pytest.fixture(scope="module")
+def ended(
+    workspace: Path,
+    rig_text: str,
+    small_rig: Rig,
+    small_session: Session,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> dict[str, Ended]:
+    """Commands that need what `MODEL` names: exit code, standard output, and large libraries that are loaded at the end."""
+
+    def make(folder: Path) -> dict[str, Ended]:
+        calls: dict[str, Sequence[object]] = {
+            "import": [
+                *(workspace / "readings.csv", "--rig", workspace / "rig.yaml", "--out", folder / "s.zarr")
+            ],
+            "devices": ["check", with_device(rig_text, folder / "rig.yaml")],
+            "predict": [
+                *(workspace / "calibration", "--grid", "z_mm=10", "--current", "coil1=2"),
+                *("--out", folder / "field.csv"),
+            ],
+            "live": [measured(small_rig, small_session, folder / "live.zarr"), "--no-refresh", "--json"],
+            "design": [workspace / "session.zarr", "--shrink", "coil1.radius_m", "--readings", 1],
+        }
+        return dict(
+            zip(calls, each_in_a_fork([[c, *rest] for c, rest in calls.items()], folder), strict=True)
+        )
+
+    return once(tmp_path_factory, "startup", make)
+
+
+def each_in_a_fork(calls: Sequence[Sequence[object]], folder: Path) -> list[Ended]:
+    """Commands, each in a fork of one process that has loaded `MODEL`: a process for each would load torch anew."""
+    given = json.dumps([[str(part) for part in call] for call in calls])
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    subprocess.run(
+        [sys.executable, "-c", FORKS], input=given, text=True, cwd=folder, env=environment, check=True
+    )
+    told = [json.loads((folder / f"{number}.json").read_text()) for number in range(len(calls))]
+    return [(code, (folder / str(n)).read_text(), set(names)) for n, (code, names) in enumerate(told)]
+
+
+def with_device(rig_text: str, path: Path) -> Path:
     devices = "devices:\n  hall: {sensor: lakeshore_460, range_mT: 30, serial: /dev/none}\n"
     path.write_text(rig_text + devices, encoding="utf-8")
-    exit_code, _, libraries, _ = coilcal("devices", "check", path)
-    assert (exit_code, libraries) == (5, MODEL)
+    return path
 
 
-def test_predict_loads_what_reads_a_posterior(workspace: Path, tmp_path: Path) -> None:
-    call = ["predict", workspace / "calibration", "--grid", "z_mm=10", "--current", "coil1=2"]
-    exit_code, _, libraries, _ = coilcal(*call, "--out", tmp_path / "field.csv")
-    assert (exit_code, libraries - DASK) == (0, MODEL | {"pandas", "xarray", "zarr"})
-
-
-def test_live_without_refresh_loads_neither_plots_nor_samplers(
-    small_rig: Rig, small_session: Session, tmp_path: Path
-) -> None:
-    path = tmp_path / "session.zarr"
-    readings = small_session.observations.calibration
-    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+def measured(rig: Rig, session: Session, path: Path) -> Path:
+    """A session of three stops, as `coilcal acquire` leaves it."""
+    readings = session.observations.calibration
+    with Journal.create(path, new_header(rig, "a test", "plan", {})) as journal:
         for row in range(3):
             motion = {"arm1": readings.motion["arm1"][row].tolist()}
             field_T = {"hall": readings.field_sensor_T[row].tolist()}
             stop = StopReadings(float(row), readings.current_A[row].tolist(), motion, field_T, False, 0)
             journal.append(stop.entry())
     seal(path)
-    exit_code, printed, libraries, _ = coilcal("live", path, "--no-refresh", "--json")
+    return path
+
+
+def test_import_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
+    exit_code, _, libraries = ended["import"]
+    assert (exit_code, libraries) == (0, MODEL | {"zarr"})
+
+
+def test_devices_check_loads_the_rig_alone(ended: dict[str, Ended]) -> None:
+    exit_code, _, libraries = ended["devices"]
+    assert (exit_code, libraries) == (5, MODEL)
+
+
+def test_predict_loads_what_reads_a_posterior(ended: dict[str, Ended]) -> None:
+    exit_code, _, libraries = ended["predict"]
+    assert (exit_code, libraries - DASK) == (0, MODEL | {"pandas", "xarray", "zarr"})
+
+
+def test_live_without_refresh_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
+    exit_code, printed, libraries = ended["live"]
     assert (exit_code, json.loads(printed)["readings"]) == (0, 3)
     assert libraries == MODEL | JACOBIANS | {"rich", "zarr"}
 
 
-def test_design_loads_neither_plots_nor_samplers(workspace: Path) -> None:
-    call = ["design", workspace / "session.zarr", "--shrink", "coil1.radius_m", "--readings", 1]
-    exit_code, _, libraries, _ = coilcal(*call)
+def test_design_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
+    exit_code, _, libraries = ended["design"]
     assert (exit_code, libraries) == (0, MODEL | JACOBIANS | {"scipy.stats", "zarr"})  # draws of starts
 
 

@@ -43,7 +43,8 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
     session, tmp_path, monkeypatch, many_directions
 ):
     monkeypatch.setattr(secant, "MANY_DIRECTIONS", many_directions)
-    whole = diagnose(session, seed=1, out=tmp_path / "whole")
+    limits = Limits(most_causes=1)
+    whole = diagnose(session, seed=1, out=tmp_path / "whole", limits=limits)
     n_fits = []
     climb = fitting.climbed
 
@@ -55,12 +56,12 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
 
     monkeypatch.setattr(fitting, "climbed", killed_after_three)
     with pytest.raises(Killed):
-        diagnose(session, seed=1, out=tmp_path / "killed")
+        diagnose(session, seed=1, out=tmp_path / "killed", limits=limits)
     with (tmp_path / "killed" / FITS).open("a") as file:
         file.write('{"key": "torn')
     monkeypatch.setattr(fitting, "climbed", climb)
     told = []
-    diagnose(session, seed=1, out=tmp_path / "killed", on_stage=told.append)
+    diagnose(session, seed=1, out=tmp_path / "killed", limits=limits, on_stage=told.append)
     assert told[0] == "continuing: 3 fits were made before"
     written, expected = (read_json(tmp_path / name / "diagnosis.json") for name in ("killed", "whole"))
     assert written == expected == json.loads(json.dumps(whole.to_json()))
@@ -84,7 +85,7 @@ def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(sessi
 )
 def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str, words: str):
     """Also where its search was over."""
-    limits = Limits()
+    limits = Limits(most_causes=1)
 
     def stop(stage: str) -> None:
         if stage.startswith(at):

@@ -43,7 +43,7 @@ def turned(small_rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Session:
 def test_wrong_frame_that_puts_sensors_inside_the_winding_is_named(turned: Session, small_rig: Rig):
     with pytest.raises(InvalidInput, match=INSIDE):
         MeasurementModel.build(small_rig, turned.observations)
-    diagnosis = diagnose(turned, seed=1)
+    diagnosis = diagnose(turned, seed=1, has_corrections=False)
     (mistake,) = diagnosis.findings.record_mistakes
     assert mistake.cause == Cause("displacement_frame", "arm1")
     assert diagnosis.verdict is Verdict.NAMED

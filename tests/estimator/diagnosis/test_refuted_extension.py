@@ -11,6 +11,7 @@ from estimator import diagnose
 from estimator.diagnosis import outcome
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.headline import headline
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.observations import Observations
 from tests.estimator.diagnosis.sessions import session_with
@@ -27,7 +28,10 @@ def test_rows_of_the_other_session_that_were_written_down_wrongly_judge_nothing(
     field_T[rows] *= 10.0
     wrong = replace(other, observations=other.observations.with_field(field_T))
     session = session_with(hidden, currents_A, 1)
-    diagnosis, right = (diagnose(session, validation=validation, seed=1) for validation in (wrong, other))
+    diagnosis, right = (
+        diagnose(session, validation=validation, seed=1, has_corrections=False, limits=Limits(1))
+        for validation in (wrong, other)
+    )
     (flag,) = diagnosis.findings.judging_flags
     assert (flag.words, list(flag.readings)) == ("is ten times too large", rows)
     assert not diagnosis.findings.flags
@@ -54,7 +58,9 @@ def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.M
 
     monkeypatch.setattr(outcome, "improvement_of", worse)
     monkeypatch.setattr(outcome, "is_refuted", lambda *_: True)
-    diagnosis = diagnose(session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1)
+    diagnosis = diagnose(
+        session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(1)
+    )
     assert diagnosis.findings.search.final.rig.effects
     assert diagnosis.verdict == "unexplained"
     assert not diagnosis.causes

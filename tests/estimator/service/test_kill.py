@@ -31,7 +31,7 @@ from tests.estimator.service.conftest import (
 )
 
 
-def test_acknowledged_readings_are_there_once_after_a_kill(
+def test_acknowledged_readings_are_there_once_after_a_kill_and_streams_end_with_the_service(
     served: Callable[..., Served], rig_text: str, small_session: Session, small_rig: Rig, tmp_path: Path
 ) -> None:
     lines = numbered(small_session, small_rig, 5000)
@@ -74,7 +74,18 @@ def test_acknowledged_readings_are_there_once_after_a_kill(
     assert closed["n_readings"] == first + 60
     design = client.post("/v1/jobs/design", json={"session_id": session_id}).json()["id"]
     assert wait_for(client, design)["fault"].startswith("a design must split")  # says a worker process
-    service.end()
+    event_streams_end_with(service, begin_session(client, upload_rig(client, rig_text)), tmp_path)
+
+
+def event_streams_end_with(service: Served, session_id: str, folder: Path) -> None:
+    """Else uvicorn waits for them until its patience is over, and logs each as a fault."""
+    with service.client.stream("GET", f"/v1/sessions/{session_id}/live") as stream:
+        lines = stream.iter_lines()
+        next(lines)
+        assert service.end() == -signal.SIGTERM
+        for _ in lines:
+            pass
+    assert '"ERROR"' not in (folder / "data.log").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow
@@ -156,19 +167,3 @@ def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
     service = served()
     job = wait_for(service.client, job_id)
     assert (job["state"], job["starts"]) == ("done", 2)
-
-
-def test_event_streams_end_with_the_service_and_without_a_fault(
-    served: Callable[..., Served], rig_text: str, tmp_path: Path
-) -> None:
-    """Else uvicorn waits for them until its patience is over, and logs each as a fault."""
-    service = served()
-    client = service.client
-    session_id = begin_session(client, upload_rig(client, rig_text))
-    with client.stream("GET", f"/v1/sessions/{session_id}/live") as stream:
-        lines = stream.iter_lines()
-        next(lines)
-        assert service.end() == -signal.SIGTERM
-        for _ in lines:
-            pass
-    assert '"ERROR"' not in (tmp_path / "data.log").read_text(encoding="utf-8")

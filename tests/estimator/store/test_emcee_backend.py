@@ -206,7 +206,7 @@ def test_chain_killed_at_random_instants_equals_the_uninterrupted_chain(tmp_path
     random = np.random.default_rng(0)
     n_steps = [0]
     folders = [str(Path(__file__).parent), str(Path(estimator.__file__).parents[1])]
-    for _ in range(3):
+    for _ in range(2):
         command = [sys.executable, "-c", ENDLESS_RUN, str(path), *folders]
         with subprocess.Popen(command, stdout=subprocess.PIPE) as run:
             assert run.stdout is not None
