@@ -101,6 +101,33 @@ def _one_core_for_a_diagnosis():
     side_by_side.MOST_CORES = before
 
 
+@pytest.fixture(scope="session", autouse=True)
+def _each_kind_of_picture_is_drawn_once():
+    """Drawing takes four fifths of the time of a calibration of a small rig: a worker draws the first picture of each title and size."""
+    from estimator.reporting.page import Picture
+
+    drawn: dict[tuple[str, float, float], str] = {}
+    draw = Picture.png_base64
+
+    def remembered(picture: Picture) -> str:
+        kind = (picture.title, *picture.figure.get_size_inches())
+        if kind not in drawn:
+            drawn[kind] = draw.fget(picture)
+        return drawn[kind]
+
+    Picture.png_base64 = property(remembered)
+    yield draw
+    Picture.png_base64 = draw
+
+
+@pytest.fixture
+def every_picture_is_drawn(_each_kind_of_picture_is_drawn_once: property, monkeypatch: pytest.MonkeyPatch):
+    """For tests that look at pictures, or compare pages with theirs."""
+    from estimator.reporting.page import Picture
+
+    monkeypatch.setattr(Picture, "png_base64", _each_kind_of_picture_is_drawn_once)
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Each half of `make test` leaves out files that have nothing for it, for importing all takes every worker half a minute."""
     chosen = config.option.markexpr
