@@ -7,12 +7,14 @@ from pathlib import Path
 import pytest
 
 from estimator.calibration.calibrate import calibrate
+from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
 from scripts.studies.first_calibrations import judged
 
 pytestmark = pytest.mark.whole
+SETTINGS = SamplerSettings(target_ess=300.0)
 CASE = Path(__file__).parents[1] / "fixtures/first_calibration"
 
 
@@ -22,7 +24,7 @@ def session() -> Session:
 
 
 def test_the_room_is_fitted_though_not_mentioned_and_the_loops_are_counted(session: Session) -> None:
-    summary = calibrate(session, seed=1).summary()
+    summary = calibrate(session, seed=1, settings=SETTINGS).summary()
     assert summary["quality"]["verdict"] == "good"
     top = summary["loop_counts"][0]
     assert (top["axial"], top["radial"]) == (30, 12)
@@ -37,7 +39,7 @@ def test_the_room_is_fitted_though_not_mentioned_and_the_loops_are_counted(sessi
 
 
 def test_as_described_it_is_suspect_and_readings_without_current_say_so(session: Session) -> None:
-    summary = calibrate(session, seed=1, as_described=True).summary()
+    summary = calibrate(session, seed=1, as_described=True, settings=SETTINGS).summary()
     assert summary["quality"]["verdict"] == "suspect"
     assert "1.7 times what the expected noise leaves" in summary["quality"]["reasons"][0]
     assert not summary["fitted_besides"]

@@ -10,7 +10,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from estimator import calibrate, diagnose
+from estimator import SamplerSettings, calibrate, diagnose
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.readings_csv import read_readings_csv
@@ -91,7 +91,7 @@ def session(rig: Rig, truth: dict[str, float], folder: Path, seed: int, gain_x: 
 def test_intervals_hold_the_coil_of_another_program(text: str, tmp_path: Path):
     rig = rig_from_text(text)
     truth = truth_of(rig, np.random.default_rng(5))
-    found = calibrate(session(rig, truth, tmp_path, 6), seed=1)
+    found = calibrate(session(rig, truth, tmp_path, 6), seed=1, settings=SamplerSettings(target_ess=300.0))
     distances = {
         name: abs(found.draws[name].mean() - value) / found.draws[name].std() for name, value in truth.items()
     }

@@ -142,7 +142,7 @@ def test_what_is_left_of_the_truth_is_its_visible_size_without_causes_and_little
     hidden = draw_open_session([1], lambda possible: ["sensor_offset"], 30.0, 150_000)
     hidden.write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
-    without_causes, named = (diagnose(session, limits=Limits(most)) for most in (0, 1))
+    without_causes, named = (diagnose(session, has_corrections=False, limits=Limits(most)) for most in (0, 1))
     assert left_of_truth(hidden, without_causes) == pytest.approx(hidden.visible[0].sigma, rel=0.1)
     assert left_of_truth(hidden, named) < NEAR_SIGMA  # `background_field`, its twin with one sensor
 
