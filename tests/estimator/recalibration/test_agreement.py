@@ -60,6 +60,7 @@ def quickly(
     ]
 
 
+@pytest.mark.slow
 def test_p_values_of_clean_sessions_are_uniform(
     quickly: Callable[[Calibration], list[Agreement]], small_calibration: Calibration
 ) -> None:
