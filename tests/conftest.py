@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import logging
 import signal
 from pathlib import Path
@@ -12,6 +13,9 @@ import torch
 from hypothesis import settings
 
 mpl.use("Agg")
+
+# What is imported and collected stays: garbage is not looked for in it, neither now nor while tests run (`pytest_collection_finish`).
+gc.disable()
 
 
 class _Raising(logging.Handler):
@@ -140,6 +144,13 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
     return (
         is_file and not is_whole and "mark.whole" not in collection_path.read_text(encoding="utf-8")
     ) or None
+
+
+def pytest_collection_finish() -> None:
+    """See `gc.disable` above."""
+    gc.collect()
+    gc.freeze()
+    gc.enable()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
