@@ -67,7 +67,7 @@ HIDDEN = {
     "noisy_axis.extra_T": 6e-5,
     "peak_to_peak_current.factor": 2.0,
 }
-QUICK = ("field_gradient.vertical_T_per_m", "arm_sag.curvature_per_m", "noisy_axis.extra_T")
+QUICK = ("field_gradient.vertical_T_per_m",)
 MAKES_FIELD = ("dead_band", "swollen_wire", "iron_beside", "field_gradient")
 
 

@@ -105,6 +105,7 @@ def test_files_and_report_keep_explained_corrected_and_left_apart(folder, diagno
         assert words in page
 
 
+@pytest.mark.slow  # test_limited_supply tells what no prediction has, too
 def test_a_room_that_wanders_is_told_and_in_no_prediction(tmp_path):
     found = diagnosed(hidden_in(*TRAM_WALK), tmp_path, 1)
     assert found.verdict == "unexplained"
@@ -120,6 +121,7 @@ def test_a_room_that_wanders_is_told_and_in_no_prediction(tmp_path):
     assert "What is left looks like room_wanders" in _text(found, tmp_path)
 
 
+@pytest.mark.slow  # test_widening asks it of a fit
 def test_without_corrections_intervals_are_widened_alone(screw, tmp_path):
     screw.write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))

@@ -53,11 +53,8 @@ def test_hidden_cause_is_named(tmp_path, cause):
 @pytest.mark.parametrize(
     "cause",
     [
-        "current_spell",
-        *(
-            pytest.param(c, marks=pytest.mark.slow)
-            for c in ("background_spell", "gain_spell", "current_sign_spell")
-        ),
+        pytest.param(c, marks=pytest.mark.slow)  # hypotheses/test_instants asks it of a search
+        for c in ("current_spell", "background_spell", "gain_spell", "current_sign_spell")
     ],
 )
 def test_what_is_otherwise_for_a_while_is_named_with_its_beginning_and_its_end(tmp_path, cause):
@@ -90,6 +87,7 @@ def test_a_channel_that_keeps_what_another_showed_is_named_with_its_share(tmp_pa
     assert abs(share.median - truth.parameters[0].value) < 4.0 * share.sd
 
 
+@pytest.mark.slow  # test_flagged_rows has others that are flagged, before the search
 def test_rows_that_were_written_down_wrongly_are_flagged_and_nothing_else_is_named(tmp_path):
     """One axis in another unit for a while: without the flags, causes pile up for it."""
     hidden = draw_session(316, None, protocol="recommended")
@@ -111,6 +109,7 @@ def test_rows_that_were_written_down_wrongly_are_flagged_and_nothing_else_is_nam
     assert found.to_json()["flagged"][0]["readings"] == sorted(reading + 1 for reading in flagged)
 
 
+@pytest.mark.slow  # diagnosis/test_report has these twins
 def test_twins_are_not_told_apart_and_the_session_says_so_beforehand(tmp_path):
     """A fixed sensor cannot tell its own offset from a field of the room (docs/explanation/what-cannot-be-told-apart.md)."""
     found = verdict(tmp_path, 311, "background_field", 8.0, "paper")

@@ -45,7 +45,7 @@ def test_no_reading_behind_an_iron_plate_is_flagged(tmp_path, plate_m, opening_m
     assert flagged(session_in(tmp_path)) == []
 
 
-@pytest.mark.parametrize("seed", [155203, 155205])
+@pytest.mark.parametrize("seed", [155203, pytest.param(155205, marks=pytest.mark.slow)])
 def test_all_rows_that_a_counter_of_16_bits_wrapped_in_are_flagged_and_no_others(tmp_path, seed):
     draw_session(seed, None, protocol=PROTOCOLS[seed % 2]).write(tmp_path)
     session = session_in(tmp_path)

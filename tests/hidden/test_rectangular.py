@@ -105,6 +105,7 @@ def test_intervals_hold_the_coil_of_another_program(text: str, tmp_path: Path):
     assert held.mean() > 0.5  # 90 % on average; places share the coil's errors
 
 
+@pytest.mark.slow  # test_diagnose finds one in a round coil
 def test_a_gain_of_one_axis_is_named(tmp_path: Path):
     rig = rig_from_text(SHARP)
     truth = truth_of(rig, np.random.default_rng(8))

@@ -136,6 +136,7 @@ def test_a_twin_of_the_truth_is_no_name_that_readings_could_refute(
 
 
 @pytest.mark.whole
+@pytest.mark.slow
 def test_what_is_left_of_the_truth_is_its_visible_size_without_causes_and_little_with_a_twin(
     tmp_path: Path,
 ) -> None:

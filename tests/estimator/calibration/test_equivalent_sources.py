@@ -134,7 +134,9 @@ def test_it_is_saved_written_and_exported_or_refused(calibration: Calibration, t
         calibration.export("json", tmp_path / "model.json")
 
 
-def test_a_diagnosis_asks_no_cause_of_a_winding(session: Session, rig: Rig) -> None:
-    result = diagnose(session, rig, seed=1, has_corrections=False, limits=Limits(most_causes=1))
+def test_a_diagnosis_asks_no_cause_of_a_winding(rig: Rig) -> None:
+    result = diagnose(
+        session_at(rig, in_box(100, 1)), seed=1, has_corrections=False, limits=Limits(most_causes=1)
+    )
     assert all(not c.cause.name.startswith("winding") for c in result.findings.causes)
     json.dumps(result.to_json())

@@ -83,7 +83,7 @@ def sentence_of(result: Result) -> str:
         pytest.param("hall", Fault.GARBAGE, "hall failed: ", marks=pytest.mark.slow),
         pytest.param("hall", Fault.STALL, "hall failed: an answer must end with", marks=pytest.mark.slow),
         ("warmth", Fault.PARTIAL, "the thermometer of coil1 failed: "),
-        ("arm1", Fault.PROTECTIVE_STOP, "protective stop"),
+        pytest.param("arm1", Fault.PROTECTIVE_STOP, "protective stop", marks=pytest.mark.slow),
         pytest.param("arm1", Fault.EMERGENCY_STOP, "emergency", marks=pytest.mark.slow),
     ],
 )
@@ -212,7 +212,7 @@ def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when
     [
         ("coil1", Fault.DROP, False),
         pytest.param("coil1", Fault.MUTE, True, marks=pytest.mark.slow),
-        ("arm1", Fault.MUTE, True),
+        pytest.param("arm1", Fault.MUTE, True, marks=pytest.mark.slow),
     ],
 )
 def test_what_cannot_be_reached_is_not_known_to_be_at_rest(

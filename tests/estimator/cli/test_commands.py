@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -357,28 +354,15 @@ def test_damaged_files_give_exit_code_3(
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_the_program_prints_json_alone_in_a_pipe_even_where_colours_are_forced(
-    workspace: Path, tmp_path: Path
+def test_json_is_printed_alone_even_where_colours_are_forced(
+    workspace: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """In a process of its own, as scripts call it."""
-    call = [
-        "calibrate",
-        workspace / "session.zarr",
-        "--walkers",
-        "16",
-        "--max-steps",
-        "20",
-        "--out",
-        tmp_path / "c",
-        "--json",
-    ]
-    program = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')", *call]
-    environment = {**os.environ, "FORCE_COLOR": "1", "TTY_COMPATIBLE": "1"}
-    result = subprocess.run(
-        program, capture_output=True, env=environment, cwd=Path(__file__).parents[3], check=False
-    )
-    assert result.returncode == 4
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    limits = ["--walkers", 16, "--max-steps", 20]
+    result = run("calibrate", workspace / "session.zarr", *limits, "--out", tmp_path / "c", "--json")
+    assert result.exit_code == 4
     assert json.loads(result.stdout)["is_converged"] is False
-    for stream in (result.stdout, result.stderr):
+    for stream in (result.stdout_bytes, result.stderr_bytes):
         assert all(byte >= 32 or byte == 10 for byte in stream)
-    assert result.stderr.decode().splitlines()[0].startswith("point estimate")
+    assert result.stderr.splitlines()[0].startswith("point estimate")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -47,21 +49,28 @@ def diagnosed(out: Path) -> dict[str, Any]:
     return json.loads((out / "diagnosis.json").read_text(encoding="utf-8"))
 
 
-def await_fits(running: subprocess.Popen[str], out: Path, n: int) -> None:
-    """Wait until so many fits are kept."""
-    while not any(
-        len(fits.read_bytes().splitlines()) >= n
-        for fits in out.parent.glob(f".{out.name}.*.coilcal/new/{out.name}/{FITS}")
-    ):
-        assert running.poll() is None
+def has_fits(out: Path, n: int) -> bool:
+    """Whether so many fits are kept."""
+    kept = out.parent.glob(f".{out.name}.*.coilcal/new/{out.name}/{FITS}")
+    return any(len(fits.read_bytes().splitlines()) >= n for fits in kept)
+
+
+def interrupt_after_a_fit(out: Path, number: signal.Signals) -> None:
+    """Send a signal to this process, which diagnoses."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not has_fits(out, 1):
+        assert time.monotonic() < end_s
         time.sleep(0.005)
+    os.kill(os.getpid(), number)
 
 
 @pytest.mark.slow  # test_fit_journal kills one by the API
 def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbed: dict[str, Any]) -> None:
     out = session.parent / "killed"
     running = start(session, out)
-    await_fits(running, out, 3)
+    while not has_fits(out, 3):
+        assert running.poll() is None
+        time.sleep(0.005)
     running.kill()
     running.communicate()
     assert not out.exists()
@@ -83,15 +92,15 @@ def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
 ) -> None:
     """That what goes on ends as one that was let alone is asked above and of the API (test_fit_journal)."""
     out = session.parent / number.name
-    running = start(session, out)
-    await_fits(running, out, 1)
-    running.send_signal(number)
-    words, errors = running.communicate(timeout=PATIENCE_S)
-    assert running.returncode == 0
-    assert "the report of the best so far follows" in errors
-    assert "The diagnosis ended early, for it was stopped; the same command goes on" in words
+    command = ["diagnose", session, "--out", out, "--seed", 2, "--no-posterior"]
+    with ThreadPoolExecutor(1) as beside:
+        beside.submit(interrupt_after_a_fit, out, number)
+        stopped = run(*command)
+    assert stopped.exit_code == 0
+    assert "the report of the best so far follows" in stopped.stderr
+    assert "The diagnosis ended early, for it was stopped; the same command goes on" in stopped.stdout
     assert diagnosed(out)["ended_early"] == "it was stopped"
     assert "The diagnosis ended early" in (out / "report.html").read_text(encoding="utf-8")
-    again = run("diagnose", session, "--out", out, "--seed", 2, "--no-posterior", "--minutes", 1e-9)
+    again = run(*command, "--minutes", 1e-9)
     assert again.exit_code == 0
     assert "coilcal: continuing: " in again.stderr  # it does before its first fit

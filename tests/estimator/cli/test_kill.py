@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from estimator.calibration.result import Calibration
 from estimator.store.emcee_backend import ZarrBackend
@@ -35,6 +36,7 @@ def committed_steps(out: Path) -> int:
         return 0
 
 
+@pytest.mark.slow  # store/test_emcee_backend kills a chain, test_outputs interrupts this command
 def test_a_killed_calibration_continues_to_the_same_posterior(
     run: Run, workspace: Path, tmp_path: Path
 ) -> None:

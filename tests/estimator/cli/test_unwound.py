@@ -22,6 +22,7 @@ def run(*arguments: object) -> str:
     return result.output
 
 
+@pytest.mark.slow  # calibration/test_unwound does it by the API
 def test_a_magnet_is_imported_calibrated_predicted_and_diagnosed(tmp_path: Path) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(TEXT.replace("degree: 10", "degree: 4"))

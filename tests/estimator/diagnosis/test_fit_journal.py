@@ -44,7 +44,7 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
 ):
     monkeypatch.setattr(secant, "MANY_DIRECTIONS", many_directions)
     limits = Limits(most_causes=1)
-    whole = diagnose(session, seed=1, out=tmp_path / "whole", limits=limits)
+    whole = diagnose(session, seed=1, out=tmp_path / "whole", has_corrections=False, limits=limits)
     n_fits = []
     climb = fitting.climbed
 
@@ -56,12 +56,14 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
 
     monkeypatch.setattr(fitting, "climbed", killed_after_three)
     with pytest.raises(Killed):
-        diagnose(session, seed=1, out=tmp_path / "killed", limits=limits)
+        diagnose(session, seed=1, out=tmp_path / "killed", has_corrections=False, limits=limits)
     with (tmp_path / "killed" / FITS).open("a") as file:
         file.write('{"key": "torn')
     monkeypatch.setattr(fitting, "climbed", climb)
     told = []
-    diagnose(session, seed=1, out=tmp_path / "killed", limits=limits, on_stage=told.append)
+    diagnose(
+        session, seed=1, out=tmp_path / "killed", has_corrections=False, limits=limits, on_stage=told.append
+    )
     assert told[0] == "continuing: 3 fits were made before"
     written, expected = (read_json(tmp_path / name / "diagnosis.json") for name in ("killed", "whole"))
     assert written == expected == json.loads(json.dumps(whole.to_json()))
@@ -81,7 +83,10 @@ def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(sessi
 
 @pytest.mark.parametrize(
     ("at", "words"),
-    [("searching for causes", "it was stopped"), ("sampling", "it was stopped after its search")],
+    [
+        pytest.param("searching for causes", "it was stopped", marks=pytest.mark.slow),
+        ("sampling", "it was stopped after its search"),
+    ],
 )
 def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str, words: str):
     """Also where its search was over."""

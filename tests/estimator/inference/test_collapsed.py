@@ -235,7 +235,9 @@ def test_outside_the_prior_there_is_no_density() -> None:
     assert values[0] == values[2]
 
 
-@pytest.mark.parametrize("text", [TEXT, pytest.param(FREE_GAIN, marks=pytest.mark.slow), TWO_SENSORS, TIED])
+@pytest.mark.parametrize(
+    "text", [*(pytest.param(text, marks=pytest.mark.slow) for text in (TEXT, FREE_GAIN, TIED)), TWO_SENSORS]
+)
 def test_amplitudes_are_integrated_out_on_another_device_as_on_the_processor(text: str) -> None:
     """Design matrix, maximum, chain, draws of the amplitudes given it, and the evidence for a degree more."""
     rig, readings = problem(text)

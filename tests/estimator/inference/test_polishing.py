@@ -90,7 +90,7 @@ def with_free_noise(rig: Rig) -> Rig:
         pytest.param((), False, marks=pytest.mark.slow),
         ((), True),
         pytest.param(("axis_gain",), True, marks=pytest.mark.slow),
-        (("outliers",), True),
+        pytest.param(("outliers",), True, marks=pytest.mark.slow),
         (("noise_grows",), True),
     ],
 )

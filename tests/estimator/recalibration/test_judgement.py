@@ -141,6 +141,7 @@ def test_a_fault_of_the_registry_is_no_verdict_on_the_session(
         judge(mounted_anew, small_rig, small_calibration, seed=1)
 
 
+@pytest.mark.slow  # a season with a drift is in test_recalibrate
 def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
     small_session: Session,
     small_rig: Rig,
@@ -165,6 +166,7 @@ def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
 
 
 @pytest.mark.whole
+@pytest.mark.slow  # a season with a drift is in test_recalibrate
 def test_more_current_since_the_last_version_is_no_change_of_the_winding(
     rig_text: str, small_plan: Plan, small_truth: dict[str, float], small_settings: SamplerSettings
 ) -> None:

@@ -330,6 +330,7 @@ def test_killed_at_any_file_operation_a_session_is_the_old_one_or_the_new_one(
     assert met == {"new", session.source}
 
 
+@pytest.mark.slow  # the test above, where there was none before
 def test_killed_at_any_file_operation_a_new_session_is_absent_or_whole(
     session: Session, tmp_path: Path
 ) -> None:
