@@ -134,7 +134,9 @@ def test_it_is_saved_written_and_exported_or_refused(calibration: Calibration, t
         calibration.export("json", tmp_path / "model.json")
 
 
-def test_a_diagnosis_asks_no_cause_of_a_winding(rig: Rig) -> None:
+def test_a_diagnosis_asks_no_cause_of_a_winding() -> None:
+    """Of charges that stand too far apart for the field, so that the search takes causes."""
+    rig = rig_from_text(TEXT.replace("spacing_mm: 18", "spacing_mm: 45"))
     result = diagnose(
         session_at(rig, in_box(100, 1)), seed=1, has_corrections=False, limits=Limits(most_causes=1)
     )
