@@ -119,7 +119,7 @@ def _each_kind_of_picture_is_drawn_once():
             drawn[kind] = draw.fget(picture)
         return drawn[kind]
 
-    Picture.png_base64 = property(remembered)
+    Picture.png_base64 = property(remembered, doc=draw.__doc__)
     yield draw
     Picture.png_base64 = draw
 
