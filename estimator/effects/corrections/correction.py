@@ -52,6 +52,7 @@ class Correction(Effect):
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
         is_stepwise: Each degree is one more step, whose place is looked for beside those before.
+        single: Name of the cause that one step alone is.
     """
 
     is_correction: ClassVar[bool] = True
@@ -61,6 +62,7 @@ class Correction(Effect):
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0
     is_stepwise: ClassVar[bool] = False
+    single: ClassVar[str | None] = None
 
     @abstractmethod
     def terms(self, degree: int) -> tuple[str, ...]:

@@ -60,6 +60,7 @@ class CurrentSteps(ShareOfCurrent, _Steps):
     """The current of a coil, or how much field an ampere makes, jumps: contacts, a core, a supply that was set anew."""
 
     name: ClassVar[str] = "current_steps"
+    single: ClassVar[str] = "current_step"
     words: ClassVar[str] = "the coil's field per commanded ampere jumps"
     highest: ClassVar[int] = 12
 
@@ -72,6 +73,7 @@ class ZeroSteps(_Steps, ReadingEffect):
     """What a sensor shows in no field jumps."""
 
     name: ClassVar[str] = "zero_steps"
+    single: ClassVar[str] = "offset_step"
     words: ClassVar[str] = "what the sensor shows in no field jumps"
     highest: ClassVar[int] = 5
 
@@ -115,6 +117,7 @@ class GuidesStep(_Steps, MotionEffect):
     """The mover's real position jumps: a slipped clamp, a lost step, a knock."""
 
     name: ClassVar[str] = "guides_step"
+    single: ClassVar[str] = "mover_slipped"
     words: ClassVar[str] = "where the mover stands jumps"
     unit: ClassVar[str] = "m"
     highest: ClassVar[int] = 4
@@ -136,6 +139,7 @@ class RoomSteps(_Steps, RoomEffect):
     """The field of the room jumps, everywhere alike: something is brought near, or taken away."""
 
     name: ClassVar[str] = "room_steps"
+    single: ClassVar[str] = "background_step"
     words: ClassVar[str] = "the field of the room jumps"
     highest: ClassVar[int] = 5
 

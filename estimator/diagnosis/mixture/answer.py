@@ -1,0 +1,191 @@
+"""What is read off the draws: causes with their alternatives, links at which something acts that no list holds, and sizes."""
+
+from __future__ import annotations
+
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.climb import BURN_IN, SWEEPS, Asked, climbed
+from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
+from estimator.diagnosis.mixture.links import Link
+from estimator.diagnosis.mixture.slots import Samples, Slots
+from estimator.rig.rig import Cause
+
+N_PAIRS = 3  # of complementary halves
+STATED = 0.9  # probability from which on a cause is stated
+ALTERNATIVE = 0.05  # share of a slot from which on something is an alternative to what is there
+ASKED = 0.2  # probability of a cause from which on a set is made about it
+
+
+@dataclass(frozen=True)
+class Possibility:
+    """One thing that a slot holds in some draws.
+
+    Attributes:
+        cause: A listed cause, or the departure that stands for something unlisted.
+        is_listed: Whether it is listed.
+        link: Where in the chain it acts.
+        share: Of the draws of the set.
+    """
+
+    cause: Cause
+    is_listed: bool
+    link: Link
+    share: float
+
+
+@dataclass(frozen=True)
+class Found:
+    """A set of alternatives, of which one is there.
+
+    Attributes:
+        possibilities: Most probable first.
+        probability: That one of them is there, beside everything else: the mean of the two that follow.
+        with_all, in_halves: With all readings; the mean over halves of them.
+    """
+
+    possibilities: tuple[Possibility, ...]
+    probability: float
+    with_all: float
+    in_halves: float
+
+    @property
+    def first(self) -> Possibility:
+        """The most probable one."""
+        return self.possibilities[0]
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `causes` or `departures` in `diagnosis.json`."""
+        return {
+            "probability": self.probability,
+            "with_all_readings": self.with_all,
+            "in_halves": self.in_halves,
+            "is_one_of": [
+                {
+                    "name": one.cause.name,
+                    "place": one.cause.place,
+                    "is_listed": one.is_listed,
+                    "link": one.link.value,
+                    "probability": self.probability * one.share,
+                }
+                for one in self.possibilities
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Which causes and departures stand beside each other in the readings of a session.
+
+    Attributes:
+        asked: At the expansion that counts.
+        in_halves: Draws from halves of the readings.
+    """
+
+    asked: Asked
+    in_halves: tuple[Samples, ...]
+
+    @cached_property
+    def _both(self) -> Samples:
+        return self.asked.samples.joined(self.in_halves)
+
+    @cached_property
+    def found(self) -> tuple[Found, ...]:
+        """Sets of alternatives about listed causes and departures, most probable first."""
+        items, present = self.asked.dictionary.items, self._both.present
+        by_cause: dict[Cause, float] = {}
+        for item, probability in zip(items, present, strict=True):
+            by_cause[item.cause] = by_cause.get(item.cause, 0.0) + float(probability)
+        result, told = list[Found](), set[Cause]()
+        for cause in sorted(by_cause, key=lambda one: -by_cause[one]):
+            if by_cause[cause] < ASKED or cause in told:
+                continue
+            shares = {one: share for one, share in self._shares(cause).items() if one not in told}
+            told |= set(shares)
+            result.append(self._found(shares))
+        return tuple(sorted(result, key=lambda one: -one.probability))
+
+    def _shares(self, cause: Cause) -> dict[Cause, float]:
+        """What the slot of a cause holds, as shares; the cause itself has one of the largest."""
+        items = self.asked.dictionary.items
+        total: dict[Cause, float] = {}
+        for drawn, conditional in self._both.beside.items():
+            if items[drawn].cause == cause:
+                for item, probability in zip(items, conditional, strict=True):
+                    total[item.cause] = total.get(item.cause, 0.0) + float(probability)
+        whole = sum(total.values())
+        kept = {one: share for one, share in total.items() if one == cause or share > ALTERNATIVE * whole}
+        kept_whole = sum(kept.values())
+        return {one: share / kept_whole for one, share in kept.items()}
+
+    def _found(self, shares: dict[Cause, float]) -> Found:
+        items = self.asked.dictionary.items
+        first = {item.cause: item for item in reversed(items)}
+        own = [i for i, item in enumerate(items) if item.cause in shares]
+        with_all = self.asked.samples.holding(own)
+        of_halves = [samples.holding(own) for samples in self.in_halves]
+        in_halves = sum(of_halves) / len(of_halves) if of_halves else with_all
+        whole = sum(shares.values())
+        possibilities = [
+            Possibility(cause, first[cause].is_listed, first[cause].link, share / whole)
+            for cause, share in sorted(shares.items(), key=lambda pair: -pair[1])
+        ]
+        return Found(tuple(possibilities), 0.5 * (with_all + in_halves), with_all, in_halves)
+
+    @property
+    def stated(self) -> tuple[Found, ...]:
+        """Sets that are there at `STATED` or more and are rather a listed cause."""
+        return tuple(
+            one for one in self.found if one.probability >= STATED and _listed(one.possibilities) > 0.5
+        )
+
+    @property
+    def unlisted(self) -> dict[Link, float]:
+        """By link the probability that something acts there which no list holds, beside the causes."""
+        items = self.asked.dictionary.items
+        result = {}
+        for link in dict.fromkeys(item.link for item in items):
+            own = [i for i, item in enumerate(items) if item.link is link and not item.is_listed]
+            if own:
+                result[link] = self._both.holding(own)
+        return result
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of `mixture` in `diagnosis.json`."""
+        return {
+            "found": [one.to_json() for one in self.found],
+            "unlisted": {link.value: probability for link, probability in self.unlisted.items()},
+        }
+
+
+def _listed(possibilities: Iterable[Possibility]) -> float:
+    return sum(one.share for one in possibilities if one.is_listed)
+
+
+def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Answer:
+    """Ask the readings of a fit what is wrong, all of them and halves of them.
+
+    Args:
+        plain: Fit of the rig as described.
+        limits: Causes that are asked, and the time.
+        seed: Of blocks, halves and draws.
+        n_pairs: Of complementary halves.
+    """
+    asked = climbed(plain, limits, seed)
+    readings = plain.observations
+    block = blocks_of(readings, plain.rig, seed)
+    of_halves = list[Samples]()
+    for i, is_in in enumerate(halves(block, n_pairs, seed)):
+        if limits.is_over:
+            break
+        products = Products(asked.dictionary, weight_of(is_in, readings.is_measured))
+        of_halves.append(Slots(products, asked.slots.noise).sample(SWEEPS, BURN_IN, seed + i))
+    return Answer(asked, tuple(of_halves))

@@ -1,0 +1,154 @@
+"""Asks what is wrong, moves the expansion to what leads, and asks again until the leading causes stay."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.departures import departures
+from estimator.diagnosis.mixture.dictionary import dictionary
+from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.mixture.items import Dictionary
+from estimator.diagnosis.mixture.links import Link
+from estimator.diagnosis.mixture.listed import Offered, again, offered, present_items, starts_of
+from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots
+from estimator.rig.parameters import LogNormal
+from estimator.rig.rig import Cause
+
+MOST_EXPANSIONS = 6
+SWEEPS, BURN_IN = 60, 15
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the readings say at one expansion."""
+
+    expansion: Expansion
+    dictionary: Dictionary
+    slots: Slots
+    samples: Samples
+
+    @property
+    def noise(self) -> float:
+        """The most frequent factor on the noise of the fit."""
+        return float(self.slots.grid[max(self.samples.noises, key=self.samples.noises.__getitem__)])
+
+    @cached_property
+    def leading(self) -> tuple[int, ...]:
+        """The most frequent set of items of those that hold the most frequent set of causes and departures."""
+        items, models = self.dictionary.items, self.samples.models
+        labels = {model: frozenset(items[i].cause for i in model) for model in models}
+        by_labels = defaultdict[frozenset[Cause], float](float)
+        for model, n in models.items():
+            by_labels[labels[model]] += n
+        most = max(by_labels, key=by_labels.__getitem__)
+        return max((m for m in models if labels[m] == most), key=models.__getitem__)
+
+    @cached_property
+    def log_density(self) -> float:
+        """Of the readings and the leading set of items, up to a constant that all expansions of one session share."""
+        fit, always = self.expansion.fit, self.expansion.always
+        precision = always.jacobian.T @ always.jacobian + self.expansion.prior_precision
+        in_slots = self.slots.products.log_likelihood(self.leading, self.slots.grid) + self.slots.log_prior_noise
+        return (
+            float(torch.logsumexp(in_slots, 0))
+            + float(fit.whitening_per_T.clamp(min=1e-300).log().sum())
+            - 0.5 * float(torch.logdet(precision))
+            + sum(self.dictionary.items[i].log_prior for i in self.leading)
+        )
+
+
+def climbed(plain: Fit, limits: Limits, seed: int) -> Asked:
+    """The readings, asked about the expansion at which the leading set of items is most probable.
+
+    Args:
+        plain: Fit of the rig as described.
+        limits: Causes that are asked, and the time.
+        seed: Of the draws.
+    """
+    asked = [ask(Expansion.of(plain), limits, seed, {})]
+    seen, shapes = {frozenset[Cause]()}, dict[Cause, dict[str, float]]()
+    while len(asked) < MOST_EXPANSIONS and not limits.is_over:
+        last = asked[-1]
+        items, chosen = last.dictionary.items, one_more_of_each_link(last, last.leading)
+        causes = frozenset(items[i].cause for i in chosen if items[i].is_listed)
+        if causes in seen:
+            break
+        seen.add(causes)
+        sizes, _ = last.slots.products.sizes(chosen, last.noise)
+        moved = last.expansion.moved(last.dictionary, chosen, sizes)
+        if moved.fit.log_evidence < plain.log_evidence:
+            break
+        asked.append(ask(moved, limits, seed, shapes))
+        shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
+    return max(asked, key=lambda one: one.log_density)
+
+
+def ask(
+    expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]
+) -> Asked:
+    """What is wrong, by readings that are linear about an expansion.
+
+    Args:
+        expansion: The fit.
+        limits: Causes that are asked.
+        seed: Of the draws.
+        shapes: Those that earlier fits have found, by cause.
+    """
+    fit, alone = expansion.fit, expansion.alone
+    starts = starts_of(fit, candidates(fit, causes_of(fit.rig, fit, limits)))
+    starts += [more for cause, found in shapes.items() for more in again(fit, starts, cause, found)]
+    listed = offered(alone, starts)
+    if expansion.causes:
+        listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
+    others = list({id(one.start.candidate): one.start.candidate for one in listed}.values())
+    entries = dictionary(expansion, listed, departures(alone, others))
+    slots = Slots(Products(entries), noise_prior(fit))
+    return Asked(expansion, entries, slots, slots.sample(SWEEPS, BURN_IN, seed))
+
+
+def one_more_of_each_link(asked: Asked, model: Sequence[int]) -> list[int]:
+    """A set of items without causes that the expansion lacks, but for the clearest one at each link of the chain.
+
+    Causes at one link change each other's columns.
+    """
+    items = asked.dictionary.items
+    kept, clearest = list[int](), dict[Link, tuple[float, int]]()
+    for i in model:
+        item = items[i]
+        if not item.is_listed or item.cause in asked.expansion.causes:
+            kept.append(i)
+            continue
+        rest = [j for j in model if j != i]
+        lost = float(asked.slots.products.beside(rest, asked.noise)[i])
+        if item.link not in clearest or lost > clearest[item.link][0]:
+            clearest[item.link] = lost, i
+    return sorted([*kept, *(i for _, i in clearest.values())])
+
+
+def noise_prior(fit: Fit) -> NoisePrior:
+    """What the rig says of the noise, as a factor on that of a fit: the mean over sensors, as wide as the widest."""
+    parameters = [fit.rig.parameters[f"{sensor.name}.noise_T"] for sensor in fit.rig.sensors]
+    apart = [math.log(float(p.value) / float(fit.values[p.name])) for p in parameters]
+    widths = [p.prior.relative_sd for p in parameters if isinstance(p.prior, LogNormal)]
+    return NoisePrior(math.exp(sum(apart) / len(apart)), max(widths, default=0.0))
+
+
+def _joined(first: Sequence[Offered], second: Sequence[Offered]) -> list[Offered]:
+    """Both, each once: those of one start that was asked twice are the same."""
+    keys = {_key(one) for one in first}
+    return [*first, *(one for one in second if _key(one) not in keys)]
+
+
+def _key(one: Offered) -> tuple[object, ...]:
+    candidate = one.start.candidate
+    return candidate.cause, tuple(sorted(candidate.shapes.items())), one.subset, one.width

@@ -1,0 +1,148 @@
+"""Items of the departures: smooth or stepwise functions at one link of the chain, which no list names."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.links import Link, link_of
+from estimator.rig.rig import Cause
+from estimator.side_by_side import each
+
+SAME = 1e-3  # of columns: what is left of those that a listed cause has too
+MOST_STARTS = 4  # of one kind: the most probable ones, alone
+DOUBLING = 2  # of a degree to the next that is asked
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One kind of departure at one start, up to one degree.
+
+    Attributes:
+        columns: Whitened, of all its degrees, at one scale.
+        n_columns: Of them, up to its degree.
+        widths: Of each column, for an rms of 1 in units of the noise.
+        log_prior: Within the departures, for each amplitude.
+    """
+
+    kind: CorrectionKind
+    start: dict[str, float]
+    keys: tuple[str, ...]
+    columns: Float[Tensor, "component column"]
+    widths: tuple[float, ...]
+    log_prior: float
+
+
+def departures(fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:
+    """All departures of a session at a fit, of each kind with many starts the most probable ones alone.
+
+    Args:
+        fit: The fit.
+        listed: Listed causes. A departure that changes the readings as one of them does is that one.
+    """
+    causes = {candidate.cause for candidate in listed}
+    kinds = [
+        kind
+        for kind in kinds_of(fit)
+        if kind.limit.degree >= kind.effect.lowest
+        and not (kind.effect.single and Cause(kind.effect.single, kind.cause.place) in causes)
+    ]
+    by_link: dict[Link, set[str]] = {}
+    places: dict[str, int] = {}
+    for kind in kinds:
+        by_link.setdefault(link_of(kind.effect), set()).add(kind.cause.name)
+        places[kind.cause.name] = places.get(kind.cause.name, 0) + 1
+    result = []
+    for kind, made in zip(kinds, each(lambda kind: _of_kind(fit, kind), kinds), strict=True):
+        n = len(by_link) * len(by_link[link_of(kind.effect)]) * places[kind.cause.name]
+        result += [
+            Departure(kind, start, keys, columns, widths, share - math.log(n * len(priors.AMPLITUDES)))
+            for start, keys, columns, widths, share in made
+            if not _is_listed(columns[:, : len(keys)], listed)
+        ]
+    return result
+
+
+def _is_listed(columns: Float[Tensor, "component column"], listed: Sequence[Candidate]) -> bool:
+    """Whether a listed cause changes the readings in the same ways."""
+    for candidate in listed:
+        if candidate.columns.shape[1] == columns.shape[1] and candidate.is_at_null:
+            scale = candidate.columns.square().sum(0).sqrt().clamp(min=1e-300)
+            basis = torch.linalg.qr(candidate.columns / scale).Q
+            left = columns - basis @ (basis.T @ columns)
+            if float(left.square().sum()) < SAME**2 * float(columns.square().sum()):
+                return True
+    return False
+
+
+_Made = tuple[dict[str, float], tuple[str, ...], Tensor, tuple[float, ...], float]
+
+
+def _of_kind(fit: Fit, kind: CorrectionKind) -> list[_Made]:
+    """Starts, keys, columns, widths and log prior of one kind."""
+    if len(kind.starts) == 1:
+        columns = kind.columns(fit, kind.starts, kind.limit.degree)[0]
+        degrees = _asked(kind.effect.lowest, kind.limit.degree)
+        share = -math.log(len(degrees))
+        return [_up_to(kind, kind.starts[0], columns, degree, share) for degree in degrees]
+    degree = kind.effect.lowest
+    columns = kind.columns(fit, kind.starts, degree)
+    value = _best_evidence(fit, columns)
+    chosen = value.topk(min(MOST_STARTS, len(value))).indices.tolist()
+    share = -math.log(len(kind.starts))
+    return [_up_to(kind, kind.starts[i], columns[i], degree, share) for i in chosen]
+
+
+def _up_to(
+    kind: CorrectionKind, start: dict[str, float], columns: Tensor, degree: int, log_prior: float
+) -> _Made:
+    keys = kind.keys(degree)
+    relative = columns.new_tensor([kind.effect.relative_width(d) for d, _ in keys])
+    scale = float((columns[:, : len(keys)] * relative).square().sum(1).mean().sqrt())
+    widths = tuple((relative / max(scale, 1e-300)).tolist())
+    return start, tuple(key for _, key in keys), columns, widths, log_prior
+
+
+def _asked(lowest: int, highest: int) -> list[int]:
+    """Degrees that are asked: the lowest, then twice as high each time, and the highest.
+
+    Examples:
+        >>> _asked(1, 12)
+        [1, 2, 4, 8, 12]
+    """
+    degrees, degree = [], lowest
+    while degree < highest:
+        degrees.append(degree)
+        degree = max(degree + 1, DOUBLING * degree)
+    return [*degrees, highest]
+
+
+def _best_evidence(fit: Fit, columns: Float[Tensor, "start component column"]) -> Float[Tensor, " start"]:
+    """Highest log Bayes factor over the amplitudes of each start, alone."""
+    followed = (columns.mT @ fit.projector.basis)
+    gram = columns.mT @ columns - followed @ followed.mT
+    score = columns.mT @ fit.residual
+    power = columns.square().sum((1, 2)) / columns.shape[1]
+    best = torch.full_like(power, -math.inf)
+    for amplitude in priors.AMPLITUDES:
+        variance = amplitude**2 / power.clamp(min=1e-300)
+        own = gram * variance[:, None, None]
+        factor, failed = torch.linalg.cholesky_ex(own + torch.eye(own.shape[-1]).to(own))
+        reached = torch.linalg.solve_triangular(factor, (score * variance.sqrt()[:, None])[:, :, None], upper=False)
+        value = 0.5 * reached.square().sum((1, 2)) - torch.diagonal(factor, dim1=1, dim2=2).log().sum(1)
+        best = best.maximum(torch.where(failed == 0, value, -math.inf))
+    return best
+
+
+def distinct(made: Sequence[Departure]) -> list[Tensor]:
+    """The different blocks of columns, each once."""
+    return list({id(one.columns): one.columns for one in made}.values())

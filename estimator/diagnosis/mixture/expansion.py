@@ -1,0 +1,206 @@
+"""Where the readings are taken to be linear in all that may be wrong: a fit with the leading causes, beside the leading departures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.mixture.items import Dictionary, Item
+from estimator.diagnosis.mixture.listed import Start
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.rig.parameters import LogNormal
+from estimator.rig.rig import Cause, Rig
+
+LEAST_POSITIVE = 0.1  # of its usual value: where a fit of a positive quantity starts at least
+
+
+@dataclass(frozen=True)
+class Expansion:
+    """A fit about which the readings are linear.
+
+    Attributes:
+        plain: Of the rig as described.
+        fit: With the causes that lead, to the readings without the departures that lead.
+        departed_T: What these departures change in the measured components.
+        log_prior: Of each of these causes at its start, within the listed ones.
+    """
+
+    plain: Fit
+    fit: Fit
+    departed_T: Float[Tensor, " component"]
+    log_prior: Mapping[Cause, float]
+
+    @classmethod
+    def of(cls, plain: Fit) -> Expansion:
+        """About the rig as described."""
+        return cls(plain, plain, torch.zeros_like(plain.predicted_T), {})
+
+    @cached_property
+    def causes(self) -> tuple[Cause, ...]:
+        """Those that the fit has beyond the rig as described."""
+        return tuple(cause for cause in self.fit.rig.effects if cause not in self.plain.rig.effects)
+
+    @cached_property
+    def _own(self) -> dict[Cause, list[int]]:
+        """Coordinates of each of these causes."""
+        names = self.fit.posterior.coordinates.names
+        return {c: [i for i, name in enumerate(names) if name.startswith(f"{c.label}.")] for c in self.causes}
+
+    @cached_property
+    def _base(self) -> list[int]:
+        """Coordinates of the rig as described."""
+        own = {i for rows in self._own.values() for i in rows}
+        return [i for i in range(self.fit.posterior.coordinates.n) if i not in own]
+
+    @cached_property
+    def prior_precision(self) -> Float[Tensor, "parameter parameter"]:
+        """Of the numbers of the rig as described."""
+        prior = (self.fit.optimum.precision - self.fit.optimum.information)[0]
+        return prior[self._base][:, self._base]
+
+    @cached_property
+    def always(self) -> Projector:
+        """Removes what these numbers can follow."""
+        return Projector.of(self.fit.jacobian[:, self._base], self.prior_precision)
+
+    @cached_property
+    def _missed(self) -> Float[Tensor, " component"]:
+        """Whitened readings less the predictions of the fit."""
+        fit = self.fit
+        missed: Tensor = (fit.posterior.measured_T - fit.predicted_T) * fit.whitening_per_T
+        return missed
+
+    @cached_property
+    def residual(self) -> Float[Tensor, " component"]:
+        """Whitened, without causes and departures and with the rig's numbers at their prior means."""
+        pulled = self.always.jacobian @ self._pulled
+        without = self._missed + pulled + self.departed_T * self.fit.whitening_per_T
+        return without + sum((self._change(cause) for cause in self.causes), torch.zeros_like(without))
+
+    @cached_property
+    def _pulled(self) -> Float[Tensor, " parameter"]:
+        """How far the readings pull the rig's numbers from their prior means: at the maximum as hard as the priors pull back."""
+        pull = self.always.jacobian.T @ self._missed
+        apart: Tensor = torch.linalg.pinv(self.prior_precision, hermitian=True) @ pull
+        return apart
+
+    def _change(self, cause: Cause) -> Float[Tensor, " component"]:
+        """Whitened change of the predictions by a cause, beside the others."""
+        fit = self.fit
+        without = {**fit.values, **fit.null_values(cause)}
+        with torch.no_grad():
+            predicted_T = fit.posterior.measured_components(fit.posterior.model.predict(without).expand(len(fit.observations), 3))
+        change: Tensor = (fit.predicted_T - predicted_T) * fit.whitening_per_T
+        return change
+
+    @cached_property
+    def alone(self) -> Fit:
+        """The fit as if causes and departures were absent, all that the evidence of further columns depends on."""
+        return self.fit.to_first_order(self.always, self.always.rest(self.residual))
+
+    @cached_property
+    def present(self) -> list[Start]:
+        """The causes of the fit: each may still be absent, or have some of its quantities alone.
+
+        Its shift leads from its absence to the fit, in which the columns are taken.
+        """
+        return [self._present(cause) for cause in self.causes]
+
+    def _present(self, cause: Cause) -> Start:
+        fit, rows = self.fit, self._own[cause]
+        circumstances = fit.posterior.model.circumstances
+        quantities = {q.key: q for q in EFFECTS[cause.name].quantities(circumstances.extent)}
+        keys = [fit.posterior.coordinates.names[i].removeprefix(f"{cause.label}.") for i in rows]
+        shift = self._change(cause)
+        sizes, shapes = list[int](), list[Tensor]()
+        for i, key in zip(rows, keys, strict=True):
+            quantity, column = quantities[key], fit.jacobian[:, i]
+            value = fit.values[f"{cause.label}.{key}"]
+            if isinstance(quantity.prior, LogNormal):
+                shift = shift - column * torch.log(value / quantity.prior.median)
+                shapes.append(column * quantity.prior.relative_sd)
+            elif quantity.is_shape:
+                shapes.append(column * quantity.prior.sd)
+            else:
+                shift = shift - column * (value - quantity.null)
+                sizes.append(i)
+        own = [fit.posterior.coordinates.names[i].removeprefix(f"{cause.label}.") for i in sizes]
+        fixed = {key: float(fit.values[f"{cause.label}.{key}"]) for key, q in quantities.items() if q.is_shape}
+        candidate = Candidate(
+            cause,
+            fixed,
+            tuple(own),
+            tuple(quantities[key].unit for key in own),
+            shift,
+            fit.jacobian[:, sizes],
+            fit.vector.new_tensor([quantities[key].prior.sd for key in own]),
+            tuple(k for k, key in enumerate(own) if quantities[key].prior.lower >= quantities[key].null),
+        )
+        stacked = torch.stack(shapes, dim=1) if shapes else shift.new_zeros(len(shift), 0)
+        return Start(candidate, self.log_prior[cause], stacked)
+
+    def moved(self, dictionary: Dictionary, chosen: Sequence[int], sizes: Float[Tensor, " column"]) -> Expansion:
+        """The expansion about a fit with other causes, beside other departures.
+
+        Args:
+            dictionary: At this expansion.
+            chosen: The items that lead.
+            sizes: Coefficients of their columns, one item after the other.
+        """
+        items = [dictionary.items[i] for i in chosen]
+        departed_T, start = torch.zeros_like(self.departed_T), dict[str, Tensor | float]()
+        rig, first, log_prior = self.plain.rig, 0, dict[Cause, float]()
+        left = self.residual.clone()
+        for item in items:
+            own = sizes[first : first + len(item.columns)]
+            first += len(item.columns)
+            changed = dictionary.columns[:, list(item.columns)] @ own
+            left -= changed if item.shift is None else changed + dictionary.columns[:, item.shift]
+            if item.is_listed:
+                rig = self._with(rig, item)
+                start |= self._start(rig, item, own)
+                log_prior[item.cause] = item.log_prior_of_start
+            else:
+                departed_T += changed / self.fit.whitening_per_T
+        readings = self.plain.observations
+        field_T = readings.field_sensor_T.clone()
+        field_T[readings.is_measured] -= departed_T
+        cleaned = readings if not bool(departed_T.any()) else readings.with_field(field_T)
+        rules = self.plain.posterior.model.rules
+        fit = fit_rig(rig, cleaned, {**self.fit.values, **start}, rules, other_start=self._moved(left))
+        return Expansion(self.plain, fit, departed_T, log_prior)
+
+    def _moved(self, left: Float[Tensor, " component"]) -> dict[str, Tensor]:
+        """The rig's numbers in the linear model, given what the items leave of the readings."""
+        always = self.always
+        fitted = always.factor @ (always.factor.T @ (always.jacobian.T @ left))
+        vector = self.fit.vector[self._base] + fitted - self._pulled
+        with torch.no_grad():
+            return dict(self.plain.posterior.coordinates.values(vector))
+
+    def _start(self, rig: Rig, item: Item, sizes: Float[Tensor, " column"]) -> dict[str, Tensor | float]:
+        """Values of a listed cause in the linear model."""
+        label = item.cause.label
+        own = {name: p for name, p in rig.parameters.items() if name.startswith(f"{label}.")}
+        start: dict[str, Tensor | float] = {name: p.value for name, p in own.items()}
+        if item.cause in self.causes:
+            start |= {name: value for name, value in self.fit.values.items() if name in own}
+            start |= self.fit.null_values(item.cause)
+        for key, size in zip(item.keys, sizes, strict=False):
+            name = f"{label}.{key}"
+            value = float(start[name]) + float(size)
+            start[name] = max(value, LEAST_POSITIVE * float(own[name].value)) if own[name].is_positive else value
+        return start
+
+    def _with(self, rig: Rig, item: Item) -> Rig:
+        circumstances = self.plain.posterior.model.circumstances
+        return with_effect(rig, item.cause, self.plain.observations, item.start, circumstances=circumstances)

@@ -1,0 +1,65 @@
+"""Whether what the readings say holds in halves of them: complementary halves of blocks of places and times.
+
+Structure that no item describes makes slots fill with what resembles it in these readings; in other readings something else resembles it
+(docs/explanation/how-a-cause-is-named.md).
+
+References:
+    Meinshausen and Buehlmann, J. R. Stat. Soc. B 72, 417 (2010); Shah and Samworth, ibid. 75, 55 (2013): complementary pairs.
+    Huggins and Miller, Bayesian Analysis 18, 79 (2023): posteriors of misspecified models.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from scipy.cluster.vq import kmeans2
+from torch import Tensor
+
+from estimator.devices import numpy_of
+from estimator.geometry.motion import base_from_motion
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+
+N_BLOCKS, LEAST_IN_A_BLOCK = 30, 3
+WEIGHT_OF_TIME = 3.0  # of the whole session over a standard deviation of the positions
+
+
+def blocks_of(observations: Observations, rig: Rig, seed: int) -> Int[np.ndarray, " reading"]:
+    """Block of each reading: readings near each other in place and time are in one."""
+    n = len(observations)
+    order = np.argsort(np.argsort(numpy_of(observations.time_s), kind="stable"), kind="stable")
+    coordinates = [WEIGHT_OF_TIME * (order / n - 0.5)]
+    for mover in rig.movers:
+        position_m = numpy_of(base_from_motion(mover, observations.motion[mover.name]).translation_m)
+        spread_m = position_m.std()
+        if spread_m > 0.0:
+            coordinates += list(((position_m - position_m.mean(0)) / spread_m).T)
+    n_blocks = max(2, min(N_BLOCKS, n // LEAST_IN_A_BLOCK))
+    _, block = kmeans2(np.column_stack(coordinates), n_blocks, minit="++", seed=seed)
+    return np.unique(block, return_inverse=True)[1]
+
+
+def halves(block: Int[np.ndarray, " reading"], n_pairs: int, seed: int) -> Iterator[np.ndarray]:
+    """Which readings each half has; halves come in complementary pairs of blocks.
+
+    Examples:
+        >>> first, second = halves(np.array([0, 0, 1, 1]), 1, seed=1)
+        >>> bool((first ^ second).all())
+        True
+    """
+    random = np.random.default_rng(seed)
+    n_blocks = int(block.max()) + 1
+    for _ in range(n_pairs):
+        chosen = np.isin(block, random.permutation(n_blocks)[: n_blocks // 2])
+        yield chosen
+        yield ~chosen
+
+
+def weight_of(is_in: np.ndarray, is_measured: Tensor) -> Float[Tensor, " component"]:
+    """1 for the measured components of readings of a half, 0 for others."""
+    by_reading = torch.from_numpy(is_in.astype(float))[:, None].expand(-1, 3)
+    weight: Tensor = by_reading[is_measured.cpu()]
+    return weight

@@ -1,0 +1,69 @@
+"""Items of the dictionary of what may be wrong: a listed cause or a departure, each at one start, with some of its quantities and one width."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.mixture.links import Link
+from estimator.rig.rig import Cause
+
+
+@dataclass(frozen=True)
+class Item:
+    """One thing that may be wrong.
+
+    Attributes:
+        cause: Name and place.
+        is_listed: A cause with a name; else a departure.
+        link: Where in the chain it acts.
+        start: Its shapes.
+        keys: Quantities that its columns belong to.
+        columns: Their numbers in the dictionary.
+        widths: Prior standard deviation of each, in units of its column.
+        shift: Number of the column by which its start changes the predictions; None where it does not.
+        log_prior: Among all items.
+        is_one_sided: Its only quantity cannot be negative.
+        log_prior_of_start: Of a listed cause, whatever its quantities and their widths.
+    """
+
+    cause: Cause
+    is_listed: bool
+    link: Link
+    start: dict[str, float]
+    keys: tuple[str, ...]
+    columns: tuple[int, ...]
+    widths: tuple[float, ...]
+    shift: int | None
+    log_prior: float
+    is_one_sided: bool = False
+    log_prior_of_start: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """Items with the same name do not stand beside each other: those of a listed cause; those of a departure at one start."""
+        if self.is_listed or not self.start:
+            return self.cause.label
+        return f"{self.cause.label} {sorted(self.start.items())}"
+
+
+@dataclass(frozen=True)
+class Dictionary:
+    """All items at one fit.
+
+    Attributes:
+        items: What may be wrong.
+        columns: Whitened changes of the predictions: of quantities, and of starts.
+        residual: Whitened, with every item absent and the rig's numbers at their prior means.
+        always: Removes what is always there: the rig's numbers within their priors.
+        prior_precision: Of these.
+    """
+
+    items: tuple[Item, ...]
+    columns: Float[Tensor, "component column"]
+    residual: Float[Tensor, " component"]
+    always: Projector
+    prior_precision: Float[Tensor, "parameter parameter"]

@@ -1,0 +1,175 @@
+"""Items of the listed causes: each cause at each place and start, whole and by some of its quantities, at several widths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.candidates import Candidate, at_starts
+from estimator.diagnosis.hypotheses.instants import instants_in, starts_nearer
+from estimator.diagnosis.hypotheses.screening import products_of
+from estimator.diagnosis.mixture import priors
+from estimator.effects.circumstances import UNTIL
+from estimator.rig.rig import Cause
+
+WITHIN = 12.0  # of the log posterior of the best item of a cause: what is further below cannot matter beside it
+MOST_PER_CAUSE, MOST_OF_FAINT = 10, 2
+FAINT = -6.0  # log posterior of the best item of a cause against nothing: fainter ones are there to be counted
+WORTH_AN_INSTANT = -3.0  # log posterior of the best coarse start against nothing from which on finer instants are asked
+LEAST_SEEN = 0.1  # of the noise, in all readings together: what shows less cannot be told from nothing
+
+
+@dataclass(frozen=True)
+class Start:
+    """A cause at one start.
+
+    Attributes:
+        candidate: With its columns.
+        log_prior: Of this cause and start, within the listed causes.
+        shapes: Columns of shapes that are free, in units of their priors; None where its start is all that is known of them.
+    """
+
+    candidate: Candidate
+    log_prior: float
+    shapes: Tensor | None = None
+
+
+@dataclass(frozen=True)
+class Offered:
+    """One item before its columns have numbers.
+
+    Attributes:
+        start: Cause, start and columns.
+        subset: Its quantities.
+        width: Factor on their stated widths.
+        log_prior: Within the listed causes.
+    """
+
+    start: Start
+    subset: tuple[int, ...]
+    width: float
+    log_prior: float
+
+
+def starts_of(fit: Fit, pool: Sequence[Candidate]) -> list[Start]:
+    """Candidates that some reading would show, with their priors: names alike, then places, then starts."""
+    pool = [one for one in pool if _is_seen(fit, one)]
+    places: dict[str, set[str]] = {}
+    n_starts: dict[Cause, int] = {}
+    for one in pool:
+        places.setdefault(one.cause.name, set()).add(one.cause.place)
+        n_starts[one.cause] = n_starts.get(one.cause, 0) + 1
+    return [
+        Start(one, -math.log(len(places) * len(places[one.cause.name]) * n_starts[one.cause])) for one in pool
+    ]
+
+
+def _is_seen(fit: Fit, candidate: Candidate) -> bool:
+    reached = (fit.projector.norms(candidate.columns) * candidate.prior_sd).max()
+    return float(reached) > LEAST_SEEN or not candidate.is_at_null
+
+
+def offered(fit: Fit, starts: Sequence[Start]) -> list[Offered]:
+    """The items of each cause that are not far less probable than its best one, at instants between any two readings.
+
+    Args:
+        fit: Whose residual is asked.
+        starts: Of all causes, at coarse instants.
+    """
+    weighed = list(_weighed(fit, starts))
+    best: dict[Cause, tuple[float, Start]] = {}
+    for value, item in weighed:
+        cause = item.start.candidate.cause
+        if cause not in best or value > best[cause][0]:
+            best[cause] = value, item.start
+    finer = [
+        more
+        for value, start in best.values()
+        if value > WORTH_AN_INSTANT
+        for more in _at_finer_instants(fit, start)
+    ]
+    return _most_probable([*weighed, *_weighed(fit, finer)])
+
+
+def present_items(starts: Sequence[Start]) -> list[Offered]:
+    """The items of causes that a fit has."""
+    return [item for start in starts for item in _items(start)]
+
+
+def again(
+    fit: Fit, starts: Sequence[Start], cause: Cause, shapes: dict[str, float]
+) -> list[Start]:
+    """A cause at shapes that an earlier fit has found, with the prior of its other starts; none where the fit has it."""
+    log_prior = [start.log_prior for start in starts if start.candidate.cause == cause]
+    if not log_prior or not shapes:
+        return []
+    return [Start(one, log_prior[0]) for one in at_starts(fit, cause, [shapes])]
+
+
+def _at_finer_instants(fit: Fit, start: Start) -> list[Start]:
+    """Starts of a cause at instants between readings near its coarse ones, which share its prior."""
+    circumstances, candidate = fit.posterior.model.circumstances, start.candidate
+    keys = instants_in(candidate.shapes)
+    coarse_h = circumstances.coarse_instants_h if UNTIL in keys else circumstances.instants_h
+    result = list[Start]()
+    for key in keys:
+        nearer = starts_nearer(circumstances, coarse_h, candidate.shapes, key)
+        if len(nearer) > 1:
+            log_prior = start.log_prior - math.log(len(nearer))
+            result += [Start(one, log_prior) for one in at_starts(fit, candidate.cause, nearer)]
+    return result
+
+
+def _items(start: Start) -> Iterator[Offered]:
+    """Half of the prior is for all quantities together, half for some of them."""
+    subsets = start.candidate.subsets
+    for subset in subsets:
+        share = 0.5 if subset == subsets[-1] else 0.5 / (len(subsets) - 1)
+        for width, weight in priors.WIDTHS:
+            log_share = math.log(weight * (1.0 if len(subsets) == 1 else share))
+            yield Offered(start, subset, width, start.log_prior + log_share)
+
+
+def _weighed(fit: Fit, starts: Sequence[Start]) -> Iterator[tuple[float, Offered]]:
+    """Log posterior, alone and up to a constant, of every item of some starts."""
+    pool = [start.candidate for start in starts]
+    for some, products in products_of(fit, pool):
+        gram = products.gram(fit.projector)
+        score = products.score[:, :-1] - gram[:, :-1, -1]
+        started = products.score[:, -1] - 0.5 * gram[:, -1, -1]
+        prior_sd = torch.stack([pool[i].prior_sd for i in some])
+        by_item = [
+            started + _log_bayes_factor(gram[:, rows][:, :, rows], score[:, rows], prior_sd[:, rows] * width)
+            for subset in pool[some[0]].subsets
+            for rows in [torch.tensor(subset)]
+            for width, _ in priors.WIDTHS
+        ]
+        for i, values in zip(some, torch.stack(by_item, dim=1).tolist(), strict=True):
+            yield from ((v + item.log_prior, item) for v, item in zip(values, _items(starts[i]), strict=True))
+
+
+def _most_probable(weighed: Sequence[tuple[float, Offered]]) -> list[Offered]:
+    by_cause: dict[Cause, list[tuple[float, Offered]]] = {}
+    for value, item in weighed:
+        by_cause.setdefault(item.start.candidate.cause, []).append((value, item))
+    kept = []
+    for ranked in by_cause.values():
+        ranked.sort(key=lambda pair: -pair[0])
+        best = ranked[0][0]
+        most = MOST_PER_CAUSE if best > FAINT else MOST_OF_FAINT
+        kept += [item for value, item in ranked[:most] if value > best - WITHIN]
+    return kept
+
+
+def _log_bayes_factor(gram: Tensor, score: Tensor, width: Tensor) -> Tensor:
+    """Log Bayes factor of columns with normal priors, of a known noise."""
+    scaled = gram * width[:, :, None] * width[:, None, :]
+    factor, failed = torch.linalg.cholesky_ex(scaled + torch.eye(gram.shape[-1]).to(gram))
+    reached = torch.linalg.solve_triangular(factor, (score * width)[:, :, None], upper=False)
+    value = 0.5 * reached.square().sum((1, 2)) - torch.diagonal(factor, dim1=1, dim2=2).log().sum(1)
+    return torch.where(failed == 0, value, -math.inf)
