@@ -22,6 +22,7 @@ from estimator.rig.rig import Cause
 N_PAIRS = 3  # of complementary halves
 STATED = 0.9  # probability from which on a cause is stated
 ALTERNATIVE = 0.05  # share of a slot from which on something is an alternative to what is there
+LEAST_IN_HALVES = 1e-5  # largest probability of an item beside others, with all readings, from which on halves are asked about it
 ASKED = 0.2  # probability of a cause from which on a set is made about it
 
 
@@ -180,12 +181,15 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
         n_pairs: Of complementary halves.
     """
     asked = climbed(plain, limits, seed)
+    kept = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
+    few = asked.dictionary.restricted(kept)
     readings = plain.observations
     block = blocks_of(readings, plain.rig, seed)
     of_halves = list[Samples]()
     for i, is_in in enumerate(halves(block, n_pairs, seed)):
         if limits.is_over:
             break
-        products = Products(asked.dictionary, weight_of(is_in, readings.is_measured))
-        of_halves.append(Slots(products, asked.slots.noise).sample(SWEEPS, BURN_IN, seed + i))
+        products = Products(few, weight_of(is_in, readings.is_measured))
+        samples = Slots(products, asked.slots.noise).sample(SWEEPS, BURN_IN, seed + i)
+        of_halves.append(samples.renumbered(kept, len(asked.dictionary.items)))
     return Answer(asked, tuple(of_halves))

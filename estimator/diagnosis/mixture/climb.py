@@ -25,7 +25,7 @@ from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
-SWEEPS, BURN_IN = 60, 15
+SWEEPS, BURN_IN = 40, 10
 
 
 @dataclass(frozen=True)

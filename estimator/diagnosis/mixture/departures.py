@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -18,7 +18,7 @@ from estimator.diagnosis.mixture.links import Link, link_of
 from estimator.rig.rig import Cause
 from estimator.side_by_side import each
 
-SAME = 1e-3  # of columns: what is left of those that a listed cause has too
+SAME = 1e-6  # of the square of columns: what is left of those that a listed cause has too
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
 
@@ -61,27 +61,33 @@ def departures(fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:
     for kind in kinds:
         by_link.setdefault(link_of(kind.effect), set()).add(kind.cause.name)
         places[kind.cause.name] = places.get(kind.cause.name, 0) + 1
-    result = []
+    result, bases = [], _bases(listed)
     for kind, made in zip(kinds, each(lambda kind: _of_kind(fit, kind), kinds), strict=True):
         n = len(by_link) * len(by_link[link_of(kind.effect)]) * places[kind.cause.name]
         result += [
             Departure(kind, start, keys, columns, widths, share - math.log(n * len(priors.AMPLITUDES)))
             for start, keys, columns, widths, share in made
-            if not _is_listed(columns[:, : len(keys)], listed)
+            if not _is_listed(columns[:, : len(keys)] * columns.new_tensor(widths), bases)
         ]
     return result
 
 
-def _is_listed(columns: Float[Tensor, "component column"], listed: Sequence[Candidate]) -> bool:
-    """Whether a listed cause changes the readings in the same ways."""
+def _bases(listed: Sequence[Candidate]) -> dict[int, list[Tensor]]:
+    """Orthonormal bases of what listed causes change in the readings, by their number of columns."""
+    result: dict[int, list[Tensor]] = {}
     for candidate in listed:
-        if candidate.columns.shape[1] == columns.shape[1] and candidate.is_at_null:
+        if candidate.is_at_null:
             scale = candidate.columns.square().sum(0).sqrt().clamp(min=1e-300)
             basis = torch.linalg.qr(candidate.columns / scale).Q
-            left = columns - basis @ (basis.T @ columns)
-            if float(left.square().sum()) < SAME**2 * float(columns.square().sum()):
-                return True
-    return False
+            result.setdefault(basis.shape[1], []).append(basis)
+    return result
+
+
+def _is_listed(columns: Float[Tensor, "component column"], bases: Mapping[int, Sequence[Tensor]]) -> bool:
+    """Whether a listed cause changes the readings in the same ways."""
+    square = float(columns.square().sum())
+    same = bases.get(columns.shape[1], ())
+    return any(square - float((basis.T @ columns).square().sum()) < SAME * square for basis in same)
 
 
 _Made = tuple[dict[str, float], tuple[str, ...], Tensor, tuple[float, ...], float]
@@ -141,8 +147,3 @@ def _best_evidence(fit: Fit, columns: Float[Tensor, "start component column"]) -
         value = 0.5 * reached.square().sum((1, 2)) - torch.diagonal(factor, dim1=1, dim2=2).log().sum(1)
         best = best.maximum(torch.where(failed == 0, value, -math.inf))
     return best
-
-
-def distinct(made: Sequence[Departure]) -> list[Tensor]:
-    """The different blocks of columns, each once."""
-    return list({id(one.columns): one.columns for one in made}.values())

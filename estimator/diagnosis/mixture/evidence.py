@@ -15,6 +15,7 @@ from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.inference.positive_definite import lower_factor
 
 RIDGE = 1e-10  # of the square of a column: what rounding leaves of those that the rig's numbers follow
+SMALL = 4  # number of columns below which none are added
 
 
 @dataclass(frozen=True)
@@ -61,11 +62,12 @@ class Products:
     def _groups(self) -> list[Alike]:
         by_size: dict[int, list[int]] = {}
         for i, item in enumerate(self.items):
-            by_size.setdefault(len(item.columns), []).append(i)
+            by_size.setdefault(_padded(len(item.columns)), []).append(i)
         groups = []
-        for members in by_size.values():
-            columns = torch.tensor([self.items[i].columns for i in members])
-            widths = self.gram.new_tensor([self.items[i].widths for i in members])
+        for size, members in by_size.items():
+            lack = {i: size - len(self.items[i].columns) for i in members}
+            columns = torch.tensor([(*self.items[i].columns, *[self.empty] * lack[i]) for i in members])
+            widths = self.gram.new_tensor([(*self.items[i].widths, *[0.0] * lack[i]) for i in members])
             shift = torch.tensor([self._shift(self.items[i]) for i in members])
             gram = self.gram[columns[:, :, None], columns[:, None, :]] * widths[:, :, None] * widths[:, None, :]
             one_sided = torch.tensor([self.items[i].is_one_sided for i in members])
@@ -169,3 +171,13 @@ def _with_unit_prior(gram: Float[Tensor, "*batch column column"]) -> Float[Tenso
     diagonal = torch.diagonal(gram, dim1=-2, dim2=-1)
     precision: Tensor = gram + torch.diag_embed(1.0 + RIDGE * diagonal.abs())
     return precision
+
+
+def _padded(n: int) -> int:
+    """Number of columns with empty ones, so that many items are computed at once: a small number, or the next 4, 8, 16, 32 ... beyond.
+
+    Examples:
+        >>> [_padded(n) for n in (1, 2, 3, 4, 5, 9, 33)]
+        [1, 2, 3, 4, 8, 16, 64]
+    """
+    return n if n < SMALL else 1 << (n - 1).bit_length()

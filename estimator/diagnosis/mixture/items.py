@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from jaxtyping import Float
 from torch import Tensor
@@ -67,3 +68,20 @@ class Dictionary:
     residual: Float[Tensor, " component"]
     always: Projector
     prior_precision: Float[Tensor, "parameter parameter"]
+
+    def restricted(self, kept: Sequence[int]) -> Dictionary:
+        """Some of the items, with the columns that these have."""
+        used = dict[int, int]()
+        for i in kept:
+            item = self.items[i]
+            for column in (*item.columns, *(() if item.shift is None else (item.shift,))):
+                used.setdefault(column, len(used))
+        items = tuple(
+            replace(
+                item,
+                columns=tuple(used[column] for column in item.columns),
+                shift=None if item.shift is None else used[item.shift],
+            )
+            for item in (self.items[i] for i in kept)
+        )
+        return replace(self, items=items, columns=self.columns[:, list(used)])

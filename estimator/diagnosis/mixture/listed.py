@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
+from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
@@ -81,19 +82,15 @@ def offered(fit: Fit, starts: Sequence[Start]) -> list[Offered]:
         fit: Whose residual is asked.
         starts: Of all causes, at coarse instants.
     """
-    weighed = list(_weighed(fit, starts))
-    best: dict[Cause, tuple[float, Start]] = {}
-    for value, item in weighed:
-        cause = item.start.candidate.cause
-        if cause not in best or value > best[cause][0]:
-            best[cause] = value, item.start
-    finer = [
-        more
-        for value, start in best.values()
-        if value > WORTH_AN_INSTANT
-        for more in _at_finer_instants(fit, start)
-    ]
-    return _most_probable([*weighed, *_weighed(fit, finer)])
+    weighed = _weighed(fit, starts)
+    finer = list[Start]()
+    for by_item in weighed.values():
+        best = max(by_item, key=lambda one: float(one.values.max()))
+        if float(best.values.max()) > WORTH_AN_INSTANT:
+            finer += _at_finer_instants(fit, best.start)
+    for cause, by_item in _weighed(fit, finer).items():
+        weighed[cause] += by_item
+    return [item for by_item in weighed.values() for item in _most_probable(by_item)]
 
 
 def present_items(starts: Sequence[Start]) -> list[Offered]:
@@ -125,45 +122,65 @@ def _at_finer_instants(fit: Fit, start: Start) -> list[Start]:
     return result
 
 
-def _items(start: Start) -> Iterator[Offered]:
+def _items(start: Start) -> list[Offered]:
     """Half of the prior is for all quantities together, half for some of them."""
-    subsets = start.candidate.subsets
+    return [
+        Offered(start, subset, width, start.log_prior + share)
+        for (subset, width), share in zip(*_choices(start.candidate), strict=True)
+    ]
+
+
+def _choices(candidate: Candidate) -> tuple[list[tuple[tuple[int, ...], float]], list[float]]:
+    """Quantities and factors on their widths, and log priors of these."""
+    subsets = candidate.subsets
+    each, log_priors = [], []
     for subset in subsets:
         share = 0.5 if subset == subsets[-1] else 0.5 / (len(subsets) - 1)
         for width, weight in priors.WIDTHS:
-            log_share = math.log(weight * (1.0 if len(subsets) == 1 else share))
-            yield Offered(start, subset, width, start.log_prior + log_share)
+            each.append((subset, width))
+            log_priors.append(math.log(weight * (1.0 if len(subsets) == 1 else share)))
+    return each, log_priors
 
 
-def _weighed(fit: Fit, starts: Sequence[Start]) -> Iterator[tuple[float, Offered]]:
-    """Log posterior, alone and up to a constant, of every item of some starts."""
+@dataclass(frozen=True)
+class _Weighed:
+    """Log posterior of every item of one start, up to a constant."""
+
+    start: Start
+    values: Float[Tensor, " item"]
+
+
+def _weighed(fit: Fit, starts: Sequence[Start]) -> dict[Cause, list[_Weighed]]:
+    """Every item, weighed alone, by its cause."""
     pool = [start.candidate for start in starts]
+    result: dict[Cause, list[_Weighed]] = {}
     for some, products in products_of(fit, pool):
         gram = products.gram(fit.projector)
         score = products.score[:, :-1] - gram[:, :-1, -1]
         started = products.score[:, -1] - 0.5 * gram[:, -1, -1]
         prior_sd = torch.stack([pool[i].prior_sd for i in some])
-        by_item = [
-            started + _log_bayes_factor(gram[:, rows][:, :, rows], score[:, rows], prior_sd[:, rows] * width)
-            for subset in pool[some[0]].subsets
-            for rows in [torch.tensor(subset)]
-            for width, _ in priors.WIDTHS
-        ]
-        for i, values in zip(some, torch.stack(by_item, dim=1).tolist(), strict=True):
-            yield from ((v + item.log_prior, item) for v, item in zip(values, _items(starts[i]), strict=True))
+        choices, log_priors = _choices(pool[some[0]])
+        by_choice = []
+        for subset, width in choices:
+            rows = torch.tensor(subset)
+            own = gram[:, rows[:, None], rows]
+            by_choice.append(started + _log_bayes_factor(own, score[:, rows], prior_sd[:, rows] * width))
+        values = torch.stack(by_choice, dim=1) + gram.new_tensor(log_priors)
+        for i, of_start in zip(some, values, strict=True):
+            start = starts[i]
+            result.setdefault(start.candidate.cause, []).append(_Weighed(start, of_start + start.log_prior))
+    return result
 
 
-def _most_probable(weighed: Sequence[tuple[float, Offered]]) -> list[Offered]:
-    by_cause: dict[Cause, list[tuple[float, Offered]]] = {}
-    for value, item in weighed:
-        by_cause.setdefault(item.start.candidate.cause, []).append((value, item))
-    kept = []
-    for ranked in by_cause.values():
-        ranked.sort(key=lambda pair: -pair[0])
-        best = ranked[0][0]
-        most = MOST_PER_CAUSE if best > FAINT else MOST_OF_FAINT
-        kept += [item for value, item in ranked[:most] if value > best - WITHIN]
-    return kept
+def _most_probable(by_start: Sequence[_Weighed]) -> list[Offered]:
+    """The items of one cause that may matter."""
+    values = torch.cat([one.values for one in by_start])
+    best = float(values.max())
+    most = MOST_PER_CAUSE if best > FAINT else MOST_OF_FAINT
+    top = values.topk(min(most, len(values)))
+    n = len(by_start[0].values)
+    kept = [i for i, value in zip(top.indices.tolist(), top.values.tolist(), strict=True) if value > best - WITHIN]
+    return [_items(by_start[i // n].start)[i % n] for i in kept]
 
 
 def _log_bayes_factor(gram: Tensor, score: Tensor, width: Tensor) -> Tensor:

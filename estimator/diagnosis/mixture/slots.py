@@ -61,6 +61,7 @@ class Samples:
         n_items: In the dictionary.
         models: How often each set of items was drawn.
         conditional: Sum over draws of the probability of each item beside the others.
+        largest: The largest of these probabilities.
         beside: By item that was drawn, the sum of the conditional probabilities of all items of its slot.
         n: Number of draws.
     """
@@ -68,18 +69,21 @@ class Samples:
     n_items: int
     models: dict[tuple[int, ...], float] = field(default_factory=lambda: defaultdict(float))
     conditional: np.ndarray = field(init=False)
+    largest: np.ndarray = field(init=False)
     beside: dict[int, np.ndarray] = field(default_factory=dict)
     noises: Counter[int] = field(default_factory=Counter)
     n: int = 0
 
     def __post_init__(self) -> None:
-        self.conditional = np.zeros(self.n_items)
+        self.conditional, self.largest = np.zeros(self.n_items), np.zeros(self.n_items)
 
     def add(self, rest: Sequence[int], probability: np.ndarray, drawn: int | None) -> None:
         """Add one draw of one slot."""
         self.n += 1
         self.conditional += probability
         self.conditional[list(rest)] += 1.0
+        np.maximum(self.largest, probability, out=self.largest)
+        self.largest[list(rest)] = 1.0
         if drawn is not None:
             if drawn not in self.beside:
                 self.beside[drawn] = np.zeros(self.n_items)
@@ -96,6 +100,22 @@ class Samples:
             for drawn, conditional in samples.beside.items():
                 both.beside[drawn] = both.beside.get(drawn, 0.0) + weight * conditional
         return both
+
+    def renumbered(self, numbers: Sequence[int], n_items: int) -> Samples:
+        """The same draws where items have other numbers, among more items."""
+        index = np.asarray(numbers, dtype=int)
+
+        def spread(values: np.ndarray) -> np.ndarray:
+            among = np.zeros(n_items)
+            among[index] = values
+            return among
+
+        other = Samples(n_items, n=self.n, noises=self.noises)
+        other.conditional, other.largest = spread(self.conditional), spread(self.largest)
+        other.beside = {numbers[drawn]: spread(values) for drawn, values in self.beside.items()}
+        for model, n in self.models.items():
+            other.models[tuple(sorted(numbers[i] for i in model))] += n
+        return other
 
     def holding(self, items: Sequence[int]) -> float:
         """Share of the draws that hold at least one of some items."""
