@@ -188,7 +188,6 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     from estimator.diagnosis.headline import difference_words, headline, held_back, tension_words
     from estimator.diagnosis.hypotheses.step import leaves_structure
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
-    from estimator.diagnosis.verdict import Verdict
     from estimator.reporting.numbers import interval_with_unit, odds, percent, probability, quantity_words
 
     left_open, improvement = diagnosis.left_open, diagnosis.improvement
@@ -213,7 +212,7 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
         lines.append(
             f"  {EXTENDED_RIG} also has {names}: needed here, but something unknown may look like them"
         )
-    if diagnosis.verdict is Verdict.UNEXPLAINED:
+    if diagnosis.verdict.leaves_something:
         remainder = diagnosis.findings.search.remainder
         lines.append(
             f"  {odds(remainder.log_bayes_factor)} that something is left beside the causes, which depends on {remainder.family}"

@@ -31,6 +31,7 @@ from estimator.diagnosis.hypotheses.search import search
 from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import answer
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.outcome import Outcome
@@ -142,7 +143,7 @@ def diagnose(
                 result, unseen = judged(first)
     session = first.session
     seen = session.observations.calibration
-    is_changed = bool(result.fits.final.rig.effects) or result.verdict is Verdict.UNEXPLAINED
+    is_changed = bool(result.fits.final.rig.effects) or result.verdict.leaves_something
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()) and not limits.stopped.is_set():
         tell("sampling the posterior of the extended rig")
         inside = None if folder is None else folder / CALIBRATION_FOLDER
@@ -233,7 +234,7 @@ def _cut_short(result: Diagnosis, limits: Limits) -> Diagnosis:
 def _is_in_doubt(result: Diagnosis) -> bool:
     """Whether something is unexplained, or explained by scatter alone."""
     is_scatter = any(isinstance(EFFECTS[named.cause.name], NoiseEffect) for named in result.causes)
-    return result.verdict is Verdict.UNEXPLAINED or is_scatter
+    return result.verdict.leaves_something or is_scatter
 
 
 def _judged(
@@ -252,6 +253,9 @@ def _judged(
         place, lambda fit: _found(fit, first.refusal, limits, tell, on_progress), plain
     )
     outcome = Outcome.of(plain, search_result, mistakes, is_record_wrong=bool(first.flags or mistakes))
+    if outcome.is_doubtful and not limits.is_over:
+        tell("asking which causes stand beside what no list holds")
+        outcome = outcome.partly(answer(search_result.base, limits, seed))
     tell("validating on readings not used for fitting")
     if len(seen) > len(plain.observations):
         outcome = outcome.fitted_to(thinned(seen, policy.MOST_READINGS_FITTED, seed))
@@ -259,10 +263,10 @@ def _judged(
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
         outcome = outcome.checked_by(unseen)
-    if outcome.verdict is Verdict.UNEXPLAINED and has_corrections:
+    if outcome.verdict.leaves_something and has_corrections:
         tell("correcting what is left, without a name")
         outcome = outcome.corrected(unseen, place, tell, limits)
-    elif outcome.verdict is Verdict.UNEXPLAINED:
+    elif outcome.verdict.leaves_something:
         outcome = outcome.widened(unseen)
     named, extended = outcome.named, outcome.extended
     before = symptoms()
@@ -277,6 +281,7 @@ def _judged(
             flags=first.flags,
             judging_flags=tuple(judging_flags),
             outliers=tuple(outliers_of(outcome.after, first.session.observations)),
+            mixture=outcome.mixture,
         ),
         fits=Fits(
             plain=plain,

@@ -13,7 +13,7 @@ from estimator.diagnosis.gain_in_words import gained, misses
 from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.part_by_part import part_by_part
-from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis
+from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis, label_of
 from estimator.diagnosis.sizes import Difference
 from estimator.diagnosis.structure.families.position import is_of_coil
 from estimator.diagnosis.structure.pull import pull_of
@@ -39,6 +39,7 @@ from estimator.rig.rig import Cause
 MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_SIZES = 2
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
+MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
 MOST_TENSIONS = 3  # that are listed one by one
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
@@ -141,8 +142,11 @@ def _what(diagnosis: Diagnosis) -> str:
         return _doubts(diagnosis) or f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
     wrong = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
     wrong += _causes(diagnosis)
-    if diagnosis.verdict is not Verdict.UNEXPLAINED:
+    if not diagnosis.verdict.leaves_something:
         return f"{_capital('; '.join(wrong))}."
+    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:
+        mistakes = [f"{_capital(words)} ({label})." for label, words in _mistakes(diagnosis)]
+        return " ".join([*mistakes, *stated_causes(diagnosis), *beside_causes(diagnosis)])
     search = diagnosis.findings.search
     remainder = search.remainder
     if _is_pulled(diagnosis):
@@ -156,7 +160,45 @@ def _what(diagnosis: Diagnosis) -> str:
         what = "what it misses" if is_of_all else "what is left beside the causes that were taken"
         dependence = f"{misses(diagnosis)}; {what} depends on {_plain(remainder.family)}"
     unknown = f"Something is wrong that no known cause explains: {dependence}"
-    return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
+    found = f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
+    return " ".join([found, *beside_causes(diagnosis)])
+
+
+def stated_causes(diagnosis: Diagnosis) -> list[str]:
+    """One sentence for each cause that is stated beside something unexplained, with what else it may be."""
+    sentences = []
+    for named in diagnosis.causes:
+        others = "".join(
+            f", or {EFFECTS[other.cause.name].words} ({diagnosis.label(other.cause)}, {probability(other.probability)})"
+            for other in named.alternatives
+        )
+        words, label = EFFECTS[named.cause.name].words, diagnosis.label(named.cause)
+        sentences.append(f"{_capital(words)} ({label}, {probability(named.probability)}){others}.")
+    return sentences
+
+
+def beside_causes(diagnosis: Diagnosis) -> list[str]:
+    """What else is probable: first what no list holds, then listed causes that are not sure enough to be stated."""
+    mixture = diagnosis.findings.mixture
+    if mixture is None:
+        return []
+    unlisted, faint = list[str](), list[str]()
+    for found in mixture.beside:
+        each = " or ".join(
+            f"{EFFECTS[one.cause.name].words} ({label_of(one.cause, diagnosis.rig)}, {probability(found.probability * one.share)})"
+            for one in found.possibilities[:MOST_BESIDE]
+        )
+        (faint if found.first.is_listed else unlisted).append(each)
+    sentences = []
+    if unlisted:
+        sentences.append(f"No listed cause explains this: {'; '.join(unlisted)}.")
+    elif diagnosis.causes:
+        sentences.append(
+            "Something is left beside that no listed cause explains, and the readings do not tell where it sits."
+        )
+    if faint:
+        sentences.append(f"Not sure enough to be stated: {'; '.join(faint)}.")
+    return sentences
 
 
 def _doubts(diagnosis: Diagnosis) -> str:
@@ -342,7 +384,7 @@ def _next(diagnosis: Diagnosis) -> str:
         return f"Check {_pulled(diagnosis)[0]} in the rig file; state a wider prior if such a value is possible, and diagnose again."
     if (correction := diagnosis.fits.correction) is not None and correction.is_taken:
         return correction.words(diagnosis.label)
-    if diagnosis.verdict is Verdict.UNEXPLAINED:
+    if diagnosis.verdict.leaves_something:
         return "Intervals are widened by what is left; look at the residual below before you rely on predictions."
     if diagnosis.verdict is Verdict.NAMED and _is_only_flagged(diagnosis):
         return "Put the record right, and see what wrote it; the rig file is right as it is."

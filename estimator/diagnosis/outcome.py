@@ -17,6 +17,9 @@ from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Search
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
+from estimator.diagnosis.structure.discrepancy import discrepancy
 from estimator.diagnosis.validation import (
     Improvement,
     improvement_between,
@@ -44,6 +47,7 @@ class Outcome:
         improvement: Of the predictions of unseen readings, from `before` to `after`; None where there are none.
         widening: Growth of the intervals of `after`; None where nothing remains unexplained.
         correction: Of what no cause explains; None where nothing does.
+        mixture: What stands beside what no cause explains; None where it was not asked.
     """
 
     search: Search
@@ -56,6 +60,7 @@ class Outcome:
     improvement: Improvement | None = None
     widening: Widening | None = None
     correction: Correction | None = None
+    mixture: Answer | None = None
 
     @classmethod
     def of(
@@ -76,6 +81,30 @@ class Outcome:
         extended = extended_fit(search, named)
         return cls(search, verdict, named, extended, search.final, plain, extended)
 
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether something that no list holds may be there: beside the named causes, or in place of one."""
+        return self.verdict is Verdict.UNEXPLAINED or any(cause.may_be_unknown for cause in self.named)
+
+    def partly(self, mixture: Answer) -> Outcome:
+        """This outcome with the causes that a mixture states beside everything else, if it states any."""
+        named = named_by(mixture)
+        if not named:
+            return replace(self, mixture=mixture)
+        verdict = Verdict.NAMED if all(cause.is_alone for cause in named) else Verdict.INDISTINGUISHABLE
+        if mixture.beside or self.verdict is Verdict.UNEXPLAINED:
+            verdict = Verdict.PARTLY_EXPLAINED
+        extended = fitted_with_stated(mixture)
+        return replace(
+            self,
+            verdict=verdict,
+            named=named,
+            extended=extended,
+            searched=extended,
+            after=extended,
+            mixture=mixture,
+        )
+
     def fitted_to(self, readings: Observations) -> Outcome:
         """This outcome with fits to more readings than the search had."""
         before, after = (self._fitted_to(readings, fit) for fit in (self.before, self.extended))
@@ -92,7 +121,8 @@ class Outcome:
         if len(named) <= policy.MOST_CAUSES_REFITTED:
             named = [each for each in named if not is_refuted(self.after, each.cause, told)]
         is_refused = len(named) < len(self.named) or improvement.is_loss
-        verdict = Verdict.UNEXPLAINED if is_refused else self.verdict
+        left = Verdict.PARTLY_EXPLAINED if named and self.mixture is not None else Verdict.UNEXPLAINED
+        verdict = left if is_refused else self.verdict
         checked = replace(self, verdict=verdict, named=named, improvement=improvement)
         if not improvement.is_loss or named:
             return checked
@@ -111,8 +141,14 @@ class Outcome:
 
     @property
     def _widening(self) -> Widening:
-        is_base = self.extended is self.search.base
-        left = self.search.base_discrepancy if is_base else self.search.remainder
+        search = self.search
+        if self.extended is search.base:
+            left = search.base_discrepancy
+        elif self.extended is search.final:
+            left = search.remainder
+        else:
+            weight = self.extended.weight_over(search.final)
+            left = discrepancy(self.extended, [curve.weighed(weight) for curve in search.curves])
         return Widening.of(self.extended, self.after, left)
 
     def corrected(

@@ -343,10 +343,6 @@ LEAST_LOG_ODDS_LEFT = math.log(10.0)
 """Posterior odds against nothing from which on what is left counts as unexplained. By measurement: in clean sessions of the tuning seeds
 the log evidence scatters by 1 about -3 and never reached 2 (docs/decisions/0008). Study of 5 cases: no change."""
 
-LEAST_LOG_EVIDENCE_BESIDE_CURVES = 2.0 * math.log(20.0)
-"""Log evidence that a cause needs beside the strongest curves to keep its name where something is unexplained. Odds of 20 to 1 with a prior
-of one in twenty, for others may imitate it; by judgement. Study: read by no case."""
-
 VALIDATION_SHARE = 0.2
 """Share of the readings that are kept out of all fits, in blocks of places, to judge them. Convention. Study: read by no case."""
 

@@ -19,6 +19,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Addition, Search
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, p_of_structure
+from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.outlying import Outlier
@@ -85,6 +86,7 @@ class Findings:
         flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
         judging_flags: The same of another session, which judges the fits.
         outliers: Components that are probably wrong, where the extended rig has outliers, those that miss most first.
+        mixture: Causes and departures beside each other, where something is unexplained; None where that was not asked.
     """
 
     search: Search
@@ -94,6 +96,7 @@ class Findings:
     flags: tuple[Flag, ...] = ()
     judging_flags: tuple[Flag, ...] = ()
     outliers: tuple[Outlier, ...] = ()
+    mixture: Answer | None = None
 
 
 @dataclass(frozen=True)
@@ -318,6 +321,7 @@ class Diagnosis:
                 "parameter": search.pull.name,
                 "widths": search.pull.widths,
             },
+            "mixture": None if self.findings.mixture is None else self.findings.mixture.to_json(),
             "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
             "rig_parameters": intervals_to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,

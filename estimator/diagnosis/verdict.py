@@ -1,26 +1,18 @@
-"""The verdict from a search: named, indistinguishable, unexplained, or nothing found."""
+"""The verdict from a search: named, indistinguishable, unexplained, or nothing found. A mixture may explain a part (`mixture.naming`)."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-import torch
-from torch import Tensor
-
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.hypotheses.screening import linear_evidence
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.search_record import Search
-from estimator.diagnosis.hypotheses.standing import explains_more_than_is_left, standing
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
     shares_of,
 )
-from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.diagnosis.structure.relatives import unknown_beside
 from estimator.effects import EFFECTS
@@ -34,8 +26,14 @@ class Verdict(StrEnum):
 
     NAMED = "named"
     INDISTINGUISHABLE = "indistinguishable"
+    PARTLY_EXPLAINED = "partly_explained"
     UNEXPLAINED = "unexplained"
     NOTHING_FOUND = "nothing_found"
+
+    @property
+    def leaves_something(self) -> bool:
+        """Whether something is wrong that no known cause explains."""
+        return self in (Verdict.PARTLY_EXPLAINED, Verdict.UNEXPLAINED)
 
 
 @dataclass(frozen=True)
@@ -90,12 +88,10 @@ def judged(search: Search) -> tuple[Verdict, list[NamedCause]]:
     Where causes of many kinds pile up, something is unexplained whatever they are called.
     """
     if search.source_seems_wrong:
-        return Verdict.UNEXPLAINED, named_causes(search, search.kept)
+        return Verdict.UNEXPLAINED, []
     named = named_causes(search, search.added)
     verdict = verdict_of(search, named)
-    if verdict is Verdict.UNEXPLAINED and named:
-        named = beside_discrepancy(search, named)
-    return verdict, named
+    return verdict, [] if verdict is Verdict.UNEXPLAINED else named
 
 
 def verdict_of(search: Search, named: list[NamedCause]) -> Verdict:
@@ -163,38 +159,6 @@ def _expected(truth: Hypothesis, hypothesis: Hypothesis) -> float | None:
     return float(separation(fits, rows_seen(fits))[0])
 
 
-def beside_discrepancy(search: Search, named: list[NamedCause]) -> list[NamedCause]:
-    """The causes that keep their evidence beside the strongest flexible curves of the first and of the last fit.
-
-    A cause stands in for something else if it is larger than its source allows, explains less than is left, or is rather in no list. Of the
-    others a few are each judged by a fit without it, many to first order about the last fit.
-    """
-    final = search.final
-    named = [
-        cause
-        for cause in named
-        if not only_resembles(cause) and explains_more_than_is_left(final, cause.cause, search.remainder)
-    ]
-    before = search.base_discrepancy.weighed(final.weight_over(search.base))
-    if len(named) > policy.MOST_CAUSES_REFITTED:
-        stand = standing(final, [named_cause.cause for named_cause in named], before, search.remainder)
-        return [named_cause for named_cause in named if named_cause.cause in stand]
-    columns = torch.cat((before.columns, search.remainder.columns), dim=1)
-    still_named = []
-    for cause in named:
-        without = fit_rig(
-            final.rig.without_cause(cause.cause),
-            final.observations,
-            final.values,
-            final.posterior.model.rules,
-        )
-        with_curves = _with_columns(without, columns)
-        evidence = max(linear_evidence(with_curves, candidates(without, [cause.cause])), default=-math.inf)
-        if evidence > policy.LEAST_LOG_EVIDENCE_BESIDE_CURVES:
-            still_named.append(cause)
-    return still_named
-
-
 def extended_fit(search: Search, named: Sequence[NamedCause]) -> Fit:
     """The last fit of a search where a cause was named, else the first.
 
@@ -207,17 +171,6 @@ def stand_ins(search: Search, named: Sequence[NamedCause], extended: Fit) -> lis
     """Causes of the extended fit that are not named, for something unknown may look like them."""
     known = {cause.cause for cause in named} | set(search.base.rig.effects)
     return [cause for cause in extended.rig.effects if cause not in known]
-
-
-def _with_columns(fit: Fit, columns: Tensor) -> Fit:
-    """The fit as if columns with standard normal coefficients had been fitted too."""
-    jacobian = torch.cat((fit.jacobian, columns), dim=1)
-    prior = torch.block_diag(
-        (fit.optimum.precision - fit.optimum.information)[0],
-        columns.new_ones(columns.shape[1]).diag(),
-    )
-    projector = Projector.of(jacobian, prior)
-    return fit.to_first_order(projector, projector.rest(fit.residual))
 
 
 def _shares(credible: tuple[Hypothesis, ...]) -> dict[Cause, float]:

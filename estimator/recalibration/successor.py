@@ -10,7 +10,6 @@ from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.result import Diagnosis
-from estimator.diagnosis.verdict import Verdict
 from estimator.effects import EFFECTS
 from estimator.effects.base import WHEN
 from estimator.inference.ensemble import SamplerSettings
@@ -56,7 +55,7 @@ def short_of(calibration: Calibration) -> str:
 
 def is_unexplained(diagnosis: Diagnosis) -> bool:
     """Whether the residual exceeds noise, in structure or in size."""
-    if diagnosis.verdict is Verdict.UNEXPLAINED:
+    if diagnosis.verdict.leaves_something:
         return True
     return diagnosis.fits.after.lack_of_fit.p_value < policy.FALSE_ALARMS
 

@@ -30,7 +30,6 @@ from estimator.diagnosis.hypotheses.several_places import (
     without_idle,
 )
 from estimator.diagnosis.hypotheses.source_structure import OtherStructures, is_pile, other_structures
-from estimator.diagnosis.hypotheses.standing import keeping_their_names
 from estimator.diagnosis.hypotheses.step import (
     Hypothesis,
     Step,
@@ -77,15 +76,12 @@ def search(
         fit = state.with_alternative(fit)
     if state.added(fit):
         fit = fit_rig(fit.rig, fit.observations, fit.values, fit.posterior.model.rules, near=fit)
-    named: list[Cause] = []
     curves = state.columns.curves_at(fit)
     if state.is_piled(fit):
         if state.other_structures is not None:
-            before = state.base_discrepancy.weighed(fit.weight_over(base))
             state.compare_shown(fit)
-            named = keeping_their_names(fit, state.added(fit), before, state.steps[-1].remainder, curves)
         # Without that question each may still be named.
-        state.compare_again(fit, state.added(fit) if state.other_structures is None else named, curves)
+        state.compare_again(fit, state.added(fit) if state.other_structures is None else [], curves)
     else:
         state.compare_again(fit, state.not_compared(fit) if is_revisited else state.added(fit), curves)
     dropped = tuple(cause for cause in dict.fromkeys(state.dropped) if cause not in fit.rig.effects)
@@ -100,7 +96,6 @@ def search(
         tuple(curves),
         limits.words if limits.is_over else state.ended_early,
         state.other_structures,
-        tuple(named),
     )
 
 

@@ -40,7 +40,6 @@ class Search:
         curves: Flexible curves, weighed as the readings are at the final fit.
         ended_early: Why it, or the diagnosis after it, ended before the evidence did; empty where it did not.
         other_structures: Other structures of the source, where causes of many kinds had piled up; else None.
-        kept: Causes of a pile that keep their names; elsewhere that is not asked here.
     """
 
     base: Fit
@@ -53,7 +52,6 @@ class Search:
     curves: tuple[Family, ...]
     ended_early: str = ""
     other_structures: OtherStructures | None = None
-    kept: tuple[Cause, ...] = ()
 
     def step_of(self, cause: Cause) -> Step:
         """The step that took a cause."""

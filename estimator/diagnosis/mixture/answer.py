@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
-
-
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
@@ -147,6 +144,11 @@ class Answer:
         return tuple(
             one for one in self.found if one.probability >= STATED and _listed(one.possibilities) > 0.5
         )
+
+    @property
+    def beside(self) -> tuple[Found, ...]:
+        """Other sets that are rather there than not."""
+        return tuple(one for one in self.found if one not in self.stated and one.probability > 0.5)
 
     @property
     def unlisted(self) -> dict[Link, float]:

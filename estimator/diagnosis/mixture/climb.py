@@ -58,7 +58,9 @@ class Asked:
         """Of the readings and the leading set of items, up to a constant that all expansions of one session share."""
         fit, always = self.expansion.fit, self.expansion.always
         precision = always.jacobian.T @ always.jacobian + self.expansion.prior_precision
-        in_slots = self.slots.products.log_likelihood(self.leading, self.slots.grid) + self.slots.log_prior_noise
+        in_slots = (
+            self.slots.products.log_likelihood(self.leading, self.slots.grid) + self.slots.log_prior_noise
+        )
         return (
             float(torch.logsumexp(in_slots, 0))
             + float(fit.whitening_per_T.clamp(min=1e-300).log().sum())
@@ -93,9 +95,7 @@ def climbed(plain: Fit, limits: Limits, seed: int) -> Asked:
     return max(asked, key=lambda one: one.log_density)
 
 
-def ask(
-    expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]
-) -> Asked:
+def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]) -> Asked:
     """What is wrong, by readings that are linear about an expansion.
 
     Args:

@@ -134,7 +134,7 @@ def _asked(lowest: int, highest: int) -> list[int]:
 
 def _best_evidence(fit: Fit, columns: Float[Tensor, "start component column"]) -> Float[Tensor, " start"]:
     """Highest log Bayes factor over the amplitudes of each start, alone."""
-    followed = (columns.mT @ fit.projector.basis)
+    followed = columns.mT @ fit.projector.basis
     gram = columns.mT @ columns - followed @ followed.mT
     score = columns.mT @ fit.residual
     power = columns.square().sum((1, 2)) / columns.shape[1]
@@ -143,7 +143,9 @@ def _best_evidence(fit: Fit, columns: Float[Tensor, "start component column"]) -
         variance = amplitude**2 / power.clamp(min=1e-300)
         own = gram * variance[:, None, None]
         factor, failed = torch.linalg.cholesky_ex(own + torch.eye(own.shape[-1]).to(own))
-        reached = torch.linalg.solve_triangular(factor, (score * variance.sqrt()[:, None])[:, :, None], upper=False)
+        reached = torch.linalg.solve_triangular(
+            factor, (score * variance.sqrt()[:, None])[:, :, None], upper=False
+        )
         value = 0.5 * reached.square().sum((1, 2)) - torch.diagonal(factor, dim1=1, dim2=2).log().sum(1)
         best = best.maximum(torch.where(failed == 0, value, -math.inf))
     return best

@@ -69,7 +69,9 @@ class Products:
             columns = torch.tensor([(*self.items[i].columns, *[self.empty] * lack[i]) for i in members])
             widths = self.gram.new_tensor([(*self.items[i].widths, *[0.0] * lack[i]) for i in members])
             shift = torch.tensor([self._shift(self.items[i]) for i in members])
-            gram = self.gram[columns[:, :, None], columns[:, None, :]] * widths[:, :, None] * widths[:, None, :]
+            gram = (
+                self.gram[columns[:, :, None], columns[:, None, :]] * widths[:, :, None] * widths[:, None, :]
+            )
             one_sided = torch.tensor([self.items[i].is_one_sided for i in members])
             groups.append(Alike(torch.tensor(members), columns, widths, shift, gram, one_sided))
         return groups
@@ -129,13 +131,17 @@ class Products:
             square = square - shifted.square().sum(0)
         own_score = (own_score - at_start) * alike.widths
         factor, failed = torch.linalg.cholesky_ex(_with_unit_prior(gram))
-        explained = torch.linalg.solve_triangular(factor, own_score[:, :, None], upper=False).square().sum((1, 2))
+        explained = (
+            torch.linalg.solve_triangular(factor, own_score[:, :, None], upper=False).square().sum((1, 2))
+        )
         occam = torch.diagonal(factor, dim1=1, dim2=2).log().sum(1)
         started = score[alike.shift] - 0.5 * square
         value = 0.5 * explained - occam + started
         if bool(alike.is_one_sided.any()):  # what cannot be negative has twice the density on one side
             sd_above_0 = own_score[:, 0].sign() * explained.sqrt()
-            value = value + torch.where(alike.is_one_sided, torch.special.log_ndtr(sd_above_0) + math.log(2.0), 0.0)
+            value = value + torch.where(
+                alike.is_one_sided, torch.special.log_ndtr(sd_above_0) + math.log(2.0), 0.0
+            )
         return torch.where(failed == 0, value, -math.inf)
 
     def sizes(self, chosen: Sequence[int], noise: float) -> tuple[Tensor, Tensor]:

@@ -98,7 +98,9 @@ class Expansion:
         fit = self.fit
         without = {**fit.values, **fit.null_values(cause)}
         with torch.no_grad():
-            predicted_T = fit.posterior.measured_components(fit.posterior.model.predict(without).expand(len(fit.observations), 3))
+            predicted_T = fit.posterior.measured_components(
+                fit.posterior.model.predict(without).expand(len(fit.observations), 3)
+            )
         change: Tensor = (fit.predicted_T - predicted_T) * fit.whitening_per_T
         return change
 
@@ -134,7 +136,9 @@ class Expansion:
                 shift = shift - column * (value - quantity.null)
                 sizes.append(i)
         own = [fit.posterior.coordinates.names[i].removeprefix(f"{cause.label}.") for i in sizes]
-        fixed = {key: float(fit.values[f"{cause.label}.{key}"]) for key, q in quantities.items() if q.is_shape}
+        fixed = {
+            key: float(fit.values[f"{cause.label}.{key}"]) for key, q in quantities.items() if q.is_shape
+        }
         candidate = Candidate(
             cause,
             fixed,
@@ -148,7 +152,9 @@ class Expansion:
         stacked = torch.stack(shapes, dim=1) if shapes else shift.new_zeros(len(shift), 0)
         return Start(candidate, self.log_prior[cause], stacked)
 
-    def moved(self, dictionary: Dictionary, chosen: Sequence[int], sizes: Float[Tensor, " column"]) -> Expansion:
+    def moved(
+        self, dictionary: Dictionary, chosen: Sequence[int], sizes: Float[Tensor, " column"]
+    ) -> Expansion:
         """The expansion about a fit with other causes, beside other departures.
 
         Args:
@@ -198,7 +204,9 @@ class Expansion:
         for key, size in zip(item.keys, sizes, strict=False):
             name = f"{label}.{key}"
             value = float(start[name]) + float(size)
-            start[name] = max(value, LEAST_POSITIVE * float(own[name].value)) if own[name].is_positive else value
+            start[name] = (
+                max(value, LEAST_POSITIVE * float(own[name].value)) if own[name].is_positive else value
+            )
         return start
 
     def _with(self, rig: Rig, item: Item) -> Rig:

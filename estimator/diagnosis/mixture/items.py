@@ -1,4 +1,4 @@
-"""Items of the dictionary of what may be wrong: a listed cause or a departure, each at one start, with some of its quantities and one width."""
+"""Items of the dictionary of what may be wrong: a cause or a departure at one start, with some of its quantities and one width."""
 
 from __future__ import annotations
 

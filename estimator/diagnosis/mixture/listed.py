@@ -18,10 +18,16 @@ from estimator.diagnosis.mixture import priors
 from estimator.effects.circumstances import UNTIL
 from estimator.rig.rig import Cause
 
-WITHIN = 12.0  # of the log posterior of the best item of a cause: what is further below cannot matter beside it
+WITHIN = (
+    12.0  # of the log posterior of the best item of a cause: what is further below cannot matter beside it
+)
 MOST_PER_CAUSE, MOST_OF_FAINT = 10, 2
-FAINT = -6.0  # log posterior of the best item of a cause against nothing: fainter ones are there to be counted
-WORTH_AN_INSTANT = -3.0  # log posterior of the best coarse start against nothing from which on finer instants are asked
+FAINT = (
+    -6.0
+)  # log posterior of the best item of a cause against nothing: fainter ones are there to be counted
+WORTH_AN_INSTANT = (
+    -3.0
+)  # log posterior of the best coarse start against nothing from which on finer instants are asked
 LEAST_SEEN = 0.1  # of the noise, in all readings together: what shows less cannot be told from nothing
 
 
@@ -98,9 +104,7 @@ def present_items(starts: Sequence[Start]) -> list[Offered]:
     return [item for start in starts for item in _items(start)]
 
 
-def again(
-    fit: Fit, starts: Sequence[Start], cause: Cause, shapes: dict[str, float]
-) -> list[Start]:
+def again(fit: Fit, starts: Sequence[Start], cause: Cause, shapes: dict[str, float]) -> list[Start]:
     """A cause at shapes that an earlier fit has found, with the prior of its other starts; none where the fit has it."""
     log_prior = [start.log_prior for start in starts if start.candidate.cause == cause]
     if not log_prior or not shapes:
@@ -179,7 +183,9 @@ def _most_probable(by_start: Sequence[_Weighed]) -> list[Offered]:
     most = MOST_PER_CAUSE if best > FAINT else MOST_OF_FAINT
     top = values.topk(min(most, len(values)))
     n = len(by_start[0].values)
-    kept = [i for i, value in zip(top.indices.tolist(), top.values.tolist(), strict=True) if value > best - WITHIN]
+    kept = [
+        i for i, value in zip(top.indices.tolist(), top.values.tolist(), strict=True) if value > best - WITHIN
+    ]
     return [_items(by_start[i // n].start)[i % n] for i in kept]
 
 

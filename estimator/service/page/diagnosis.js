@@ -32,7 +32,7 @@ export class Diagnosis {
 
   // Whether the extended rig differs from the one described.
   get isChanged() {
-    return this.panels.answers.length > 0 || this.panels.verdict === "unexplained";
+    return this.panels.answers.length > 0 || ["unexplained", "partly_explained"].includes(this.panels.verdict);
   }
 
   tiles() {

@@ -174,7 +174,7 @@ function shown({ values, unit, commanded_A: commanded }) {
 const deviceState = ({ n_silent: n }) =>
   n === 0 ? "in the last reading" : html`<strong class="warn">silent for ${n} ${n === 1 ? "reading" : "readings"}</strong>`;
 
-const VERDICTS = { nothing_found: "nothing found", unexplained: "something unexplained" };
+const VERDICTS = { nothing_found: "nothing found", partly_explained: "explained in part", unexplained: "something unexplained" };
 
 // What the latest diagnosis of the readings so far says, and of how many.
 function verdict({ diagnosis, has_ended: hasEnded }) {

@@ -9,20 +9,16 @@ import pytest
 import torch
 from scipy.special import softmax
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.search_record import Search
-from estimator.diagnosis.hypotheses.standing import keeping_their_names
 from estimator.diagnosis.hypotheses.step import Hypothesis, Step, credible_set
 from estimator.diagnosis.structure.discrepancy import Discrepancy
 from estimator.diagnosis.structure.families import families
-from estimator.diagnosis.structure.relatives import Unknown
 from estimator.diagnosis.verdict import (
     Alternative,
     NamedCause,
     Verdict,
-    beside_discrepancy,
     extended_fit,
     judged,
     named_causes,
@@ -183,22 +179,6 @@ def test_all_log_odds_charge_every_cause_its_prior(base, both):
     assert search_with(base, base, LAST).log_odds == 0.0
 
 
-@pytest.mark.parametrize("most_refitted", [4, 1], ids=["by fits without each", "to first order"])
-def test_strong_cause_stands_beside_an_unknown_and_a_superfluous_one_falls(
-    small_rig, small_session, small_truth, most_refitted, monkeypatch
-):
-    monkeypatch.setattr(policy, "MOST_CAUSES_REFITTED", most_refitted)
-    rig = small_rig.with_values(small_truth)
-    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
-    final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)
-    search = search_with(fit_of(small_rig, readings.calibration), final, LAST)
-    curve = replace(left(-3.0), columns=2.0 * families(final)[0].columns)
-    search = replace(search, base_discrepancy=curve, steps=(replace(LAST, discrepancy=curve),))
-    assert [
-        named_cause.cause for named_cause in beside_discrepancy(search, [named(OFFSET), named(GAIN)])
-    ] == [OFFSET]
-
-
 def test_a_cause_that_a_curve_imitates_has_no_evidence_beside_it_and_one_across_it_keeps_its_own(
     small_rig, small_session, small_truth
 ):
@@ -220,33 +200,10 @@ def test_the_extended_fit_has_all_that_was_taken_where_something_was_named_and_n
     assert extended_fit(search, []) is base
 
 
-def test_of_a_pile_those_keep_their_names_that_stand_and_are_in_the_library(
-    small_rig, small_session, small_truth, monkeypatch
-):
-    rig = small_rig.with_values(small_truth)
-    readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6, "z_T": -150e-6})
-    final = fit_of(small_rig, readings.calibration, OFFSET, GAIN)  # whose gain nothing needs
-    empty = replace(left(-3.0), columns=torch.zeros(len(final.residual), 1).double())
-    asked: list[Cause] = []
-    p_unknown = 0.1
-
-    def beside(_fit: Fit, causes: list[Cause], _families: object) -> list[Unknown]:
-        asked.extend(causes)
-        return [Unknown(p_unknown) for _ in causes]
-
-    monkeypatch.setattr("estimator.diagnosis.hypotheses.standing.unknown_beside", beside)
-    assert keeping_their_names(final, BOTH, empty, empty, []) == asked == [OFFSET]
-    p_unknown = 0.9
-    assert keeping_their_names(final, BOTH, empty, empty, []) == []
-
-
-def test_of_a_pile_only_those_are_named_that_keep_their_names(base, both, monkeypatch):
+def test_of_a_pile_nothing_is_named(base, both, monkeypatch):
     search = search_with(base, both, step(OFFSET, {OFFSET: CLEAR}), step(GAIN, {GAIN: CLEAR}), LAST)
     monkeypatch.setattr(Search, "source_seems_wrong", True)
-    for kept in ((), (GAIN,)):
-        verdict, causes = judged(replace(search, kept=kept))
-        assert verdict is Verdict.UNEXPLAINED
-        assert tuple(one.cause for one in causes) == kept
+    assert judged(search) == (Verdict.UNEXPLAINED, [])
 
 
 def test_what_was_taken_and_is_not_named_stands_in(base, both):
