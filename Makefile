@@ -14,7 +14,7 @@ unexport PYTHONDONTWRITEBYTECODE
 ON_DEVICES = tests/estimator/test_devices.py tests/contract/test_devices_of_effects.py tests/estimator/field/test_fused.py \
 	tests/estimator/diagnosis/test_elsewhere.py tests/estimator/inference/test_collapsed.py tests/estimator/model/test_equivalent_sources.py
 
-.PHONY: demo demo-service test docs lint types imports checks unit slow paper two-arms coverage hidden open-world truthful written-wrong first-calibrations unexplained-posteriors coils-and-probe leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device test-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
+.PHONY: demo demo-service test docs lint types imports checks unit slow paper two-arms coverage hidden open-world mixed truthful written-wrong first-calibrations unexplained-posteriors coils-and-probe leave-one-out one-map policy real diagnose-real mice-floor mice-filaments harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice bench bench-kernel bench-growth bench-profile bench-live bench-batch bench-device test-device bench-diagnose bench-service fuzz-service service-storm service-soak browser figures
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -68,6 +68,9 @@ hidden: $(INSTALLED)      # effects hidden by independent code: found, named, mi
 
 open-world: $(INSTALLED)  # causes of the library and others at natural sizes, on rigs described in several ways; hours, continues where it was interrupted
 	$(RUN) scripts.studies.open_world --cases 46 --first-seed 80000 --out out/open_world.jsonl
+
+mixed: $(INSTALLED)       # one or two listed causes beside one that no list holds: what is stated; hours, continues where it was interrupted
+	$(RUN) scripts.studies.mixed --cases 100 --first-seed 555000 --out out/mixed.jsonl
 
 truthful: $(INSTALLED)    # every printed statement that a machine can judge, against the truth of hidden sessions and held-out readings of maps; hours, continues where it was interrupted
 	$(RUN) scripts.studies.truthful --cases 100 --out out/truthful.jsonl

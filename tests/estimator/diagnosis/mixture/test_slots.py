@@ -1,0 +1,101 @@
+"""The sampler against a sum over all states of its slots, and what is made of draws."""
+
+from __future__ import annotations
+
+import math
+from itertools import product
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.items import Dictionary
+from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots
+from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item, log_density
+
+KNOWN = NoisePrior(1.0, 0.0)
+SWEEPS, BURN_IN = 4000, 100
+
+
+def noisy() -> Dictionary:
+    """Two items that resemble each other, a wider form of one, one that is not there, and a departure."""
+    items = [
+        item("gain", [0]),
+        item("gain", [0], width=20.0, log_prior=-3.0),
+        item("twin", [0, 1], log_prior=-2.5),
+        item("absent", [3]),
+        item("wanders", [4, 5], is_listed=False, log_prior=-2.2),
+    ]
+    made = dictionary(items)
+    return dictionary(items, residual=made.residual + 1.2 * made.columns[:, 0] + 2.0 * made.columns[:, 4])
+
+
+def exact(made: Dictionary, n_slots: int) -> np.ndarray:
+    """Probability of each item by a sum over all states."""
+    names = [one.name for one in made.items]
+    n, weights = len(made.items), {}
+    for state in product(range(n + 1), repeat=n_slots):
+        chosen = tuple(sorted(i for i in state if i < n))
+        if len({names[i] for i in chosen}) < len(chosen):
+            continue
+        prior = sum(math.log(priors.EMPTY) if i == n else made.items[i].log_prior for i in state)
+        weights[state] = prior + log_density(made, chosen)
+    total = np.logaddexp.reduce(list(weights.values()))
+    present = np.zeros(n)
+    for state, weight in weights.items():
+        for i in set(state) - {n}:
+            present[i] += math.exp(weight - total)
+    return present
+
+
+def test_draws_have_the_probabilities_of_a_sum_over_all_states():
+    made = noisy()
+    samples = Slots(Products(made), KNOWN, n_slots=3).sample(SWEEPS, BURN_IN, seed=1)
+    expected = exact(made, 3)
+    assert expected[[0, 4]].min() > 0.2, "else the case says little"
+    assert samples.present == pytest.approx(expected, abs=0.02)
+
+
+def test_draws_do_not_depend_on_where_they_begin():
+    slots = Slots(Products(noisy()), KNOWN, n_slots=3)
+    climbed, empty = (slots.sample(SWEEPS, BURN_IN, 2, is_climbed).present for is_climbed in (True, False))
+    assert climbed == pytest.approx(empty, abs=0.02)
+
+
+def test_the_same_seed_gives_the_same_draws():
+    first, second = (Slots(Products(noisy()), KNOWN).sample(30, 5, seed=3) for _ in range(2))
+    assert first.models == second.models
+    assert first.present.tolist() == second.present.tolist()
+
+
+def test_items_of_one_name_never_stand_beside_each_other():
+    samples = Slots(Products(noisy()), KNOWN, n_slots=4).sample(300, 10, seed=4)
+    assert not [model for model in samples.models if {0, 1} <= set(model)]
+
+
+def test_the_noise_is_found_where_it_is_free():
+    made = dictionary([item("absent", [3])])
+    quiet = dictionary(made.items, residual=0.5 * made.residual)
+    slots = Slots(Products(quiet), NoisePrior(1.0, 1.0))
+    samples = slots.sample(200, 10, seed=5)
+    mean = sum(float(slots.grid[k]) * n for k, n in samples.noises.items()) / sum(samples.noises.values())
+    assert mean == pytest.approx(0.5 * float(made.residual.std()), rel=0.15)
+
+
+def test_joined_draws_count_as_much_as_the_first_and_keep_their_numbers():
+    first, other = Samples(3), Samples(2)
+    first.add([0], np.array([0.0, 0.5, 0.0]), 1)
+    first.models[0, 1] += 1.0
+    for _ in range(4):
+        other.add([], np.array([0.2, 0.1]), None)
+        other.models[()] += 1.0
+    both = first.joined([other.renumbered([0, 2], 3)])
+    assert both.present.tolist() == pytest.approx([0.6, 0.25, 0.05])
+    assert both.holding([1]) == pytest.approx(0.5)
+
+
+def test_a_known_noise_is_one():
+    assert KNOWN.grid().tolist() == [1.0]
+    assert torch.equal(KNOWN.log_density(torch.tensor([0.3])), torch.zeros(1))
