@@ -52,7 +52,6 @@ from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.validation import posterior_scores
 from estimator.diagnosis.verdict import (
     NamedCause,
-    Verdict,
     stand_ins,
 )
 from estimator.effects import EFFECTS
@@ -375,8 +374,8 @@ def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> b
 def _next_measurements(search_result: Search, named: Sequence[NamedCause], rig: Rig) -> list[Proposal]:
     """The best few proposals that would tell the fitted members of each credible set apart."""
     best: list[Proposal] = []
-    for named_cause in named:
-        step = search_result.step_of(named_cause.cause)
+    compared = {step.taken for step in search_result.steps}  # those of a mixture were not fitted one by one
+    for step in (search_result.step_of(one.cause) for one in named if one.cause in compared):
         hypotheses = {
             label_of(hypothesis.cause, rig): hypothesis.fit
             for hypothesis in step.credible

@@ -182,6 +182,12 @@ def beside_causes(diagnosis: Diagnosis) -> list[str]:
     mixture = diagnosis.findings.mixture
     if mixture is None:
         return []
+    if mixture.is_full:
+        links = [link.words for link, p in mixture.unlisted.items() if p > 0.5]
+        where = f" It goes with {', and with '.join(links)}." if links else ""
+        return [
+            f"More than {len(mixture.asked.leading)} things are wrong at once, too many to tell apart.{where}"
+        ]
     unlisted, faint = list[str](), list[str]()
     for found in mixture.beside:
         each = " or ".join(

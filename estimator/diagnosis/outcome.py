@@ -87,10 +87,13 @@ class Outcome:
         return self.verdict is Verdict.UNEXPLAINED or any(cause.may_be_unknown for cause in self.named)
 
     def partly(self, mixture: Answer) -> Outcome:
-        """This outcome with the causes that a mixture states beside everything else, if it states any."""
+        """This outcome with the causes that a mixture states beside everything else.
+
+        If it states none, the names of the search stay where each is rather there than not.
+        """
         named = named_by(mixture)
         if not named:
-            return replace(self, mixture=mixture)
+            return replace(self, mixture=mixture) if self._is_borne_out_by(mixture) else self._unnamed(mixture)
         verdict = Verdict.NAMED if all(cause.is_alone for cause in named) else Verdict.INDISTINGUISHABLE
         if mixture.beside or self.verdict is Verdict.UNEXPLAINED:
             verdict = Verdict.PARTLY_EXPLAINED
@@ -102,6 +105,24 @@ class Outcome:
             extended=extended,
             searched=extended,
             after=extended,
+            mixture=mixture,
+        )
+
+    def _is_borne_out_by(self, mixture: Answer) -> bool:
+        """Whether each named cause is among what the mixture finds rather there than not."""
+        probable = {one.cause for found in mixture.beside for one in found.possibilities}
+        return all(named.cause in probable for named in self.named)
+
+    def _unnamed(self, mixture: Answer) -> Outcome:
+        """This outcome without names."""
+        base = self.search.base
+        return replace(
+            self,
+            verdict=Verdict.UNEXPLAINED,
+            named=(),
+            extended=base,
+            searched=base,
+            after=base,
             mixture=mixture,
         )
 
@@ -121,7 +142,8 @@ class Outcome:
         if len(named) <= policy.MOST_CAUSES_REFITTED:
             named = [each for each in named if not is_refuted(self.after, each.cause, told)]
         is_refused = len(named) < len(self.named) or improvement.is_loss
-        left = Verdict.PARTLY_EXPLAINED if named and self.mixture is not None else Verdict.UNEXPLAINED
+        is_stated = bool(named) and self.mixture is not None and bool(self.mixture.stated)
+        left = Verdict.PARTLY_EXPLAINED if is_stated else Verdict.UNEXPLAINED
         verdict = left if is_refused else self.verdict
         checked = replace(self, verdict=verdict, named=named, improvement=improvement)
         if not improvement.is_loss or named:

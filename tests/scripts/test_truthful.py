@@ -326,6 +326,22 @@ def test_no_known_cause_is_false_where_a_known_one_is_hidden_or_none(
     assert are_true(told("", words, truth), "no_known_cause") == [is_true]
 
 
+@pytest.mark.parametrize(
+    ("truth", "is_true"), [(hidden(OUTSIDE), False), (hidden(GAIN, OUTSIDE), True), (hidden(), False)]
+)
+def test_a_cause_that_is_stated_beside_something_else_is_there(
+    told: Told, truth: Truth, is_true: bool
+) -> None:
+    statements = told("", "verdict: partly_explained", truth, causes=[NAMED])
+    assert are_true(statements, "name_as_fact") == [is_true]
+
+
+@pytest.mark.parametrize(("truth", "is_true"), [(hidden(GAIN), False), (hidden(GAIN, OUTSIDE), True)])
+def test_what_no_listed_cause_explains_is_not_listed(told: Told, truth: Truth, is_true: bool) -> None:
+    words = "The axes differ in gain (axis_gain, 99 %). No listed cause explains this: the room wanders (room_wanders, 97 %)."
+    assert are_true(told("", words, truth), "no_known_cause") == [is_true]
+
+
 @pytest.mark.parametrize(("truth", "is_true"), [(hidden(GAIN), False), (hidden(GAIN, OUTSIDE), True)])
 def test_nothing_is_left_beside_all_that_was_named(told: Told, truth: Truth, is_true: bool) -> None:
     words = "odds 400 to 1 that something is left, 0.5 of the noise rms, which depends on time"

@@ -139,8 +139,15 @@ class Answer:
         return Found(tuple(possibilities), 0.5 * (with_all + in_halves), with_all, in_halves)
 
     @property
+    def is_full(self) -> bool:
+        """Whether the leading set fills all slots, so that more is wrong at once than is asked for."""
+        return len(self.asked.leading) >= self.asked.slots.n_slots
+
+    @property
     def stated(self) -> tuple[Found, ...]:
-        """Sets that are there at `STATED` or more and are rather a listed cause."""
+        """Sets that are there at `STATED` or more and are rather a listed cause; none where all slots are full."""
+        if self.is_full:
+            return ()
         return tuple(
             one for one in self.found if one.probability >= STATED and _listed(one.possibilities) > 0.5
         )

@@ -92,7 +92,21 @@ def doubts(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
         yield Statement("doubts", DIAGNOSE, text, is_true, f"hidden: {case.truth.words}")
 
 
-@sentence(r"Something is wrong that no known cause explains")
+@sentence(r"^verdict: partly_explained$")
+def partly_named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
+    """Causes that are stated beside something else, each with what it may be instead: one of these is there."""
+    if case.truth is None:
+        return
+    for cause in case.diagnosis["causes"]:
+        names = [plain_name(one["name"]) for one in (cause, *cause["alternatives"])]
+        is_true = any(case.truth.is_right(name) for name in names)
+        why = f"one of {', '.join(names)}; hidden: {case.truth.words}"
+        yield Statement("name_as_fact", DIAGNOSE, f"{text}: {cause['name']}", is_true, why)
+
+
+@sentence(
+    r"Something is wrong that no known cause explains|No listed cause explains this|no listed cause explains, and"
+)
 def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
     """False where nothing is wrong, or only what the library has a name for."""
     if case.truth is not None:

@@ -33,7 +33,9 @@ def item(
     )
 
 
-def dictionary(items: Sequence[Item], residual: Tensor | None = None, prior_precision: float = 0.3) -> Dictionary:
+def dictionary(
+    items: Sequence[Item], residual: Tensor | None = None, prior_precision: float = 0.3
+) -> Dictionary:
     """Items with columns, and numbers that are always there, drawn once."""
     generator = torch.Generator().manual_seed(7)
 

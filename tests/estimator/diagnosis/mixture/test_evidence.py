@@ -83,7 +83,11 @@ def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(sign):
     gram, score = float(products.gram[0, 0]), float(products.gram[0, products.residual])
 
     def density(size: float) -> float:
-        return math.exp(score * size - 0.5 * gram * size**2) * math.exp(-0.125 * size**2) / math.sqrt(2.0 * math.pi)
+        return (
+            math.exp(score * size - 0.5 * gram * size**2)
+            * math.exp(-0.125 * size**2)
+            / math.sqrt(2.0 * math.pi)
+        )
 
     integral = quad(density, 0.0, 20.0)[0]  # a half-normal of width 2 has 2 / (2 sqrt(2 pi)) at its end
     assert float(products.beside([], 1.0)[0]) == pytest.approx(np.log(integral), abs=1e-6)

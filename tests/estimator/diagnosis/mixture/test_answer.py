@@ -1,0 +1,79 @@
+"""What is read off draws: sets of alternatives, what is stated, and links at which something unlisted acts."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.links import Link
+from estimator.diagnosis.mixture.slots import Samples
+from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item
+
+GAIN, TWIN, WANDERS, FAINT = range(4)
+ITEMS = (item("gain", [0]), item("twin", [1]), item("wanders", [2], is_listed=False), item("faint", [3]))
+
+
+def samples(models: dict[tuple[int, ...], int], shares: dict[int, dict[int, float]]) -> Samples:
+    """Draws of models, in which the slot of an item holds others with some shares."""
+    made = Samples(len(ITEMS))
+    made.n = sum(models.values())
+    for model, n in models.items():
+        made.models[model] += n
+        made.conditional[list(model)] += n
+    for drawn, conditional in shares.items():
+        made.beside[drawn] = np.array([conditional.get(i, 0.0) for i in range(len(ITEMS))])
+    return made
+
+
+def answered(with_all: Samples, *in_halves: Samples, n_slots: int = 6) -> Answer:
+    leading = max(with_all.models, key=with_all.models.__getitem__)
+    asked = SimpleNamespace(
+        dictionary=dictionary(ITEMS),
+        samples=with_all,
+        leading=leading,
+        slots=SimpleNamespace(n_slots=n_slots),
+    )
+    return Answer(cast(Asked, asked), in_halves)
+
+
+BOTH = {GAIN: {GAIN: 80.0, TWIN: 20.0}, TWIN: {GAIN: 80.0, TWIN: 20.0}, WANDERS: {WANDERS: 1.0}, FAINT: {FAINT: 1.0}}
+MODELS = {(GAIN, WANDERS): 78, (TWIN, WANDERS): 20, (GAIN,): 2}
+
+
+def test_what_takes_the_same_slot_is_one_set_and_as_sure_as_both_together():
+    (first, second) = answered(samples(MODELS, BOTH)).found
+    assert [(one.cause.name, round(one.share, 2)) for one in first.possibilities] == [("gain", 0.8), ("twin", 0.2)]
+    assert (first.probability, second.probability) == pytest.approx((1.0, 0.98))
+    assert second.first.link is Link.RESPONSE
+
+
+def test_an_imitation_that_halves_do_not_have_is_not_stated():
+    made = answered(samples(MODELS, BOTH), samples({(WANDERS,): 60, (GAIN, WANDERS): 40}, BOTH))
+    (gain,) = [one for one in made.found if one.first.is_listed]
+    assert (gain.with_all, gain.in_halves) == pytest.approx((1.0, 0.4))
+    assert gain.probability == pytest.approx(0.7)
+    assert made.stated == ()
+    assert gain in made.beside
+
+
+def test_a_departure_is_never_stated_as_a_cause_but_told_with_its_link():
+    made = answered(samples(MODELS, BOTH))
+    assert [one.first.cause.name for one in made.stated] == ["gain"]
+    assert [one.first.cause.name for one in made.beside] == ["wanders"]
+    assert made.unlisted == pytest.approx({Link.RESPONSE: 0.98})
+
+
+def test_nothing_is_stated_where_all_slots_are_full():
+    assert answered(samples(MODELS, BOTH), n_slots=2).stated == ()
+
+
+def test_probabilities_of_a_set_add_up_in_its_record():
+    record = answered(samples(MODELS, BOTH)).to_json()
+    for one in record["found"]:
+        assert sum(each["probability"] for each in one["is_one_of"]) == pytest.approx(one["probability"])
+    assert record["unlisted"] == pytest.approx({"response": 0.98})
