@@ -93,7 +93,9 @@ class Outcome:
         """
         named = named_by(mixture)
         if not named:
-            return replace(self, mixture=mixture) if self._is_borne_out_by(mixture) else self._unnamed(mixture)
+            return (
+                replace(self, mixture=mixture) if self._is_borne_out_by(mixture) else self._unnamed(mixture)
+            )
         verdict = Verdict.NAMED if all(cause.is_alone for cause in named) else Verdict.INDISTINGUISHABLE
         if mixture.beside or self.verdict is Verdict.UNEXPLAINED:
             verdict = Verdict.PARTLY_EXPLAINED

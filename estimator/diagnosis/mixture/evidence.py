@@ -169,7 +169,8 @@ class Products:
         size = size.clamp(min=0.0)
         reached = (vectors.T @ (widths * (self.gram[columns] @ mixture))).square()
         explained = reached / variance[:, None] / (variance[:, None] + size)
-        return result + 0.5 * (explained - torch.log1p(size / variance[:, None])).sum(1)
+        likelihood: Tensor = result + 0.5 * (explained - torch.log1p(size / variance[:, None])).sum(1)
+        return likelihood
 
 
 def _with_unit_prior(gram: Float[Tensor, "*batch column column"]) -> Float[Tensor, "*batch column column"]:

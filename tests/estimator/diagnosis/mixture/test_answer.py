@@ -41,13 +41,21 @@ def answered(with_all: Samples, *in_halves: Samples, n_slots: int = 6) -> Answer
     return Answer(cast(Asked, asked), in_halves)
 
 
-BOTH = {GAIN: {GAIN: 80.0, TWIN: 20.0}, TWIN: {GAIN: 80.0, TWIN: 20.0}, WANDERS: {WANDERS: 1.0}, FAINT: {FAINT: 1.0}}
+BOTH = {
+    GAIN: {GAIN: 80.0, TWIN: 20.0},
+    TWIN: {GAIN: 80.0, TWIN: 20.0},
+    WANDERS: {WANDERS: 1.0},
+    FAINT: {FAINT: 1.0},
+}
 MODELS = {(GAIN, WANDERS): 78, (TWIN, WANDERS): 20, (GAIN,): 2}
 
 
 def test_what_takes_the_same_slot_is_one_set_and_as_sure_as_both_together():
     (first, second) = answered(samples(MODELS, BOTH)).found
-    assert [(one.cause.name, round(one.share, 2)) for one in first.possibilities] == [("gain", 0.8), ("twin", 0.2)]
+    assert [(one.cause.name, round(one.share, 2)) for one in first.possibilities] == [
+        ("gain", 0.8),
+        ("twin", 0.2),
+    ]
     assert (first.probability, second.probability) == pytest.approx((1.0, 0.98))
     assert second.first.link is Link.RESPONSE
 
