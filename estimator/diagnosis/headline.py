@@ -46,7 +46,7 @@ MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diag
 
 def headline(diagnosis: Diagnosis) -> list[str]:
     """The sentences, most important first."""
-    parts = (_flagged, _what, _how_large, _outliers, _source, gained, _next, _ended_early)
+    parts = (_flagged, _what, _beside, _how_large, _outliers, _source, gained, _next, _ended_early)
     sentences = part_by_part([_listed(part) for part in parts], diagnosis, lambda fault: fault)
     return [sentence for sentence in sentences if sentence]
 
@@ -146,7 +146,7 @@ def _what(diagnosis: Diagnosis) -> str:
         return f"{_capital('; '.join(wrong))}."
     if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:
         mistakes = [f"{_capital(words)} ({label})." for label, words in _mistakes(diagnosis)]
-        return " ".join([*mistakes, *stated_causes(diagnosis), *beside_causes(diagnosis)])
+        return " ".join([*mistakes, *stated_causes(diagnosis)])
     search = diagnosis.findings.search
     remainder = search.remainder
     if _is_pulled(diagnosis):
@@ -160,8 +160,7 @@ def _what(diagnosis: Diagnosis) -> str:
         what = "what it misses" if is_of_all else "what is left beside the causes that were taken"
         dependence = f"{misses(diagnosis)}; {what} depends on {_plain(remainder.family)}"
     unknown = f"Something is wrong that no known cause explains: {dependence}"
-    found = f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
-    return " ".join([found, *beside_causes(diagnosis)])
+    return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
 
 
 def stated_causes(diagnosis: Diagnosis) -> list[str]:
@@ -177,17 +176,17 @@ def stated_causes(diagnosis: Diagnosis) -> list[str]:
     return sentences
 
 
-def beside_causes(diagnosis: Diagnosis) -> list[str]:
+def _beside(diagnosis: Diagnosis) -> str:
     """What else is probable: first what no list holds, then listed causes that are not sure enough to be stated."""
     mixture = diagnosis.findings.mixture
-    if mixture is None:
-        return []
+    if mixture is None or not diagnosis.verdict.leaves_something:
+        return ""
     if mixture.is_full:
         links = [link.words for link, p in mixture.unlisted.items() if p > 0.5]
-        where = f" It goes with {', and with '.join(links)}." if links else ""
-        return [
-            f"More than {len(mixture.asked.leading)} things are wrong at once, too many to tell apart.{where}"
-        ]
+        where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
+        return (
+            f"At least {len(mixture.asked.leading)} things are wrong at once, too many to tell apart.{where}"
+        )
     unlisted, faint = list[str](), list[str]()
     for found in mixture.beside:
         each = " or ".join(
@@ -200,11 +199,11 @@ def beside_causes(diagnosis: Diagnosis) -> list[str]:
         sentences.append(f"No listed cause explains this: {'; '.join(unlisted)}.")
     elif diagnosis.causes:
         sentences.append(
-            "Something is left beside that no listed cause explains, and the readings do not tell where it sits."
+            "Something else is left that no listed cause explains, and the readings do not tell where it sits."
         )
     if faint:
         sentences.append(f"Not sure enough to be stated: {'; '.join(faint)}.")
-    return sentences
+    return " ".join(sentences)
 
 
 def _doubts(diagnosis: Diagnosis) -> str:

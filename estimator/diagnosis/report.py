@@ -11,6 +11,7 @@ from estimator.diagnosis.headline import headline, held_back, tension_words
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.tables import appendix, tables
+from estimator.diagnosis.verdict import Verdict
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.reporting.numbers import percent
@@ -82,6 +83,8 @@ def _stand_ins(diagnosis: Diagnosis) -> list[str]:
 
 
 def _dropped(diagnosis: Diagnosis) -> list[str]:
+    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:  # whose causes the search has not taken
+        return []
     return [
         f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained the same structure."
         for cause in diagnosis.findings.search.dropped
@@ -90,6 +93,8 @@ def _dropped(diagnosis: Diagnosis) -> list[str]:
 
 def _passed_over(diagnosis: Diagnosis) -> list[str]:
     """Causes that led steps and were not taken, such as scatter that passes for anything that is wrong."""
+    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:
+        return []
     steps = diagnosis.findings.search.steps
     leads: dict[Cause, list[float]] = {}
     for step in steps:
