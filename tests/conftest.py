@@ -75,6 +75,7 @@ WHOLE = {
             "diagnosis/hypotheses/test_search",
             "diagnosis/next_readings/test_design",
             "diagnosis/structure/test_cross_validation",
+            "diagnosis/mixture/test_expansion",
             "diagnosis/test_evidence",
             "diagnosis/test_posterior",
             "diagnosis/test_report",
