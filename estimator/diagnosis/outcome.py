@@ -29,6 +29,8 @@ from estimator.diagnosis.validation import (
 )
 from estimator.diagnosis.verdict import NamedCause, Verdict, extended_fit, judged
 from estimator.diagnosis.widening import Widening
+from estimator.effects import EFFECTS
+from estimator.effects.stages import NoiseEffect
 from estimator.readings.observations import Observations
 
 
@@ -83,8 +85,13 @@ class Outcome:
 
     @property
     def is_doubtful(self) -> bool:
-        """Whether something that no list holds may be there: beside the named causes, or in place of one."""
-        return self.verdict is Verdict.UNEXPLAINED or any(cause.may_be_unknown for cause in self.named)
+        """Whether something that no list holds may be there: beside the named causes, or in place of one.
+
+        What only scatters always leaves room for it, and is no item of a mixture.
+        """
+        scatters = any(isinstance(EFFECTS[cause.cause.name], NoiseEffect) for cause in self.named)
+        may_be_unknown = any(cause.may_be_unknown for cause in self.named) and not scatters
+        return self.verdict is Verdict.UNEXPLAINED or may_be_unknown
 
     def partly(self, mixture: Answer) -> Outcome:
         """This outcome with the causes that a mixture states beside everything else.
