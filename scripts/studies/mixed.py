@@ -46,6 +46,7 @@ from tests.hidden.handed_in import HiddenSession
 from tests.hidden.links import LISTED, links_of
 from tests.hidden.study import MIXED_KINDS, draw_case
 
+TOLD = 0.5  # probability of a link from which on it counts as told
 NOT_KEPT = ("smallest_visible",)  # long, and about causes that are not there
 
 
@@ -64,7 +65,7 @@ def run_case(kind: str, seed: int) -> Row:
         cause["links"] = list(links_of(cause["name"], len(sensors)))
     return row | {
         "sensors": sensors,
-        "links": told.get("links"),
+        "links": (told["mixture"] or {}).get("unlisted"),
         "coil": coil_numbers(hidden, diagnosis),
         "told": {key: value for key, value in told.items() if key not in row and key not in NOT_KEPT},
     }
@@ -162,12 +163,14 @@ def show_unlisted(rows: list[Row]) -> None:
     corrections = [(row, link) for row in rows if (link := link_of_correction(row)) is not None]
     near = sum(link in unlisted(row)["links"] for row, link in corrections)
     print(f"  strongest correction sits in its link: {share_and_interval(near, len(corrections))}")
-    with_links = [row for row in rows if row["links"]]
+    with_links = [row for row in rows if row["links"] and max(row["links"].values()) >= TOLD]
     if not with_links:
-        print("  no diagnosis tells of links")
+        print(f"  no diagnosis tells of a link with {TOLD:.0%} or more")
         return
     right = sum(link_told(row) in unlisted(row)["links"] for row in with_links)
-    print(f"  most probable link right: {share_and_interval(right, len(with_links))}")
+    print(
+        f"  most probable link right where it has {TOLD:.0%} or more: {share_and_interval(right, len(with_links))}"
+    )
     print(f"  probability of its links, mean: {fmean(p_of_its_links(row) for row in with_links):.2f}")
 
 

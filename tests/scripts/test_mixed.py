@@ -180,7 +180,7 @@ def test_the_summary_counts_by_size(capsys: pytest.CaptureFixture[str]) -> None:
         "verdicts `named` with a name that is not there: 0.0% (0 of 2)",
         "listed causes in any set of the verdict, or in the rig unnamed: 50.0% (2 of 4)",
         "something unlisted is told: 33.3% (1 of 3)",
-        "most probable link right: 100.0% (1 of 1)",
+        "most probable link right where it has 50% or more: 100.0% (1 of 1)",
         "probability of its links, mean: 0.80",
         "error on unseen readings over the noise, after: median 1.04, within 1.1 in 100.0% (3 of 3)",
         "time of a diagnosis: median 3.0 s, longest 3.0 s",
