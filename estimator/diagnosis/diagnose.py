@@ -375,7 +375,7 @@ def _next_measurements(search_result: Search, named: Sequence[NamedCause], rig: 
     """The best few proposals that would tell the fitted members of each credible set apart."""
     best: list[Proposal] = []
     compared = {step.taken for step in search_result.steps}  # those of a mixture were not fitted one by one
-    for step in (search_result.step_of(one.cause) for one in named if one.cause in compared):
+    for step in (search_result.step_of(n.cause) for n in named if n.cause in compared):
         hypotheses = {
             label_of(hypothesis.cause, rig): hypothesis.fit
             for hypothesis in step.credible

@@ -188,12 +188,12 @@ def _beside(diagnosis: Diagnosis) -> str:
             f"At least {len(mixture.asked.leading)} things are wrong at once, too many to tell apart.{where}"
         )
     unlisted, faint = list[str](), list[str]()
-    for found in mixture.beside:
+    for entry in mixture.beside:
         each = " or ".join(
-            f"{EFFECTS[one.cause.name].words} ({label_of(one.cause, diagnosis.rig)}, {probability(found.probability * one.share)})"
-            for one in found.possibilities[:MOST_BESIDE]
+            f"{EFFECTS[p.cause.name].words} ({label_of(p.cause, diagnosis.rig)}, {probability(entry.probability * p.share)})"
+            for p in entry.possibilities[:MOST_BESIDE]
         )
-        (faint if found.first.is_listed else unlisted).append(each)
+        (faint if entry.first.is_listed else unlisted).append(each)
     sentences = []
     if unlisted:
         sentences.append(f"No listed cause explains this: {'; '.join(unlisted)}.")

@@ -119,7 +119,7 @@ class Outcome:
 
     def _is_borne_out_by(self, mixture: Answer) -> bool:
         """Whether each named cause is among what the mixture finds rather there than not."""
-        probable = {one.cause for found in mixture.beside for one in found.possibilities}
+        probable = {p.cause for entry in mixture.beside for p in entry.possibilities}
         return all(named.cause in probable for named in self.named)
 
     def _unnamed(self, mixture: Answer) -> Outcome:

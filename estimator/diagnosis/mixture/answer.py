@@ -57,7 +57,7 @@ class Found:
 
     @property
     def first(self) -> Possibility:
-        """The most probable one."""
+        """The most probable possibility."""
         return self.possibilities[0]
 
     def to_json(self) -> dict[str, Any]:
@@ -68,13 +68,13 @@ class Found:
             "in_halves": self.in_halves,
             "is_one_of": [
                 {
-                    "name": one.cause.name,
-                    "place": one.cause.place,
-                    "is_listed": one.is_listed,
-                    "link": one.link.value,
-                    "probability": self.probability * one.share,
+                    "name": possibility.cause.name,
+                    "place": possibility.cause.place,
+                    "is_listed": possibility.is_listed,
+                    "link": possibility.link.value,
+                    "probability": self.probability * possibility.share,
                 }
-                for one in self.possibilities
+                for possibility in self.possibilities
             ],
         }
 
@@ -103,13 +103,13 @@ class Answer:
         for item, probability in zip(items, present, strict=True):
             by_cause[item.cause] = by_cause.get(item.cause, 0.0) + float(probability)
         result, told = list[Found](), set[Cause]()
-        for cause in sorted(by_cause, key=lambda one: -by_cause[one]):
+        for cause in sorted(by_cause, key=lambda cause: -by_cause[cause]):
             if by_cause[cause] < ASKED or cause in told:
                 continue
-            shares = {one: share for one, share in self._shares(cause).items() if one not in told}
+            shares = {other: share for other, share in self._shares(cause).items() if other not in told}
             told |= set(shares)
             result.append(self._found(shares))
-        return tuple(sorted(result, key=lambda one: -one.probability))
+        return tuple(sorted(result, key=lambda entry: -entry.probability))
 
     def _shares(self, cause: Cause) -> dict[Cause, float]:
         """What the slot of a cause holds, as shares; the cause itself has one of the largest."""
@@ -120,9 +120,11 @@ class Answer:
                 for item, probability in zip(items, conditional, strict=True):
                     total[item.cause] = total.get(item.cause, 0.0) + float(probability)
         whole = sum(total.values())
-        kept = {one: share for one, share in total.items() if one == cause or share > ALTERNATIVE * whole}
-        kept_whole = sum(kept.values())
-        return {one: share / kept_whole for one, share in kept.items()}
+        alternatives = {
+            other: share for other, share in total.items() if other == cause or share > ALTERNATIVE * whole
+        }
+        of_them = sum(alternatives.values())
+        return {other: share / of_them for other, share in alternatives.items()}
 
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items
@@ -149,17 +151,19 @@ class Answer:
         if self.is_full:
             return ()
         return tuple(
-            one for one in self.found if one.probability >= STATED and _listed(one.possibilities) > 0.5
+            entry
+            for entry in self.found
+            if entry.probability >= STATED and _listed(entry.possibilities) > 0.5
         )
 
     @property
     def beside(self) -> tuple[Found, ...]:
         """Other sets that are rather there than not."""
-        return tuple(one for one in self.found if one not in self.stated and one.probability > 0.5)
+        return tuple(entry for entry in self.found if entry not in self.stated and entry.probability > 0.5)
 
     @property
     def unlisted(self) -> dict[Link, float]:
-        """By link the probability that something acts there which no list holds, beside the causes."""
+        """Probability of each link that something acts there which no list holds, beside the causes."""
         items = self.asked.dictionary.items
         result = {}
         for link in dict.fromkeys(item.link for item in items):
@@ -171,13 +175,13 @@ class Answer:
     def to_json(self) -> dict[str, Any]:
         """Content of `mixture` in `diagnosis.json`."""
         return {
-            "found": [one.to_json() for one in self.found],
+            "found": [entry.to_json() for entry in self.found],
             "unlisted": {link.value: probability for link, probability in self.unlisted.items()},
         }
 
 
 def _listed(possibilities: Iterable[Possibility]) -> float:
-    return sum(one.share for one in possibilities if one.is_listed)
+    return sum(possibility.share for possibility in possibilities if possibility.is_listed)
 
 
 def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Answer:
@@ -190,8 +194,8 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
         n_pairs: Of complementary halves.
     """
     asked = climbed(plain, limits, seed)
-    kept = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
-    few = asked.dictionary.restricted(kept)
+    numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
+    few = asked.dictionary.restricted(numbers)
     readings = plain.observations
     block = blocks_of(readings, plain.rig, seed)
     of_halves = list[Samples]()
@@ -200,5 +204,5 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
             break
         products = Products(few, weight_of(is_in, readings.is_measured))
         samples = Slots(products, asked.slots.noise).sample(SWEEPS, BURN_IN, seed + i)
-        of_halves.append(samples.renumbered(kept, len(asked.dictionary.items)))
+        of_halves.append(samples.renumbered(numbers, len(asked.dictionary.items)))
     return Answer(asked, tuple(of_halves))

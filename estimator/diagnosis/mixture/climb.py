@@ -55,7 +55,7 @@ class Asked:
 
     @cached_property
     def log_density(self) -> float:
-        """Of the readings and the leading set of items, up to a constant that all expansions of one session share."""
+        """Log density of the readings and the leading set of items, up to a constant that all expansions of one session share."""
         fit, always = self.expansion.fit, self.expansion.always
         precision = always.jacobian.T @ always.jacobian + self.expansion.prior_precision
         in_slots = (
@@ -106,11 +106,11 @@ def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, 
     """
     fit, alone = expansion.fit, expansion.alone
     starts = starts_of(fit, candidates(fit, causes_of(fit.rig, fit, limits)))
-    starts += [more for cause, found in shapes.items() for more in again(fit, starts, cause, found)]
+    starts += [more for cause, of_cause in shapes.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts)
     if expansion.causes:
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
-    others = list({id(one.start.candidate): one.start.candidate for one in listed}.values())
+    others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(alone, others))
     slots = Slots(Products(entries), noise_prior(fit))
     return Asked(expansion, entries, slots, slots.sample(SWEEPS, BURN_IN, seed))
@@ -122,17 +122,17 @@ def one_more_of_each_link(asked: Asked, model: Sequence[int]) -> list[int]:
     Causes at one link change each other's columns.
     """
     items = asked.dictionary.items
-    kept, clearest = list[int](), dict[Link, tuple[float, int]]()
+    allowed, clearest = list[int](), dict[Link, tuple[float, int]]()
     for i in model:
         item = items[i]
         if not item.is_listed or item.cause in asked.expansion.causes:
-            kept.append(i)
+            allowed.append(i)
             continue
         rest = [j for j in model if j != i]
         lost = float(asked.slots.products.beside(rest, asked.noise)[i])
         if item.link not in clearest or lost > clearest[item.link][0]:
             clearest[item.link] = lost, i
-    return sorted([*kept, *(i for _, i in clearest.values())])
+    return sorted([*allowed, *(i for _, i in clearest.values())])
 
 
 def noise_prior(fit: Fit) -> NoisePrior:
@@ -145,8 +145,8 @@ def noise_prior(fit: Fit) -> NoisePrior:
 
 def _joined(first: Sequence[Offered], second: Sequence[Offered]) -> list[Offered]:
     """Both, each once: those of one start that was asked twice are the same."""
-    keys = {_key(one) for one in first}
-    return [*first, *(one for one in second if _key(one) not in keys)]
+    keys = {_key(item) for item in first}
+    return [*first, *(item for item in second if _key(item) not in keys)]
 
 
 def _key(one: Offered) -> tuple[object, ...]:

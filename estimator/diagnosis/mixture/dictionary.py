@@ -39,8 +39,8 @@ def dictionary(
 ) -> Dictionary:
     """All items at an expansion."""
     stack = _Stack()
-    items = [_listed_item(one, stack) for one in listed]
-    items += [item for one in departures for item in _departure_items(one, stack)]
+    items = [_listed_item(entry, stack) for entry in listed]
+    items += [item for departure in departures for item in _departure_items(departure, stack)]
     residual = expansion.residual
     columns = torch.cat(stack.blocks, dim=1) if stack.blocks else residual.new_zeros(len(residual), 0)
     return Dictionary(tuple(items), columns, residual, expansion.always, expansion.prior_precision)

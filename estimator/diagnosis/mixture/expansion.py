@@ -1,4 +1,4 @@
-"""Where the readings are taken to be linear in all that may be wrong: a fit with the leading causes, beside the leading departures."""
+"""The fit about which readings count as linear in all that may be wrong: with the leading causes, beside the leading departures."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Expansion:
 
     @cached_property
     def causes(self) -> tuple[Cause, ...]:
-        """Those that the fit has beyond the rig as described."""
+        """Causes that the fit has beyond the rig as described."""
         return tuple(cause for cause in self.fit.rig.effects if cause not in self.plain.rig.effects)
 
     @cached_property
@@ -63,7 +63,7 @@ class Expansion:
 
     @cached_property
     def prior_precision(self) -> Float[Tensor, "parameter parameter"]:
-        """Of the numbers of the rig as described."""
+        """Prior precision of the numbers of the rig as described."""
         prior = (self.fit.optimum.precision - self.fit.optimum.information)[0]
         return prior[self._base][:, self._base]
 

@@ -1,4 +1,4 @@
-"""Where in the chain from a supply to a recorded number an effect acts."""
+"""Links of the chain from a supply to a recorded number, and at which of them an effect acts."""
 
 from __future__ import annotations
 

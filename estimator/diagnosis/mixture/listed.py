@@ -65,15 +65,14 @@ class Offered:
 
 def starts_of(fit: Fit, pool: Sequence[Candidate]) -> list[Start]:
     """Candidates that some reading would show, with their priors: names alike, then places, then starts."""
-    pool = [one for one in pool if _is_seen(fit, one)]
+    pool = [candidate for candidate in pool if _is_seen(fit, candidate)]
     places: dict[str, set[str]] = {}
     n_starts: dict[Cause, int] = {}
-    for one in pool:
-        places.setdefault(one.cause.name, set()).add(one.cause.place)
-        n_starts[one.cause] = n_starts.get(one.cause, 0) + 1
-    return [
-        Start(one, -math.log(len(places) * len(places[one.cause.name]) * n_starts[one.cause])) for one in pool
-    ]
+    for candidate in pool:
+        cause = candidate.cause
+        places.setdefault(cause.name, set()).add(cause.place)
+        n_starts[cause] = n_starts.get(cause, 0) + 1
+    return [Start(c, -math.log(len(places) * len(places[c.cause.name]) * n_starts[c.cause])) for c in pool]
 
 
 def _is_seen(fit: Fit, candidate: Candidate) -> bool:
@@ -109,7 +108,7 @@ def again(fit: Fit, starts: Sequence[Start], cause: Cause, shapes: dict[str, flo
     log_prior = [start.log_prior for start in starts if start.candidate.cause == cause]
     if not log_prior or not shapes:
         return []
-    return [Start(one, log_prior[0]) for one in at_starts(fit, cause, [shapes])]
+    return [Start(candidate, log_prior[0]) for candidate in at_starts(fit, cause, [shapes])]
 
 
 def _at_finer_instants(fit: Fit, start: Start) -> list[Start]:
@@ -122,7 +121,7 @@ def _at_finer_instants(fit: Fit, start: Start) -> list[Start]:
         nearer = starts_nearer(circumstances, coarse_h, candidate.shapes, key)
         if len(nearer) > 1:
             log_prior = start.log_prior - math.log(len(nearer))
-            result += [Start(one, log_prior) for one in at_starts(fit, candidate.cause, nearer)]
+            result += [Start(near, log_prior) for near in at_starts(fit, candidate.cause, nearer)]
     return result
 
 
@@ -178,15 +177,15 @@ def _weighed(fit: Fit, starts: Sequence[Start]) -> dict[Cause, list[_Weighed]]:
 
 def _most_probable(by_start: Sequence[_Weighed]) -> list[Offered]:
     """The items of one cause that may matter."""
-    values = torch.cat([one.values for one in by_start])
+    values = torch.cat([of_start.values for of_start in by_start])
     best = float(values.max())
     most = MOST_PER_CAUSE if best > FAINT else MOST_OF_FAINT
     top = values.topk(min(most, len(values)))
     n = len(by_start[0].values)
-    kept = [
+    rows = [
         i for i, value in zip(top.indices.tolist(), top.values.tolist(), strict=True) if value > best - WITHIN
     ]
-    return [_items(by_start[i // n].start)[i % n] for i in kept]
+    return [_items(by_start[i // n].start)[i % n] for i in rows]
 
 
 def _log_bayes_factor(gram: Tensor, score: Tensor, width: Tensor) -> Tensor:

@@ -11,27 +11,27 @@ from estimator.effects.attach import with_effect
 
 def named_by(answer: Answer) -> list[NamedCause]:
     """The stated causes, surest first, each with its alternatives and what else it may be."""
-    return [_named(answer, found) for found in answer.stated]
+    return [_named(answer, entry) for entry in answer.stated]
 
 
 def _named(answer: Answer, found: Found) -> NamedCause:
-    listed = [one for one in found.possibilities if one.is_listed]
+    listed = [possibility for possibility in found.possibilities if possibility.is_listed]
     first, *others = listed
     asked, item = answer.asked, _item_of(answer, found)
     beside = [i for i in asked.leading if i != item]
     return NamedCause(
         first.cause,
         found.probability * first.share,
-        tuple(Alternative(one.cause, found.probability * one.share, None) for one in others),
+        tuple(Alternative(other.cause, found.probability * other.share, None) for other in others),
         float(asked.slots.products.beside(beside, asked.noise)[item]),
-        1.0 - found.probability * sum(one.share for one in listed),
+        1.0 - found.probability * sum(possibility.share for possibility in listed),
     )
 
 
 def _item_of(answer: Answer, found: Found) -> int:
     """Number of the most probable item of the cause that comes first."""
     asked = answer.asked
-    cause = next(one.cause for one in found.possibilities if one.is_listed)
+    cause = next(p.cause for p in found.possibilities if p.is_listed)
     own = [i for i, item in enumerate(asked.dictionary.items) if item.cause == cause]
     in_leading = [i for i in own if i in asked.leading]
     return in_leading[0] if in_leading else max(own, key=lambda i: float(asked.samples.present[i]))
@@ -41,7 +41,7 @@ def fitted_with_stated(answer: Answer) -> Fit:
     """The rig as described with the stated causes, fitted to the readings that were asked."""
     expansion = answer.asked.expansion
     plain, fit = expansion.plain, expansion.fit
-    items = [_item_of(answer, found) for found in answer.stated]
+    items = [_item_of(answer, entry) for entry in answer.stated]
     rig = plain.rig
     for i in items:
         item = answer.asked.dictionary.items[i]

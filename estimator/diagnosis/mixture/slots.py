@@ -47,7 +47,7 @@ class NoisePrior:
         return torch.logspace(math.log10(LEAST_NOISE), math.log10(MOST_NOISE), N_NOISES, dtype=torch.float64)
 
     def log_density(self, noise: Float[Tensor, " noise"]) -> Float[Tensor, " noise"]:
-        """Of the logarithm, up to a constant."""
+        """Log density of the logarithm, up to a constant."""
         if self.width == 0.0:
             return torch.zeros_like(noise)
         return -0.5 * ((noise.log() - math.log(self.median)) / self.width).square()
@@ -102,7 +102,7 @@ class Samples:
         return both
 
     def renumbered(self, numbers: Sequence[int], n_items: int) -> Samples:
-        """The same draws where items have other numbers, among more items."""
+        """These draws where items have other numbers, among more items."""
         index = np.asarray(numbers, dtype=int)
 
         def spread(values: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -32,13 +31,10 @@ def samples(models: dict[tuple[int, ...], int], shares: dict[int, dict[int, floa
 
 def answered(with_all: Samples, *in_halves: Samples, n_slots: int = 6) -> Answer:
     leading = max(with_all.models, key=with_all.models.__getitem__)
-    asked = SimpleNamespace(
-        dictionary=dictionary(ITEMS),
-        samples=with_all,
-        leading=leading,
-        slots=SimpleNamespace(n_slots=n_slots),
-    )
-    return Answer(cast(Asked, asked), in_halves)
+    asked = object.__new__(Asked)
+    slots = SimpleNamespace(n_slots=n_slots)
+    asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
+    return Answer(asked, in_halves)
 
 
 BOTH = {
