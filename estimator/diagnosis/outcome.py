@@ -16,6 +16,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.hypotheses.search_record import Search
+from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
@@ -104,7 +105,7 @@ class Outcome:
                 replace(self, mixture=mixture) if self._is_borne_out_by(mixture) else self._unnamed(mixture)
             )
         verdict = Verdict.NAMED if all(cause.is_alone for cause in named) else Verdict.INDISTINGUISHABLE
-        if mixture.beside or self.verdict is Verdict.UNEXPLAINED:
+        if mixture.beside or leaves_structure(self.search.scatter):
             verdict = Verdict.PARTLY_EXPLAINED
         extended = fitted_with_stated(mixture)
         return replace(
