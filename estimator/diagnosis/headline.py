@@ -196,7 +196,7 @@ def _beside(diagnosis: Diagnosis) -> str:
         (faint if entry.first.is_listed else unlisted).append(each)
     sentences = []
     if unlisted:
-        sentences.append(f"No listed cause explains this: {'; '.join(unlisted)}.")
+        sentences.append(f"What is left is best described so: {'; '.join(unlisted)}.")
     elif diagnosis.causes:
         sentences.append(
             "Something else is left that no listed cause explains, and the readings do not tell where it sits."

@@ -33,7 +33,7 @@ def test_what_has_a_name_is_stated_beside_what_has_none(diagnosis: Diagnosis) ->
 def test_what_is_printed_says_so_in_two_sentences(diagnosis: Diagnosis) -> None:
     first, second, *_ = headline(diagnosis)
     assert first.startswith(EFFECTS["sensor_bumped"].words[:1].upper() + EFFECTS["sensor_bumped"].words[1:])
-    assert second.startswith("No listed cause explains this: ")
+    assert second.startswith("What is left is best described so: ")
     assert "sensor_bumped" not in second
 
 

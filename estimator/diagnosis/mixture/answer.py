@@ -14,6 +14,7 @@ from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples, Slots
+from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
 
 N_PAIRS = 3  # of complementary halves
@@ -196,7 +197,7 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
     asked = climbed(plain, limits, seed)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
     few = asked.dictionary.restricted(numbers)
-    readings = plain.observations
+    readings = as_meant(plain.rig, plain.observations)
     block = blocks_of(readings, plain.rig, seed)
     of_halves = list[Samples]()
     for i, is_in in enumerate(halves(block, n_pairs, seed)):

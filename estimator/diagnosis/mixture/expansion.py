@@ -17,6 +17,7 @@ from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.listed import Start
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.use import as_meant
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause, Rig
 
@@ -178,9 +179,15 @@ class Expansion:
             else:
                 departed_T += changed / self.fit.whitening_per_T
         readings = self.plain.observations
+        if as_meant(
+            self.plain.rig, readings
+        ).rows_late:  # fields stand beside other rows: nothing is taken away from them
+            departed_T = torch.zeros_like(departed_T)
         field_T = readings.field_sensor_T.clone()
-        field_T[readings.is_measured] -= departed_T
-        cleaned = readings if not bool(departed_T.any()) else readings.with_field(field_T)
+        cleaned = readings
+        if bool(departed_T.any()):
+            field_T[readings.is_measured] -= departed_T
+            cleaned = readings.with_field(field_T)
         rules = self.plain.posterior.model.rules
         fit = fit_rig(rig, cleaned, {**self.fit.values, **start}, rules, other_start=self._moved(left))
         return Expansion(self.plain, fit, departed_T, log_prior)

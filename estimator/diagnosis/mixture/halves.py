@@ -10,6 +10,7 @@ References:
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -38,7 +39,9 @@ def blocks_of(observations: Observations, rig: Rig, seed: int) -> Int[np.ndarray
         if spread_m > 0.0:
             coordinates += list(((position_m - position_m.mean(0)) / spread_m).T)
     n_blocks = max(2, min(N_BLOCKS, n // LEAST_IN_A_BLOCK))
-    _, block = kmeans2(np.column_stack(coordinates), n_blocks, minit="++", seed=seed)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a block may stay empty where places repeat
+        _, block = kmeans2(np.column_stack(coordinates), n_blocks, minit="++", seed=seed)
     return np.unique(block, return_inverse=True)[1]
 
 

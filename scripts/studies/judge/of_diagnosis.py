@@ -104,9 +104,7 @@ def partly_named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]
         yield Statement("name_as_fact", DIAGNOSE, f"{text}: {cause['name']}", is_true, why)
 
 
-@sentence(
-    r"Something is wrong that no known cause explains|No listed cause explains this|no listed cause explains, and"
-)
+@sentence(r"Something is wrong that no known cause explains|no listed cause explains, and")
 def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
     """False where nothing is wrong, or only what the library has a name for."""
     if case.truth is not None:

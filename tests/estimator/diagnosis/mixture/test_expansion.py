@@ -10,6 +10,7 @@ from estimator.diagnosis.mixture.answer import answer
 from estimator.diagnosis.mixture.climb import ask
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
+from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
@@ -59,3 +60,13 @@ def test_the_answer_names_the_cause_and_the_fit_with_it_has_its_size(small_rig, 
     fit = fitted_with_stated(found)
     assert fit.rig.effects == (named.cause,)
     assert fit.log_evidence > found.asked.expansion.plain.log_evidence + 50.0
+
+
+def test_rows_that_were_shifted_in_the_record_are_asked_too(small_rig, seen):
+    shifted = Cause("rows_shifted", "record")
+    rig = with_effect(small_rig, shifted, seen, {"rows": 1.0}, is_free=False)
+    readings = with_wrong(small_rig, seen, OFFSET, {"x_T": 2e-4, "y_T": -1e-4, "z_T": 1e-4})
+    late = readings.with_field(torch.roll(readings.field_sensor_T, 1, dims=0))
+    found = answer(fit_of(rig, late), Limits(), seed=1, n_pairs=1)
+    assert shifted in found.asked.expansion.plain.rig.effects
+    assert found.found
