@@ -186,7 +186,6 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
 
 def _text(diagnosis: Diagnosis, out: Path) -> str:
     from estimator.diagnosis.headline import difference_words, headline, held_back, tension_words
-    from estimator.diagnosis.hypotheses.step import leaves_structure
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
     from estimator.reporting.numbers import interval_with_unit, odds, percent, probability, quantity_words
 
@@ -210,15 +209,13 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     if diagnosis.findings.stand_ins:
         names = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
         lines.append(
-            f"  {EXTENDED_RIG} also has {names}: needed here, but something unknown may look like them"
+            f"  {EXTENDED_RIG} also has {names}: it predicts better with them, but they are not sure enough to be stated"
         )
     if diagnosis.verdict.leaves_something:
-        remainder = diagnosis.findings.search.remainder
-        lines.append(
-            f"  {odds(remainder.log_bayes_factor)} that something is left beside the causes, which depends on {remainder.family}"
-        )
-        scatter = diagnosis.findings.search.scatter
-        if leaves_structure(scatter):
+        left, scatter = diagnosis.findings.answer.left, diagnosis.findings.scatter
+        if left.log_bayes_factor > 0.0:
+            lines.append(f"  {odds(left.log_bayes_factor)} that something no list holds acts in {left.words}")
+        if scatter.is_probable:
             lines.append(
                 f"  {odds(scatter.log_bayes_factor)} that how far readings miss depends on {scatter.along}"
             )

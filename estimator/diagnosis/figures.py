@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -24,12 +23,12 @@ from estimator.rig.rig import Cause, Coil
 from estimator.units import UNITS
 
 MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12
-MOST_IN_TITLE, LEAST_STEPS = 3, 2
+MOST_IN_TITLE = 3
 
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a caption that says what to look for."""
-    parts = (_maps, _explained, _corrected, _ladder, _structure, _ranking)
+    parts = (_maps, _explained, _corrected, _structure, _ranking)
     return part_by_part(parts, diagnosis)
 
 
@@ -108,29 +107,6 @@ def _corrected(diagnosis: Diagnosis) -> Iterator[Picture]:
     )
 
 
-def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
-    additions = diagnosis.findings.search.additions
-    if len(additions) < LEAST_STEPS:
-        return
-    fits = [diagnosis.findings.search.base, *(addition.fit for addition in additions)]
-    figure = plots.stepwise_residual(
-        [diagnosis.label_of_addition(addition) for addition in additions],
-        [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
-        [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
-        [_role(diagnosis, addition.causes) for addition in additions],
-        diagnosis.fits.before.lack_of_fit.noise_T,
-        title=diagnosis.rig.name,
-    ).figure
-    assert isinstance(figure, Figure)
-    yield Picture(
-        "What each cause contributes",
-        "Rms residual after each cause, in the order in which the causes were taken, with the rise in log evidence. The last "
-        "bar is what remains beyond the noise that repeats or the rig file state: its square and that of the noise add up to the square of "
-        "the bar above.",
-        figure,
-    )
-
-
 def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
     before = diagnosis.fits.before.structure
     after = {test.covariate.name: test for test in diagnosis.fits.after.structure}
@@ -180,34 +156,33 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
-    for number, (title, step) in enumerate(diagnosis.comparisons[:MOST_STEPS], start=1):
+    for number, (title, comparison) in enumerate(diagnosis.comparisons[:MOST_STEPS], start=1):
         evidence = {
             diagnosis.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
-            for hypothesis in step.hypotheses
+            for hypothesis in comparison.hypotheses
         }
-        taken = None if step.taken is None else diagnosis.label(step.taken)
+        stated = diagnosis.label(comparison.taken[0]) if comparison.taken else None
         roles = {
-            diagnosis.label_of_hypothesis(hypothesis): _role(diagnosis, (hypothesis.cause,))
-            for hypothesis in step.hypotheses
+            diagnosis.label_of_hypothesis(hypothesis): _role(diagnosis, hypothesis.cause)
+            for hypothesis in comparison.hypotheses
             if hypothesis.cause is not None
         }
-        figure = plots.evidence_bars(evidence, taken, roles, title=f"step {number}").figure
+        figure = plots.evidence_bars(evidence, stated, roles, title=title).figure
         assert isinstance(figure, Figure)
-        words = f"{title} was taken." if taken else "No further cause has enough evidence."
-        if taken and title != taken:
-            words += f" The bars compare {taken}, given the other causes of this step."
+        words = f"{title} is stated." if stated else "What more there may be, beside all that leads."
         yield Picture(
-            f"Hypotheses, step {number}",
-            f"Log Bayes factor of each cause, and of a flexible curve for what no known cause explains, against nothing wrong. {words}",
+            f"Hypotheses, comparison {number}",
+            "Log Bayes factor of each cause, and of a departure that no list holds, against nothing wrong, beside everything else that "
+            f"leads. {words}",
             figure,
         )
 
 
-def _role(diagnosis: Diagnosis, causes: Sequence[Cause]) -> plots.Role:
-    """What the verdict makes of causes that were taken together: what the search kept without a name stands in for the unknown."""
-    if {named.cause for named in diagnosis.causes} & set(causes):
+def _role(diagnosis: Diagnosis, cause: Cause) -> plots.Role:
+    """What the verdict makes of a cause."""
+    if cause in {named.cause for named in diagnosis.causes}:
         return plots.Role.NAMED
-    return plots.Role.STAND_IN if set(diagnosis.findings.search.added) & set(causes) else plots.Role.OTHER
+    return plots.Role.STAND_IN if cause in diagnosis.findings.stand_ins else plots.Role.OTHER
 
 
 def _residual_T(fit: Fit) -> np.ndarray:

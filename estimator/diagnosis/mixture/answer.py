@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
+from jaxtyping import Float
+from torch import Tensor
+
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import BURN_IN, SWEEPS, Asked, climbed
+from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
@@ -61,6 +65,11 @@ class Found:
         """The most probable possibility."""
         return self.possibilities[0]
 
+    @property
+    def first_listed(self) -> Cause:
+        """The most probable listed cause."""
+        return next(possibility.cause for possibility in self.possibilities if possibility.is_listed)
+
     def to_json(self) -> dict[str, Any]:
         """An entry of `causes` or `departures` in `diagnosis.json`."""
         return {
@@ -85,21 +94,31 @@ class Answer:
     """Which causes and departures stand beside each other in the readings of a session.
 
     Attributes:
+        first: About the rig as described.
         asked: At the expansion that counts.
         in_halves: Draws from halves of the readings.
+        ended_early: Why it ended before all was asked; empty where it did not.
     """
 
+    first: Asked
     asked: Asked
     in_halves: tuple[Samples, ...]
+    ended_early: str = ""
+
+    @property
+    def plain(self) -> Fit:
+        """Fit of the rig as described."""
+        return self.asked.expansion.plain
 
     @cached_property
-    def _both(self) -> Samples:
+    def both(self) -> Samples:
+        """Draws with all readings and with halves of them, each half of the whole."""
         return self.asked.samples.joined(self.in_halves)
 
     @cached_property
     def found(self) -> tuple[Found, ...]:
         """Sets of alternatives about listed causes and departures, most probable first."""
-        items, present = self.asked.dictionary.items, self._both.present
+        items, present = self.asked.dictionary.items, self.both.present
         by_cause: dict[Cause, float] = {}
         for item, probability in zip(items, present, strict=True):
             by_cause[item.cause] = by_cause.get(item.cause, 0.0) + float(probability)
@@ -116,7 +135,7 @@ class Answer:
         """What the slot of a cause holds, as shares; the cause itself has one of the largest."""
         items = self.asked.dictionary.items
         total: dict[Cause, float] = {}
-        for drawn, conditional in self._both.beside.items():
+        for drawn, conditional in self.both.beside.items():
             if items[drawn].cause == cause:
                 for item, probability in zip(items, conditional, strict=True):
                     total[item.cause] = total.get(item.cause, 0.0) + float(probability)
@@ -170,8 +189,76 @@ class Answer:
         for link in dict.fromkeys(item.link for item in items):
             own = [i for i, item in enumerate(items) if item.link is link and not item.is_listed]
             if own:
-                result[link] = self._both.holding(own)
+                result[link] = self.both.holding(own)
         return result
+
+    @property
+    def p_unlisted(self) -> float:
+        """Probability that something acts which no list holds."""
+        items = self.asked.dictionary.items
+        return self.both.holding([i for i, item in enumerate(items) if not item.is_listed])
+
+    @property
+    def leaves_something(self) -> bool:
+        """Whether something beside what is stated is rather there than not."""
+        is_unlisted = any(probability > 0.5 for probability in self.unlisted.values())
+        return self.is_full or bool(self.beside) or is_unlisted
+
+    @cached_property
+    def leading_fit(self) -> Fit:
+        """The fit of the listed causes that lead, to the readings without the departures that lead."""
+        asked, items = self.asked, self.asked.dictionary.items
+        causes = {items[i].cause for i in asked.leading if items[i].is_listed}
+        has_departures = any(not items[i].is_listed for i in asked.leading)
+        if causes == set(asked.expansion.causes) and not has_departures:
+            return asked.expansion.fit
+        sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
+        return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
+
+    def item_of(self, cause: Cause) -> int:
+        """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""
+        own = [i for i, item in enumerate(self.asked.dictionary.items) if item.cause == cause]
+        in_leading = [i for i in own if i in self.asked.leading]
+        return in_leading[0] if in_leading else max(own, key=lambda i: float(self.both.present[i]))
+
+    def sizes_of(self, item: int) -> Float[Tensor, " column"]:
+        """Coefficients of an item's columns, beside the leading set."""
+        asked = self.asked
+        others = [i for i in asked.leading if i != item]
+        sizes, _ = asked.slots.products.sizes([*others, item], asked.noise)
+        return sizes[len(sizes) - len(asked.dictionary.items[item].columns) :]
+
+    def shapes_of(self, cause: Cause) -> dict[str, float]:
+        """Shapes of a cause: as fitted where the expansion has it, else those of its start."""
+        start, values = self.asked.dictionary.items[self.item_of(cause)].start, self.asked.expansion.fit.values
+        own = {key: values.get(f"{cause.label}.{key}") for key in start}
+        return {key: start[key] if value is None else float(value) for key, value in own.items()}
+
+    def beside_item(self, item: int, taken: Sequence[Cause] = ()) -> Comparison:
+        """All hypotheses in the place of an item of the leading set."""
+        return Comparison(self.asked, tuple(i for i in self.asked.leading if i != item), tuple(taken))
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """All hypotheses in the place of each stated cause; last, beside all that leads."""
+        stated = [
+            self.beside_item(
+                self.item_of(entry.first_listed), [p.cause for p in entry.possibilities if p.is_listed]
+            )
+            for entry in self.stated
+        ]
+        return (*stated, Comparison(self.asked, self.asked.leading))
+
+    @property
+    def alone(self) -> Comparison:
+        """All hypotheses before anything is there."""
+        return Comparison(self.first, ())
+
+    @cached_property
+    def left(self) -> Left:
+        """What no list holds, beside the listed causes that lead."""
+        items = self.asked.dictionary.items
+        return left_beside(Comparison(self.asked, tuple(i for i in self.asked.leading if items[i].is_listed)))
 
     def to_json(self) -> dict[str, Any]:
         """Content of `mixture` in `diagnosis.json`."""
@@ -194,7 +281,7 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
         seed: Of blocks, halves and draws.
         n_pairs: Of complementary halves.
     """
-    asked = climbed(plain, limits, seed)
+    first, asked = climbed(plain, limits, seed)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
     few = asked.dictionary.restricted(numbers)
     readings = as_meant(plain.rig, plain.observations)
@@ -204,6 +291,6 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
         if limits.is_over:
             break
         products = Products(few, weight_of(is_in, readings.is_measured))
-        samples = Slots(products, asked.slots.noise).sample(SWEEPS, BURN_IN, seed + i)
+        samples = Slots(products, asked.slots.noise, asked.slots.n_slots).sample(SWEEPS, BURN_IN, seed + i)
         of_halves.append(samples.renumbered(numbers, len(asked.dictionary.items)))
-    return Answer(asked, tuple(of_halves))
+    return Answer(first, asked, tuple(of_halves), limits.words if limits.is_over else "")

@@ -11,7 +11,7 @@ from functools import cached_property
 import torch
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.departures import departures
 from estimator.diagnosis.mixture.dictionary import dictionary
@@ -30,17 +30,27 @@ SWEEPS, BURN_IN = 40, 10
 
 @dataclass(frozen=True)
 class Asked:
-    """What the readings say at one expansion."""
+    """What the readings say at one expansion.
+
+    Attributes:
+        pool: Columns of every listed cause that the expansion lacks.
+    """
 
     expansion: Expansion
+    pool: tuple[Candidate, ...]
     dictionary: Dictionary
     slots: Slots
     samples: Samples
 
     @property
+    def noise_number(self) -> int:
+        """Number of the most frequent factor on the noise of the fit."""
+        return max(self.samples.noises, key=self.samples.noises.__getitem__)
+
+    @property
     def noise(self) -> float:
         """The most frequent factor on the noise of the fit."""
-        return float(self.slots.grid[max(self.samples.noises, key=self.samples.noises.__getitem__)])
+        return float(self.slots.grid[self.noise_number])
 
     @cached_property
     def leading(self) -> tuple[int, ...]:
@@ -69,8 +79,8 @@ class Asked:
         )
 
 
-def climbed(plain: Fit, limits: Limits, seed: int) -> Asked:
-    """The readings, asked about the expansion at which the leading set of items is most probable.
+def climbed(plain: Fit, limits: Limits, seed: int) -> tuple[Asked, Asked]:
+    """The readings, asked about the rig as described, and about the expansion at which the leading set of items is most probable.
 
     Args:
         plain: Fit of the rig as described.
@@ -92,7 +102,7 @@ def climbed(plain: Fit, limits: Limits, seed: int) -> Asked:
             break
         asked.append(ask(moved, limits, seed, shapes))
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
-    return max(asked, key=lambda one: one.log_density)
+    return asked[0], max(asked, key=lambda at: at.log_density)
 
 
 def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]) -> Asked:
@@ -105,15 +115,16 @@ def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, 
         shapes: Those that earlier fits have found, by cause.
     """
     fit, alone = expansion.fit, expansion.alone
-    starts = starts_of(fit, candidates(fit, causes_of(fit.rig, fit, limits)))
+    pool = candidates(fit, causes_of(fit.rig, fit, limits))
+    starts = starts_of(fit, pool)
     starts += [more for cause, of_cause in shapes.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts)
     if expansion.causes:
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(alone, others))
-    slots = Slots(Products(entries), noise_prior(fit))
-    return Asked(expansion, entries, slots, slots.sample(SWEEPS, BURN_IN, seed))
+    slots = Slots(Products(entries), noise_prior(fit), limits.most_causes)
+    return Asked(expansion, tuple(pool), entries, slots, slots.sample(SWEEPS, BURN_IN, seed))
 
 
 def one_more_of_each_link(asked: Asked, model: Sequence[int]) -> list[int]:

@@ -80,6 +80,17 @@ class Expansion:
         missed: Tensor = (fit.posterior.measured_T - fit.predicted_T) * fit.whitening_per_T
         return missed
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coordinates of the rig as described, by name."""
+        return tuple(self.fit.posterior.coordinates.names[i] for i in self._base)
+
+    @property
+    def prior_mean(self) -> Float[Tensor, " parameter"]:
+        """Their prior means."""
+        mean: Tensor = self.fit.vector[self._base] - self._pulled
+        return mean
+
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
         """Whitened, without causes and departures and with the rig's numbers at their prior means."""

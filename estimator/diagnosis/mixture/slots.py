@@ -21,6 +21,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.evidence import Products
 
@@ -138,7 +139,7 @@ class Slots:
         n_slots: Things that may be wrong at once.
     """
 
-    def __init__(self, products: Products, noise: NoisePrior, n_slots: int = priors.N_SLOTS) -> None:
+    def __init__(self, products: Products, noise: NoisePrior, n_slots: int = policy.MOST_CAUSES) -> None:
         self.products, self.noise, self.n_slots = products, noise, n_slots
         self.grid = noise.grid()
         self.log_prior_noise = noise.log_density(self.grid)
