@@ -14,12 +14,14 @@ from estimator.calibration.calibrate import Stage
 from estimator.calibration.result import Calibration, remove_calibration
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
+from estimator.diagnosis.budget import budget
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
     leaves_much_of_the_field,
@@ -279,6 +281,7 @@ def _judged(
             after=before if extended is plain else Symptoms.of(extended, seed),
             improvement=outcome.improvement,
             correction=outcome.correction,
+            budget=budget(outcome.answer.plain, extended, on_known_sides(extended, unseen), seed),
         ),
         left_open=LeftOpen(
             visible=tuple(found.visible),
@@ -366,8 +369,6 @@ def _next_measurements(answer: Answer, rig: Rig) -> list[Proposal]:
             continue
         fits = {label_of(cause, rig): fit for cause, fit in alternative_fits(answer, entry).items()}
         possible = actions(answer.plain.observations, rig)
-        clear = [
-            p for p in proposals(fits, possible) if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE
-        ]
+        clear = [p for p in proposals(fits, possible) if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE]
         best += clear[: policy.MOST_PROPOSALS]
     return best

@@ -17,7 +17,7 @@ from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coil
 from estimator.effects.corrections.correction import KEY
 from estimator.model.bodies import winding_of
 from estimator.reporting import plots
-from estimator.reporting.numbers import SHOWN_IN
+from estimator.reporting.numbers import SHOWN_IN, size_with_unit
 from estimator.reporting.page import Picture
 from estimator.rig.rig import Cause, Coil
 from estimator.units import UNITS
@@ -28,7 +28,7 @@ MOST_IN_TITLE = 3
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a caption that says what to look for."""
-    parts = (_maps, _explained, _corrected, _structure, _ranking)
+    parts = (_maps, _budget, _explained, _corrected, _structure, _ranking)
     return part_by_part(parts, diagnosis)
 
 
@@ -60,6 +60,27 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
             figure = plots.residual_map(powered_m, residuals[0][is_on], winding, one_sigma, title=rig.name)
             words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame. A pattern means a model error."
             yield Picture(f"Residual around {name}", words, figure)
+
+
+def _budget(diagnosis: Diagnosis) -> Iterator[Picture]:
+    budget = diagnosis.fits.budget
+    if budget is None:
+        return
+    shares = {diagnosis.label(cause): (s.value, s.ci90) for cause, s in budget.causes.items()}
+    roles = [_role(diagnosis, cause) for cause in budget.causes]
+    if len(budget.causes) > 1:
+        shares["shared by several"] = (budget.shared.value, budget.shared.ci90)
+        roles.append(plots.Role.OTHER)
+    shares["left"] = (budget.left.value, budget.left.ci90)
+    figure = plots.error_budget(shares, [*roles, plots.Role.LEFT], title=diagnosis.rig.name).figure
+    assert isinstance(figure, Figure)
+    yield Picture(
+        "Error budget",
+        f"What the rig as described misses of {budget.n_readings} readings that no fit has seen, beyond the noise: "
+        f"{size_with_unit(budget.misfit_T, 'T', 3)} rms. Each bar is the share that a cause accounts for, between what it takes away alone "
+        "and what it takes away last; lines are 90 % intervals over the choice of the readings.",
+        figure,
+    )
 
 
 def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:

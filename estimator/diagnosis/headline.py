@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 
 import numpy as np
@@ -10,12 +10,12 @@ import numpy as np
 from estimator.calibration.quality import tensions
 from estimator.diagnosis import policy
 from estimator.diagnosis.gain_in_words import gained, misses
+from estimator.diagnosis.mixture.answer import Found
+from estimator.diagnosis.mixture.comparison import NOTHING
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis, label_of
 from estimator.diagnosis.sizes import Difference
-from estimator.diagnosis.mixture.answer import Found
-from estimator.diagnosis.mixture.comparison import NOTHING
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.diagnosis.what_shows import PLACE, hidden_words
@@ -28,6 +28,7 @@ from estimator.reporting.numbers import (
     displays,
     interval_with_unit,
     odds,
+    percent,
     probability,
     quantity_words,
     size_with_unit,
@@ -169,8 +170,21 @@ def stated_causes(diagnosis: Diagnosis) -> list[str]:
         if len(same) > 1:
             label = f"{name}[{', '.join(named.cause.place for named in same)}]"
         least = min(named.probability for named in same)
-        sentences.append(f"{_capital(EFFECTS[name].words)} ({label}, {probability(least)}){_others(diagnosis, first)}.")
+        sentences.append(
+            f"{_capital(EFFECTS[name].words)} ({label}, {probability(least)}){_others(diagnosis, first)}."
+            f"{_share(diagnosis, [named.cause for named in same])}"
+        )
     return sentences
+
+
+def _share(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
+    """How much of the misfit some causes account for; empty where no budget tells it."""
+    budget = diagnosis.fits.budget
+    known = [] if budget is None else [budget.causes[cause] for cause in causes if cause in budget.causes]
+    if not known:
+        return ""
+    subject = "It accounts" if len(causes) == 1 else "They account"
+    return f" {subject} for {percent(sum(share.value for share in known))} of the misfit."
 
 
 def _beside(diagnosis: Diagnosis) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import on_known_sides

@@ -118,9 +118,7 @@ def _maps(diagnosis: Diagnosis) -> Iterator[ResidualMap]:
             position_m=rounded(position_m[rows]),
             before_T=shown(measured_T - predicted_T(plain)),
             after_T=shown(measured_T - predicted_T(extended)),
-            patterns_T={
-                diagnosis.label(cause): shown(_pattern_T(alone, cause)) for cause in leaders
-            },
+            patterns_T={diagnosis.label(cause): shown(_pattern_T(alone, cause)) for cause in leaders},
         )
 
 

@@ -483,3 +483,7 @@ LISTED_IMPACT_SD = 0.3
 LEAST_COVERAGE90, MOST_COVERAGE90 = 0.8, 0.97
 """Share of unseen components in 90 % intervals outside which the report warns. By judgement: blocks share what a model gets wrong, so the
 share scatters by some per cent. Study: not in it."""
+
+LEAST_MISFIT_TOLD = 0.1
+"""Squared error of the rig as described beyond the noise, over that of the noise, from which on an error budget is told. By judgement:
+below, shares are of chance."""

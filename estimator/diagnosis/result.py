@@ -10,6 +10,7 @@ import torch
 
 from estimator.calibration.result import CALIBRATION, Calibration
 from estimator.diagnosis import policy
+from estimator.diagnosis.budget import Budget
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.differences import clearest_difference
 from estimator.diagnosis.extension import NOTE
@@ -110,6 +111,7 @@ class Fits:
         before, after: Symptoms in the residuals of `plain` and `extended`.
         improvement: Of the predictions of unseen readings; None where there are none.
         correction: Of what no cause explains; its terms are in `extended` and `final`. None where nothing is unexplained.
+        budget: Shares of the error on unseen readings; None where there are none, or nothing was found.
     """
 
     plain: Fit
@@ -119,6 +121,7 @@ class Fits:
     after: Symptoms
     improvement: Improvement | None = None
     correction: Correction | None = None
+    budget: Budget | None = None
 
 
 @dataclass(frozen=True)
@@ -307,6 +310,7 @@ class Diagnosis:
             },
             "mixture": findings.answer.to_json(),
             "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
+            "budget": None if self.fits.budget is None else self.fits.budget.to_json(),
             "rig_parameters": intervals_to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,
             "steps": [self._comparison_json(comparison) for _, comparison in self.comparisons],

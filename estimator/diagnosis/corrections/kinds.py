@@ -72,7 +72,9 @@ class CorrectionKind:
         """A rig, by default that of a fit, with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)
         circumstances = fit.posterior.model.circumstances
-        rig = with_effect(of or fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances)
+        rig = with_effect(
+            of or fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances
+        )
         named = {f"{self.cause.label}.{key}": width for key, width in widths.items()}
         return rig.with_parameters(
             replace(rig.parameters[name], prior=Normal(0.0, width) if is_free else None)

@@ -94,7 +94,10 @@ class Correction:
         if not self.is_taken:
             corrected = f"Nothing is corrected: {self.refusal}."
         else:
-            by = "; ".join(part.words(label) for part in self.parts) or "causes that are not sure enough to be stated"
+            by = (
+                "; ".join(part.words(label) for part in self.parts)
+                or "causes that are not sure enough to be stated"
+            )
             corrected = (
                 f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
             )

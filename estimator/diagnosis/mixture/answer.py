@@ -230,7 +230,10 @@ class Answer:
 
     def shapes_of(self, cause: Cause) -> dict[str, float]:
         """Shapes of a cause: as fitted where the expansion has it, else those of its start."""
-        start, values = self.asked.dictionary.items[self.item_of(cause)].start, self.asked.expansion.fit.values
+        start, values = (
+            self.asked.dictionary.items[self.item_of(cause)].start,
+            self.asked.expansion.fit.values,
+        )
         own = {key: values.get(f"{cause.label}.{key}") for key in start}
         return {key: start[key] if value is None else float(value) for key, value in own.items()}
 

@@ -143,5 +143,5 @@ def credible(hypotheses: Sequence[Hypothesis], share: float = 0.95) -> list[Hypo
     """The causes that hold a share of the probability of all causes, given most probable first."""
     causes = [hypothesis for hypothesis in hypotheses if hypothesis.cause is not None]
     cumulative = np.cumsum([hypothesis.probability for hypothesis in causes])
-    n = int((cumulative < share * cumulative[-1]).sum()) + 1 if len(causes) else 0
+    n = int((cumulative < share * cumulative[-1]).sum()) + 1 if causes else 0
     return causes[:n]

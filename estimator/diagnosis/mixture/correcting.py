@@ -101,4 +101,3 @@ class _Terms:
             if key in keys
         }
         return replace(self, rig=rig, start=self.start | amplitudes)
-

@@ -10,7 +10,9 @@ import numpy as np
 from estimator.field.kernel import machine_code
 
 RIDGE = 1e-10  # of the square of a column: what rounding leaves of those that the rig's numbers follow
-FAR = -30.0  # standard deviations below which the normal distribution function is taken by its asymptotic form
+FAR = (
+    -30.0
+)  # standard deviations below which the normal distribution function is taken by its asymptotic form
 
 compiled = partial(machine_code, is_in_order=False)
 

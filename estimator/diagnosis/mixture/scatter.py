@@ -85,6 +85,9 @@ def _with(plain: Fit, cause: Cause, fitted: Fit) -> Fit:
     noises = {name: v for name, v in fitted.values.items() if name.endswith(".noise_T")}
     rules = plain.posterior.model.rules
     return fit_rig(
-        rig, plain.observations, plain.start_with(rig) | noises | {n: v for n, v in values.items()}, rules,
+        rig,
+        plain.observations,
+        plain.start_with(rig) | noises | {n: v for n, v in values.items()},
+        rules,
         tolerance=policy.FINE_TOLERANCE,
     )

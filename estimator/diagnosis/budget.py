@@ -1,0 +1,153 @@
+"""The error budget: how much of what the rig as described misses each cause accounts for, on readings that no fit has seen.
+
+What a cause accounts for depends on what stands beside it. Alone it takes away some of the squared error; last, beside all others, some
+less or more. Its share is the mean of the two, and what the causes share is the difference between the whole and the sum of the last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.effects.use import as_meant
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause, Rig
+
+N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
+Squares = Float[np.ndarray, " reading"]
+
+
+@dataclass(frozen=True)
+class Share:
+    """Part of the squared error of the rig as described, beyond the noise.
+
+    Attributes:
+        value: Of 1.
+        ci90: 90 % interval over the choice of the readings.
+    """
+
+    value: float
+    ci90: tuple[float, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """This share in the form of `diagnosis.json`."""
+        return {"share": self.value, "ci90": list(self.ci90)}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Shares of the squared error on readings that no fit has seen.
+
+    Attributes:
+        n_readings: Their number.
+        misfit_T: What the rig as described misses beyond the noise, root mean square of the vector.
+        noise_T: Noise of the vector.
+        causes: Share of each cause and correction of the extended rig.
+        shared: What several of them account for alike.
+        left: What none of them accounts for.
+    """
+
+    n_readings: int
+    misfit_T: float
+    noise_T: float
+    causes: Mapping[Cause, Share]
+    shared: Share
+    left: Share
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of `budget` in `diagnosis.json`."""
+        return {
+            "readings": self.n_readings,
+            "misfit_T": self.misfit_T,
+            "noise_T": self.noise_T,
+            "causes": [{"name": c.name, "place": c.place, **s.to_json()} for c, s in self.causes.items()],
+            "shared": self.shared.to_json(),
+            "left": self.left.to_json(),
+        }
+
+
+def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget | None:
+    """The error budget; None where the rig as described misses these readings by no more than the noise leaves.
+
+    Args:
+        plain: Fit of the rig as described.
+        extended: With causes and corrections, fitted to the same readings.
+        unseen: Readings that neither has seen.
+        seed: Of the choice of readings for the intervals.
+    """
+    causes = [cause for cause in extended.rig.acting if cause not in plain.rig.acting]
+    if not causes or not len(unseen):
+        return None
+    squares = {(): _squares(plain, unseen), tuple(causes): _squares(extended, unseen)}
+    for i, cause in enumerate(causes):
+        for some in ((cause,), (*causes[:i], *causes[i + 1 :])):
+            if some not in squares:
+                squares[some] = _squares(_fit_with(plain, extended, some), unseen)
+    noise = _noise(extended, unseen)
+    misfit = float((squares[()] - noise).mean())
+    if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):
+        return None
+    random = np.random.default_rng(seed)
+    n = len(noise)
+    chosen = [np.arange(n), *(random.integers(n, size=n) for _ in range(N_RESAMPLED))]
+    rows = np.array([_shares(squares, noise, causes, rows) for rows in chosen])
+    low, high = np.quantile(rows[1:], (0.05, 0.95), axis=0)
+    shares = [Share(float(v), (float(a), float(b))) for v, a, b in zip(rows[0], low, high, strict=True)]
+    return Budget(
+        n,
+        misfit**0.5,
+        float(noise.mean()) ** 0.5,
+        dict(zip(causes, shares[:-2], strict=True)),
+        shares[-2],
+        shares[-1],
+    )
+
+
+def _shares(
+    squares: Mapping[tuple[Cause, ...], Squares], noise: Squares, causes: Sequence[Cause], rows: np.ndarray
+) -> list[float]:
+    """Shares of each cause, what they share, and what is left, of some readings."""
+    mean = {some: float(each[rows].mean()) for some, each in squares.items()}
+    everything = tuple(causes)
+    misfit = max(mean[()] - float(noise[rows].mean()), 1e-300)
+    own, last = [], []
+    for i, cause in enumerate(causes):
+        last.append((mean[(*causes[:i], *causes[i + 1 :])] - mean[everything]) / misfit)
+        own.append(0.5 * ((mean[()] - mean[(cause,)]) / misfit + last[-1]))
+    whole = (mean[()] - mean[everything]) / misfit
+    return [*own, whole - sum(last), 1.0 - whole]
+
+
+def _fit_with(plain: Fit, extended: Fit, causes: Sequence[Cause]) -> Fit:
+    """The rig as described with some of the causes of the extended one, fitted to the same readings."""
+    rig: Rig = extended.rig
+    for cause in extended.rig.acting:
+        if cause not in plain.rig.acting and cause not in causes:
+            rig = rig.without_cause(cause)
+    rules = extended.posterior.model.rules
+    return fit_rig(rig, extended.observations, extended.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+
+
+def _squares(fit: Fit, unseen: Observations) -> Squares:
+    """Squared length of the error vector of each reading, in T^2."""
+    meant = as_meant(fit.rig, unseen)
+    with torch.no_grad():
+        predicted_T = fit.model_of(meant).predict(fit.values).expand(len(meant), 3)
+    squares: Squares = (meant.field_sensor_T - predicted_T).nan_to_num().square().sum(-1).numpy()
+    return squares
+
+
+def _noise(fit: Fit, unseen: Observations) -> Squares:
+    """Squared length of the error vector that the noise leaves, in T^2."""
+    with torch.no_grad():
+        by_sensor_T = fit.posterior.sigma_T(fit.vector)
+    n_measured = unseen.is_measured.sum(-1)
+    noise: Squares = (by_sensor_T[unseen.sensor].square() * n_measured).numpy()
+    return noise
