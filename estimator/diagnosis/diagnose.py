@@ -102,7 +102,7 @@ def diagnose(
         precision: `double`, or `single` for predictions of fits and of sampling; the last step of every fit, columns and evidences are in
             double precision.
         on_stage: Called with a message at the start of each stage.
-        on_progress: Called as the search fits hypotheses, with how far it is.
+        on_progress: Called as the readings are asked, with how far it is.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
         InvalidInput: The readings cannot support a fit.
@@ -123,7 +123,7 @@ def diagnose(
     limits = limits or Limits()
 
     def judged(first: FirstFit) -> tuple[Diagnosis, Observations]:
-        return _judged(question, first, limits, has_corrections, place, tell)
+        return _judged(question, first, limits, has_corrections, place, tell, on_progress)
 
     with remembering(folder) as journal, climbing_on(place, dtype), one_thread_for_an_operation():
         if journal is not None and len(journal):
@@ -239,11 +239,12 @@ def _judged(
     has_corrections: bool,
     place: torch.device,
     tell: Callable[[str], None],
+    on_progress: OnProgress,
 ) -> tuple[Diagnosis, Observations]:
     """The diagnosis from readings to be fitted and others to judge the fits, and those that have judged them; they may be none."""
     rig, seed, plain, seen = question.rig, question.seed, first.plain, first.seen
     symptoms = meanwhile(lambda: Symptoms.of(plain, seed))
-    found = computed_on(place, lambda fit: _found(fit, first.refusal, limits, seed, tell), plain)
+    found = computed_on(place, lambda fit: _found(fit, first.refusal, limits, seed, tell, on_progress), plain)
     mistakes, answer = found.mistakes, found.said.answer
     outcome = Outcome.of(plain, found.said, mistakes, is_record_wrong=bool(first.flags or mistakes))
     tell("validating on readings not used for fitting")
@@ -312,7 +313,12 @@ class _Found(NamedTuple):
 
 
 def _found(
-    plain: Fit, refusal: InvalidInput | None, limits: Limits, seed: int, tell: Callable[[str], None]
+    plain: Fit,
+    refusal: InvalidInput | None,
+    limits: Limits,
+    seed: int,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
 ) -> _Found:
     """What the readings say beside mistakes of the record; without such mistakes where they are doubtful.
 
@@ -323,19 +329,24 @@ def _found(
     if refusal is not None:
         base = refit_outside(base, refusal)
     tell("asking what is wrong")
-    with_record_put_right = _asked(base, mistakes, limits, seed, tell)
+    with_record_put_right = _asked(base, mistakes, limits, seed, tell, on_progress)
     if mistakes and _are_doubtful(mistakes, with_record_put_right.said.answer):
         if refusal is not None:
             raise refusal
         tell("the mistakes of the record are doubtful: asking again with the record as it is")
-        return _asked(plain, [], limits, seed, tell)
+        return _asked(plain, [], limits, seed, tell, on_progress)
     return with_record_put_right
 
 
 def _asked(
-    base: Fit, mistakes: Sequence[RecordMistake], limits: Limits, seed: int, tell: Callable[[str], None]
+    base: Fit,
+    mistakes: Sequence[RecordMistake],
+    limits: Limits,
+    seed: int,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
 ) -> _Found:
-    said = answer_beside_scatter(base, limits, seed, tell)
+    said = answer_beside_scatter(base, limits, seed, tell, on_progress)
     pool = said.answer.first.pool
     return _Found(said, mistakes, smallest_visible(base, pool), indistinguishable(base, pool))
 

@@ -74,8 +74,8 @@ def _stand_ins(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.findings.stand_ins:
         return []
     return [
-        f"The extended rig also has {_listed(diagnosis, diagnosis.findings.stand_ins)}: it predicts better with them, but they are not sure "
-        "enough to be stated."
+        f"The extended rig also has {_listed(diagnosis, diagnosis.findings.stand_ins)}: it predicts better with them, but they are not "
+        "sure enough to be stated."
     ]
 
 

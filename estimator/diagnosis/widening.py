@@ -38,8 +38,8 @@ class Widening:
     def of(cls, searched: Fit, final: Fit, names: Sequence[str], spread: Float[Tensor, "n n"]) -> Widening:
         """The smallest covariance that is nowhere below three others, and nowhere beyond the priors.
 
-        These are: the Laplace covariance of the fit; what the mixture says of the rig's numbers, carried to the other numbers as the fit ties
-        them to these; and the jackknife over blocks of places and of times, for a wrong model errs where it guesses.
+        These are: the Laplace covariance of the fit; what the mixture says of the rig's numbers, carried to the other numbers as the fit
+        ties them to these; and the jackknife over blocks of places and of times, for a wrong model errs where it guesses.
 
         Args:
             searched: The extended rig, fitted to the readings of the search.

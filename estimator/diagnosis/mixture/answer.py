@@ -18,6 +18,7 @@ from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples, Slots
+from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
 
@@ -275,7 +276,9 @@ def _listed(possibilities: Iterable[Possibility]) -> float:
     return sum(possibility.share for possibility in possibilities if possibility.is_listed)
 
 
-def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Answer:
+def answer(
+    plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS, on_progress: OnProgress = unwatched
+) -> Answer:
     """Ask the readings of a fit what is wrong, all of them and halves of them.
 
     Args:
@@ -283,8 +286,10 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
         limits: Causes that are asked, and the time.
         seed: Of blocks, halves and draws.
         n_pairs: Of complementary halves.
+        on_progress: Called after each expansion and each half.
     """
-    first, asked = climbed(plain, limits, seed)
+    first, asked = climbed(plain, limits, seed, on_progress)
+    pace = Pace("what leads, in halves of the readings", on_progress)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
     few = asked.dictionary.restricted(numbers)
     readings = as_meant(plain.rig, plain.observations)
@@ -293,6 +298,7 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
     for i, is_in in enumerate(halves(block, n_pairs, seed)):
         if limits.is_over:
             break
+        pace.tell(i, 2 * n_pairs)
         products = Products(few, weight_of(is_in, readings.is_measured))
         samples = Slots(products, asked.slots.noise, asked.slots.n_slots).sample(SWEEPS, BURN_IN, seed + i)
         of_halves.append(samples.renumbered(numbers, len(asked.dictionary.items)))

@@ -21,6 +21,7 @@ from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, present_items, starts_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots
+from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
@@ -79,17 +80,23 @@ class Asked:
         )
 
 
-def climbed(plain: Fit, limits: Limits, seed: int) -> tuple[Asked, Asked]:
+def climbed(
+    plain: Fit, limits: Limits, seed: int, on_progress: OnProgress = unwatched
+) -> tuple[Asked, Asked]:
     """The readings, asked about the rig as described, and about the expansion at which the leading set of items is most probable.
 
     Args:
         plain: Fit of the rig as described.
         limits: Causes that are asked, and the time.
         seed: Of the draws.
+        on_progress: Called after each expansion.
     """
+    pace = Pace("what leads, in all readings", on_progress)
+    pace.tell(0, MOST_EXPANSIONS)
     asked = [ask(Expansion.of(plain), limits, seed, {})]
     seen, shapes = {frozenset[Cause]()}, dict[Cause, dict[str, float]]()
     while len(asked) < MOST_EXPANSIONS and not limits.is_over:
+        pace.tell(len(asked), MOST_EXPANSIONS)
         last = asked[-1]
         items, chosen = last.dictionary.items, one_more_of_each_link(last, last.leading)
         causes = frozenset(items[i].cause for i in chosen if items[i].is_listed)

@@ -26,6 +26,41 @@ def _log_twice_below(x):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def _inner(gram, followed, precision, first, second):  # type: ignore[no-untyped-def]
+    """Inner product of two columns, less what the others follow of both."""
+    product = gram[first, second] * precision
+    for r in range(followed.shape[1]):
+        product -= followed[first, r] * followed[second, r]
+    return product
+
+
+@compiled
+def _log_bayes_factor(rest, own, widths, is_one_sided, factor, reached):  # type: ignore[no-untyped-def]
+    """Log Bayes factor of one item by the Cholesky factor of the precision of its coefficients, which is made row after row."""
+    value = 0.0
+    for a in range(len(widths)):
+        left = own[a] * widths[a]
+        for b in range(a):
+            entry = rest[a, b] * widths[a] * widths[b]
+            for r in range(b):
+                entry -= factor[a, r] * factor[b, r]
+            factor[a, b] = entry / factor[b, b]
+            left -= factor[a, b] * reached[b]
+        diagonal = rest[a, a] * widths[a] * widths[a]
+        pivot = diagonal + 1.0 + RIDGE * abs(diagonal)
+        for r in range(a):
+            pivot -= factor[a, r] * factor[a, r]
+        if not pivot > 0.0:
+            return -inf
+        factor[a, a] = sqrt(pivot)
+        reached[a] = left / factor[a, a]
+        value += 0.5 * reached[a] * reached[a] - log(factor[a, a])
+    if is_one_sided:  # what cannot be negative has twice the density on one side
+        value += _log_twice_below(reached[0])
+    return value
+
+
+@compiled
 def log_bayes_factors(  # type: ignore[no-untyped-def]
     gram, followed, score, begin, columns, widths, shift, is_one_sided, is_like_before, precision, result
 ):
@@ -43,52 +78,20 @@ def log_bayes_factors(  # type: ignore[no-untyped-def]
         precision: Inverse square of the factor on the noise.
         result: By item; overwritten.
     """
-    n_items, n_followed = len(shift), followed.shape[1]
     most = 1
-    for i in range(n_items):
+    for i in range(len(shift)):
         most = max(most, begin[i + 1] - begin[i])
     rest, factor = np.empty((most, most)), np.empty((most, most))
     own, reached = np.empty(most), np.empty(most)
     started = 0.0
-    for i in range(n_items):
-        first, n, at = begin[i], begin[i + 1] - begin[i], shift[i]
+    for i in range(len(shift)):
+        chosen = columns[begin[i] : begin[i + 1]]
         if not is_like_before[i]:
-            for a in range(n):
-                column = columns[first + a]
+            for a in range(len(chosen)):
                 for b in range(a + 1):
-                    other = columns[first + b]
-                    product = gram[column, other] * precision
-                    for r in range(n_followed):
-                        product -= followed[column, r] * followed[other, r]
-                    rest[a, b] = product
-                product = gram[column, at] * precision
-                for r in range(n_followed):
-                    product -= followed[column, r] * followed[at, r]
-                own[a] = score[column] - product
-            square = gram[at, at] * precision
-            for r in range(n_followed):
-                square -= followed[at, r] * followed[at, r]
-            started = score[at] - 0.5 * square
-        value = started
-        for a in range(n):
-            width = widths[first + a]
-            left = own[a] * width
-            for b in range(a):
-                entry = rest[a, b] * width * widths[first + b]
-                for r in range(b):
-                    entry -= factor[a, r] * factor[b, r]
-                factor[a, b] = entry / factor[b, b]
-                left -= factor[a, b] * reached[b]
-            diagonal = rest[a, a] * width * width
-            pivot = diagonal + 1.0 + RIDGE * abs(diagonal)
-            for r in range(a):
-                pivot -= factor[a, r] * factor[a, r]
-            if not pivot > 0.0:
-                value = -inf
-                break
-            factor[a, a] = sqrt(pivot)
-            reached[a] = left / factor[a, a]
-            value += 0.5 * reached[a] * reached[a] - log(factor[a, a])
-        if is_one_sided[i]:  # what cannot be negative has twice the density on one side
-            value += _log_twice_below(reached[0])
-        result[i] = value
+                    rest[a, b] = _inner(gram, followed, precision, chosen[a], chosen[b])
+                own[a] = score[chosen[a]] - _inner(gram, followed, precision, chosen[a], shift[i])
+            square = _inner(gram, followed, precision, shift[i], shift[i])
+            started = score[shift[i]] - 0.5 * square
+        own_widths = widths[begin[i] : begin[i + 1]]
+        result[i] = started + _log_bayes_factor(rest, own, own_widths, is_one_sided[i], factor, reached)

@@ -1,4 +1,4 @@
-"""Causes that change only how readings scatter: asked beside what the mixture finds, for what is left looks like scatter until it is named."""
+"""Causes that change only how readings scatter, asked beside what leads: until it is named, anything looks like scatter."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.answer import ALTERNATIVE, STATED, Answer, answer
+from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
@@ -30,7 +31,11 @@ class BesideScatter:
 
 
 def answer_beside_scatter(
-    plain: Fit, limits: Limits, seed: int, tell: Callable[[str], None]
+    plain: Fit,
+    limits: Limits,
+    seed: int,
+    tell: Callable[[str], None],
+    on_progress: OnProgress = unwatched,
 ) -> BesideScatter:
     """Ask the readings what is wrong; where they scatter otherwise than the rig says, again with what makes them.
 
@@ -39,8 +44,9 @@ def answer_beside_scatter(
         limits: Causes that are asked, and the time.
         seed: Of blocks, halves and draws.
         tell: Called with a message for each cause of scatter.
+        on_progress: Called after each expansion and each half.
     """
-    found = answer(plain, limits, seed)
+    found = answer(plain, limits, seed, on_progress=on_progress)
     scattering = list[NamedCause]()
     while len(scattering) < MOST_SCATTERING and not limits.is_over:
         rows = sorted(noise_causes(found.leading_fit), key=lambda row: -row[1])
@@ -51,7 +57,7 @@ def answer_beside_scatter(
         scattering.append(_named(rows, log_prior_odds))
         cause, _, fitted = rows[0]
         tell(f"readings scatter as {cause.label} would make them: asking again beside it")
-        found = answer(_with(plain, cause, fitted), limits, seed)
+        found = answer(_with(plain, cause, fitted), limits, seed, on_progress=on_progress)
         plain = found.plain
     return BesideScatter(found, tuple(scattering))
 
@@ -87,7 +93,7 @@ def _with(plain: Fit, cause: Cause, fitted: Fit) -> Fit:
     return fit_rig(
         rig,
         plain.observations,
-        plain.start_with(rig) | noises | {n: v for n, v in values.items()},
+        plain.start_with(rig) | noises | values,
         rules,
         tolerance=policy.FINE_TOLERANCE,
     )
