@@ -12,17 +12,18 @@ from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.climb import BURN_IN, SWEEPS, Asked, climbed
+from estimator.diagnosis.mixture.climb import Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
-from estimator.diagnosis.mixture.slots import Samples, Slots
+from estimator.diagnosis.mixture.slots import Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
 
 N_PAIRS = 3  # of complementary halves
+IN_HALVES = Sweeps(24, 6)
 STATED = 0.9  # probability from which on a cause is stated
 ALTERNATIVE = 0.05  # share of a slot from which on something is an alternative to what is there
 LEAST_IN_HALVES = 1e-5  # largest probability of an item beside others, with all readings, from which on halves are asked about it
@@ -52,7 +53,8 @@ class Found:
 
     Attributes:
         possibilities: Most probable first.
-        probability: That one of them is there, beside everything else: the mean of the two that follow.
+        probability: That one of them is there, beside everything else: that with all readings, moved towards that in halves by half the
+            probability that something acts which no list holds.
         with_all, in_halves: With all readings; the mean over halves of them.
     """
 
@@ -159,7 +161,8 @@ class Answer:
             Possibility(cause, first[cause].is_listed, first[cause].link, share / whole)
             for cause, share in sorted(shares.items(), key=lambda pair: -pair[1])
         ]
-        return Found(tuple(possibilities), 0.5 * (with_all + in_halves), with_all, in_halves)
+        weight = 0.5 * self.p_unlisted
+        return Found(tuple(possibilities), with_all + weight * (in_halves - with_all), with_all, in_halves)
 
     @property
     def is_full(self) -> bool:
@@ -193,7 +196,7 @@ class Answer:
                 result[link] = self.both.holding(own)
         return result
 
-    @property
+    @cached_property
     def p_unlisted(self) -> float:
         """Probability that something acts which no list holds."""
         items = self.asked.dictionary.items
@@ -300,6 +303,6 @@ def answer(
             break
         pace.tell(i, 2 * n_pairs)
         products = Products(few, weight_of(is_in, readings.is_measured))
-        samples = Slots(products, asked.slots.noise, asked.slots.n_slots).sample(SWEEPS, BURN_IN, seed + i)
+        samples = Slots(products, asked.slots.noise, asked.slots.n_slots).sample(IN_HALVES, seed + i)
         of_halves.append(samples.renumbered(numbers, len(asked.dictionary.items)))
     return Answer(first, asked, tuple(of_halves), limits.words if limits.is_over else "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
@@ -20,13 +20,13 @@ from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, present_items, starts_of
-from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots
+from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
-SWEEPS, BURN_IN = 40, 10
+CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,8 @@ def climbed(
             break
         asked.append(ask(moved, limits, seed, shapes))
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
-    return asked[0], max(asked, key=lambda at: at.log_density)
+    best = max(asked, key=lambda at: at.log_density)
+    return asked[0], replace(best, samples=best.slots.sample(SAMPLING, seed))
 
 
 def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]) -> Asked:
@@ -131,7 +132,7 @@ def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, 
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(alone, others))
     slots = Slots(Products(entries), noise_prior(fit), limits.most_causes)
-    return Asked(expansion, tuple(pool), entries, slots, slots.sample(SWEEPS, BURN_IN, seed))
+    return Asked(expansion, tuple(pool), entries, slots, slots.sample(CLIMBING, seed))
 
 
 def one_more_of_each_link(asked: Asked, model: Sequence[int]) -> list[int]:

@@ -95,3 +95,31 @@ def log_bayes_factors(  # type: ignore[no-untyped-def]
             started = score[shift[i]] - 0.5 * square
         own_widths = widths[begin[i] : begin[i + 1]]
         result[i] = started + _log_bayes_factor(rest, own, own_widths, is_one_sided[i], factor, reached)
+
+
+@compiled
+def log_bayes_factors_of_choices(gram, score, prior_sd, begin, columns, factors, result):  # type: ignore[no-untyped-def]
+    """Log Bayes factor of some of the columns of each candidate alone, at some width.
+
+    Args:
+        gram: Inner products of the columns of each candidate.
+        score: Of each column with the residual.
+        prior_sd: Stated width of each column.
+        begin: First of the columns of each choice, and last their number.
+        columns: Of all choices, one after the other.
+        factors: On the stated widths, by choice.
+        result: By candidate and choice; overwritten.
+    """
+    most = gram.shape[1]
+    rest, factor = np.empty((most, most)), np.empty((most, most))
+    own, widths, reached = np.empty(most), np.empty(most), np.empty(most)
+    for i in range(len(gram)):
+        for choice in range(len(factors)):
+            chosen = columns[begin[choice] : begin[choice + 1]]
+            for a in range(len(chosen)):
+                for b in range(a + 1):
+                    rest[a, b] = gram[i, chosen[a], chosen[b]]
+                own[a] = score[i, chosen[a]]
+                widths[a] = prior_sd[i, chosen[a]] * factors[choice]
+            some = widths[: len(chosen)]
+            result[i, choice] = _log_bayes_factor(rest, own, some, False, factor, reached)

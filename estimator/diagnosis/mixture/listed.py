@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -15,6 +16,7 @@ from estimator.diagnosis.hypotheses.candidates import Candidate, at_starts
 from estimator.diagnosis.hypotheses.instants import instants_in, starts_nearer
 from estimator.diagnosis.hypotheses.screening import products_of
 from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.evidence_kernel import log_bayes_factors_of_choices
 from estimator.effects.circumstances import UNTIL
 from estimator.rig.rig import Cause
 
@@ -163,15 +165,21 @@ def _weighed(fit: Fit, starts: Sequence[Start]) -> dict[Cause, list[_Weighed]]:
         started = products.score[:, -1] - 0.5 * gram[:, -1, -1]
         prior_sd = torch.stack([pool[i].prior_sd for i in some])
         choices, log_priors = _choices(pool[some[0]])
-        by_choice = []
-        for subset, width in choices:
-            rows = torch.tensor(subset)
-            own = gram[:, rows[:, None], rows]
-            by_choice.append(started + _log_bayes_factor(own, score[:, rows], prior_sd[:, rows] * width))
-        values = torch.stack(by_choice, dim=1) + gram.new_tensor(log_priors)
+        values = np.empty((len(some), len(choices)))
+        log_bayes_factors_of_choices(
+            gram.cpu().numpy(),
+            score.cpu().numpy(),
+            prior_sd.cpu().numpy(),
+            np.cumsum([0, *(len(subset) for subset, _ in choices)]),
+            np.array([column for subset, _ in choices for column in subset]),
+            np.array([width for _, width in choices]),
+            values,
+        )
+        values += started.cpu().numpy()[:, None] + np.array(log_priors)
         for i, of_start in zip(some, values, strict=True):
             start = starts[i]
-            result.setdefault(start.candidate.cause, []).append(_Weighed(start, of_start + start.log_prior))
+            weighed = torch.from_numpy(of_start + start.log_prior)
+            result.setdefault(start.candidate.cause, []).append(_Weighed(start, weighed))
     return result
 
 
@@ -186,12 +194,3 @@ def _most_probable(by_start: Sequence[_Weighed]) -> list[Offered]:
         i for i, value in zip(top.indices.tolist(), top.values.tolist(), strict=True) if value > best - WITHIN
     ]
     return [_items(by_start[i // n].start)[i % n] for i in rows]
-
-
-def _log_bayes_factor(gram: Tensor, score: Tensor, width: Tensor) -> Tensor:
-    """Log Bayes factor of columns with normal priors, of a known noise."""
-    scaled = gram * width[:, :, None] * width[:, None, :]
-    factor, failed = torch.linalg.cholesky_ex(scaled + torch.eye(gram.shape[-1]).to(gram))
-    reached = torch.linalg.solve_triangular(factor, (score * width)[:, :, None], upper=False)
-    value = 0.5 * reached.square().sum((1, 2)) - torch.diagonal(factor, dim1=1, dim2=2).log().sum(1)
-    return torch.where(failed == 0, value, -math.inf)

@@ -15,6 +15,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -52,6 +53,13 @@ class NoisePrior:
         if self.width == 0.0:
             return torch.zeros_like(noise)
         return -0.5 * ((noise.log() - math.log(self.median)) / self.width).square()
+
+
+class Sweeps(NamedTuple):
+    """Draws of all slots, one after another: how many, and how many of the first do not count."""
+
+    n: int
+    burn_in: int
 
 
 @dataclass
@@ -180,11 +188,11 @@ class Slots:
                 break
         return slots, noise
 
-    def sample(self, sweeps: int, burn_in: int, seed: int, is_climbed: bool = True) -> Samples:
+    def sample(self, sweeps: Sweeps, seed: int, is_climbed: bool = True) -> Samples:
         """Draw items slot by slot.
 
         Args:
-            sweeps: Over all slots; the first `burn_in` do not count.
+            sweeps: Over all slots.
             seed: Of the draws.
             is_climbed: Begin where a climb ends; else without anything.
         """
@@ -194,19 +202,19 @@ class Slots:
         if is_climbed:
             slots, noise = self.climbed()
         samples = Samples(len(self.log_prior))
-        for sweep in range(sweeps):
+        for sweep in range(sweeps.n):
             for k in range(self.n_slots):
                 rest = [i for j, i in enumerate(slots) if j != k and i is not None]
                 probability = self.conditional(rest, noise)
                 drawn = int(np.searchsorted(np.cumsum(probability), random.random() * probability.sum()))
                 slots[k] = drawn if drawn < len(self.log_prior) else None
-                if sweep >= burn_in:
+                if sweep >= sweeps.burn_in:
                     samples.add(rest, probability[:-1], slots[k])
             chosen = [i for i in slots if i is not None]
             of_noise = self.noise_of(chosen)
             noise = int(np.searchsorted(np.cumsum(of_noise), random.random() * of_noise.sum()))
             noise = min(noise, len(self.grid) - 1)
-            if sweep >= burn_in:
+            if sweep >= sweeps.burn_in:
                 samples.models[tuple(sorted(chosen))] += 1
                 samples.noises[noise] += 1
         return samples
