@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.structure.cross_validation import jackknife_covariance
+from estimator.diagnosis.structure.jackknife import jackknife_covariance
 from estimator.diagnosis.whole_counts import with_whole_counts
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.rig import Rig

@@ -367,12 +367,7 @@ class NoiseEffect(Effect):
 
     It changes the standard deviation of components (`sigma_T`), the shape of their distribution (`contamination`), or both. Likelihood,
     simulation, predictive density and the tests of agreement all follow from these.
-
-    Attributes:
-        imitates_structure: Wrong predictions pass for it; all other causes are asked first, and again beside it.
     """
-
-    imitates_structure: ClassVar[bool] = False
 
     @property
     def is_contaminating(self) -> bool:

@@ -32,7 +32,6 @@ class CrossMagnetisation(CoreMagnetisation):
         "soft iron and steel: susceptibility 100 to 10000, saturation 1.6 to 2.2 T (Bozorth, Ferromagnetism, 1951); sizes wide"
     )
     is_structural: ClassVar[bool] = True
-    starts_far_off: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Strength (0 no iron, 1 unlimited permeability); sizes, place of the front face, and polarisation when saturated."""

@@ -76,7 +76,6 @@ class NoiseGrows(NoiseEffect):
     kind: ClassVar[Kind] = Kind.SENSOR
     words: ClassVar[str] = "the readings scatter the more, the larger they are"
     source: ClassVar[str] = "two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading"
-    imitates_structure: ClassVar[bool] = True  # whatever grows with the field
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Standard deviation over the component that is read."""
@@ -103,7 +102,6 @@ class PositionJitter(NoiseEffect):
     kind: ClassVar[Kind] = Kind.MOVER
     words: ClassVar[str] = "the mover scatters about its targets"
     source: ClassVar[str] = "repeatability of small arms, 10 to 100 um"
-    imitates_structure: ClassVar[bool] = True  # whatever grows with the gradient
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Standard deviation of the position along each axis."""

@@ -51,7 +51,6 @@ class Correction(Effect):
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
-        is_stepwise: Each degree is one more step, whose place is looked for beside those before.
         single: Name of the cause that one step alone is.
     """
 
@@ -61,7 +60,6 @@ class Correction(Effect):
     highest: ClassVar[int] = 5
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0
-    is_stepwise: ClassVar[bool] = False
     single: ClassVar[str | None] = None
 
     @abstractmethod

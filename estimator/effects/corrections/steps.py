@@ -23,8 +23,6 @@ from estimator.frames import Transform
 class _Steps(InTime):
     """Each degree is one more step, which stays from its instant on."""
 
-    is_stepwise: ClassVar[bool] = True
-
     def terms(self, degree: int) -> tuple[str, ...]:
         """Components of what jumps."""
         return ("x", "y", "z")

@@ -1,13 +1,11 @@
-"""Predict each block of neighbouring positions from all others, and find how far the parameters move without it, with no further fit.
+"""How far the numbers of a fit move without one block of readings after another, with no further fit.
 
 Let r be the whitened residual of a block at the maximum of a fit, J its whitened Jacobian and P the precision of the parameters from all
-else. With C = (P + J^T J)^-1 and the leverage H = J C J^T, the block is predicted with residual (1 - H)^-1 r and covariance (1 - H)^-1.
-Without it the parameters move by -C J^T (1 - H)^-1 r.
+else. With C = (P + J^T J)^-1 and the leverage H = J C J^T they move by -C J^T (1 - H)^-1 r.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,61 +17,6 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 
 LEAST_SHARE = 1e-12  # smallest eigenvalue of 1 - H; 0 where the block alone determines a parameter
-
-
-@dataclass(frozen=True)
-class HeldOut:
-    """Difference of two fits in log predictive density of blocks, each predicted from the others.
-
-    Attributes:
-        elpd_difference: Later fit less earlier fit, summed over the blocks.
-        elpd_se: Its standard error over the blocks.
-    """
-
-    elpd_difference: float
-    elpd_se: float
-
-    @property
-    def is_loss(self) -> bool:
-        """Whether the elpd falls by more than chance explains."""
-        return self.elpd_difference < -policy.LEAST_HELD_OUT_LOSS_SE * self.elpd_se
-
-    def to_json(self) -> dict[str, float]:
-        """Difference and its standard error in the form of `diagnosis.json`."""
-        return {"gain": self.elpd_difference, "se": self.elpd_se}
-
-
-def held_out(before: Fit, after: Fit, block: Int[np.ndarray, " reading"]) -> HeldOut:
-    """Compare two fits by their predictions of each block from the others.
-
-    Args:
-        before, after: Fits of the same readings.
-        block: Block number of each reading.
-    """
-    difference = log_predictive(after, block) - log_predictive(before, block)
-    n = len(difference)
-    se = float(difference.std()) * math.sqrt(n) if n > 1 else math.inf
-    return HeldOut(float(difference.sum()), se)
-
-
-def log_predictive(fit: Fit, block: Int[np.ndarray, " reading"]) -> Float[Tensor, " block"]:
-    """Log predictive density of each block from the others, to first order about the fit and with its noise.
-
-    References: Cook and Weisberg, Residuals and Influence in Regression (1982), section 2.2, for leaving out groups of readings.
-    """
-    known, key = fit.log_predictive_by_blocks, block.tobytes()  # asked of one fit again and again
-    if key not in known:
-        known[key] = _log_predictive(fit, block)
-    return known[key]
-
-
-def _log_predictive(fit: Fit, block: Int[np.ndarray, " reading"]) -> Float[Tensor, " block"]:
-    blocks = _Blocks.of(fit, block)
-    # With s = 1 - share an eigenvalue of the leverage, r^T (1 - H)^-1 r = r^T r + sum of pull^2 / share.
-    distance2 = blocks.summed(fit.residual.square()) + (blocks.pull.square() / blocks.share).sum(-1)
-    constant = 0.5 * math.log(2.0 * math.pi) * blocks.summed(torch.ones_like(fit.residual))
-    normal = 0.5 * torch.log(blocks.share).sum(-1) - 0.5 * distance2 - constant
-    return normal + blocks.summed(torch.log(fit.whitening_per_T))
 
 
 def jackknife_covariance(
@@ -127,8 +70,3 @@ class _Blocks:
         leverage, vectors = torch.linalg.eigh(torch.stack(grams))
         pull = (vectors.mT @ torch.stack(pulls)[..., None])[..., 0]
         return cls(root, number, (1.0 - leverage).clamp(min=LEAST_SHARE), vectors, pull)
-
-    def summed(self, by_component: Float[Tensor, " component"]) -> Float[Tensor, " block"]:
-        """Sum over the components of each block."""
-        total = by_component.new_zeros(len(self.share))
-        return total.index_add(0, self.number, by_component)
