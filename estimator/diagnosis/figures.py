@@ -184,7 +184,9 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
         }
         stated = diagnosis.label(comparison.taken[0]) if comparison.taken else None
         roles = {
-            diagnosis.label_of_hypothesis(hypothesis): _role(diagnosis, hypothesis.cause)
+            diagnosis.label_of_hypothesis(hypothesis): plots.Role.ALTERNATIVE
+            if hypothesis.cause in comparison.taken[1:]
+            else _role(diagnosis, hypothesis.cause)
             for hypothesis in comparison.hypotheses
             if hypothesis.cause is not None
         }

@@ -331,13 +331,13 @@ def difference_words(difference: Difference) -> str:
 
 def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
     others = [
-        f"{diagnosis.label(o.cause)} {probability(o.probability)}"
+        f"{EFFECTS[o.cause.name].words} ({diagnosis.label(o.cause)}, {probability(o.probability)})"
         for o in named.alternatives[:MOST_ALTERNATIVES]
     ]
     n_more = len(named.alternatives) - len(others)
     others += [f"{n_more} more causes"] if n_more > 0 else []
     if named.p_not_in_library >= 0.005:
-        others.append(f"{UNKNOWN} {probability(named.p_not_in_library)}")
+        others.append(f"{UNKNOWN} ({probability(named.p_not_in_library)})")
     return f", or {', or '.join(others)}" if others else ""
 
 

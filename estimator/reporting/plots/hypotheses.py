@@ -39,14 +39,21 @@ class Role(StrEnum):
     """What a diagnosis makes of a hypothesis, in the words of the legend; drawn in this order."""
 
     NAMED = "named by the verdict"
-    STAND_IN = "stands in for something unknown, not named"
+    ALTERNATIVE = "cannot be told from it"
+    STAND_IN = "not sure enough to be stated"
     OTHER = "not needed"
     LEFT = "what no known cause explains"
 
 
-COLOUR = {Role.NAMED: BLUE, Role.STAND_IN: PURPLE, Role.OTHER: GREY, Role.LEFT: ORANGE}
+COLOUR = {
+    Role.NAMED: BLUE,
+    Role.ALTERNATIVE: PALE,
+    Role.STAND_IN: PURPLE,
+    Role.OTHER: GREY,
+    Role.LEFT: ORANGE,
+}
 HATCH = {Role.STAND_IN: "///"}
-WORDS = {"nothing": "nothing wrong", "unexplained": "a flexible curve"}
+WORDS = {"nothing": "nothing wrong", "unexplained": "something unlisted"}
 
 
 @styled
@@ -83,7 +90,7 @@ def evidence_bars(
         _bar(ax, row, value, role[name])
         if name != "nothing":
             text = f"{round(evidence[name], 1) + 0.0:.1f}" if evidence[name] >= least else f"< {least:.0f}"
-            text = f" {text}".replace("-", "−") + ("  ← taken here" if name == adopted else "")
+            text = f" {text}".replace("-", "−") + ("  ← stated" if name == adopted else "")
             ax.annotate(text, (max(value, 0.0), row), va="center", ha="left", fontsize=8)
     ax.axvline(0.0, color=BLACK, lw=0.8)
     ax.axvspan(best - CLEAR, best, color=NOISE, zorder=0, lw=0, label="within 20 to 1 of the best")
