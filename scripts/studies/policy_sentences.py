@@ -38,7 +38,11 @@ def main() -> None:
     with contextlib.redirect_stdout(table):
         show(rows)
     above = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
-    tried = (line for line in table.getvalue().splitlines(keepends=True) if "| none |" not in line)
+    tried = (
+        line
+        for line in table.getvalue().splitlines(keepends=True)
+        if "| none |" not in line and not line.endswith("| nothing |\n")
+    )
     PAGE.write_text(f"{above}{MARK}\n{''.join(tried)}", encoding="utf-8")
 
 
