@@ -192,7 +192,7 @@ INSTALL = if $(BIN)/python -c 'import sys, torch; sys.exit(torch.version.cuda is
 	then $(RUN) pip install -e $(1); \
 	else $(RUN) pip install -c constraints.txt -e $(1); fi
 
-# Why pip and no lock file: docs/decisions/0050-no-lock-file.md
+# Why pip and no lock file: docs/decisions/0002-libraries.md
 $(COMMANDS_INSTALLED): pyproject.toml constraints.txt
 	if $(PYTHON) -c 'import sys, torch; sys.exit(torch.version.cuda is None)' 2>/dev/null; \
 	then $(PYTHON) -m venv --system-site-packages .venv; \
