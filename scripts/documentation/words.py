@@ -112,6 +112,11 @@ def banned(text: str) -> Iterator[tuple[int, str, str]]:
                 yield number, match[0], instead
 
 
+def shown(page: Path) -> str:
+    """A page by its path in the repository."""
+    return str(page.resolve().relative_to(ROOT)) if page.resolve().is_relative_to(ROOT) else str(page)
+
+
 def mean_words(texts: list[str]) -> float:
     """Words a sentence over the prose of several pages."""
     lengths = [s.n_words for text in texts for s in sentences(text) if s.is_prose]
@@ -132,13 +137,13 @@ def main() -> None:
     for page in named:
         text = page.read_text(encoding="utf-8")
         longest = max((sentence.n_words for sentence in sentences(text)), default=0)
-        print(f"{len(text.split()):6d} {mean_words([text]):10.1f} {longest:7d}  {page}")
+        print(f"{len(text.split()):6d} {mean_words([text]):10.1f} {longest:7d}  {shown(page)}")
     for page in named:
         text = page.read_text(encoding="utf-8")
         for sentence in too_long(text):
-            print(f"{page}:{sentence.line}: {sentence.n_words} words: {sentence.text[:90]}")
+            print(f"{shown(page)}:{sentence.line}: {sentence.n_words} words: {sentence.text[:90]}")
         for line, phrase, instead in banned(text):
-            print(f"{page}:{line}: '{phrase}'" + (f"; say: {instead}" if instead else ""))
+            print(f"{shown(page)}:{line}: '{phrase}'" + (f"; say: {instead}" if instead else ""))
 
 
 if __name__ == "__main__":
