@@ -77,7 +77,7 @@ def sentences(text: str) -> Iterator[Sentence]:
     """Sentences of a page: code is one word, a link its text; headings are left out."""
     for pattern in (FENCE, COMMENT):
         text = pattern.sub(lambda match: "\n" * match[0].count("\n"), text)
-    text = CODE.sub("code", FORMULA.sub("formula", text))
+    text = CODE.sub("Code", FORMULA.sub("formula", text))
     text = LINK.sub(lambda match: " ".join(match[1].split()), text)
     text = ENDS_NOTHING.sub(lambda match: match[1], text)
     for line, block in blocks(text):
