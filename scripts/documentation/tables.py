@@ -43,7 +43,7 @@ def table(columns: dict[str, str], rows: list[dict[str, Any]]) -> str:
     shown = [key for key in columns if any(row.get(key) for row in rows)]
     lines = [[columns[key] for key in shown], ["---"] * len(shown)]
     lines += [[cell(key, row.get(key)) for key in shown] for row in rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return "\n".join("|" + "|".join(line) + "|" for line in lines)
 
 
 def cell(key: str, value: object) -> str:
