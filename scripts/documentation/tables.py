@@ -18,13 +18,11 @@ def page(data: dict[str, Any]) -> str:
     blocks = [f"# {data['title']}", data["text"]]
     for section in data["sections"]:
         blocks += [f"## {section['title']}", *filter(None, [section.get("text")])]
-        rows = [
-            {**{key: section[key] for key in SHARED if key in section}, **row}
-            for row in section.get("rows", [])
-        ]
-        same = {key: rows[0][key] for key in SHARED if rows and is_alike(key, rows)}
-        blocks += [", ".join(f"{data['columns'][key]}: {cell(key, value)}" for key, value in same.items())]
-        rows = [{key: value for key, value in row.items() if key not in same} for row in rows]
+        rows = section.get("rows", [])
+        shared = {key: section[key] for key in SHARED if key in section}
+        shared |= {key: rows[0][key] for key in SHARED if is_alike(key, rows)}
+        rows = [{k: v for k, v in row.items() if shared.get(k) != v} for row in rows]
+        blocks += [said_once(data["columns"], shared, rows)]
         blocks += [table(data["columns"], rows)] if rows else []
         blocks += [f"![{figure['alt']}](figures/{figure['file']})" for figure in section.get("figures", [])]
     return "\n\n".join(block.strip() for block in blocks if block) + "\n"
@@ -33,6 +31,13 @@ def page(data: dict[str, Any]) -> str:
 def is_alike(key: str, rows: list[dict[str, Any]]) -> bool:
     """Whether all rows state the same, which then stands once above the table."""
     return len(rows) > 1 and key in rows[0] and all(row.get(key) == rows[0][key] for row in rows)
+
+
+def said_once(columns: dict[str, str], shared: dict[str, Any], rows: list[dict[str, Any]]) -> str:
+    """What rows share, above their table; a row that differs says so in its own column."""
+    words = ", ".join(f"{columns[key]}: {cell(key, value)}" for key, value in shared.items())
+    differ = any(key in row for row in rows for key in shared)
+    return words + ("; rows that differ say so" if words and differ else "")
 
 
 def table(columns: dict[str, str], rows: list[dict[str, Any]]) -> str:

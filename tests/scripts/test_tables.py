@@ -35,7 +35,8 @@ def test_what_all_rows_share_stands_once_above_them() -> None:
     text = written({"what": "a"}, {"what": "b"})
     assert "\n\nCommand: `make a`\n\n|What|\n" in text
     text = written({"what": "a"}, {"what": "b", "command": "make b"})
-    assert "|a|`make a`|\n|b|`make b`|" in text
+    assert "\n\nCommand: `make a`; rows that differ say so\n\n" in text
+    assert "|a||\n|b|`make b`|" in text
 
 
 def test_key_that_is_no_column_is_refused() -> None:
