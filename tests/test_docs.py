@@ -104,7 +104,7 @@ def test_what_is_cited_is_in_the_repository(folder: str) -> None:
 
 
 def test_every_cause_is_listed_with_its_quantities() -> None:
-    rows = re.findall(r"^\| `(\w+)` \|[\w ]+\| (.*?) \|", section(CAUSES), re.MULTILINE)
+    rows = re.findall(r"^\|`(\w+)`\|[\w ]+\|(.*?)\|", section(CAUSES), re.MULTILINE)
     library = [n for n, effect in EFFECTS.items() if type(effect).__module__.startswith("estimator.effects.")]
     assert sorted(name for name, _ in rows) == sorted(library)
     for name, cell in rows:
