@@ -177,11 +177,11 @@ Study: none of its cases has two coils with cores."""
 MOST_GAINED_IN_FULL = 4.0
 """Log evidence that a full fit may find beyond the linear model for a cause without shapes, while little speaks for any: where every cause
 stays farther than this below the evidence that it needs, such causes are not fitted. By measurement: none of 32 gained more than 0.12
-(docs/decisions/0047). Study of 2 cases: numbers change in 1."""
+(docs/decisions/0064). Study of 2 cases: numbers change in 1."""
 
 MOST_FITTED_IN_A_PILE = 3
 """Causes that are fitted in full, as `MOST_FITTED`, where more kinds of causes than `MOST_KINDS` have piled up. Effort: such a model has
-hundreds of numbers, and no cause of it gets a name for what it leads by. By measurement in MICE run07 (docs/decisions/0062). Study: not in
+hundreds of numbers, and no cause of it gets a name for what it leads by. By measurement in MICE run07 (docs/decisions/0064). Study: not in
 it."""
 
 LEADERS_WITHIN = 10.0
@@ -200,11 +200,11 @@ needs a log evidence of 7 or so. Study of 5 cases: no change."""
 # Search
 
 LEAST_LOG_ODDS = math.log(20.0)
-"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are right; one false
-alarm in three times 300 clean sessions (docs/results.md). Study of 5 cases: no change."""
+"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are right; 3 false
+alarms in 300 clean sessions (docs/results.md). Study of 5 cases: no change."""
 
 CREDIBLE_SHARE = 0.95
-"""Probability that a credible set of causes holds. Convention; 97.7 % of 300 sets held the truth (docs/results.md). Study of 5 cases:
+"""Probability that a credible set of causes holds. Convention; 24 of 25 sets held the truth (docs/results.md). Study of 5 cases:
 verdict or names change in 1."""
 
 LEAST_HELD_OUT_LOSS_SE = 2.0
@@ -331,7 +331,7 @@ a credible set. Study: not in it."""
 MORE_THAN_OF_NOISE = math.log(3.0)
 """Log evidence for something else, over what noise is expected to leave beside a cause of that size, up to which its name is stated alone
 between these two. By measurement: four fifths of noise stay below, and 16 of 18 right names at 30 standard deviations
-(docs/decisions/0059). Study: not in it."""
+(docs/decisions/0040). Study: not in it."""
 
 RELATIVE_SHARES = (0.3, 1.0)
 """Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. By judgement: what differs by less

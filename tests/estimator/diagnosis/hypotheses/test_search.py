@@ -138,7 +138,7 @@ def test_a_step_counts_its_fits_and_never_promises_too_few(small_rig, small_sess
 def test_a_search_ends_with_the_same_sets_whether_or_not_quiet_causes_are_fitted(
     small_rig, small_session, small_truth, monkeypatch
 ):
-    """Decision 47: the step that takes nothing is quiet."""
+    """Decision 64: the step that takes nothing is quiet."""
     rig = small_rig.with_values(small_truth)
     readings = with_wrong(rig, small_session.observations, OFFSET, {"x_T": 100e-6}).calibration
     fit = fit_of(small_rig, readings)
