@@ -41,7 +41,7 @@ CODE = re.compile(r"```.*?```|`[^`\n]*`", re.DOTALL)
 LINK = re.compile(r"\[[^\]]*\]\(<?([^)>\s]+)>?\)")
 MODULE_FILE = re.compile(r"(?<![\w/.])(?:estimator|drivers|scripts|tests|configs)/[\w/.-]*\w")
 MODULE = re.compile(r"(?<![\w/.-])(?:estimator|drivers|scripts)(?:\.[a-z_]\w*)+")
-ROW = re.compile(r"^\| \*\*(.+?)\*\* \|", re.MULTILINE)
+TERM = re.compile(r"^- \*\*(.+?)\*\*: ", re.MULTILINE)
 
 pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 
@@ -104,7 +104,7 @@ def test_what_is_cited_is_in_the_repository(folder: str) -> None:
 
 
 def test_every_cause_is_listed_with_its_quantities() -> None:
-    rows = re.findall(r"^\|[\w ]*\| `(\w+)` \|[\w ]*\| (.*?) \|", section(CAUSES), re.MULTILINE)
+    rows = re.findall(r"^\|`(\w+)`\|[\w ]+\|(.*?)\|", section(CAUSES), re.MULTILINE)
     library = [n for n, effect in EFFECTS.items() if type(effect).__module__.startswith("estimator.effects.")]
     assert sorted(name for name, _ in rows) == sorted(library)
     for name, cell in rows:
@@ -149,6 +149,6 @@ def test_error_keys_are_those_of_the_metrics() -> None:
 
 def test_glossary_explains_each_term_once_in_alphabetical_order() -> None:
     terms = [
-        term.casefold() for term in ROW.findall((ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"))
+        term.casefold() for term in TERM.findall((ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"))
     ]
     assert terms == sorted(set(terms))

@@ -26,6 +26,8 @@ from IPython.display import Image
 if TYPE_CHECKING:
     from estimator import Diagnosis
 
+FIRST = Path(__file__).parents[1] / "tutorials" / "first-calibration.md"
+WRITTEN = re.compile(r"^%%writefile (\S+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
 PICTURE = re.compile(r'<img src="data:image/png;base64,([^"]+)" alt="([^"]*)">')
 
 
@@ -141,6 +143,19 @@ class Beside:
 def writefile(name: str, cell: str) -> None:
     """Write a file, without a word."""
     Path(name).write_text(cell, encoding="utf-8")
+
+
+def from_first_tutorial(*names: str) -> None:
+    """Write files that the first tutorial writes, for a lesson that begins with them.
+
+    Raises:
+        LookupError: The first tutorial writes no such file.
+    """
+    written = dict(WRITTEN.findall(FIRST.read_text(encoding="utf-8")))
+    for name in names:
+        if name not in written:
+            raise LookupError(f"{FIRST} writes no {name}; it writes {', '.join(written)}")
+        writefile(name, written[name])
 
 
 def picture(page: str, title: str) -> Image:

@@ -154,11 +154,11 @@ needs a log evidence of 7 or so. Study of 5 cases: no change."""
 # Search
 
 LEAST_LOG_ODDS = math.log(20.0)
-"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are right; one false
-alarm in three times 300 clean sessions (docs/results.md). Study of 5 cases: no change."""
+"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are right; 3 false
+alarms in 300 clean sessions (docs/results.md). Study of 5 cases: no change."""
 
 CREDIBLE_SHARE = 0.95
-"""Probability that a credible set of causes holds. Convention; 97.7 % of 300 sets held the truth (docs/results.md). Study of 5 cases:
+"""Probability that a credible set of causes holds. Convention; 24 of 25 sets held the truth (docs/results.md). Study of 5 cases:
 verdict or names change in 1."""
 
 MOST_CAUSES = 6

@@ -3,7 +3,7 @@
 Sources lie outside the cylinder, at any distance, so what ends of windings, steel beside a bore or joints between coils add there is
 followed where a ball about all places would hold the sources. Each field is free of divergence and curl. Coordinates are in units of the
 radius. Every wave has rms 1 at twice the radius: with equal widths there, amplitudes fall at the places as those of sources beside them do.
-With equal widths at the places, or fewer turns, intervals for sources beside a bore were too narrow (docs/decisions/0051).
+With equal widths at the places, or fewer turns, intervals for sources beside a bore were too narrow (docs/decisions/0019).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The formulas are those of `field.loop`. There each of some sixty operations writes its numbers to memory; here they stay in registers, which
 takes a twentieth of the time. Triton, which comes with torch's builds for graphics processors, translates the kernel when it is first
 called and keeps it on disk, for which it needs a C compiler, a linker and Python's headers. Where it cannot, operations of torch do the
-same (`docs/decisions/0071`).
+same (`docs/decisions/0005`).
 """
 
 from __future__ import annotations

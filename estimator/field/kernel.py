@@ -5,7 +5,7 @@ loops pass, eight points to an instruction where the processor has AVX-512, so a
 (`make bench-kernel`). numba translates the code when it is first called on a machine and keeps it on disk (`docs/decisions/0005`).
 
 All numbers of a block lie in one array, row after row at offsets known to the compiler. In arrays of their own it would have to check that
-they do not overlap, gives up for this many, and takes one point after another, seven times as slowly (`docs/decisions/0042`).
+they do not overlap, gives up for this many, and takes one point after another, seven times as slowly (`docs/decisions/0005`).
 """
 
 from __future__ import annotations

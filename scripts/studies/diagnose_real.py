@@ -108,9 +108,9 @@ def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
     for picture in pictures(diagnosis):
         name = picture.title.lower().replace(",", "").replace(" ", "_")
         picture.figure.savefig(out / data_set.name / f"{name}.png", dpi=90, bbox_inches="tight")
-    left = diagnosis.findings.search.remainder
+    left = diagnosis.findings.answer.left
     print(
-        f"  verdict: {diagnosis.verdict}; left: {left.rms_sigma:.2g} of the noise rms along {left.family}, "
+        f"  verdict: {diagnosis.verdict}; left: {left.rms_sigma:.2g} of the noise rms in {left.words}, "
         f"log evidence {left.log_bayes_factor:.3g}"
     )
     for stand_in in diagnosis.findings.stand_ins:

@@ -22,19 +22,8 @@ WANTED = {
     },
     "out/real/mice-run07": {
         "mice_run07_residual": "Residual around M1",
-        "mice_run07_predicted": "Predicted against measured",
-        "mice_run07_sensors": "Residuals by sensor",
-        "mice_run07_learnt": "What the data taught",
     },
     "out/real/goettingen-long": {"goettingen_long_predicted": "Predicted against measured"},
-}
-LADDER = "what_each_cause_brought"
-DIAGNOSED = {
-    "run01_ladder": f"out/diagnosis/mice-run01/{LADDER}.png",
-    "run03_ladder": f"out/diagnosis/mice-run03/{LADDER}.png",
-    "run03_left": "out/diagnosis/mice-run03/residual_around_e1_before_and_after.png",
-    "run07_ladder": f"out/diagnosis_with_plate/mice-run07/{LADDER}.png",
-    "run07_left": "out/diagnosis_with_plate/mice-run07/residual_around_m1_before_and_after.png",
 }
 PAPER = (
     "residual_causes",
@@ -62,7 +51,7 @@ def main() -> None:
             by_title[title].savefig(folder / f"{file}.png", dpi=90, bbox_inches="tight")
             print(folder / f"{file}.png")
     copies = {f"paper_{name}": f"out/paper/{name}.png" for name in PAPER}
-    copies |= {f"mice_{name}": path for name, path in DIAGNOSED.items()}
+    copies["mice_run03_ladder"] = "out/diagnosis/mice-run03/what_each_cause_brought.png"
     copies["mice_run01_without_current"] = "out/mice_filaments/without_current.png"
     for name, path in copies.items():
         if (ROOT / path).exists():

@@ -1,4 +1,4 @@
-"""Write what the study of the policies found behind each rule, and its table into docs/notebook; `make policy` runs it after the study."""
+"""Write what the study of the policies found behind each rule, and its table into docs/studies; `make policy` runs it after the study."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from scripts.studies.policy import (
 )
 
 WIDTH = 140
-PAGE = Path(__file__).resolve().parents[2] / "docs/notebook/policy.md"
-MARK = "<!-- table -->\n"  # what stands below it on the page is written anew
+TABLE = Path(__file__).resolve().parents[2] / "docs/studies/policy.txt"
 NOT_STUDIED = "not in it"  # rules that no diagnosis and no judgement reads, such as limits of time
 
 
@@ -37,9 +36,12 @@ def main() -> None:
     table = io.StringIO()
     with contextlib.redirect_stdout(table):
         show(rows)
-    above = PAGE.read_text(encoding="utf-8").partition(MARK)[0]
-    tried = (line for line in table.getvalue().splitlines(keepends=True) if "| none |" not in line)
-    PAGE.write_text(f"{above}{MARK}\n{''.join(tried)}", encoding="utf-8")
+    tried = (
+        line
+        for line in table.getvalue().splitlines(keepends=True)
+        if "| none |" not in line and not line.endswith("| nothing |\n")
+    )
+    TABLE.write_text("".join(tried).lstrip(), encoding="utf-8")
 
 
 def rewritten(text: str, policy: ModuleType, rows: list[Row]) -> str:

@@ -2,7 +2,7 @@
 
     python -m scripts.studies.recalibrate_year --cause coil_heating.loss_per_A2=2e-3 --out out/year
 
-Its output by cause and seed is in docs/results.md.
+Its output is in docs/notebook/recalibrations.md.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Two pieces of iron in one session, by the generator's own polarisable spheres: both are named, where they are.
 
-Decision 78 was made on this session: the test keeps a fault from coming back, and says nothing of how often two pieces are found.
+Decision 8 was made on this session: the test keeps a fault from coming back, and says nothing of how often two pieces are found.
 """
 
 from __future__ import annotations

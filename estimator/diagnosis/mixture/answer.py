@@ -153,8 +153,8 @@ class Answer:
         items = self.asked.dictionary.items
         first = {item.cause: item for item in reversed(items)}
         own = [i for i, item in enumerate(items) if item.cause in shares]
-        with_all = self.asked.samples.holding(own)
-        of_halves = [samples.holding(own) for samples in self.in_halves]
+        with_all = self.asked.samples.one_of(own)
+        of_halves = [samples.one_of(own) for samples in self.in_halves]
         in_halves = sum(of_halves) / len(of_halves) if of_halves else with_all
         whole = sum(shares.values())
         possibilities = [

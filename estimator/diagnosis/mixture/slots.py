@@ -126,6 +126,10 @@ class Samples:
             other.models[tuple(sorted(numbers[i] for i in model))] += n
         return other
 
+    def one_of(self, items: Sequence[int]) -> float:
+        """Probability that one of some items is there that exclude each other."""
+        return min(1.0, float(self.present[list(items)].sum()))
+
     def holding(self, items: Sequence[int]) -> float:
         """Share of the draws that hold at least one of some items."""
         some = set(items)

@@ -24,7 +24,7 @@ from estimator.field.winding import Rule
 
 NARROW = 2.0  # least length over diameter of the cylinder about the places; in a rounder set solid harmonics follow more with less
 BEYOND = 2.5  # radii by which the cylinder is longer than the places at each end: half waves repeat beyond it as in a mirror, and what
-# they say there would count as known (docs/decisions/0051)
+# they say there would count as known (docs/decisions/0019)
 STEEPEST = 8.0  # wavenumber times radius: steeper waves grow by a thousand from the axis to the wall
 LEAST_RADIUS_M = 1e-6
 FIXED = ("middle_x_m", "middle_y_m", "middle_z_m", "along_x", "along_y", "radius_m", "length_m")
