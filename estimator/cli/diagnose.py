@@ -66,7 +66,11 @@ if TYPE_CHECKING:
     default=math.inf,
     help="Time for search and corrections. When it is over, the best so far is reported; the same command goes on from there.",
 )
-@click.option("--most-causes", type=click.IntRange(min=0), help="Number of causes at which the search ends.")
+@click.option(
+    "--most-causes",
+    type=click.IntRange(min=0),
+    help="Things that may be wrong at once; 6 by default, and one more for each further sensor and coil.",
+)
 @click.option(
     "--thin",
     "most_readings",
@@ -118,7 +122,7 @@ def diagnose_command(
     session = load_session(session_path)
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
-    limits = Limits(policy.MOST_CAUSES if most_causes is None else most_causes, minutes)
+    limits = Limits(most_causes, minutes)
     with (
         SearchReporter() as reporter,
         _stopping(limits, reporter.stage),

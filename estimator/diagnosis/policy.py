@@ -72,10 +72,10 @@ twenty-fifth of the readings leaves 0.2, and causes that are no mistakes leave a
 
 MOST_READINGS_COMPARED = 100
 """Readings on which all starts of all mistakes are compared, and the best of them fitted first. Effort: mistakes make most readings absurd
-(docs/decisions/0008). Study of 1 case: no change."""
+. Study of 1 case: no change."""
 
 MOST_MISTAKES_FITTED = 6
-"""Mistakes that are fitted after that comparison. Effort (docs/decisions/0008). Study of 1 case: no change."""
+"""Mistakes that are fitted after that comparison. Effort. Study of 1 case: no change."""
 
 MOST_LOST_ON_FEW = 3.0
 """Log evidence on the few readings that a mistake may lose against none, by one linear step and still be fitted, or by that fit and still
@@ -135,14 +135,14 @@ not in it."""
 # Prior probabilities of the hypotheses
 
 LOG_PRIOR_NOTHING = math.log(0.4)
-"""Log prior probability that no cause, and nothing else, is there. By judgement (docs/decisions/0008). Study of 5 cases: no change."""
+"""Log prior probability that no cause, and nothing else, is there. By judgement. Study of 5 cases: no change."""
 
 LOG_PRIOR_CAUSE = math.log(0.3)
-"""Log prior probability that one of the causes is there; all causes share it alike. By judgement (docs/decisions/0008). Study of 5 cases:
+"""Log prior probability that one of the causes is there; all causes share it alike. By judgement. Study of 5 cases:
 no change."""
 
 LOG_PRIOR_UNEXPLAINED = math.log(0.3)
-"""Log prior probability that something is there which no cause explains. By judgement (docs/decisions/0008). Study of 5 cases: no
+"""Log prior probability that something is there which no cause explains. By judgement. Study of 5 cases: no
 change."""
 
 # Screening
@@ -200,13 +200,13 @@ WIDER_PRIORS = (4.0, 16.0)
 
 MOST_BESIDE_A_NAME = 0.2
 """Probability that a cause is something else, which no list holds, up to which its name may be stated alone; beyond, that belongs to its
-credible set. By measurement (docs/decisions/0040). Study: not in it."""
+credible set. By measurement (docs/decisions/0084). Study: not in it."""
 
 # Verdict
 
 LEAST_LOG_ODDS_LEFT = math.log(10.0)
 """Posterior odds against nothing from which on what is left counts as unexplained. By measurement: in clean sessions of the tuning seeds
-the log evidence scatters by 1 about -3 and never reached 2 (docs/decisions/0008). Study of 5 cases: no change."""
+the log evidence scatters by 1 about -3 and never reached 2. Study of 5 cases: no change."""
 
 VALIDATION_SHARE = 0.2
 """Share of the readings that are kept out of all fits, in blocks of places, to judge them. Convention. Study: read by no case."""
@@ -217,7 +217,7 @@ version. Statistics: 2 % by chance. Study: read by no case."""
 
 LEAST_LOSS_SE = 3.0
 """Standard errors from which on a loss in log predictive density turns the verdict into `unexplained`. Statistics: 0.1 % by chance, for a
-verdict hangs on it (docs/decisions/0008). Study of 5 cases: no change."""
+verdict hangs on it. Study of 5 cases: no change."""
 
 # Corrections
 

@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="data sets; all by default")
     parser.add_argument("--out", type=Path, default=Path("out/diagnosis"))
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--most-causes", type=int, default=policy.MOST_CAUSES, help="where each search ends")
+    parser.add_argument("--most-causes", type=int, help="things that may be wrong at once")
     parser.add_argument(
         "--thin",
         type=int,

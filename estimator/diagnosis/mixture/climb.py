@@ -131,7 +131,7 @@ def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, 
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(alone, others))
-    slots = Slots(Products(entries), noise_prior(fit), limits.most_causes)
+    slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))
     return Asked(expansion, tuple(pool), entries, slots, slots.sample(CLIMBING, seed))
 
 

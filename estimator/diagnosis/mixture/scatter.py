@@ -48,7 +48,7 @@ def answer_beside_scatter(
     """
     found = answer(plain, limits, seed, on_progress=on_progress)
     scattering = list[NamedCause]()
-    while len(scattering) < MOST_SCATTERING and not limits.is_over:
+    while len(scattering) < MOST_SCATTERING and not (limits.is_over or found.is_full):
         rows = sorted(noise_causes(found.leading_fit), key=lambda row: -row[1])
         names = {item.cause.name for item in found.asked.dictionary.items if item.is_listed}
         log_prior_odds = math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + len(rows))
