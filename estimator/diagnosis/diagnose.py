@@ -244,9 +244,9 @@ def _judged(
     """The diagnosis from readings to be fitted and others to judge the fits, and those that have judged them; they may be none."""
     rig, seed, plain, seen = question.rig, question.seed, first.plain, first.seen
     symptoms = meanwhile(lambda: Symptoms.of(plain, seed))
-    found = computed_on(place, lambda fit: _found(fit, first.refusal, limits, seed, tell, on_progress), plain)
-    mistakes, answer = found.mistakes, found.said.answer
-    outcome = Outcome.of(plain, found.said, mistakes, is_record_wrong=bool(first.flags or mistakes))
+    said = computed_on(place, lambda fit: _found(fit, first.refusal, limits, seed, tell, on_progress), plain)
+    mistakes, answer = said.mistakes, said.said.answer
+    outcome = Outcome.of(plain, said.said, mistakes, is_record_wrong=bool(first.flags or mistakes))
     tell("validating on readings not used for fitting")
     if len(seen) > len(plain.observations):
         outcome = outcome.fitted_to(thinned(seen, policy.MOST_READINGS_FITTED, seed))
@@ -285,8 +285,8 @@ def _judged(
             budget=budget(outcome.answer.plain, extended, on_known_sides(extended, unseen), seed),
         ),
         left_open=LeftOpen(
-            visible=tuple(found.visible),
-            twins=tuple(found.twins),
+            visible=tuple(said.visible),
+            twins=tuple(said.twins),
             next_measurements=tuple(_next_measurements(answer, rig)),
             widening=outcome.widening,
         ),

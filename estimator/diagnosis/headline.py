@@ -147,7 +147,7 @@ def _what(diagnosis: Diagnosis) -> str:
 
 
 def _unexplained(diagnosis: Diagnosis) -> str:
-    """That something is wrong, how much, and whether causes are probable."""
+    """Says that something is wrong, how much, and whether causes are probable."""
     if _is_pulled(diagnosis):
         name, widths = _pulled(diagnosis)
         why = f"the readings alone would put {name} {widths:.2g} widths of its prior from what the rig file states"

@@ -14,10 +14,10 @@ from pathlib import Path
 
 import matplotlib.pyplot as plt
 import torch
+from estimator.diagnosis.corrections.choice import best_corrected
 
 from estimator import load_rig
 from estimator.diagnosis import policy
-from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.validation import improvement_of

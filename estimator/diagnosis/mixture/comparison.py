@@ -71,7 +71,7 @@ class Comparison:
         return tuple(sorted(hypotheses, key=lambda hypothesis: -hypothesis.probability))
 
     def log_bayes_factor(self, causes: Sequence[Cause]) -> float:
-        """Of the best item of some causes against nothing."""
+        """Log Bayes factor of the best item of some causes against nothing."""
         own = [i for i, item in enumerate(self.asked.dictionary.items) if item.cause in causes]
         return float(self._log_bayes_factors[own].max()) if own else 0.0
 

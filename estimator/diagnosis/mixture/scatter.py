@@ -46,20 +46,20 @@ def answer_beside_scatter(
         tell: Called with a message for each cause of scatter.
         on_progress: Called after each expansion and each half.
     """
-    found = answer(plain, limits, seed, on_progress=on_progress)
+    current = answer(plain, limits, seed, on_progress=on_progress)
     scattering = list[NamedCause]()
-    while len(scattering) < MOST_SCATTERING and not (limits.is_over or found.is_full):
-        rows = sorted(noise_causes(found.leading_fit), key=lambda row: -row[1])
-        names = {item.cause.name for item in found.asked.dictionary.items if item.is_listed}
+    while len(scattering) < MOST_SCATTERING and not (limits.is_over or current.is_full):
+        rows = sorted(noise_causes(current.leading_fit), key=lambda row: -row[1])
+        names = {item.cause.name for item in current.asked.dictionary.items if item.is_listed}
         log_prior_odds = math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + len(rows))
         if not rows or rows[0][1] + log_prior_odds < math.log(STATED / (1.0 - STATED)):
             break
         scattering.append(_named(rows, log_prior_odds))
         cause, _, fitted = rows[0]
         tell(f"readings scatter as {cause.label} would make them: asking again beside it")
-        found = answer(_with(plain, cause, fitted), limits, seed, on_progress=on_progress)
-        plain = found.plain
-    return BesideScatter(found, tuple(scattering))
+        current = answer(_with(plain, cause, fitted), limits, seed, on_progress=on_progress)
+        plain = current.plain
+    return BesideScatter(current, tuple(scattering))
 
 
 def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> NamedCause:
