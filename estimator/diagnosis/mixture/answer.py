@@ -10,7 +10,7 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
@@ -19,6 +19,7 @@ from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
+from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
 
@@ -218,6 +219,22 @@ class Answer:
             return asked.expansion.fit
         sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
         return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
+
+    @cached_property
+    def _fits(self) -> dict[frozenset[Cause], Fit]:
+        """Fits that were made, by their causes."""
+        return {}
+
+    def fit_with(self, causes: Sequence[Cause]) -> Fit:
+        """The rig as described with some listed causes, fitted to the readings that were asked."""
+        key = frozenset(causes)
+        if key not in self._fits:
+            plain, rig = self.plain, self.plain.rig
+            for cause in causes:
+                rig = with_effect(rig, cause, plain.observations, self.shapes_of(cause))
+            start = self.asked.expansion.fit.values
+            self._fits[key] = fit_rig(rig, plain.observations, start, plain.posterior.model.rules)
+        return self._fits[key]
 
     def item_of(self, cause: Cause) -> int:
         """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""

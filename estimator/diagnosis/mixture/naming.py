@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.answer import Answer, Found
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.diagnosis.verdict import Alternative, NamedCause
-from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
 
@@ -43,7 +40,7 @@ def alternative_fits(answer: Answer, found: Found) -> dict[Cause, Fit]:
     """Fits of the rig with each listed possibility of a set, beside the other stated causes."""
     others = [entry.first_listed for entry in answer.stated if entry != found]
     return {
-        possibility.cause: fit_with(answer, [*others, possibility.cause])
+        possibility.cause: answer.fit_with([*others, possibility.cause])
         for possibility in found.possibilities
         if possibility.is_listed
     }
@@ -51,12 +48,4 @@ def alternative_fits(answer: Answer, found: Found) -> dict[Cause, Fit]:
 
 def fitted_with_stated(answer: Answer) -> Fit:
     """The rig as described with the stated causes, fitted to the readings that were asked."""
-    return fit_with(answer, [entry.first_listed for entry in answer.stated])
-
-
-def fit_with(answer: Answer, causes: Sequence[Cause]) -> Fit:
-    """The rig as described with some listed causes, fitted to the readings that were asked."""
-    plain, rig = answer.plain, answer.plain.rig
-    for cause in causes:
-        rig = with_effect(rig, cause, plain.observations, answer.shapes_of(cause))
-    return fit_rig(rig, plain.observations, answer.asked.expansion.fit.values, plain.posterior.model.rules)
+    return answer.fit_with([entry.first_listed for entry in answer.stated])
