@@ -73,9 +73,10 @@ class Outcome:
             is_record_wrong: Whether there are such mistakes, or readings that were left out.
         """
         answer = said.answer
-        named = [*named_by(answer), *said.scattering]
+        named = [*named_by(answer), *said.stated]
         scatter, pull = scatter_of(answer.leading_fit), pull_of(answer.leading_fit)
-        leaves = answer.leaves_something or scatter.is_probable or pull.is_probable
+        is_sure = len(said.stated) == len(said.scattering)
+        leaves = answer.leaves_something or scatter.is_probable or pull.is_probable or not is_sure
         if leaves:
             verdict = Verdict.PARTLY_EXPLAINED if named else Verdict.UNEXPLAINED
         elif named or is_record_wrong:

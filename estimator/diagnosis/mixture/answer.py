@@ -168,7 +168,7 @@ class Answer:
     @property
     def is_full(self) -> bool:
         """Whether the leading set fills all slots, so that more is wrong at once than is asked for."""
-        return len(self.asked.leading) >= self.asked.slots.n_slots
+        return 0 < self.asked.slots.n_slots <= len(self.asked.leading)
 
     @property
     def stated(self) -> tuple[Found, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -24,10 +24,30 @@ MOST_SCATTERING = 2  # causes of scatter, one after the other
 
 @dataclass(frozen=True)
 class BesideScatter:
-    """What the readings say, and the causes of scatter that the rig was given for it."""
+    """What the readings say, and the causes of scatter that the rig was given for it.
+
+    Attributes:
+        answer: With them.
+        scattering: How probable each is, if nothing acts that no list holds.
+    """
 
     answer: Answer
     scattering: tuple[NamedCause, ...]
+
+    @property
+    def stated(self) -> list[NamedCause]:
+        """The causes of scatter that are sure also beside what may be unlisted, which looks like scatter in half of all cases."""
+        sure = 1.0 - 0.5 * self.answer.p_unlisted
+        stated = [
+            replace(
+                cause,
+                probability=sure * cause.probability,
+                alternatives=tuple(replace(a, probability=sure * a.probability) for a in cause.alternatives),
+                p_not_in_library=1.0 - sure * (1.0 - cause.p_not_in_library),
+            )
+            for cause in self.scattering
+        ]
+        return [cause for cause in stated if 1.0 - cause.p_not_in_library >= STATED]
 
 
 def answer_beside_scatter(
@@ -72,7 +92,7 @@ def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> Named
         for (cause, _, _), share in zip(rows[1:], shares[1:], strict=True)
         if share > ALTERNATIVE
     )
-    return NamedCause(rows[0][0], shares[0], others, rows[0][1])
+    return NamedCause(rows[0][0], shares[0], others, rows[0][1], 1.0 - some)
 
 
 def _with(plain: Fit, cause: Cause, fitted: Fit) -> Fit:
