@@ -1,7 +1,8 @@
 """The error budget: how much of what the rig as described misses each cause accounts for, on readings that no fit has seen.
 
-What a cause accounts for depends on what stands beside it. Alone it takes away some of the squared error; last, beside all others, some
-less or more. Its share is the mean of the two, and what the causes share is the difference between the whole and the sum of the last.
+What a cause accounts for depends on what stands beside it. So causes are added one after another in one order and in its reverse, each
+time with all numbers fitted anew. The share of a cause is the mean of what it takes away in both, so that shares add up to the whole. What
+depends on the order is shared by several.
 """
 
 from __future__ import annotations
@@ -86,10 +87,9 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
     if not causes or not len(unseen):
         return None
     squares = {(): _squares(plain, unseen), tuple(causes): _squares(extended, unseen)}
-    for i, cause in enumerate(causes):
-        for some in ((cause,), (*causes[:i], *causes[i + 1 :])):
-            if some not in squares:
-                squares[some] = _squares(_fit_with(plain, extended, some), unseen)
+    for i in range(1, len(causes)):
+        for some in (tuple(causes[:i]), tuple(causes[i:])):
+            squares[some] = _squares(_fit_with(plain, extended, some), unseen)
     noise = _noise(extended, unseen)
     misfit = float((squares[()] - noise).mean())
     if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):
@@ -115,14 +115,16 @@ def _shares(
 ) -> list[float]:
     """Shares of each cause, what they share, and what is left, of some readings."""
     mean = {some: float(each[rows].mean()) for some, each in squares.items()}
-    everything = tuple(causes)
     misfit = max(mean[()] - float(noise[rows].mean()), 1e-300)
-    own, last = [], []
-    for i, cause in enumerate(causes):
-        last.append((mean[(*causes[:i], *causes[i + 1 :])] - mean[everything]) / misfit)
-        own.append(0.5 * ((mean[()] - mean[(cause,)]) / misfit + last[-1]))
-    whole = (mean[()] - mean[everything]) / misfit
-    return [*own, whole - sum(last), 1.0 - whole]
+    taken = [
+        (
+            (mean[tuple(causes[:i])] - mean[tuple(causes[: i + 1])]) / misfit,
+            (mean[tuple(causes[i + 1 :])] - mean[tuple(causes[i:])]) / misfit,
+        )
+        for i in range(len(causes))
+    ]
+    whole = (mean[()] - mean[tuple(causes)]) / misfit
+    return [*(0.5 * sum(both) for both in taken), whole - sum(min(both) for both in taken), 1.0 - whole]
 
 
 def _fit_with(plain: Fit, extended: Fit, causes: Sequence[Cause]) -> Fit:

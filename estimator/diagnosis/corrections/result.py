@@ -32,7 +32,7 @@ class Part:
         log_bayes_factor: In the linear model, beside everything else, against none of this kind.
         probability: That something of this kind is there.
         extent: Instants of steps, the period of a swing, or the degree of anything else, in words.
-        is_predicted: The field of a prediction has it; else it says only how the readings of this session came about.
+        is_predicted: The field of a prediction has it; else it acts on the readings of this session.
     """
 
     cause: Cause
@@ -71,7 +71,7 @@ class Correction:
         refusal: Why nothing is corrected; empty where something is.
         final: The same, fitted to more readings.
         gain: On unseen readings, over the causes alone; None where there are none, or nothing was taken.
-        of_session: What would have been taken first, but which no prediction has: by time, by what was before, or by the sensor itself.
+        of_session: What leads too and is not corrected: what a current did by time or by what was before, which no prediction has.
         is_cut_short: The time was over before all were asked.
     """
 

@@ -1,7 +1,6 @@
 """What corrects predictions without a name: the causes and departures that lead beside the stated causes, fitted in full.
 
-Only what the field of a single moment has is taken. A fit beside what acts on the readings of this session alone would not be the model
-that is handed out.
+Of what a current has done in this session only that is taken which a single moment has, for a prediction is of a stated current.
 """
 
 from __future__ import annotations
@@ -16,6 +15,7 @@ from estimator.diagnosis.corrections.result import Correction, Part, extent_of
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer, Found
+from estimator.diagnosis.mixture.links import Link
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause, Rig
 
@@ -39,7 +39,7 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
         part = _part(answer, entry, kinds.get(entry.first.cause))
         if part is None:
             terms = terms.with_cause(answer, entry.first.cause)
-        elif part.is_predicted:
+        elif part.is_predicted or entry.first.link is not Link.CURRENT:
             terms = terms.with_departure(answer, part, kinds[part.cause])
             parts.append(part)
         else:
@@ -65,9 +65,9 @@ def _part(answer: Answer, entry: Found, kind: CorrectionKind | None) -> Part | N
     item = answer.asked.dictionary.items[number]
     degree = max(degree for degree, key in kind.keys(kind.limit.degree) if key in item.keys)
     predicted = kind.as_predicted(answer.plain.rig)
-    is_predicted = predicted is not None
-    if predicted is not None:
+    if predicted is not None and item.link is Link.CURRENT:
         degree = min(degree, predicted.limit.degree)
+    is_predicted = predicted is not None and predicted.limit.degree >= degree
     value = answer.beside_item(number).log_bayes_factor([item.cause])
     n = len(kind.keys(degree))
     extent = extent_of(item.start, degree, answer.plain)
