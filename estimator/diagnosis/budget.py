@@ -1,14 +1,15 @@
 """The error budget: how much of what the rig as described misses each cause accounts for, on readings that no fit has seen.
 
-What a cause accounts for depends on what stands beside it. So causes are added one after another in one order and in its reverse, each
-time with all numbers fitted anew. The share of a cause is the mean of what it takes away in both, so that shares add up to the whole. What
-depends on the order is shared by several.
+What a cause accounts for depends on what stands beside it. So causes are added one after another, in all orders where they are few and in
+some orders and their reverses where they are many, each time with all numbers fitted anew. The share of a cause is the mean of what it
+takes away (Shapley, Contributions to the Theory of Games 2, 307 (1953)), so shares add up to the whole. What depends on the order is shared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import permutations
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 
+MOST_IN_ALL_ORDERS, N_ORDERS = 3, 2  # causes; orders of more, each with its reverse
 N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
 Squares = Float[np.ndarray, " reading"]
 
@@ -86,18 +88,22 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
     causes = [cause for cause in extended.rig.acting if cause not in plain.rig.acting]
     if not causes or not len(unseen):
         return None
-    squares = {(): _squares(plain, unseen), tuple(causes): _squares(extended, unseen)}
-    for i in range(1, len(causes)):
-        for some in (tuple(causes[:i]), tuple(causes[i:])):
-            squares[some] = _squares(_fit_with(plain, extended, some), unseen)
+    nothing, everything = frozenset[Cause](), frozenset(causes)
+    squares = {nothing: _squares(plain, unseen), everything: _squares(extended, unseen)}
+    orders = _orders(len(causes), seed)
+    for order in orders:
+        for n in range(1, len(causes)):
+            some = frozenset(causes[i] for i in order[:n])
+            if some not in squares:
+                squares[some] = _squares(_fit_with(plain, extended, some), unseen)
     noise = _noise(extended, unseen)
-    misfit = float((squares[()] - noise).mean())
+    misfit = float((squares[nothing] - noise).mean())
     if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):
         return None
     random = np.random.default_rng(seed)
     n = len(noise)
     chosen = [np.arange(n), *(random.integers(n, size=n) for _ in range(N_RESAMPLED))]
-    rows = np.array([_shares(squares, noise, causes, rows) for rows in chosen])
+    rows = np.array([_shares(squares, noise, causes, orders, rows) for rows in chosen])
     low, high = np.quantile(rows[1:], (0.05, 0.95), axis=0)
     shares = [Share(float(v), (float(a), float(b))) for v, a, b in zip(rows[0], low, high, strict=True)]
     return Budget(
@@ -110,24 +116,37 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
     )
 
 
+def _orders(n: int, seed: int) -> list[tuple[int, ...]]:
+    """Orders in which so many causes are added: all, or some and their reverses."""
+    if n <= MOST_IN_ALL_ORDERS:
+        return list(permutations(range(n)))
+    random = np.random.default_rng(seed)
+    drawn = [tuple(random.permutation(n).tolist()) for _ in range(N_ORDERS)]
+    return [order for each in drawn for order in (each, each[::-1])]
+
+
 def _shares(
-    squares: Mapping[tuple[Cause, ...], Squares], noise: Squares, causes: Sequence[Cause], rows: np.ndarray
+    squares: Mapping[frozenset[Cause], Squares],
+    noise: Squares,
+    causes: Sequence[Cause],
+    orders: Sequence[Sequence[int]],
+    rows: np.ndarray,
 ) -> list[float]:
     """Shares of each cause, what they share, and what is left, of some readings."""
     mean = {some: float(each[rows].mean()) for some, each in squares.items()}
-    misfit = max(mean[()] - float(noise[rows].mean()), 1e-300)
-    taken = [
-        (
-            (mean[tuple(causes[:i])] - mean[tuple(causes[: i + 1])]) / misfit,
-            (mean[tuple(causes[i + 1 :])] - mean[tuple(causes[i:])]) / misfit,
-        )
-        for i in range(len(causes))
-    ]
-    whole = (mean[()] - mean[tuple(causes)]) / misfit
-    return [*(0.5 * sum(both) for both in taken), whole - sum(min(both) for both in taken), 1.0 - whole]
+    before, after = mean[frozenset()], mean[frozenset(causes)]
+    misfit = max(before - float(noise[rows].mean()), 1e-300)
+    taken = np.zeros((len(orders), len(causes)))
+    for row, order in zip(taken, orders, strict=True):
+        present = frozenset[Cause]()
+        for i in order:
+            row[i] = (mean[present] - mean[present | {causes[i]}]) / misfit
+            present |= {causes[i]}
+    whole = (before - after) / misfit
+    return [*taken.mean(0).tolist(), whole - float(taken.min(0).sum()), 1.0 - whole]
 
 
-def _fit_with(plain: Fit, extended: Fit, causes: Sequence[Cause]) -> Fit:
+def _fit_with(plain: Fit, extended: Fit, causes: Collection[Cause]) -> Fit:
     """The rig as described with some of the causes of the extended one, fitted to the same readings."""
     rig: Rig = extended.rig
     for cause in extended.rig.acting:

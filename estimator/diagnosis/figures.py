@@ -77,8 +77,8 @@ def _budget(diagnosis: Diagnosis) -> Iterator[Picture]:
     yield Picture(
         "Error budget",
         f"What the rig as described misses of {budget.n_readings} readings that no fit has seen, beyond the noise: "
-        f"{size_with_unit(budget.misfit_T, 'T', 3)} rms. Each bar is the share that a cause accounts for, the mean of adding the causes "
-        "in one order and in its reverse; lines are 90 % intervals over the choice of the readings.",
+        f"{size_with_unit(budget.misfit_T, 'T', 3)} rms. Each bar is the share that a cause accounts for, the mean over orders of adding "
+        "them; lines are 90 % intervals over the choice of the readings.",
         figure,
     )
 
