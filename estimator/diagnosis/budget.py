@@ -2,7 +2,8 @@
 
 What a cause accounts for depends on what stands beside it. So causes are added one after another, in all orders where they are few and in
 some orders and their reverses where they are many, each time with all numbers fitted anew. The share of a cause is the mean of what it
-takes away (Shapley, Contributions to the Theory of Games 2, 307 (1953)), so shares add up to the whole. What depends on the order is shared.
+takes away (Shapley, Contributions to the Theory of Games 2, 307 (1953)), so shares add up to the whole. What depends on the order is
+shared.
 """
 
 from __future__ import annotations

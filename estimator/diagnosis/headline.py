@@ -40,6 +40,7 @@ from estimator.rig.rig import Cause
 MOST_SIZES = 2
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
+MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
 MOST_TENSIONS = 3  # that are listed one by one
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
@@ -195,8 +196,10 @@ def _beside(diagnosis: Diagnosis) -> str:
     if answer.is_full:
         links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
         where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
+        listed = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
+        most = f" Most probable, but not stated: {'; '.join(listed[:MOST_OF_MANY])}." if listed else ""
         return (
-            f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell apart.{where}"
+            f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell apart.{most}{where}"
         )
     unlisted = [_words_of(diagnosis, entry) for entry in answer.beside if not entry.first.is_listed]
     faint = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
