@@ -177,10 +177,6 @@ numbers change in 3."""
 TIME_DEGREE = 6
 """Degree of the polynomials in time. By judgement: three periods of what swings during a session. Study of 5 cases: numbers change in 5."""
 
-N_INSTANTS = 11
-"""Instants at which something may have changed, evenly over the session. By judgement: one lies within a 24th of it. Study of 5 cases:
-numbers change in 4."""
-
 SETTING_DEGREE = 4
 """Degree of the curves in one circumstance, such as a current or a pause. As `SMOOTH_DEGREE`. Study of 5 cases: numbers change in 4."""
 
@@ -220,9 +216,6 @@ LEAST_LOSS_SE = 3.0
 verdict hangs on it. Study of 5 cases: no change."""
 
 # Corrections
-
-MOST_CORRECTIONS = 6
-"""Kinds and places that one diagnosis corrects. Effort: each has tens of amplitudes. Study of 1 case: no change."""
 
 # Widening of intervals
 
