@@ -198,9 +198,7 @@ def _beside(diagnosis: Diagnosis) -> str:
         where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
         listed = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
         most = f" Most probable, but not stated: {'; '.join(listed[:MOST_OF_MANY])}." if listed else ""
-        return (
-            f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell apart.{most}{where}"
-        )
+        return f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell apart.{most}{where}"
     unlisted = [_words_of(diagnosis, entry) for entry in answer.beside if not entry.first.is_listed]
     faint = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
     sentences = []

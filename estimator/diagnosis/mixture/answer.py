@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
-from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
+from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
@@ -55,14 +56,16 @@ class Found:
     Attributes:
         possibilities: Most probable first.
         probability: That one of them is there, beside everything else: that with all readings, moved towards that in halves by half the
-            probability that something acts which no list holds.
+            probability that something acts which no list holds, and less where halves say less than half of what is expected of them.
         with_all, in_halves: With all readings; the mean over halves of them.
+        expected: What is expected in halves of what is there as all readings have it.
     """
 
     possibilities: tuple[Possibility, ...]
     probability: float
     with_all: float
     in_halves: float
+    expected: float
 
     @property
     def first(self) -> Possibility:
@@ -80,6 +83,7 @@ class Found:
             "probability": self.probability,
             "with_all_readings": self.with_all,
             "in_halves": self.in_halves,
+            "expected_in_halves": self.expected,
             "is_one_of": [
                 {
                     "name": possibility.cause.name,
@@ -101,13 +105,19 @@ class Answer:
         first: About the rig as described.
         asked: At the expansion that counts.
         in_halves: Draws from halves of the readings.
+        expected: Probability that halves are expected to give each leading item, by its number.
         ended_early: Why it ended before all was asked; empty where it did not.
+        refused: Causes that a full fit does not bear out, so that they are not stated.
+        fits: Of the rig with listed causes, by these, as they were made.
     """
 
     first: Asked
     asked: Asked
     in_halves: tuple[Samples, ...]
+    expected: Mapping[int, float] = field(default_factory=dict)
     ended_early: str = ""
+    refused: frozenset[Cause] = frozenset()
+    fits: dict[frozenset[Cause], Fit] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def plain(self) -> Fit:
@@ -162,8 +172,11 @@ class Answer:
             Possibility(cause, first[cause].is_listed, first[cause].link, share / whole)
             for cause, share in sorted(shares.items(), key=lambda pair: -pair[1])
         ]
-        weight = 0.5 * self.p_unlisted
-        return Found(tuple(possibilities), with_all + weight * (in_halves - with_all), with_all, in_halves)
+        expected = max((self.expected.get(i, 0.0) for i in own), default=0.0)
+        probability = with_all + 0.5 * self.p_unlisted * (in_halves - with_all)
+        if 2.0 * in_halves < expected:
+            probability *= 2.0 * in_halves / expected
+        return Found(tuple(possibilities), probability, with_all, in_halves, expected)
 
     @property
     def is_full(self) -> bool:
@@ -178,8 +191,24 @@ class Answer:
         return tuple(
             entry
             for entry in self.found
-            if entry.probability >= STATED and _listed(entry.possibilities) > 0.5
+            if entry.probability >= STATED
+            and _listed(entry.possibilities) > 0.5
+            and entry.first_listed not in self.refused
         )
+
+    def borne_out(self) -> Answer:
+        """This answer without statements that full fits do not bear out: with each cause the evidence must be clearly higher."""
+        stated = [entry.first_listed for entry in self.stated]
+        if not stated:
+            return self
+        rises = {}
+        for cause in stated:
+            others = [other for other in stated if other != cause]
+            rises[cause] = self.fit_with(stated).log_evidence - self.fit_with(others).log_evidence
+        least = min(rises, key=rises.__getitem__)
+        if rises[least] > policy.CLEAR_LOG_EVIDENCE and self.fit_with(stated).still_has(least):
+            return self
+        return replace(self, refused=self.refused | {least}).borne_out()
 
     @property
     def beside(self) -> tuple[Found, ...]:
@@ -220,21 +249,18 @@ class Answer:
         sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
         return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
 
-    @cached_property
-    def _fits(self) -> dict[frozenset[Cause], Fit]:
-        """Fits that were made, by their causes."""
-        return {}
-
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
         """The rig as described with some listed causes, fitted to the readings that were asked."""
         key = frozenset(causes)
-        if key not in self._fits:
+        if key not in self.fits:
             plain, rig = self.plain, self.plain.rig
+            if not key:
+                return plain
             for cause in causes:
                 rig = with_effect(rig, cause, plain.observations, self.shapes_of(cause))
             start = self.asked.expansion.fit.values
-            self._fits[key] = fit_rig(rig, plain.observations, start, plain.posterior.model.rules)
-        return self._fits[key]
+            self.fits[key] = fit_rig(rig, plain.observations, start, plain.posterior.model.rules)
+        return self.fits[key]
 
     def item_of(self, cause: Cause) -> int:
         """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""
@@ -314,12 +340,22 @@ def answer(
     few = asked.dictionary.restricted(numbers)
     readings = as_meant(plain.rig, plain.observations)
     block = blocks_of(readings, plain.rig, seed)
-    of_halves = list[Samples]()
+    of_halves, expected = list[Samples](), list[dict[int, float]]()
+    leading = list(asked.leading)
+    sizes, _ = asked.slots.products.sizes(leading, asked.noise)
     for i, is_in in enumerate(halves(block, n_pairs, seed)):
         if limits.is_over:
             break
         pace.tell(i, 2 * n_pairs)
         products = Products(few, weight_of(is_in, readings.is_measured))
-        samples = Slots(products, asked.slots.noise, asked.slots.n_slots).sample(IN_HALVES, seed + i)
-        of_halves.append(samples.renumbered(numbers, len(asked.dictionary.items)))
-    return Answer(first, asked, tuple(of_halves), limits.words if limits.is_over else "")
+        slots = Slots(products, asked.slots.noise, asked.slots.n_slots)
+        of_halves.append(slots.sample(IN_HALVES, seed + i).renumbered(numbers, len(asked.dictionary.items)))
+        few_leading = [numbers.index(item) for item in leading]
+        expected.append(expected_in_half(slots, few_leading, sizes, asked.noise_number))
+    mean = {
+        item: sum(of_half[few] for of_half in expected) / len(expected)
+        for item, few in zip(leading, map(numbers.index, leading), strict=True)
+        if expected
+    }
+    ended_early = limits.words if limits.is_over else ""
+    return Answer(first, asked, tuple(of_halves), mean, ended_early).borne_out()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -64,6 +64,14 @@ class Asked:
         most = max(by_labels, key=by_labels.__getitem__)
         return max((m for m in models if labels[m] == most), key=models.__getitem__)
 
+    def without(self, causes: Collection[Cause], seed: int) -> Asked:
+        """The readings asked again without some causes."""
+        rows = [i for i, item in enumerate(self.dictionary.items) if item.cause in causes]
+        if not rows:
+            return self
+        slots = Slots(self.slots.products, self.slots.noise, self.slots.n_slots, excluded=rows)
+        return replace(self, slots=slots, samples=slots.sample(CLIMBING, seed))
+
     @cached_property
     def log_density(self) -> float:
         """Log density of the readings and the leading set of items, up to a constant that all expansions of one session share."""
@@ -93,24 +101,28 @@ def climbed(
     """
     pace = Pace("what leads, in all readings", on_progress)
     pace.tell(0, MOST_EXPANSIONS)
-    asked = [ask(Expansion.of(plain), limits, seed, {})]
+    first = ask(Expansion.of(plain), limits, seed, {})
+    asked, excluded = [first], set[Cause]()
     seen, shapes = {frozenset[Cause]()}, dict[Cause, dict[str, float]]()
-    while len(asked) < MOST_EXPANSIONS and not limits.is_over:
-        pace.tell(len(asked), MOST_EXPANSIONS)
+    for n in range(1, MOST_EXPANSIONS):
+        pace.tell(n, MOST_EXPANSIONS)
         last = asked[-1]
         items, chosen = last.dictionary.items, one_more_of_each_link(last, last.leading)
         causes = frozenset(items[i].cause for i in chosen if items[i].is_listed)
-        if causes in seen:
+        if causes in seen or limits.is_over:
             break
         seen.add(causes)
         sizes, _ = last.slots.products.sizes(chosen, last.noise)
         moved = last.expansion.moved(last.dictionary, chosen, sizes)
-        if moved.fit.log_evidence < plain.log_evidence:
-            break
-        asked.append(ask(moved, limits, seed, shapes))
+        new = causes.difference(last.expansion.causes)
+        if new and moved.is_worse_than(last.expansion):
+            excluded |= new  # what the linear model said of them does not hold
+            asked[-1] = last.without(excluded, seed)
+            continue
+        asked.append(ask(moved, limits, seed, shapes).without(excluded, seed))
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
     best = max(asked, key=lambda at: at.log_density)
-    return asked[0], replace(best, samples=best.slots.sample(SAMPLING, seed))
+    return first, replace(best, samples=best.slots.sample(SAMPLING, seed))
 
 
 def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]) -> Asked:

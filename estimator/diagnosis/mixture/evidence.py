@@ -62,14 +62,32 @@ class Products:
             mixture[self._shift(self.items[i])] -= 1.0
         return torch.tensor(columns, dtype=torch.long), self.gram.new_tensor(widths), mixture
 
-    def beside(self, chosen: Sequence[int], noise: float) -> Float[Tensor, " item"]:
+    def signal_of(self, items: Sequence[int], sizes: Float[Tensor, " column"]) -> Float[Tensor, " column"]:
+        """What some items change in the readings, as a combination of columns.
+
+        Args:
+            items: Their numbers.
+            sizes: Coefficients of their columns, one item after the other.
+        """
+        columns, _, without = self.of(items)
+        signal = -without
+        signal[self.residual] = 0.0
+        return signal.index_add(0, columns, sizes)
+
+    def beside(
+        self, chosen: Sequence[int], noise: float, signal: Float[Tensor, " column"] | None = None
+    ) -> Float[Tensor, " item"]:
         """Log Bayes factor of each item beside some others, against these alone.
 
         Args:
             chosen: The others.
             noise: Factor on the noise of the fit.
+            signal: Combination of columns that stands for the residual, where something else than what was measured is asked about.
         """
         columns, widths, mixture = self.of(chosen)
+        if signal is not None:
+            mixture = mixture + signal
+            mixture[self.residual] = 0.0
         score = self.gram @ mixture / noise**2
         followed, reached = self._followed(columns, widths, score, noise)
         score = score - followed.T @ reached

@@ -50,6 +50,11 @@ class Expansion:
         """Causes that the fit has beyond the rig as described."""
         return tuple(cause for cause in self.fit.rig.effects if cause not in self.plain.rig.effects)
 
+    def is_worse_than(self, other: Expansion) -> bool:
+        """Whether the readings are less probable with these causes than with others, by full fits beside the same departures."""
+        is_alike = torch.equal(self.departed_T, other.departed_T)
+        return is_alike and self.fit.log_evidence < other.fit.log_evidence
+
     @cached_property
     def _own(self) -> dict[Cause, list[int]]:
         """Coordinates of each of these causes."""

@@ -149,14 +149,22 @@ class Slots:
         products: Inner products of its columns.
         noise: What is known of the noise.
         n_slots: Things that may be wrong at once.
+        excluded: Items that no slot holds.
     """
 
-    def __init__(self, products: Products, noise: NoisePrior, n_slots: int = policy.MOST_CAUSES) -> None:
+    def __init__(
+        self,
+        products: Products,
+        noise: NoisePrior,
+        n_slots: int = policy.MOST_CAUSES,
+        excluded: Sequence[int] = (),
+    ) -> None:
         self.products, self.noise, self.n_slots = products, noise, n_slots
         self.grid = noise.grid()
         self.log_prior_noise = noise.log_density(self.grid)
         items = products.items
         self.log_prior = torch.tensor([item.log_prior for item in items], dtype=torch.float64)
+        self.log_prior[list(excluded)] = -math.inf
         names = {name: i for i, name in enumerate(dict.fromkeys(item.name for item in items))}
         self.name = np.array([names[item.name] for item in items], dtype=int)
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
