@@ -7,6 +7,8 @@ from collections.abc import Mapping
 import torch
 
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer, answer
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -20,6 +22,11 @@ def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
         wider = with_effect(fit.rig, cause, observations, {})
         fit = fit_rig(wider, observations, fit.start_with(wider), fit.posterior.model.rules)
     return fit
+
+
+def answered(fit: Fit, n_pairs: int = 1) -> Answer:
+    """What the readings of a fit say is wrong."""
+    return answer(fit, Limits(), seed=1, n_pairs=n_pairs)
 
 
 def unheard(words: str) -> None:
