@@ -13,6 +13,12 @@ from tests.estimator.diagnosis.unknown_source import with_dipole
 
 
 @pytest.fixture(scope="session")
+def of_nothing(small_rig: Rig, small_session: Session) -> Answer:
+    """What readings say in which nothing is wrong."""
+    return answered(fit_of(small_rig, small_session.observations.calibration))
+
+
+@pytest.fixture(scope="session")
 def dipole(small_session: Session) -> Observations:
     """Readings with an unknown dipole beside the coil."""
     return with_dipole(small_session)
