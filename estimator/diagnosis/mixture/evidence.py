@@ -62,7 +62,7 @@ class Products:
             mixture[self._shift(self.items[i])] -= 1.0
         return torch.tensor(columns, dtype=torch.long), self.gram.new_tensor(widths), mixture
 
-    def signal_of(self, items: Sequence[int], sizes: Float[Tensor, " column"]) -> Float[Tensor, " column"]:
+    def signal_of(self, items: Sequence[int], sizes: Float[Tensor, " size"]) -> Float[Tensor, " column"]:
         """What some items change in the readings, as a combination of columns.
 
         Args:
