@@ -61,7 +61,7 @@ def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.M
     diagnosis = diagnose(
         session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(1)
     )
-    assert diagnosis.findings.search.final.rig.effects
+    assert diagnosis.findings.answer.stated
     assert diagnosis.verdict == "unexplained"
     assert not diagnosis.causes
     assert not diagnosis.findings.stand_ins
