@@ -43,7 +43,7 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
     session, tmp_path, monkeypatch, many_directions
 ):
     monkeypatch.setattr(secant, "MANY_DIRECTIONS", many_directions)
-    limits = Limits(most_causes=1)
+    limits = Limits(most_causes=2)
     whole = diagnose(session, seed=1, out=tmp_path / "whole", has_corrections=False, limits=limits)
     n_fits = []
     climb = fitting.climbed
@@ -74,7 +74,6 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
 def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(session, tmp_path):
     hasty = diagnose(session, seed=1, out=tmp_path, limits=Limits(minutes=0.0))
     assert hasty.findings.answer.ended_early
-    assert hasty.causes == ()
     assert (tmp_path / FITS).exists()
     patient = diagnose(session, seed=1, out=tmp_path)
     assert not patient.findings.answer.ended_early
@@ -90,7 +89,7 @@ def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(sessi
 )
 def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str, words: str):
     """Also where its causes were found."""
-    limits = Limits(most_causes=1)
+    limits = Limits(most_causes=2)
 
     def stop(stage: str) -> None:
         if stage.startswith(at):
