@@ -142,9 +142,15 @@ def test_shuffled_names_fail(tmp_path, monkeypatch):
         from dataclasses import replace
 
         pool = right(*args)
-        causes = list(dict.fromkeys(candidate.cause for candidate in pool if not candidate.shapes))
-        other = dict(zip(causes, [*causes[7:], *causes[:7]], strict=True))
-        return [replace(candidate, cause=other.get(candidate.cause, candidate.cause)) for candidate in pool]
+        unshaped = [candidate for candidate in pool if not candidate.shapes]
+        other = {id(one): another for one, another in zip(unshaped, [*unshaped[7:], *unshaped[:7]], strict=True)}
+
+        def with_columns_of(candidate: Any, source: Any) -> Any:
+            number = torch.arange(len(candidate.keys)) % len(source.keys)
+            columns = (source.columns * source.prior_sd)[:, number] / candidate.prior_sd
+            return replace(candidate, columns=columns, shift=source.shift)
+
+        return [with_columns_of(one, other[id(one)]) if id(one) in other else one for one in pool]
 
     monkeypatch.setattr(module, "candidates", shuffled)
     seed, protocol, sigma = CASES["axis_gain"]
