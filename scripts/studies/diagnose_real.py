@@ -114,7 +114,7 @@ def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
         f"log evidence {left.log_bayes_factor:.3g}"
     )
     for stand_in in diagnosis.findings.stand_ins:
-        print(f"  stands in: {diagnosis.label(stand_in)}")
+        print(f"  not sure enough to be stated: {diagnosis.label(stand_in)}")
     for cause in diagnosis.sized_causes:
         others = f", or {', '.join(cause.alternative_names)}" if cause.alternatives else ""
         print(f"  {cause.name} ({cause.log_bayes_factor:.0f} in log evidence){others}")

@@ -9,10 +9,12 @@ import pytest
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.naming import named_by
 from estimator.diagnosis.mixture.scatter import BesideScatter
+from estimator.diagnosis.mixture.slots import Slots
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.rig.parameters import Normal
@@ -100,14 +102,9 @@ def test_a_cause_that_is_not_sure_enough_leaves_something_and_a_faint_one_nothin
 
 def test_where_all_slots_are_full_nothing_is_named(asked):
     many = (OFFSET, GAIN, CROSS, WANDERS, STEPS, Cause("current_gain", "coil1"))
-    few = replace(asked, slots=replace_slots(asked, len(many)))
+    few = replace(asked, slots=Slots(asked.slots.products, asked.slots.noise, len(many)))
     outcome = outcome_of(said(few, {many: 100}))
     assert (outcome.verdict, outcome.named) == (Verdict.UNEXPLAINED, [])
-
-
-def replace_slots(asked: Asked, n_slots: int):
-    """Slots that hold so many things."""
-    return type(asked.slots)(asked.slots.products, asked.slots.noise, n_slots)
 
 
 def test_mistakes_of_the_record_alone_are_named_unless_others_do_as_well(asked):
@@ -160,8 +157,25 @@ def test_evidence_of_a_name_is_that_of_a_full_fit(small_rig: Rig, of_two_causes:
     named = {each.cause: each for each in named_by(of_two_causes)}
     readings = of_two_causes.plain.observations
     both, one = fit_of(small_rig, readings, OFFSET, GAIN), fit_of(small_rig, readings, OFFSET)
-    assert named[GAIN].log_bayes_factor == pytest.approx(both.log_evidence - one.log_evidence, abs=3.0)
+    assert named[GAIN].log_bayes_factor == pytest.approx(both.log_evidence - one.log_evidence, abs=5.0)
     assert named[GAIN].log_bayes_factor > 10.0
+
+
+def test_evidence_of_a_name_is_not_taken_beside_its_own_twin(of_two_causes: Answer):
+    """The twin leads, and the other is drawn as often: beside it the name would explain nothing."""
+    answer = said(of_two_causes.first, {(ROOM, GAIN): 100}, [{OFFSET: 0.6, ROOM: 0.4}])
+    named = {each.cause: each for each in named_by(answer)}
+    assert named[OFFSET].log_bayes_factor > 50.0
+    comparison = next(each for each in answer.comparisons if OFFSET in each.taken)
+    of_twins = {h.cause: h.log_bayes_factor for h in comparison.hypotheses if h.cause in (OFFSET, ROOM)}
+    assert of_twins[OFFSET] == pytest.approx(of_twins[ROOM], abs=1.0)
+
+
+def test_the_only_thing_that_was_asked_for_may_have_a_name(of_two_causes: Answer):
+    """As a recalibration may ask for one cause: that it fills its slot does not say that more is wrong."""
+    first = of_two_causes.first
+    one = replace(first, slots=Slots(first.slots.products, first.slots.noise, Limits(1).n_slots(first.expansion.plain.rig)))
+    assert [named.cause for named in named_by(said(one, {(OFFSET,): 100}))] == [OFFSET]
 
 
 def test_a_number_that_is_pulled_far_from_its_prior_is_unexplained(small_rig: Rig, small_session: Session):

@@ -79,6 +79,18 @@ def test_sizes_are_those_of_a_regression_with_the_same_priors():
     assert torch.allclose(covariance, torch.linalg.inv(precision)[:3, :3], atol=1e-9)
 
 
+def test_evidence_of_a_signal_is_that_of_readings_which_are_nothing_else():
+    """With what two items change, one of them with a start, in the place of the residual."""
+    made = dictionary(ITEMS)
+    products, sizes = Products(made), torch.tensor([1.5, -2.0, 0.7], dtype=torch.float64)
+    signal_T = made.columns[:, [1, 2, 8]] @ sizes + made.columns[:, 9]
+    alone = Products(replace(made, residual=signal_T))
+    signal = products.signal_of([1, 3], sizes)
+    for chosen in ([], [3], [0, 4]):
+        expected = alone.beside(chosen, 0.8)
+        torch.testing.assert_close(products.beside(chosen, 0.8, signal), expected, rtol=1e-9, atol=1e-9)
+
+
 @pytest.mark.parametrize("noise", [1.0, 0.6])
 @pytest.mark.parametrize("shift", [None, 3])
 @pytest.mark.parametrize("size", [1.0, -1.0, -60.0])  # the last one 40 standard deviations on the wrong side

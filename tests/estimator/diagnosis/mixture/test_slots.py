@@ -16,7 +16,7 @@ from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item, log_density
 
 KNOWN = NoisePrior(1.0, 0.0)
-SWEEPS = Sweeps(4000, 100)
+MANY = Sweeps(4000, 100)
 
 
 def noisy() -> Dictionary:
@@ -52,7 +52,7 @@ def exact(made: Dictionary, n_slots: int) -> np.ndarray:
 
 def test_draws_have_the_probabilities_of_a_sum_over_all_states():
     made = noisy()
-    samples = Slots(Products(made), KNOWN, n_slots=3).sample(SWEEPS, seed=1)
+    samples = Slots(Products(made), KNOWN, n_slots=3).sample(MANY, seed=1)
     expected = exact(made, 3)
     assert expected[[0, 4]].min() > 0.2, "else the case says little"
     assert samples.present == pytest.approx(expected, abs=0.02)
@@ -60,7 +60,7 @@ def test_draws_have_the_probabilities_of_a_sum_over_all_states():
 
 def test_draws_do_not_depend_on_where_they_begin():
     slots = Slots(Products(noisy()), KNOWN, n_slots=3)
-    climbed, empty = (slots.sample(SWEEPS, 2, is_climbed).present for is_climbed in (True, False))
+    climbed, empty = (slots.sample(MANY, 2, is_climbed).present for is_climbed in (True, False))
     assert climbed == pytest.approx(empty, abs=0.02)
 
 
@@ -99,3 +99,12 @@ def test_joined_draws_count_as_much_as_the_first_and_keep_their_numbers():
 def test_a_known_noise_is_one():
     assert KNOWN.grid().tolist() == [1.0]
     assert torch.equal(KNOWN.log_density(torch.tensor([0.3])), torch.zeros(1))
+
+
+def test_excluded_items_are_in_no_draw_and_others_are_as_if_there_were_none():
+    made = noisy()
+    slots = Slots(Products(made), KNOWN, n_slots=3, excluded=[0, 1])
+    samples = slots.sample(MANY, seed=6)
+    assert not [model for model in samples.models if {0, 1} & set(model)]
+    assert samples.present[[0, 1]].tolist() == [0.0, 0.0]
+    assert samples.present[2:] == pytest.approx(exact(made.restricted([2, 3, 4]), 3), abs=0.02)
