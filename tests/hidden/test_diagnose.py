@@ -143,7 +143,9 @@ def test_shuffled_names_fail(tmp_path, monkeypatch):
 
         pool = right(*args)
         unshaped = [candidate for candidate in pool if not candidate.shapes]
-        other = {id(one): another for one, another in zip(unshaped, [*unshaped[7:], *unshaped[:7]], strict=True)}
+        other = {
+            id(one): another for one, another in zip(unshaped, [*unshaped[7:], *unshaped[:7]], strict=True)
+        }
 
         def with_columns_of(candidate: Any, source: Any) -> Any:
             number = torch.arange(len(candidate.keys)) % len(source.keys)

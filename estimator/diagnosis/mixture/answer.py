@@ -180,8 +180,11 @@ class Answer:
 
     @property
     def is_full(self) -> bool:
-        """Whether the leading set fills all slots, so that more is wrong at once than is asked for."""
-        return 0 < self.asked.slots.n_slots <= len(self.asked.leading)
+        """Whether the leading set fills all slots and one more would be filled too: more is wrong at once than is asked for."""
+        asked = self.asked
+        if not 0 < asked.slots.n_slots <= len(asked.leading):
+            return False
+        return float(asked.slots.conditional(asked.leading, asked.noise_number)[-1]) < 0.5
 
     @property
     def stated(self) -> tuple[Found, ...]:

@@ -26,6 +26,7 @@ from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
+LIKED_BY = 10.0  # log density by which an expansion that has all leading causes is preferred: far from it, linear models err by as much
 CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
 
 
@@ -71,6 +72,12 @@ class Asked:
             return self
         slots = Slots(self.slots.products, self.slots.noise, self.slots.n_slots, excluded=rows)
         return replace(self, slots=slots, samples=slots.sample(CLIMBING, seed))
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the expansion has every leading cause, so that none is known from a linear model far from it alone."""
+        items = [self.dictionary.items[i] for i in self.leading]
+        return all(item.cause in self.expansion.causes for item in items if item.is_listed)
 
     @cached_property
     def log_density(self) -> float:
@@ -121,7 +128,7 @@ def climbed(
             continue
         asked.append(ask(moved, limits, seed, shapes).without(excluded, seed))
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
-    best = max(asked, key=lambda at: at.log_density)
+    best = max(asked, key=lambda at: at.log_density + (LIKED_BY if at.is_fitted else 0.0))
     return first, replace(best, samples=best.slots.sample(SAMPLING, seed))
 
 

@@ -11,7 +11,6 @@ from estimator.diagnosis.mixture.scatter import BesideScatter
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.validation import validation_scores
 from estimator.diagnosis.verdict import Verdict
-from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.observations import Observations
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
@@ -35,9 +34,7 @@ def test_unseen_readings_keep_a_correction_or_drop_it_with_its_covariance(
     """Those that keep it hold the dipole that the fitted ones hold; those that drop it hold the opposite one."""
     assert before.verdict is Verdict.UNEXPLAINED
     opposite = with_dipole(small_session, -1.0)
-    kept, dropped = (
-        before.corrected(unseen.validation, Limits(), unheard) for unseen in (dipole, opposite)
-    )
+    kept, dropped = (before.corrected(unseen.validation, Limits(), unheard) for unseen in (dipole, opposite))
     assert kept.correction is not None
     assert dropped.correction is not None
     assert kept.correction.is_taken

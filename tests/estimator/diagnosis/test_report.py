@@ -31,7 +31,7 @@ from estimator.diagnosis.mixture.slots import Slots
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.panels import panels, panels_text
-from estimator.diagnosis.report import diagnosis_report, warnings_of
+from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
@@ -394,7 +394,9 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
 GAIN, STEPS, WANDERS = Cause("axis_gain", "hall"), Cause("gain_steps", "hall"), Cause("zero_wanders", "hall")
 
 
-def said_instead(diagnosis: Diagnosis, drawn: Drawn, slots: Sequence[Mapping[Cause, float]] = ()) -> Diagnosis:
+def said_instead(
+    diagnosis: Diagnosis, drawn: Drawn, slots: Sequence[Mapping[Cause, float]] = ()
+) -> Diagnosis:
     """The diagnosis, had the readings said this."""
     answer = said(diagnosis.findings.answer.first, drawn, slots)
     named = tuple(named_by(answer))
@@ -428,7 +430,9 @@ def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(di
     assert headline(unknown)[0].startswith("Something is wrong, and no known cause explains it: ")
 
 
-def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_probable(diagnosis: Diagnosis) -> None:
+def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_probable(
+    diagnosis: Diagnosis,
+) -> None:
     asked = diagnosis.findings.answer.first
     slots = Slots(asked.slots.products, asked.slots.noise, 3)
     answer = replace(diagnosis.findings.answer, first=replace(asked, slots=slots))

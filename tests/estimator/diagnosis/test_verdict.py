@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import pytest
 
-from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
@@ -21,7 +19,7 @@ from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.mixture.hand_made import said
-from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
+from tests.estimator.diagnosis.small_fits import answered, fit_of
 
 pytestmark = pytest.mark.whole
 
@@ -36,7 +34,9 @@ def asked(of_nothing: Answer) -> Asked:
 
 
 def outcome_of(answer: Answer, *mistakes: RecordMistake, scattering: tuple[NamedCause, ...] = ()) -> Outcome:
-    return Outcome.of(answer.plain, BesideScatter(answer, scattering), mistakes, is_record_wrong=bool(mistakes))
+    return Outcome.of(
+        answer.plain, BesideScatter(answer, scattering), mistakes, is_record_wrong=bool(mistakes)
+    )
 
 
 def test_without_causes_and_structure_nothing_was_found(asked):
@@ -84,9 +84,7 @@ def test_what_is_rather_unlisted_has_no_name(asked):
 
 
 def test_a_departure_beside_a_name_is_partly_explained_and_alone_unexplained(asked):
-    beside, alone = (
-        outcome_of(said(asked, {(*causes, WANDERS): 98, causes: 2})) for causes in ((GAIN,), ())
-    )
+    beside, alone = (outcome_of(said(asked, {(*causes, WANDERS): 98, causes: 2})) for causes in ((GAIN,), ()))
     assert beside.verdict is Verdict.PARTLY_EXPLAINED
     assert [named.cause for named in beside.named] == [GAIN]
     assert alone.verdict is Verdict.UNEXPLAINED
@@ -127,7 +125,11 @@ def test_an_imitation_that_halves_do_not_have_loses_its_name_where_something_unl
     """Without anything unlisted a half that is too small to show a cause says nothing against it."""
     halves = [{(WANDERS,): 50, (GAIN, WANDERS): 50}, {(WANDERS,): 100}]
     beside, alone = (
-        said(asked, {(GAIN, *rest): 100}, in_halves=[{(*model[:-1], *rest): n for model, n in h.items()} for h in halves])
+        said(
+            asked,
+            {(GAIN, *rest): 100},
+            in_halves=[{(*model[:-1], *rest): n for model, n in h.items()} for h in halves],
+        )
         for rest in ((WANDERS,), ())
     )
     assert outcome_of(beside).named == []
@@ -174,7 +176,10 @@ def test_evidence_of_a_name_is_not_taken_beside_its_own_twin(of_two_causes: Answ
 def test_the_only_thing_that_was_asked_for_may_have_a_name(of_two_causes: Answer):
     """As a recalibration may ask for one cause: that it fills its slot does not say that more is wrong."""
     first = of_two_causes.first
-    one = replace(first, slots=Slots(first.slots.products, first.slots.noise, Limits(1).n_slots(first.expansion.plain.rig)))
+    one = replace(
+        first,
+        slots=Slots(first.slots.products, first.slots.noise, Limits(1).n_slots(first.expansion.plain.rig)),
+    )
     assert [named.cause for named in named_by(said(one, {(OFFSET,): 100}))] == [OFFSET]
 
 

@@ -196,7 +196,9 @@ def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow
         jackknife_covariance(fit, time_blocks(fit.observations)),
         jackknife_covariance(fit, pose_blocks(fit.observations, np.random.default_rng(0))),
     ):
-        more = (wider.covariance - within_prior(fit, envelope(fit.covariance, least))) / (scale[:, None] * scale)
+        more = (wider.covariance - within_prior(fit, envelope(fit.covariance, least))) / (
+            scale[:, None] * scale
+        )
         assert torch.linalg.eigvalsh(0.5 * (more + more.T)).min() > -1e-6 * more.abs().max()
     assert max(wider.factors.values()) > 1.5
 

@@ -30,7 +30,9 @@ def said(
         in_halves: The same as `drawn`, for each half of the readings.
     """
     causes = {cause for models in (drawn, *in_halves) for model in models for cause in model}
-    number = {cause: _best(asked, cause) for cause in causes | {cause for shares in slots for cause in shares}}
+    number = {
+        cause: _best(asked, cause) for cause in causes | {cause for shares in slots for cause in shares}
+    }
     shares_of = {cause: shares for shares in slots for cause in shares}
     n_items = len(asked.dictionary.items)
 

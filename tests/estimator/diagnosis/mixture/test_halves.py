@@ -9,7 +9,7 @@ import torch
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Slots
-from tests.estimator.diagnosis.mixture.dictionaries import N, N_NUMBERS, dictionary, item
+from tests.estimator.diagnosis.mixture.dictionaries import N_NUMBERS, N, dictionary, item
 
 PRIOR_PRECISION = 0.3  # of the numbers of these dictionaries
 
@@ -45,7 +45,12 @@ def test_missing_components_have_no_weight():
 @pytest.mark.parametrize("size", [0.4, 0.9, 2.0])
 def test_what_a_half_is_expected_to_say_is_the_mean_of_what_halves_with_other_noise_say(size: float):
     """One of two leading items, which the half shows hardly, in part, and clearly; over many draws of noise and of the rig's numbers."""
-    items = [item("gain", [0]), item("gain", [0], width=20.0, log_prior=-3.0), item("beside", [1]), item("absent", [3])]
+    items = [
+        item("gain", [0]),
+        item("gain", [0], width=20.0, log_prior=-3.0),
+        item("beside", [1]),
+        item("absent", [3]),
+    ]
     made = dictionary(items)
     weight = (torch.arange(N) % 2 == 0).to(torch.float64)
     slots = Slots(Products(made, weight), NoisePrior(1.0, 0.0))

@@ -46,7 +46,9 @@ def test_half_of_a_cause_is_for_all_its_quantities_and_widths_are_as_probable_as
     assert shares == pytest.approx(dict(priors.WIDTHS))
 
 
-def test_a_place_between_starts_is_found(small_rig: Rig, small_truth: dict[str, float], small_session: Session):
+def test_a_place_between_starts_is_found(
+    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+):
     """A piece of iron, in the linear model about the rig without it."""
     truth = small_rig.with_values(small_truth)
     readings = small_session.observations.calibration

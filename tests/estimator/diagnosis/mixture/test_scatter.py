@@ -22,7 +22,11 @@ from tests.estimator.diagnosis.small_fits import fit_of, predicted_T, unheard, w
 
 pytestmark = pytest.mark.whole
 
-OUTLIERS, JITTER, OFFSET = Cause("outliers", "hall"), Cause("position_jitter", "arm1"), Cause("sensor_offset", "hall")
+OUTLIERS, JITTER, OFFSET = (
+    Cause("outliers", "hall"),
+    Cause("position_jitter", "arm1"),
+    Cause("sensor_offset", "hall"),
+)
 NOISE_T = 5e-6
 NO_MISTAKES: tuple[RecordMistake, ...] = ()
 
@@ -67,7 +71,9 @@ def test_wild_readings_here_and_there_are_outliers_beside_which_a_cause_keeps_it
     assert scattering.log_bayes_factor > 20.0
     assert OUTLIERS in said.answer.plain.rig.effects
     assert len(outcome.named) == 2
-    told = [cause for named in outcome.named for cause in (named.cause, *(o.cause for o in named.alternatives))]
+    told = [
+        cause for named in outcome.named for cause in (named.cause, *(o.cause for o in named.alternatives))
+    ]
     assert OFFSET in told
     assert not outcome.verdict.leaves_something
 
@@ -88,7 +94,10 @@ def test_a_mover_that_does_not_stop_where_it_says_is_told_from_noise(
     sd_m = float(said.answer.plain.values["position_jitter[arm1].sd_m"])
     assert sd_m == pytest.approx(6e-4, rel=0.25)
     assert [named.cause for named in outcome.named] == [JITTER]
-    assert outcome.verdict in (Verdict.NAMED, Verdict.INDISTINGUISHABLE)  # noise that grows with the field may be its twin
+    assert outcome.verdict in (
+        Verdict.NAMED,
+        Verdict.INDISTINGUISHABLE,
+    )  # noise that grows with the field may be its twin
 
 
 def test_a_burst_is_unexplained(rig: Rig, readings: Observations) -> None:
@@ -96,7 +105,7 @@ def test_a_burst_is_unexplained(rig: Rig, readings: Observations) -> None:
     n = len(readings)
     row = torch.argsort(torch.argsort(readings.time_s))
     during = (row >= n // 2) & (row < n // 2 + n // 10)
-    said, outcome = said_of(rig, wild(readings, during[:, None].expand(-1, 3)))
+    _, outcome = said_of(rig, wild(readings, during[:, None].expand(-1, 3)))
     assert outcome.scatter.is_probable
     assert "time" in outcome.scatter.along
     assert outcome.verdict.leaves_something
@@ -115,4 +124,7 @@ def test_causes_of_scatter_that_explain_it_as_well_are_alternatives(rig: Rig, re
     weights = torch.tensor([4.0, 3.0, -2.0], dtype=torch.float64).exp()
     assert named.probability == pytest.approx(float(weights[0] / (1.0 + weights.sum())))
     (other,) = named.alternatives
-    assert (other.cause, other.probability) == (JITTER, pytest.approx(float(weights[1] / (1.0 + weights.sum()))))
+    assert (other.cause, other.probability) == (
+        JITTER,
+        pytest.approx(float(weights[1] / (1.0 + weights.sum()))),
+    )
