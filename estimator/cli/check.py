@@ -79,31 +79,36 @@ def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str
     table, session, faults = readings_and_faults(path, rig)
     if table is None or session is None:
         return [], {}, faults
+    warnings: list[str] = []
     if is_rig_right:
-        faults = _physical_faults(rig, session, str(path))
+        faults, warnings = _physical_faults(rig, session, str(path))
     first, *rest = readings_lines(table)
     sensors, flags = [sensor.name for sensor in rig.sensors], flags_of_digits(session.observations)
     if flags:
         rest.append(f"  {told(flags, sensors)}")
     record = {"readings": readings_record(table), "flagged": [flag.to_json(sensors) for flag in flags]}
     if is_rig_right and not faults:
-        told_besides = notes(with_everywhere(rig, session.observations))
+        told_besides = [*warnings, *notes(with_everywhere(rig, session.observations))]
         rest, record = [*rest, *(f"  {note}" for note in told_besides)], {**record, "notes": told_besides}
     return [f"{path}: {first}", *rest], record, faults
 
 
-def _physical_faults(rig: Rig, session: Session, source: str) -> list[InvalidInput]:
-    """What an import of the readings would refuse: too few, nothing measured, other units than they claim."""
+def _physical_faults(rig: Rig, session: Session, source: str) -> tuple[list[InvalidInput], list[str]]:
+    """What an import of the readings would refuse: too few, nothing measured, other units than they claim; and what it would warn of."""
     from estimator.cli.import_readings import with_validation
-    from estimator.model.preflight import check_readings, check_units
+    from estimator.model.preflight import check_readings
+    from estimator.model.unit_gate import check_units
+    from estimator.readings.digits import flags_of_digits
+    from estimator.readings.flags import without_flagged
 
-    faults = Faults(is_collected=True)
+    faults, warnings = Faults(is_collected=True), list[str]()
+    flags = flags_of_digits(session.observations)
     check_readings(rig, session.observations, source, faults=faults)
     if not faults.noted:
         with faults.noting():
-            check_units(rig, session.observations, source)
+            warnings = check_units(rig, without_flagged(session.observations, flags), source)
             check_readings(rig, with_validation(session).observations, source)
-    return faults.noted
+    return faults.noted, warnings
 
 
 def _tell(faults: list[InvalidInput], lines: list[str], record: dict[str, Any], as_json: bool) -> None:

@@ -71,9 +71,10 @@ def import_command(
 
     The format `readings` is coilcal's own CSV (docs/how-to/import-your-data.md); the others are field maps of public repositories.
     """
-    from estimator.model.preflight import check_readings, check_units
+    from estimator.model.preflight import check_readings
+    from estimator.model.unit_gate import check_units
     from estimator.readings.digits import flags_of_digits
-    from estimator.readings.flags import told
+    from estimator.readings.flags import told, without_flagged
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.recorded import moment
     from estimator.store.session import SESSION
@@ -87,12 +88,12 @@ def import_command(
         session = replace(session, created=created)
     source = ", ".join(str(path) for path in paths)
     check_readings(rig, session.observations, source)
-    check_units(rig, session.observations, source)
+    flags = flags_of_digits(session.observations)
+    warnings = check_units(rig, without_flagged(session.observations, flags), source)
     session = with_validation(session, share, seed)
     check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
     session.save(out, overwrite)
     observations, sensors = session.observations, [sensor.name for sensor in rig.sensors]
-    flags = flags_of_digits(observations)
     result = {
         "session": str(out),
         "readings": len(observations),
@@ -100,11 +101,12 @@ def import_command(
         "recorded": session.created,
         "session_hash": session.hash,
         "flagged": [flag.to_json(sensors) for flag in flags],
+        "warnings": warnings,
     }
     text = f"{result['readings']} readings ({result['validation']} of them for validation) written to {out}"
     if flags:
         text += f"\n{told(flags, sensors)} Put the record right where you can."
-    show(result, text, as_json)
+    show(result, "\n".join([text, *warnings]), as_json)
 
 
 def with_validation(session: Session, share: float = VALIDATION_SHARE, seed: int = 0) -> Session:
