@@ -123,7 +123,7 @@ def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tm
             "recorded": load_session(out).created,
             "session_hash": load_session(out).hash,
             "flagged": [],
-        "warnings": [],
+            "warnings": [],
         }
     assert torch.equal(masks[0], masks[1])
     assert not torch.equal(masks[0], masks[2])
