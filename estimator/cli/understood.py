@@ -10,7 +10,7 @@ from estimator.readings.plan import Plan
 from estimator.reporting.numbers import SHOWN_IN
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Body, Coil, EquivalentSourceCoil, Mover, Rig, SidedCoil
-from estimator.store.importers.csv_table import Table
+from estimator.store.importers.table import Table
 from estimator.units import UNITS
 
 MOST_FREE = 30  # parameters that are listed one by one; a coil without a winding has hundreds
