@@ -105,13 +105,23 @@ def session_of(table: Table, rig: Rig, clock: Clock = Clock.AS_WRITTEN) -> ReadT
     table = _with_fields(table)
     session = _session(table, rig, clock)
     while table.bad_rows:
-        bad_rows = sorted(table.bad_rows)
-        table.notes.append(
-            f"{left_out([int(table.lines[row]) for row in bad_rows], 'row')}: a cell has a fault."
-        )
-        table = _not_empty(table.without(bad_rows))
+        table = without_bad_rows(table)
         session = _session(table, rig, clock)
     return ReadTable(table, session)
+
+
+def without_bad_rows(table: Table) -> Table:
+    """The table without rows that were found to have a fault, with a note.
+
+    Raises:
+        InvalidInput: No row is left.
+    """
+    if not table.bad_rows:
+        return table
+    bad_rows = sorted(table.bad_rows)
+    told = left_out([int(table.lines[row]) for row in bad_rows], "row")
+    table.notes.append(f"{told}: a cell has a fault.")
+    return _not_empty(table.without(bad_rows))
 
 
 def _with_fields(table: Table) -> Table:

@@ -189,7 +189,7 @@ class Table:
         if self.skips_bad:
             self.bad_rows.update(rows)
         elif rows:
-            column = None if quantity is None else self.header[quantity].column + 1
+            column = None if quantity is None else self.header[quantity].column + 1 or None
             words = ["" if received is None else received(row) for row in rows[:MOST_PLACES]]
             lines = [int(self.lines[row]) for row in rows]
             self.faults.note(fault_at(self.path, lines, rule, words, cure, column))

@@ -124,6 +124,7 @@ def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tm
             "session_hash": load_session(out).hash,
             "flagged": [],
             "warnings": [],
+            "columns": None,
         }
     assert torch.equal(masks[0], masks[1])
     assert not torch.equal(masks[0], masks[2])
