@@ -59,6 +59,7 @@ class Block:
         numbers: Number of each line, from 1.
         is_plain: Whether no line holds a quote or a NUL.
         separator: Between cells; None for runs of blanks.
+        may_comment: Whether a line may be a comment.
     """
 
     path: Path
@@ -66,6 +67,7 @@ class Block:
     numbers: Sequence[int]
     is_plain: bool
     separator: str | None = ","
+    may_comment: bool = False
 
     def rest(self, n: int) -> Block:
         """The block without its first lines."""
@@ -137,7 +139,7 @@ def csv_blocks(path: Path, encoding: str = "utf-8", separator: str | None = ",")
             numbers = list(compress(numbers, are_there))
             lines = list(compress(lines, are_there))
         is_plain = '"' not in text and ("\0" not in text or not any("\0" in line for line in lines))
-        yield Block(path, lines, numbers, is_plain, separator)
+        yield Block(path, lines, numbers, is_plain, separator, "#" in text)
 
 
 def cells_of(line: str, path: Path, number: int, separator: str | None = ",") -> list[str]:

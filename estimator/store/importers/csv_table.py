@@ -46,10 +46,10 @@ def read_table(
 
 
 def without_headers(blocks: Iterable[Block], header: str) -> Iterator[Block]:
-    """Blocks without lines that repeat the header, as logs have where a program was started again."""
+    """Blocks without comments, and without lines that repeat the header, as logs have where a program was started again."""
     for block in blocks:
-        if header in block.texts:
-            yield block.without(lambda text: text == header)
+        if block.may_comment or header in block.texts:
+            yield block.without(lambda text: text == header or text.lstrip().startswith("#"))
         else:
             yield block
 

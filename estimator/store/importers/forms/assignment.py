@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from estimator.errors import Faults, InvalidInput, Place, closest, quoted
 from estimator.rig.rig import Rig
-from estimator.store.importers.forms.cells import CLOCK_CELL, DATE_CELL
+from estimator.store.importers.forms.cells import DATE_CELL, is_clock
 from estimator.store.importers.forms.headings import (
     Target,
     candidates,
@@ -141,8 +141,8 @@ class _Assigner:
             header = self.headings[index].text.strip()
             if header == "recorded_at":
                 continue
-            for kind, pattern in ((CLOCK, CLOCK_CELL), (DATE, DATE_CELL)):
-                n_fits = sum(pattern.match(cell) is not None for cell in own)
+            for kind, is_its in ((CLOCK, is_clock), (DATE, DATE_CELL.match)):
+                n_fits = sum(bool(is_its(cell)) for cell in own)
                 if kind not in taken and own and n_fits > MOSTLY * len(own):
                     self.assigned[index] = Assigned(index, header, kind, None)
                     taken.add(kind)

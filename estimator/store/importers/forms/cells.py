@@ -26,6 +26,7 @@ DAY = (
 TIME = r"(?P<H>\d\d?):(?P<M>\d\d)(?::(?P<S>\d\d)(?:[.,:](?P<f>\d+))?)?\s*(?P<pm>[AaPp][Mm])?(?:Z|[+-]\d\d:?\d\d)?"
 DATE_CELL = re.compile(rf"{DAY}$")
 CLOCK_CELL = re.compile(rf"(?:{DAY}[T ,]\s*)?{TIME}$")
+MINUTES_CELL = re.compile(r"(?P<M>\d+):(?P<S>\d\d)[.,](?P<f>\d+)$")  # as spreadsheets show short times
 HALF_DAY_S, DAY_S = 43200.0, 86400.0
 
 
@@ -44,8 +45,14 @@ def is_number(cell: str, decimal: str) -> bool:
 def is_value(cell: str, decimal: str) -> bool:
     """Whether a cell is a number, a time, a date, or says that there is none."""
     text = cell.strip()
-    is_time = ":" in text and CLOCK_CELL.match(text) is not None
+    is_time = ":" in text and is_clock(text)
     return is_number(text, decimal) or is_time or DATE_CELL.match(text) is not None or is_absent(text)
+
+
+def is_clock(cell: str) -> bool:
+    """Whether a cell is a time of day, with a date or without, or minutes and seconds."""
+    text = cell.strip()
+    return CLOCK_CELL.match(text) is not None or MINUTES_CELL.match(text) is not None
 
 
 def plain_numbers(decimal: str) -> Callable[[Sequence[str]], Sequence[str]]:
@@ -103,7 +110,8 @@ def stamp_of(cell: str, has_day_first: bool) -> Stamp | None:
     """
     match = CLOCK_CELL.match(cell.strip())
     if match is None:
-        return None
+        short = MINUTES_CELL.match(cell.strip())
+        return short and Stamp(60.0 * int(short["M"]) + float(f"{short['S']}.{short['f']}"), None)
     hour, half = int(match["H"]), (match["pm"] or "").lower()
     if half:
         hour = hour % 12 + (12 if half == "pm" else 0)

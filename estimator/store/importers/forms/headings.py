@@ -30,8 +30,9 @@ SENSOR_WORDS = _words("sensor probe")
 # A column with one of these says something about a quantity, not its value.
 BESIDE_WORDS = _words(
     "std sd stdev stddev dev sigma err error noise rms var variance uncertainty unc min max delta gradient limit target setpoint raw adc "
-    "counts range rate speed velocity status flag norm abs total"
+    "counts range rate speed velocity status flag norm abs total expected theory predicted model fit residual rem background id"
 )
+MEAN_WORDS = _words("mean avg average measured meas value")  # say nothing that matters
 AXES = frozenset("xyz")
 BRACKETED = re.compile(r"^(?P<what>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
 DIVIDED = re.compile(r"^(?P<what>.+?)\s*(?:/|,|;|:|\bin\b|\s)\s*(?P<unit>[^\s/]+(?:/m)?)\s*$")
@@ -110,6 +111,8 @@ def heading_of(text: str, unit_below: str = "") -> Heading:
         [('Bx', 'mT'), ('B_x', 'Gauss'), ('Hall Bx', 'G'), ('Bx', 'uT'), ('Time', ''), ('pos x', '')]
     """
     name = text.strip()
+    if name.lower() == "x_value":  # the time of LabVIEW's measurement files
+        return Heading(text, "time", "s", unit_named("s"))
     if unit_below and unit_named(strip_brackets(unit_below)) is not None:
         below = strip_brackets(unit_below)
         return Heading(text, name, below, unit_named(below))
@@ -187,8 +190,8 @@ def _unexplained(heading: Heading, words: Sequence[str], target: Target) -> int 
     if target.role == "field" and target.body and not _is_of(heading.what, words, target.body):
         return None
     role_words = ROLES.get(target.role, frozenset((target.role,)))
-    left = [word for word in words if word not in role_words]
-    has_role = len(left) < len(words)
+    has_role = any(word in role_words for word in words)
+    left = [word for word in words if word not in role_words and word not in MEAN_WORDS]
     if target.body:
         own = words_of(target.body)
         left = [word for word in left if word not in own]

@@ -18,6 +18,7 @@ WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", None: "bla
 COMMENTS = ("#", "%", "//")
 FEWEST_NUMBERS = 2  # in a line of data
 SAMPLE_LINES = 400
+NO_CELLS = frozenset(("", "comment", "comments", "remark", "remarks", "note", "notes"))  # headings that rows may lack
 NO_UNITS = frozenset(("", "-", "1", "a.u.", "none", "text", "string"))
 
 
@@ -145,7 +146,7 @@ def header_names(text: str, separator: str | None, width: int) -> tuple[str, ...
     text = re.sub(r"^\s*(?:#+|%+|//+)\s*", "", text).strip("\ufeff")
     for cells in _splits(text, separator):
         names = tuple(cell.strip().strip("\"'") for cell in cells)
-        while len(names) > width and not names[-1]:
+        while len(names) > width and names[-1].lower() in NO_CELLS:
             names = names[:-1]
         n_words = sum(any(letter.isalpha() for letter in name) for name in names)
         is_text = n_words >= FEWEST_NUMBERS and not any(is_number(name, ".") for name in names)

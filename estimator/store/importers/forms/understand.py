@@ -30,7 +30,7 @@ from estimator.store.importers.forms.layout import (
     is_comment,
     layout_of,
 )
-from estimator.store.importers.forms.recipe import CLOCK, DATE, DECIMALS, NOTHING, SEPARATOR_OF, Recipe
+from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, SEPARATOR_OF, Recipe
 from estimator.store.importers.forms.sources import CELL_SEPARATOR, grid_of, kind_of, renumbered
 from estimator.store.importers.forms.times import with_times
 from estimator.store.importers.forms.units import split_file_unit
@@ -102,9 +102,9 @@ def understood(
     if faults.noted:
         _read_numbers(table)
         raise faults.noted.pop()  # whoever collects them notes it again
+    created, table = with_times(table)
     has_time = "t" in table
     clock = recipe.clock if has_time else Clock.ROWS
-    created, table = with_times(table)
     table = without_bad_rows(table)  # numbered as in the file, before rows of several sensors are
     table, session = session_of(lengthened(table, rig), rig, clock)
     if created:
@@ -315,7 +315,7 @@ def _remarks(assignment: Assignment, recipe: Recipe, has_time: bool) -> list[str
         told.append(
             f"The same in all rows: {', '.join(f'{name} = {v:g}' for name, v in recipe.constants.items())}."
         )
-    if not has_time and not {CLOCK, DATE} & {each.quantity for each in assignment.assigned}:
+    if not has_time:
         told.append("No time: rows count as one second each.")
     return told
 
