@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.output import named_number
 from estimator.errors import InvalidInput, quoted
 
 if TYPE_CHECKING:
@@ -84,14 +83,14 @@ class FormOptions:
         from dataclasses import replace
 
         from estimator.readings.clock import Clock
-        from estimator.store.importers.forms.recipe import Recipe, named_columns, read_recipe
+        from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants, read_recipe
 
         recipe = Recipe() if self.map_path is None else read_recipe(self.map_path)
         coils = [coil.name for coil in rig.coils]
         for name in currents_A:
             if name not in coils:
                 raise InvalidInput(f"--current must name one of {', '.join(coils)}; received {quoted(name)}")
-        constants = named_number(self.constants, "--constant") | {
+        constants = named_constants(self.constants) | {
             f"{name}_current_A": value for name, value in currents_A.items()
         }
         return replace(

@@ -86,7 +86,7 @@ def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> N
             click.echo(line, err=True)
     if is_accepted:
         return
-    if is_asked and sys.stdin.isatty() and sys.stderr.isatty():
+    if is_asked and is_terminal():
         if click.confirm("Import it so?", err=True):
             return
         raise InvalidInput(
@@ -96,6 +96,11 @@ def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> N
         f"{path} is no readings CSV, so what was understood of it must be accepted: add --yes if the table above is right, "
         f"else say what a column is with --column 'HEADER=NAME'"
     )
+
+
+def is_terminal() -> bool:
+    """Whether somebody reads the question and can answer it."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
 
 
 def write_recipe(proposal: Proposal, out: Path) -> Path:

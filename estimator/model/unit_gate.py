@@ -188,8 +188,8 @@ def _compared(
     is_far = misfit_T > FAR * torch.maximum(misfit_T.median(), 0.05 * ratio * size_T.median())
     if float(is_far.double().mean()) > MOST_FAR:
         is_far = torch.zeros_like(is_far)
-    one, other = predicted_T[~is_far].flatten(), measured_T[~is_far].flatten()
-    correlation = float((one * other).sum() / (one.norm() * other.norm()))
+    nominal_T, shown_T = predicted_T[~is_far].flatten(), measured_T[~is_far].flatten()
+    correlation = float((nominal_T * shown_T).sum() / (nominal_T.norm() * shown_T.norm()))
     far = tuple(readings[is_far].tolist())
     return Agreement(ratio, float(beyond.double().mean()), correlation, far)
 

@@ -18,7 +18,7 @@ MOST_FURTHER = 1000  # columns of a file beside those that the rig knows
 def csv_header(
     first_row: list[str], known: Mapping[str, Column], path: Path, faults: Faults
 ) -> dict[str, HeaderCell]:
-    """Where each quantity stands.
+    """Read where each quantity stands.
 
     Args:
         first_row: Cells of the header.

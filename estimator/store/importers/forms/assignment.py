@@ -43,7 +43,7 @@ class Assigned:
 
     @property
     def name(self) -> str:
-        """As a recipe names it."""
+        """The name that a recipe gives it."""
         return self.quantity if self.unit is None else f"{self.quantity}_{self.unit.symbol}"
 
 
@@ -272,15 +272,15 @@ def assigned_columns(
     return Assignment(assigned, tuple(name for name in left if name))
 
 
-def _check_missing(assigner: _Assigner, found: set[str]) -> None:
+def _check_missing(assigner: _Assigner, quantities: set[str]) -> None:
     """Refuse columns of which something that a rig needs is missing.
 
     Raises:
         InvalidInput: It is.
     """
-    rig, found = assigner.rig, found | set(_quantities(assigner.recipe.constants))
+    rig, quantities = assigner.rig, quantities | set(_quantities(assigner.recipe.constants))
     for target in assigner.targets:
-        if target.quantity in found or target.role not in {"current", "place", "joint"}:
+        if target.quantity in quantities or target.role not in {"current", "place", "joint"}:
             continue
         may_be = [
             assigner.headings[index].text.strip()
@@ -300,15 +300,21 @@ def _check_missing(assigner: _Assigner, found: set[str]) -> None:
             f"columns must include {name}; none is it: name one with --column 'HEADER={target.quantity}_UNIT', "
             f"or give it for all rows, such as --constant {name}={value}"
         )
-    _check_rotations(assigner, found)
+    _check_rotations(assigner, quantities)
     fields = [
-        target.quantity for target in assigner.targets if target.role == "field" and target.quantity in found
+        target.quantity
+        for target in assigner.targets
+        if target.role == "field" and target.quantity in quantities
     ]
     if not fields:
         assigner.refuse(
             "columns must include a component of the field (Bx, By, Bz); none is one: name it with --column 'HEADER=Bz_UNIT'"
         )
-    if len(rig.sensors) > 1 and "sensor" not in found and all(name in {"Bx", "By", "Bz"} for name in fields):
+    if (
+        len(rig.sensors) > 1
+        and "sensor" not in quantities
+        and all(name in {"Bx", "By", "Bz"} for name in fields)
+    ):
         example = f"{rig.sensors[0].name}_Bx_mT"
         assigner.refuse(
             f"the rig has {len(rig.sensors)} sensors, so columns must include sensor, or the fields of each, such as {example}: "
@@ -316,11 +322,11 @@ def _check_missing(assigner: _Assigner, found: set[str]) -> None:
         )
 
 
-def _check_rotations(assigner: _Assigner, found: set[str]) -> None:
+def _check_rotations(assigner: _Assigner, quantities: set[str]) -> None:
     """Refuse some rotations of a mover without the others, and angles that are none of a rotation vector."""
     for mover in assigner.rig.movers:
         turns = [t.quantity for t in assigner.targets if t.role == "turn" and t.body == mover.name]
-        missing = [name for name in turns if name not in found]
+        missing = [name for name in turns if name not in quantities]
         if missing and len(missing) < len(turns):
             assigner.refuse(
                 f"columns must include all rotations of {mover.name} or none; {missing[0]}_rad is missing: "

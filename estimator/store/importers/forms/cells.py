@@ -93,10 +93,10 @@ class Stamp(NamedTuple):
 
 def is_day_first(cells: Sequence[str]) -> bool | None:
     """Whether dates such as 3/4/2026 begin with the day; None where they do not tell, nor differ."""
-    found = [match for match in map(re.compile(DAY).match, cells) if match and match["a"]]
-    if not found or any("." in match[0] for match in found) or any(int(match["a"]) > 12 for match in found):
+    dates = [match for match in map(re.compile(DAY).match, cells) if match and match["a"]]
+    if not dates or any("." in match[0] for match in dates) or any(int(match["a"]) > 12 for match in dates):
         return True
-    if any(int(match["b"]) > 12 for match in found):
+    if any(int(match["b"]) > 12 for match in dates):
         return False
     return None
 

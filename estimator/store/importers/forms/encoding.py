@@ -62,4 +62,4 @@ def _likely(sample: bytes) -> str:
 def _is_cjk(told: bytes, name: str) -> bool:
     """Whether a text in an encoding holds letters of China, Japan or Korea, more than one in a row."""
     letters = [letter >= "\u2e80" for letter in told.decode(name, errors="replace")]
-    return any(one and other for one, other in pairwise(letters))
+    return any(first and second for first, second in pairwise(letters))

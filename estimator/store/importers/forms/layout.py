@@ -18,7 +18,9 @@ WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", None: "bla
 COMMENTS = ("#", "%", "//")
 FEWEST_NUMBERS = 2  # in a line of data
 SAMPLE_LINES = 400
-NO_CELLS = frozenset(("", "comment", "comments", "remark", "remarks", "note", "notes"))  # headings that rows may lack
+NO_CELLS = frozenset(
+    ("", "comment", "comments", "remark", "remarks", "note", "notes")
+)  # headings that rows may lack
 NO_UNITS = frozenset(("", "-", "1", "a.u.", "none", "text", "string"))
 
 
@@ -61,8 +63,8 @@ def layout_of(
 
     Examples:
         >>> lines = [Line(1, "log"), Line(2, "t;B"), Line(3, "s;mT"), Line(4, "0,5;1,25"), Line(5, "1;2")]
-        >>> found = layout_of(lines)
-        >>> found.separator, found.decimal, found.header, found.units, found.first_line
+        >>> layout = layout_of(lines)
+        >>> layout.separator, layout.decimal, layout.header, layout.units, layout.first_line
         (';', ',', ('t', 'B'), ('s', 'mT'), 4)
     """
     data = [line for line in lines if not is_comment(line.text)]
@@ -81,7 +83,7 @@ def layout_of(
                 best, most = (separator, decimal, width, first, [row for _, row, _ in counts]), total
     if best is None:
         return None
-    separator, decimal, width, first, found = best
+    separator, decimal, width, first, data_rows = best
     header, header_line, units = _header(lines, first.number, separator, width)
     # A torn line below the header is a row with a fault, a line of dashes is none.
     starts = [
@@ -91,7 +93,7 @@ def layout_of(
         and sum(is_number(cell, decimal) for cell in _cells(line, separator)) >= FEWEST_NUMBERS
     ]
     first_line = min([*starts, first.number]) if header is not None else first.number
-    unclear = decimals == ".," and _is_unclear(found)
+    unclear = decimals == ".," and _is_unclear(data_rows)
     return Layout(separator, decimal, header, header_line, units, first_line, width, unclear)
 
 
@@ -171,9 +173,9 @@ def _splits(text: str, separator: str | None) -> Iterable[list[str]]:
 
 def _are_units(names: Sequence[str]) -> bool:
     """Whether cells are units, in brackets or not."""
-    found = [strip_brackets(name) for name in names]
-    n_units = sum(unit_named(name) is not None for name in found)
-    n_words = sum(name.lower() not in NO_UNITS and not is_absent(name) for name in found)
+    symbols = [strip_brackets(name) for name in names]
+    n_units = sum(unit_named(name) is not None for name in symbols)
+    n_words = sum(name.lower() not in NO_UNITS and not is_absent(name) for name in symbols)
     return n_units >= FEWEST_NUMBERS and n_units >= 0.6 * n_words
 
 

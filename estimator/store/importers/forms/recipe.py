@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,10 +11,12 @@ from pathlib import Path
 from estimator.errors import InvalidInput, quoted
 from estimator.readings.clock import Clock
 from estimator.store.importers.forms.layout import WORDS
+from estimator.units import LARGEST
 from estimator.yaml_section import Section
 
 SEPARATOR_OF = {word: separator for separator, word in WORDS.items()}
 DECIMALS = {"point": ".", "comma": ","}
+PLAIN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?$")
 CLOCK, DATE, NOTHING = "clock", "date", "-"
 ABOUT = """\
 # How coilcal reads such files: the name of each column in the file, and what it is (units by suffix; "clock" is a time of day,
@@ -143,3 +146,21 @@ def named_columns(texts: Sequence[str]) -> dict[str, str]:
             )
         columns[header.strip()] = name.strip()
     return columns
+
+
+def named_constants(texts: Sequence[str]) -> dict[str, float]:
+    """Numbers of the option `--constant`, such as `arm1_y_mm=0`.
+
+    Raises:
+        InvalidInput: A text has another form, or a name comes twice.
+    Examples:
+        >>> named_constants(["arm1_y_mm=0", "coil1_current_A=3"])
+        {'arm1_y_mm': 0.0, 'coil1_current_A': 3.0}
+    """
+    constants: dict[str, float] = {}
+    for text in texts:
+        name, _, value = (part.strip() for part in text.partition("="))
+        if not PLAIN.match(value) or name in constants or abs(float(value)) > LARGEST:
+            raise InvalidInput(f"--constant must look like NAME=1.0, each name once; received {quoted(text)}")
+        constants[name] = float(value)
+    return constants

@@ -176,14 +176,14 @@ class Source:
         for block in blocks:
             if not block.texts or block.numbers[-1] < self.layout.first_line:
                 continue
-            kept = (
+            rows = (
                 block
                 if block.numbers[0] >= self.layout.first_line
                 else renumbered(block, self.layout.first_line)
             )
-            if any(is_comment(text) or text in repeated for text in kept.texts):
-                kept = kept.without(lambda text: is_comment(text) or text in repeated)
-            yield kept
+            if any(is_comment(text) or text in repeated for text in rows.texts):
+                rows = rows.without(lambda text: is_comment(text) or text in repeated)
+            yield rows
 
     def sample_rows(self) -> list[list[str]]:
         """Cells of some rows."""

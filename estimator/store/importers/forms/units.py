@@ -1,4 +1,4 @@
-"""Units as people write them in headers; docs/decisions/0085-files-as-they-come.md says why this is a table and no library."""
+"""Units as people write them in headers; docs/decisions/0002-libraries.md says why this is a table and no library."""
 
 from __future__ import annotations
 
