@@ -47,6 +47,7 @@ from estimator.service.tokens import Caller
 from estimator.service.watching import Watched
 from estimator.store.files import sync
 from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants
+from estimator.store.importers.forms.sources import kind_of
 from estimator.store.importers.forms.understand import understood
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session, load_session
@@ -219,6 +220,8 @@ def import_csv(
     with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
         path = Path(folder) / "readings.csv"
         path.write_bytes(body)
+        if kind_of(path) != "text":  # libraries for other files are not made for what strangers send
+            raise Problem(415, "body", "must be text; export the table as CSV")
         read = understood(path, rig_from_text(version.text, "rig"), form.recipe())
         if read.proposal is not None and not form.accept:
             meaning = ", ".join(f"{each.header!r} is {each.name}" for each in read.proposal.assigned)

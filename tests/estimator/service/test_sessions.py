@@ -243,6 +243,11 @@ def test_another_table_is_taken_where_what_was_understood_is_accepted(
     assert "'Hall Bx [T]' is Bx_T" in problem["detail"]
     accepted = client.post("/v1/sessions/import-csv", params={"rig_id": rig_id, "accept": "true"}, **call)
     assert accepted.json()["hash"] == import_csv(client, rig_id, readings_csv)["hash"]
+    packed = {**call, "content": b"\x89HDF\r\n\x1a\n" + other}
+    assert (
+        "must be text"
+        in refusal(client.post("/v1/sessions/import-csv", params={"rig_id": rig_id}, **packed), 415)["detail"]
+    )
     named = {"rig_id": rig_id, "column": "Hall Bx [T]=Bx_furlong"}
     assert (
         "must be one that the rig knows"

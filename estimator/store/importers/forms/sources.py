@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from estimator.errors import InvalidInput, closest, quoted
+from estimator.errors import CoilcalError, InvalidInput, closest, quoted
 from estimator.given_files import MOST_TABLE_BYTES, open_given, read_given
 from estimator.store.importers.csv_lines import Block
 
@@ -90,16 +90,16 @@ def grid_of(path: Path, kind: str, sheet: str | None, is_table: Callable[[Block]
     Raises:
         InvalidInput: It cannot be read, or holds no table; or a library is missing.
     """
-    if kind == "workbook":
-        return _workbook(path, sheet, is_table)
-    readers = {"hdf5": _hdf5, "matlab": _matlab, "npz": _numpy, "npy": _numpy, "parquet": _parquet}
     try:
-        columns = readers[kind](path)
-    except (OSError, ValueError, KeyError, NotImplementedError) as error:
-        raise InvalidInput(
-            f"{path} must be readable; it is damaged or unusual: export it as CSV ({error})"
-        ) from error
-    return Grid(_of_columns(path, columns), path.name, ())
+        if kind == "workbook":
+            return _workbook(path, sheet, is_table)
+        return Grid(_of_columns(path, READERS[kind](path)), path.name, ())
+    except CoilcalError:
+        raise
+    except Exception as error:  # libraries raise whatever a damaged file leads them to
+        what = "a whole workbook" if kind == "workbook" else "a whole file of arrays"
+        words = f"{path} must be {what}; it is damaged or unusual: save it again, or export it as CSV"
+        raise InvalidInput(words) from error
 
 
 def _workbook(path: Path, sheet: str | None, is_table: Callable[[Block], bool]) -> Grid:
@@ -107,14 +107,8 @@ def _workbook(path: Path, sheet: str | None, is_table: Callable[[Block], bool]) 
         import openpyxl
     except ImportError:
         raise _missing(path, "workbooks") from None
-    try:
-        book = openpyxl.load_workbook(
-            io.BytesIO(read_given(path, MOST_TABLE_BYTES)), read_only=True, data_only=True
-        )
-    except Exception as error:  # of XML, of zip files, and its own
-        raise InvalidInput(
-            f"{path} must be a whole workbook; it is damaged: save it again, or export it as CSV"
-        ) from error
+    content = io.BytesIO(read_given(path, MOST_TABLE_BYTES))
+    book = openpyxl.load_workbook(content, read_only=True, data_only=True)
     names = [each.title for each in book.worksheets]
     if sheet is not None and sheet not in names:
         raise InvalidInput(
@@ -242,6 +236,15 @@ def _parquet(path: Path) -> dict[str, npt.NDArray[Any]]:
         values = table.column(name).to_pylist()
         columns[name] = np.array(["" if value is None else _cell(value) for value in values], dtype=object)
     return columns
+
+
+READERS: Mapping[str, Callable[[Path], dict[str, npt.NDArray[Any]]]] = {
+    "hdf5": _hdf5,
+    "matlab": _matlab,
+    "npz": _numpy,
+    "npy": _numpy,
+    "parquet": _parquet,
+}
 
 
 def _missing(path: Path, what: str) -> InvalidInput:
