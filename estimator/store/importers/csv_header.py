@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from estimator.errors import Faults, InvalidInput, Place, closest, cut, nearest_name, quoted
-from estimator.store.importers.other_headers import Known, meant
 from estimator.store.importers.table import Column, HeaderCell
 from estimator.units import UNITS, Unit, split_unit
 
@@ -57,8 +56,6 @@ def _header_fault(
         return f"column {quoted(name)} {UNKNOWN}"
     column = known.get(quantity)
     if column is None or (unit is not None and column.dimension is None):
-        if proposal := meant(name, _as_known(known)):
-            return f"column {quoted(name)} {UNKNOWN}; write {proposal}"
         alike = [each for each in known.values() if unit is None or each.dimension in {None, unit.dimension}]
         headers = {each.quantity: each.si_header for each in alike}
         nearest = nearest_name(quantity, headers)
@@ -84,10 +81,6 @@ def _is_other_unit(name: str, known: Mapping[str, Column]) -> bool:
     return column is not None and column.dimension is not None
 
 
-def _as_known(known: Mapping[str, Column]) -> dict[str, Known]:
-    return {quantity: Known(column.dimension, column.is_required) for quantity, column in known.items()}
-
-
 def _missing(header: Mapping[str, HeaderCell], known: Mapping[str, Column], raw: Sequence[str]) -> list[str]:
     """Columns that the header lacks; one that is written, though wrongly, is no second mistake."""
     written = [split_unit(name)[0] for name in raw]
@@ -97,13 +90,12 @@ def _missing(header: Mapping[str, HeaderCell], known: Mapping[str, Column], raw:
     intended = {
         nearest_name(name, known) or quantities.get(nearest_name(name, quantities) or "") for name in unknown
     }
-    proposed = {split_unit(meant(name, _as_known(known)) or "")[0] for name in raw}
     return [
         column.si_header
         for column in known.values()
         if column.is_required
         and column.quantity not in header
         and column.quantity not in written
-        and column.quantity not in intended | proposed
+        and column.quantity not in intended
         and (column.group is None or column.group in groups)
     ]

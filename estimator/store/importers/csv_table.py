@@ -13,7 +13,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from estimator.errors import Faults, InvalidInput, Place, cut
+from estimator.errors import Faults, InvalidInput, cut
 from estimator.store.importers.csv_header import csv_header
 from estimator.store.importers.csv_lines import BadLine, Block, cells_of, csv_blocks
 from estimator.store.importers.places import MOST_PLACES, fault_at, left_out
@@ -37,11 +37,10 @@ def read_table(
     faults = faults or Faults()
     blocks = csv_blocks(path)
     first = next(blocks, Block(path, [], [], True))
-    texts = [*first.texts[:2], "", ""]
-    _refuse_other_separators(texts[0], texts[1], path)
-    first_row = cells_of(texts[0], path, 1) if first.texts else []
+    first_line = next(iter(first.texts), "")
+    first_row = cells_of(first_line, path, 1) if first.texts else []
     header = csv_header(first_row, known, path, faults)
-    rows = without_headers(chain([first.rest(1)], blocks), texts[0])
+    rows = without_headers(chain([first.rest(1)], blocks), first_line)
     return filled_table(path, header, known, rows, len(first_row), faults, skips_bad)
 
 
@@ -171,14 +170,3 @@ class _Numbering(dict[str, int]):
     def __missing__(self, word: str) -> int:
         self[word] = number = len(self)
         return number
-
-
-def _refuse_other_separators(first: str, second: str, path: Path) -> None:
-    """Say how to rewrite a file; one that has commas besides has them in its numbers."""
-    for separator, word, shown in ((";", "semicolons", ";"), ("\t", "tabs", "\\t")):
-        if separator in first:
-            how = f"rewrite it with: tr '{shown}' ',' < {path.name} > commas.csv"
-            if "," in second:
-                how = f"rewrite it with: tr ',{shown}' '.,' < {path.name} > commas.csv"
-            words = f"columns must be separated by commas; received {word}; {how} ({path}, line 1)"
-            raise InvalidInput(words, Place(str(path), 1))

@@ -209,3 +209,13 @@ def test_a_current_that_is_switched_is_no_wrap():
     switched = torch.ones(N, 1, dtype=torch.float64)
     switched[20:40] = 0.0
     assert flags_of_digits(replace(readings, current_A=switched)) == []
+
+
+def test_a_sensor_that_froze_is_flagged_among_readings_for_validation_too(measured_T):
+    measured_T[22:34] = measured_T[22]
+    readings = readings_of(measured_T).with_validation(torch.arange(N) % 3 == 0)
+    (flag,) = flags_of_digits(readings)
+    assert (flag.reason, flag.readings) == (Reason.HELD, tuple(range(23, 34)))
+    left = without_flagged(readings, [flag])
+    assert not left.is_measured[23:34].any()
+    assert bool(left.is_measured[:23].all())

@@ -34,6 +34,7 @@ BESIDE_WORDS = _words(
 )
 MEAN_WORDS = _words("mean avg average measured meas value")  # say nothing that matters
 AXES = frozenset("xyz")
+LONGEST_NAME = 200  # letters of a heading that may mean something
 BRACKETED = re.compile(r"^(?P<what>.*?)\s*[\[(](?P<unit>[^\])]*)[\])]\s*$")
 DIVIDED = re.compile(r"^(?P<what>.+?)\s*(?:/|,|;|:|\bin\b|\s)\s*(?P<unit>[^\s/]+(?:/m)?)\s*$")
 
@@ -111,6 +112,8 @@ def heading_of(text: str, unit_below: str = "") -> Heading:
         [('Bx', 'mT'), ('B_x', 'Gauss'), ('Hall Bx', 'G'), ('Bx', 'uT'), ('Time', ''), ('pos x', '')]
     """
     name = text.strip()
+    if len(name) > LONGEST_NAME:
+        return Heading(text, "", "", None)
     if name.lower() == "x_value":  # the time of LabVIEW's measurement files
         return Heading(text, "time", "s", unit_named("s"))
     if unit_below and unit_named(strip_brackets(unit_below)) is not None:

@@ -17,7 +17,7 @@ SEPARATORS: tuple[str | None, ...] = (",", ";", "\t", "|", None)
 WORDS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", None: "blanks"}
 COMMENTS = ("#", "%", "//")
 FEWEST_NUMBERS = 2  # in a line of data
-SAMPLE_LINES = 400
+SAMPLE_LINES, SAMPLE_LETTERS = 400, 1_000_000
 NO_CELLS = frozenset(
     ("", "comment", "comments", "remark", "remarks", "note", "notes")
 )  # headings that rows may lack

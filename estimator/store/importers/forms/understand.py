@@ -22,6 +22,7 @@ from estimator.store.importers.forms.assignment import Assigned, Assignment, ass
 from estimator.store.importers.forms.cells import is_number, plain_numbers
 from estimator.store.importers.forms.encoding import encoding_of
 from estimator.store.importers.forms.layout import (
+    SAMPLE_LETTERS,
     SAMPLE_LINES,
     SEPARATORS,
     WORDS,
@@ -31,7 +32,7 @@ from estimator.store.importers.forms.layout import (
     layout_of,
 )
 from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, SEPARATOR_OF, Recipe
-from estimator.store.importers.forms.sources import CELL_SEPARATOR, grid_of, kind_of, renumbered
+from estimator.store.importers.forms.sources import CELL_SEPARATOR, MOST_COLUMNS, grid_of, kind_of, renumbered
 from estimator.store.importers.forms.times import with_times
 from estimator.store.importers.forms.units import split_file_unit
 from estimator.store.importers.forms.wide import lengthened
@@ -92,6 +93,9 @@ def understood(
             return Understood(session, table, None)
     source = _text(path, recipe) if kind == "text" else _grid(path, kind, recipe)
     layout = source.layout
+    if layout.width > MOST_COLUMNS:
+        words = f"a file must have at most {MOST_COLUMNS} columns; received {layout.width}"
+        raise InvalidInput(f"{words} ({path}, line {layout.first_line})", Place(str(path), layout.first_line))
     if layout.header is None:
         raise _no_header(path, layout, rig)
     faults, place = faults or Faults(), Place(str(path), layout.header_line)
@@ -241,7 +245,14 @@ def _grid(path: Path, kind: str, recipe: Recipe) -> Source:
 
 
 def _lines(texts: Sequence[str], numbers: Sequence[int]) -> list[Line]:
-    return [Line(number, text) for text, number in islice(zip(texts, numbers, strict=True), SAMPLE_LINES)]
+    """The first lines, at least one, by which the layout is found."""
+    lines, n_letters = list[Line](), 0
+    for text, number in islice(zip(texts, numbers, strict=True), SAMPLE_LINES):
+        lines.append(Line(number, text))
+        n_letters += len(text)
+        if n_letters > SAMPLE_LETTERS:
+            break
+    return lines
 
 
 def _above(layout: Layout, lines: Sequence[Line]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import time
 from itertools import pairwise
 from pathlib import Path
 
@@ -12,9 +13,12 @@ import torch
 from click.testing import CliRunner, Result
 
 from estimator.cli.main import main
+from estimator.errors import InvalidInput
+from estimator.rig_files.read import rig_from_text
+from estimator.store.importers.forms.understand import understood
 from estimator.store.session import Session, load_session
 from tests.estimator.store.importers.forms.forms import TEXTS, of_libraries
-from tests.estimator.store.importers.forms.written import TABLE, Form
+from tests.estimator.store.importers.forms.written import RIG, TABLE, Form
 
 MOST_STEPS = 10  # sentences that one file may need
 
@@ -115,3 +119,14 @@ def test_there_are_sixty_forms(tmp_path: Path) -> None:
     assert len({form.name for form in TEXTS}) == len(TEXTS)
     assert sum(form.name.startswith("real_") for form in TEXTS) == 10
     assert len(TABLE) == 60
+
+
+@pytest.mark.parametrize(
+    "content", [";".join(["9"] * 100_000), "t [s];" + "x" * 3_000_000, "[" * 300_000, "1,2;" * 500_000]
+)
+def test_endless_lines_are_refused_at_once(content: str, tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"{content}\n{content}\n", encoding="utf-8")
+    begin_s = time.process_time()
+    with pytest.raises(InvalidInput, match="a.csv"):
+        understood(tmp_path / "a.csv", rig_from_text(RIG))
+    assert time.process_time() - begin_s < 10.0
