@@ -17,7 +17,7 @@ MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 # What programs of laboratories write; others are so like these that letters do not tell them apart.
-LIKELY = ["cp1252", "latin_1", "cp1250", "cp1251", "mac_roman", "shift_jis", "gb18030", "euc_kr"]
+LIKELY = ["cp1252", "latin_1", "cp1250", "cp1251", "mac_roman", "shift_jis", "gb18030"]
 
 
 def encoding_of(path: Path) -> str:

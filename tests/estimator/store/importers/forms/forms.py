@@ -437,6 +437,29 @@ OF_COLUMNS = [
         rig=TWO_SENSORS,
     ),
     Form(
+        "sensors_in_columns_with_overloads.csv",
+        columns(
+            [*HEADER[:5], *(f"Probe{n} B{axis} (uT)" for n in (1, 2) for axis in "xyz")],
+            *(
+                T,
+                CURRENT,
+                X,
+                Y,
+                Z,
+                BX,
+                BY,
+                BZ,
+                BX,
+                ["OVLD" if i == 7 else value for i, value in enumerate(BY)],
+                BZ,
+            ),
+        ).encode(),
+        expected=np.repeat(TABLE, 2, axis=0)
+        + np.where(np.outer(np.arange(120) == 15, np.arange(8) == 6), NAN, 0.0),
+        rig=TWO_SENSORS,
+        tells="1 cell of a field counts as not measured: OVLD in line 9.",
+    ),
+    Form(
         "numbered_coils.csv",
         columns(
             [*HEADER[:1], "I1 [A]", "I2 [A]", *HEADER[2:]], T, CURRENT, CURRENT + 1, *TABLE.T[2:]
