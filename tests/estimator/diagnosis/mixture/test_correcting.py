@@ -137,6 +137,29 @@ def test_a_current_that_swings_is_told_with_its_period_and_handed_out_to_no_pred
     assert all(is_in_field(small_rig, part.cause) for part in correction.parts)
 
 
+def test_a_zero_that_wanders_is_fitted_beside_the_coil_and_not_said_to_correct_predictions(
+    small_rig: Rig, small_session: Session
+):
+    """It is no part of the field, yet makes the coil's numbers wrong where it is left out."""
+    observations = small_session.observations
+    hours = observations.time_s / float(observations.time_s.max())
+    zero_T = 60e-6 * torch.stack((torch.sin(7.0 * hours) * hours, 0.0 * hours, torch.cos(5.0 * hours)), dim=1)
+    plain = fit_of(small_rig, observations.with_field(observations.field_sensor_T + zero_T).calibration)
+    correction = corrected(answered(plain), plain, plain, Limits())
+    (part,) = correction.parts
+    assert part.cause.name in ("zero_wanders", "room_wanders")
+    assert not part.is_predicted
+    truth = small_session.truth
+    assert truth is not None
+    off_sd = [
+        max(abs(float(fit.values[name]) - truth[name]) / fit.value_sd(name) for name in truth)
+        for fit in (plain, correction.fit)
+    ]
+    assert off_sd[0] > 5.0
+    assert off_sd[1] < 3.5
+    assert "Predictions are corrected" not in correction.words(str)
+
+
 def test_no_correction_is_asked_when_the_time_is_over(of_dipole: Answer, correction: Correction):
     plain = of_dipole.plain
     over = corrected(of_dipole, plain, plain, Limits(minutes=0.0))
