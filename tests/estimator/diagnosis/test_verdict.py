@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
@@ -100,7 +101,9 @@ def test_a_cause_that_is_not_sure_enough_leaves_something_and_a_faint_one_nothin
 
 def test_where_all_slots_are_full_nothing_is_named(asked):
     many = (OFFSET, GAIN, CROSS, WANDERS, STEPS, Cause("current_gain", "coil1"))
-    few = replace(asked, slots=Slots(asked.slots.products, asked.slots.noise, len(many)))
+    slots = Slots(asked.slots.products, asked.slots.noise, len(many))
+    slots.conditional = lambda chosen, noise: np.array([0.9, 0.1])  # one more is probable
+    few = replace(asked, slots=slots)
     outcome = outcome_of(said(few, {many: 100}))
     assert (outcome.verdict, outcome.named) == (Verdict.UNEXPLAINED, [])
 
