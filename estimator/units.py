@@ -39,7 +39,9 @@ UNITS: dict[str, Unit] = {
         Unit("uT", "field", 1e-6),
         Unit("nT", "field", 1e-9),
         Unit("G", "field", 1e-4),
+        Unit("mG", "field", 1e-7),
         Unit("s", "time", 1.0),
+        Unit("ms", "time", 1e-3),
         Unit("C", "temperature", 1.0),
     )
 }

@@ -41,7 +41,8 @@ from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
 from estimator.json_files import read_json
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.preflight import check_precision, check_readings, check_units
+from estimator.model.preflight import check_precision, check_readings
+from estimator.model.unit_gate import check_units
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend

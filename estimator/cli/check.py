@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from estimator.cli.form_options import FormOptions, form_options
 from estimator.cli.options import json_option
 from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, printable, show
 from estimator.errors import Faults, InvalidInput
@@ -23,11 +24,13 @@ PLANS = (".yaml", ".yml")
 @click.command("check", cls=CoilcalCommand)
 @click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
 @click.argument("path", metavar="[FILE]", required=False, type=click.Path(path_type=Path))
+@form_options
 @json_option
-def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
+def check_command(rig_path: Path, path: Path | None, form: FormOptions, as_json: bool) -> None:
     """Say all that is wrong with the rig file RIG, its instruments' settings included, and with FILE.
 
-    FILE is a readings CSV, a plan (.yaml), or a file of instruments (.yaml) as `coilcal rig-simulator` writes it. No instrument is opened.
+    FILE is a table of readings in any form that `coilcal import` reads, a plan (.yaml), or a file of instruments (.yaml) as
+    `coilcal rig-simulator` writes it. No instrument is opened.
 
     Where nothing is wrong, say what they hold, and which readings cannot have been measured so by what their digits say: blocks that were
     copied, stretches that were filled in, a sensor that stood still while it was moved, bits that are stuck. Exit code 2 where a file is
@@ -45,7 +48,7 @@ def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
     if rig is not None and not faults:
         lines, record = [f"{rig_path}: {rig_lines(rig)[0]}", *rig_lines(rig)[1:]], {"rig": rig_record(rig)}
     if path is not None and rig is not None:
-        further, about, file_faults = _file(path, rig, is_rig_right=not faults)
+        further, about, file_faults = _file(path, rig, form, is_rig_right=not faults)
         faults = [*faults, *file_faults]
         lines, record = [*lines, *further], {**record, **about}
     elif path is not None:
@@ -55,16 +58,13 @@ def check_command(rig_path: Path, path: Path | None, as_json: bool) -> None:
         sys.exit(EXIT_BAD_INPUT)
 
 
-def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str, Any], list[InvalidInput]]:
-    """What a plan or a readings CSV holds, as lines and as a record, and its faults."""
-    from estimator.calibration.notes import notes
+def _file(
+    path: Path, rig: Rig, form: FormOptions, is_rig_right: bool
+) -> tuple[list[str], dict[str, Any], list[InvalidInput]]:
+    """What a plan or a file of readings holds, as lines and as a record, and its faults."""
     from estimator.cli.device_faults import devices_and_faults, is_devices_file
-    from estimator.cli.understood import plan_lines, plan_record, readings_lines, readings_record
-    from estimator.effects.everywhere import with_everywhere
-    from estimator.readings.digits import flags_of_digits
-    from estimator.readings.flags import told
+    from estimator.cli.understood import plan_lines, plan_record
     from estimator.readings.plan import plan_and_faults
-    from estimator.store.importers.readings_csv import readings_and_faults
 
     if path.suffix in PLANS and is_devices_file(path):
         devices, faults = devices_and_faults(path, rig)
@@ -76,34 +76,61 @@ def _file(path: Path, rig: Rig, is_rig_right: bool) -> tuple[list[str], dict[str
             return [], {}, faults
         first, *rest = plan_lines(plan, rig)
         return [f"{path}: {first}", *rest], {"plan": plan_record(plan, rig)}, faults
-    table, session, faults = readings_and_faults(path, rig)
-    if table is None or session is None:
-        return [], {}, faults
+    return _readings(path, rig, form, is_rig_right)
+
+
+def _readings(
+    path: Path, rig: Rig, form: FormOptions, is_rig_right: bool
+) -> tuple[list[str], dict[str, Any], list[InvalidInput]]:
+    """What a file of readings holds, and its faults."""
+    from estimator.calibration.notes import notes
+    from estimator.cli.import_readings import notes_of
+    from estimator.cli.proposal import proposal_lines
+    from estimator.cli.understood import readings_lines, readings_record
+    from estimator.effects.everywhere import with_everywhere
+    from estimator.errors import in_order
+    from estimator.readings.digits import flags_of_digits
+    from estimator.readings.flags import told
+    from estimator.store.importers.forms.understand import understood
+
+    noted, read = Faults(is_collected=True), None
+    with noted.noting():
+        read = understood(path, rig, form.with_currents(rig, {}), noted)
+    if noted.noted or read is None:
+        return [], {}, in_order(noted.noted)
+    session, faults, warnings = read.session, list[InvalidInput](), list[str]()
     if is_rig_right:
-        faults = _physical_faults(rig, session, str(path))
-    first, *rest = readings_lines(table)
+        faults, warnings = _physical_faults(rig, session, str(path))
+    first, *rest = readings_lines(read.table)
+    if read.proposal is not None:
+        rest = [*proposal_lines(path, read)[1:], "  " + " ".join(read.proposal.remarks)]
+    rest += [f"  {note}" for note in notes_of(read)]
     sensors, flags = [sensor.name for sensor in rig.sensors], flags_of_digits(session.observations)
     if flags:
         rest.append(f"  {told(flags, sensors)}")
-    record = {"readings": readings_record(table), "flagged": [flag.to_json(sensors) for flag in flags]}
+    record = {"readings": readings_record(read.table), "flagged": [flag.to_json(sensors) for flag in flags]}
     if is_rig_right and not faults:
-        told_besides = notes(with_everywhere(rig, session.observations))
+        told_besides = [*warnings, *notes(with_everywhere(rig, session.observations))]
         rest, record = [*rest, *(f"  {note}" for note in told_besides)], {**record, "notes": told_besides}
     return [f"{path}: {first}", *rest], record, faults
 
 
-def _physical_faults(rig: Rig, session: Session, source: str) -> list[InvalidInput]:
-    """What an import of the readings would refuse: too few, nothing measured, other units than they claim."""
+def _physical_faults(rig: Rig, session: Session, source: str) -> tuple[list[InvalidInput], list[str]]:
+    """What an import of the readings would refuse: too few, nothing measured, other units than they claim; and what it would warn of."""
     from estimator.cli.import_readings import with_validation
-    from estimator.model.preflight import check_readings, check_units
+    from estimator.model.preflight import check_readings
+    from estimator.model.unit_gate import check_units
+    from estimator.readings.digits import flags_of_digits
+    from estimator.readings.flags import without_flagged
 
-    faults = Faults(is_collected=True)
+    faults, warnings = Faults(is_collected=True), list[str]()
+    flags = flags_of_digits(session.observations)
     check_readings(rig, session.observations, source, faults=faults)
     if not faults.noted:
         with faults.noting():
-            check_units(rig, session.observations, source)
+            warnings = check_units(rig, without_flagged(session.observations, flags), source)
             check_readings(rig, with_validation(session).observations, source)
-    return faults.noted
+    return faults.noted, warnings
 
 
 def _tell(faults: list[InvalidInput], lines: list[str], record: dict[str, Any], as_json: bool) -> None:

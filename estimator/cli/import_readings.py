@@ -8,11 +8,16 @@ from typing import TYPE_CHECKING
 
 import click
 
+from estimator.cli.form_options import FormOptions, form_options
 from estimator.cli.options import OutputPath, json_option, overwrite_option, seed_option
 from estimator.cli.output import CoilcalCommand, named_number, show
+from estimator.errors import InvalidInput
 from estimator.store.importers import IMPORTERS
 
 if TYPE_CHECKING:
+    from estimator.rig.rig import Rig
+    from estimator.store.importers.forms.recipe import Recipe
+    from estimator.store.importers.forms.understand import Understood
     from estimator.store.session import Session
 
 VALIDATION_SHARE = 0.2
@@ -52,6 +57,8 @@ VALIDATION_SHARE = 0.2
     help="When the readings were taken, as 2026-03-01T09:30+01:00; local time without a zone. Without it the file's column "
     "'recorded_at' counts, else the time of the import. History goes by it.",
 )
+@form_options
+@click.option("--yes", is_flag=True, help="Accept what was understood of the file, without a question.")
 @seed_option
 @overwrite_option
 @json_option
@@ -63,17 +70,23 @@ def import_command(
     currents: tuple[str, ...],
     share: float,
     recorded_at: str | None,
+    form: FormOptions,
+    yes: bool,
     seed: int,
     overwrite: bool,
     as_json: bool,
 ) -> None:
     """Import FILES with readings into a session.
 
-    The format `readings` is coilcal's own CSV (docs/how-to/import-your-data.md); the others are field maps of public repositories.
+    The format `readings` is any table of readings: coilcal's own CSV, or what a spreadsheet, an instrument or a script has left. What was
+    understood of it is shown and asked, and written as columns.yaml beside the session. The other formats are field maps of public
+    repositories.
     """
-    from estimator.model.preflight import check_readings, check_units
+    from estimator.cli.proposal import write_recipe
+    from estimator.model.preflight import check_readings
+    from estimator.model.unit_gate import check_units
     from estimator.readings.digits import flags_of_digits
-    from estimator.readings.flags import told
+    from estimator.readings.flags import told, without_flagged
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.recorded import moment
     from estimator.store.session import SESSION
@@ -82,17 +95,27 @@ def import_command(
     check_output(out, overwrite, SESSION)
     created = None if recorded_at is None else moment(recorded_at, "--recorded-at")
     rig = load_rig(rig_path)
-    session = IMPORTERS[kind](paths, rig, named_number(currents, "--current"))
+    named_A = named_number(currents, "--current")
+    read = (
+        _understood(paths, rig, form.with_currents(rig, named_A), yes, not as_json)
+        if kind == "readings"
+        else None
+    )
+    session = IMPORTERS[kind](paths, rig, named_A) if read is None else read.session
     if created is not None:
         session = replace(session, created=created)
     source = ", ".join(str(path) for path in paths)
     check_readings(rig, session.observations, source)
-    check_units(rig, session.observations, source)
+    flags = flags_of_digits(session.observations)
+    warnings = [] if read is None else notes_of(read)
+    warnings += check_units(rig, without_flagged(session.observations, flags), source)
     session = with_validation(session, share, seed)
     check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
     session.save(out, overwrite)
+    recipe = None
+    if read is not None and read.proposal is not None and form.map_path is None:
+        recipe = write_recipe(read.proposal, out)
     observations, sensors = session.observations, [sensor.name for sensor in rig.sensors]
-    flags = flags_of_digits(observations)
     result = {
         "session": str(out),
         "readings": len(observations),
@@ -100,11 +123,37 @@ def import_command(
         "recorded": session.created,
         "session_hash": session.hash,
         "flagged": [flag.to_json(sensors) for flag in flags],
+        "warnings": warnings,
+        "columns": None if recipe is None else str(recipe),
     }
     text = f"{result['readings']} readings ({result['validation']} of them for validation) written to {out}"
+    if recipe is not None:
+        text += f"\nHow its columns were read stands in {recipe}; the next file needs no question with --map {recipe}"
     if flags:
         text += f"\n{told(flags, sensors)} Put the record right where you can."
-    show(result, text, as_json)
+    show(result, "\n".join([text, *warnings]), as_json)
+
+
+def _understood(paths: tuple[Path, ...], rig: Rig, recipe: Recipe, yes: bool, is_asked: bool) -> Understood:
+    """Read a file of readings in whatever form; what had to be guessed is shown, and accepted or refused."""
+    from estimator.cli.proposal import settle
+    from estimator.store.importers.forms.understand import understood
+
+    if len(paths) != 1:
+        raise InvalidInput(f"the format readings takes one file; received {len(paths)}")
+    read = understood(paths[0], rig, recipe)
+    if read.proposal is not None:
+        settle(paths[0], read, yes or recipe.is_whole, is_asked)
+    return read
+
+
+def notes_of(read: Understood) -> list[str]:
+    """Sentences on what was left out of a file, and on its clock."""
+    from estimator.readings.clock import told_of_clock
+
+    observations = read.session.observations
+    told = told_of_clock(observations.time_s.numpy(), observations.sensor.numpy(), read.table.lines)
+    return [*read.table.notes, *([told] if told else [])]
 
 
 def with_validation(session: Session, share: float = VALIDATION_SHARE, seed: int = 0) -> Session:

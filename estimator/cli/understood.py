@@ -10,7 +10,7 @@ from estimator.readings.plan import Plan
 from estimator.reporting.numbers import SHOWN_IN
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Body, Coil, EquivalentSourceCoil, Mover, Rig, SidedCoil
-from estimator.store.importers.csv_table import Table
+from estimator.store.importers.table import Table
 from estimator.units import UNITS
 
 MOST_FREE = 30  # parameters that are listed one by one; a coil without a winding has hundreds
@@ -148,12 +148,25 @@ def _columns(table: Table) -> dict[str, dict[str, Any]]:
     """Unit and range of each column of numbers, in that unit; how often each word stands in a column of words."""
     columns: dict[str, dict[str, Any]] = {}
     for quantity, cell in table.header.items():
-        unit = cell.text.removeprefix(quantity).lstrip("_")
-        if not unit:
+        if table.columns[quantity].numbers is None:
             columns[quantity] = {"words": table.word_counts(quantity)}
             continue
-        values = table.numbers(quantity, may_be_empty=True) / cell.to_si
+        named, to_si = cell.text.removeprefix(f"{quantity}_"), cell.to_si
+        unit = named if named in UNITS else si_symbol(quantity)
+        values = table.numbers(quantity, may_be_empty=True) / (to_si if named in UNITS else 1.0)
         given = values[~values.isnan()]
         ends = (None, None) if not len(given) else (float(given.min()), float(given.max()))
         columns[quantity] = {"unit": unit, "low": ends[0], "high": ends[1], "empty": len(values) - len(given)}
     return columns
+
+
+def si_symbol(quantity: str) -> str:
+    """The SI unit of a column of readings, degrees Celsius for temperatures.
+
+    Examples:
+        >>> [si_symbol(name) for name in ("t", "coil1_current", "arm1_x", "arm1_rz", "ur_q0", "hall_Bx", "hall_temperature")]
+        ['s', 'A', 'm', 'rad', 'rad', 'T', 'C']
+    """
+    last = quantity.rpartition("_")[2]
+    ends = {"t": "s", "current": "A", "temperature": "C", "Bx": "T", "By": "T", "Bz": "T"}
+    return ends.get(last, "m" if last in {"x", "y", "z"} else "rad")

@@ -1,23 +1,17 @@
-"""Checks before a fit: can these readings determine anything, and are they in the units they claim?"""
+"""Checks before a fit: can these readings determine anything? Their units are judged in `unit_gate`."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from typing import NoReturn
 
-import numpy as np
 import torch
 
 from estimator.errors import Faults, InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig, UnwoundCoil
+from estimator.rig.rig import Rig
 
-MOST_READINGS = 300
-PLAUSIBLE_RATIO = 20.0
-MUCH_BETTER = 0.25  # of 1 - correlation: another unit has to explain what the given one does not
 SINGLE_ERROR = 0.05  # of the noise: added as a square, it widens no interval by more than 0.2 %
-FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
 
 
 def check_precision(rig: Rig, observations: Observations) -> None:
@@ -111,85 +105,3 @@ def _check_values(observations: Observations, where: str) -> None:
         raise InvalidInput(
             f"every reading must hold at least one component; reading {int(empty[0])} holds none ({where})"
         )
-
-
-@dataclass(frozen=True)
-class _Agreement:
-    ratio: float
-    correlation: float
-
-
-def check_units(rig: Rig, observations: Observations, where: str) -> None:
-    """Refuse readings whose size or pattern only fits the rig's nominal model in another unit, and name the likely one.
-
-    Raises:
-        InvalidInput: Measured and nominal field differ by more than a factor of 20, or only another unit of length or angle makes the
-            pattern fit.
-    """
-    if len(observations) > MOST_READINGS:
-        index = np.random.default_rng(0).choice(len(observations), MOST_READINGS, replace=False)
-        observations = observations.rows(torch.from_numpy(np.sort(index)))
-    given = _agreement(rig, observations)
-    is_plausible = given is not None and 1.0 / PLAUSIBLE_RATIO < given.ratio < PLAUSIBLE_RATIO
-    if given is not None and is_plausible and given.correlation > 0.9:
-        return
-    misfit = 1.0 - (given.correlation if given is not None else 0.0)
-    for kind, factor, unit in (
-        ("positions", 1e-3, "mm"),
-        ("positions", 1e-2, "cm"),
-        ("rotations", np.pi / 180.0, "degrees"),
-    ):
-        agreement = _agreement(rig, _scaled(rig, observations, kind, factor))
-        if (
-            agreement is not None
-            and 1.0 / 3.0 < agreement.ratio < 3.0
-            and agreement.correlation > 0.7
-            and 1.0 - agreement.correlation < MUCH_BETTER * misfit
-        ):
-            raise InvalidInput(
-                f"{kind} of the movers must be in {'metres' if kind == 'positions' else 'radians'}; they look like {unit}: "
-                f"divided by {1.0 / factor:.4g} they fit the rig's nominal model ({where})"
-            )
-    if given is None or is_plausible:
-        return
-    unit_ratio = min(FIELD_UNITS.items(), key=lambda item: abs(np.log(given.ratio / item[1])))
-    if 1.0 / 3.0 < given.ratio / unit_ratio[1] < 3.0:
-        likely = f"fields look like {unit_ratio[0]} (or currents are too small by {unit_ratio[1]:g})"
-    elif 1.0 / 3.0 < given.ratio * 1e3 < 3.0:
-        likely = "currents look like mA (or fields are too small by 1000)"
-    else:
-        likely = "check units, currents and the nominal pose"
-    raise InvalidInput(
-        f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: {likely} ({where})"
-    )
-
-
-def _agreement(rig: Rig, observations: Observations) -> _Agreement | None:
-    """Ratio of sizes and correlation of patterns of measured and nominal field; None where a sensor would sit in a winding."""
-    try:
-        model = MeasurementModel.build(rig, observations, tolerance=1e-3)
-    except InvalidInput:
-        return None
-    nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
-    has_current = observations.current_A != 0.0
-    is_wound = torch.tensor([not isinstance(coil, UnwoundCoil) for coil in rig.coils])
-    # Nothing is known beforehand of the field of a coil without a winding.
-    powered = has_current.any(dim=1) & ~(has_current & ~is_wound).any(dim=1)
-    mask = observations.is_measured & powered[:, None]
-    predicted, measured = model.predict(nominal)[mask], observations.field_sensor_T[mask]
-    norm = float(predicted.norm()), float(measured.norm())
-    if not len(measured) or min(norm) == 0.0:
-        return None
-    return _Agreement(norm[1] / norm[0], float((predicted * measured).sum()) / (norm[0] * norm[1]))
-
-
-def _scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> Observations:
-    motion = {}
-    for mover in rig.movers:
-        scaled = observations.motion[mover.name].clone()
-        is_joint = mover.table is not None
-        columns = slice(0, 6) if is_joint else slice(3, 6) if kind == "rotations" else slice(0, 3)
-        if not (is_joint and kind == "positions"):
-            scaled[:, columns] *= factor
-        motion[mover.name] = scaled
-    return replace(observations, motion=motion)

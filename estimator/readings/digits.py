@@ -1,5 +1,7 @@
 """What digits of the readings say without any model: sensors that stood still, copied blocks, filled stretches, bits that are stuck.
 
+Sentinels and codes that wrapped around are found in `spoilt`.
+
 Each needs a coincidence that noise does not make. Maps that symmetry repeats, and readings with less noise than their last digit, have
 fields that agree to the last digit too. So a copy must be a block in the same order in which all three components change, a straight
 line must end in kinks, and a reading that is repeated at other settings must begin and end in steps, in a session that repeats few.
@@ -17,6 +19,7 @@ from torch import Tensor
 
 from estimator.readings.flags import Flag, Reason, in_time, runs_of
 from estimator.readings.observations import Observations
+from estimator.readings.spoilt import sentinels, wrapped
 
 MOST_DECIMALS = 11  # of a tesla in which steps of the readings are looked for
 MANY_STEPS = 30  # by which a component changes that noise and rounding leave alone
@@ -25,6 +28,7 @@ HASHED_BY = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9
 FEWEST_ROWS = 3  # of a sensor that are compared with each other
 FEWEST_COPIED = 4  # consecutive readings
 LEAST_MOVED = 0.01  # of its range that a current or a coordinate differs between a reading and its copy
+MUCH_MOVED = 3.0  # times the usual change of settings between readings: from there on the field may jump
 FEWEST_FILLED_IN = 3  # consecutive readings
 MOST_BY_CHANCE = 1e-3  # stretches in which a reading is repeated as often, expected where the sensor works
 FEWEST_CODES = 30  # different ones beside a bit that is stuck: 30 coins that fall alike
@@ -33,6 +37,8 @@ WORDS = {
     Reason.HELD: "repeats the reading before to the last digit while place or current change",
     Reason.COPIED: "holds the fields of earlier readings",
     Reason.FILLED_IN: "lies on straight lines between neighbours",
+    Reason.SENTINEL: "holds a number that stands for no reading",
+    Reason.WRAPPED: "is off by 256 or 65536 steps of the last digit",
 }
 
 Codes = npt.NDArray[np.float64]
@@ -59,6 +65,9 @@ def flags_of_digits(observations: Observations) -> list[Flag]:
         steps_T = [step_of(component_T) for component_T in own_T.T]
         codes = np.stack([_codes(own_T[:, axis], steps_T[axis]) for axis in range(3)], axis=1)
         settings = _settings(observations, own)
+        for reason, axis, rows in _spoilt(codes, steps_T, settings):
+            flags.append(Flag.of(observations, reason, WORDS[reason], axis, own[rows].tolist()))
+            codes[rows, axis] = np.nan
         held = _held(codes, settings)
         codes[held] = np.nan
         alike = _perhaps_equal(codes)
@@ -106,6 +115,18 @@ def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Codes:
     ranges = np.ptp(settings, axis=0)
     settings /= np.where(ranges > 0.0, ranges, 1.0)
     return settings
+
+
+def _spoilt(codes: Codes, steps_T: list[float], settings: Codes) -> Iterator[tuple[Reason, int, list[int]]]:
+    """Rows that hold sentinels or wrapped codes, by component; a component is judged without those found before."""
+    change = np.abs(np.diff(settings, axis=0)).max(axis=1, initial=0.0)
+    is_set_anew = change > max(LEAST_MOVED, MUCH_MOVED * float(np.median(change)) if len(change) else 0.0)
+    for axis in range(3):
+        if steps_T[axis]:
+            if rows := sentinels(codes[:, axis]):
+                yield Reason.SENTINEL, axis, rows
+            if rows := wrapped(codes[:, axis], is_set_anew):
+                yield Reason.WRAPPED, axis, rows
 
 
 def _held(codes: Codes, settings: Codes) -> list[int]:

@@ -25,6 +25,8 @@ class Reason(StrEnum):
     HELD = "held"
     FILLED_IN = "filled_in"
     STUCK_BIT = "stuck_bit"
+    SENTINEL = "sentinel"
+    WRAPPED = "wrapped"
     OTHERWISE = "otherwise"
 
 

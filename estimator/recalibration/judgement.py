@@ -12,7 +12,8 @@ from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
-from estimator.model.preflight import check_readings, check_units
+from estimator.model.preflight import check_readings
+from estimator.model.unit_gate import check_units
 from estimator.readings.split import block_split
 from estimator.recalibration.comparison import Comparison
 from estimator.recalibration.conclusion import IS_CONVERGED, Conclusion, Judgement

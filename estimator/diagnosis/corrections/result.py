@@ -94,12 +94,17 @@ class Correction:
         if not self.is_taken:
             corrected = f"Nothing is corrected: {self.refusal}."
         else:
-            by = (
-                "; ".join(part.words(label) for part in self.parts)
-                or "causes that are not sure enough to be stated"
-            )
-            corrected = (
-                f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+            of_field = "; ".join(part.words(label) for part in self.parts if part.is_predicted)
+            of_readings = "; ".join(part.words(label) for part in self.parts if not part.is_predicted)
+            by = of_field or ("" if of_readings else "causes that are not sure enough to be stated")
+            corrected = " ".join(
+                sentence
+                for sentence, has_any in (
+                    (f"Predictions are corrected, not explained, by {by}.", by),
+                    (f"Fitted too, but no part of the field: {of_readings}.", of_readings),
+                    ("Intervals stay widened by what was left.", True),
+                )
+                if has_any
             )
         if not self.of_session:
             return corrected

@@ -182,7 +182,9 @@ class Answer:
     def is_full(self) -> bool:
         """Whether the leading set fills all slots and one more would be filled too: more is wrong at once than is asked for."""
         asked = self.asked
-        if not 0 < asked.slots.n_slots <= len(asked.leading):
+        if (
+            not 1 < asked.slots.n_slots <= len(asked.leading)
+        ):  # the only cause that was asked for may be stated
             return False
         return float(asked.slots.conditional(asked.leading, asked.noise_number)[-1]) < 0.5
 
@@ -288,8 +290,10 @@ class Answer:
         return {key: start[key] if value is None else float(value) for key, value in own.items()}
 
     def beside_item(self, item: int, taken: Sequence[Cause] = ()) -> Comparison:
-        """All hypotheses in the place of an item of the leading set."""
-        return Comparison(self.asked, tuple(i for i in self.asked.leading if i != item), tuple(taken))
+        """All hypotheses in the place of an item of the leading set, and of others of the same set of alternatives."""
+        items = self.asked.dictionary.items
+        rest = tuple(i for i in self.asked.leading if i != item and items[i].cause not in taken)
+        return Comparison(self.asked, rest, tuple(taken))
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:

@@ -40,7 +40,7 @@ class Products:
         self._widths = np.array([width for item in self.items for width in item.widths], dtype=float)
         self._shifts = np.array([self._shift(item) for item in self.items], dtype=np.int64)
         self._is_one_sided = np.array([item.is_one_sided for item in self.items], dtype=bool)
-        before = [None, *self.items[:-1]]
+        before = [None, *self.items][: len(self.items)]
         self._is_like_before = np.array(
             [
                 last is not None and (last.columns, last.shift) == (item.columns, item.shift)

@@ -78,13 +78,6 @@ class Expansion:
         """Removes what these numbers can follow."""
         return Projector.of(self.fit.jacobian[:, self._base], self.prior_precision)
 
-    @cached_property
-    def _missed(self) -> Float[Tensor, " component"]:
-        """Whitened readings less the predictions of the fit."""
-        fit = self.fit
-        missed: Tensor = (fit.posterior.measured_T - fit.predicted_T) * fit.whitening_per_T
-        return missed
-
     @property
     def names(self) -> tuple[str, ...]:
         """Coordinates of the rig as described, by name."""
@@ -100,13 +93,13 @@ class Expansion:
     def residual(self) -> Float[Tensor, " component"]:
         """Whitened, without causes and departures and with the rig's numbers at their prior means."""
         pulled = self.always.jacobian @ self._pulled
-        without = self._missed + pulled + self.departed_T * self.fit.whitening_per_T
+        without = self.fit.residual + pulled + self.departed_T * self.fit.whitening_per_T
         return without + sum((self._change(cause) for cause in self.causes), torch.zeros_like(without))
 
     @cached_property
     def _pulled(self) -> Float[Tensor, " parameter"]:
         """How far the readings pull the rig's numbers from their prior means: at the maximum as hard as the priors pull back."""
-        pull = self.always.jacobian.T @ self._missed
+        pull = self.always.jacobian.T @ self.fit.residual
         apart: Tensor = torch.linalg.pinv(self.prior_precision, hermitian=True) @ pull
         return apart
 

@@ -98,7 +98,7 @@ def offered(fit: Fit, starts: Sequence[Start]) -> list[Offered]:
     for by_item in weighed.values():
         best = max(by_item, key=lambda of_start: of_start.best)
         if best.best > WORTH_A_FINER_START:
-            finer += _at_finer_instants(fit, best.start)
+            finer += _at_finer_instants(fit, best)
             finer += _at_nearer_places(fit, best)
     for cause, by_item in _weighed(fit, finer).items():
         weighed[cause] += by_item
@@ -118,17 +118,22 @@ def again(fit: Fit, starts: Sequence[Start], cause: Cause, shapes: dict[str, flo
     return [Start(candidate, log_prior[0]) for candidate in at_starts(fit, cause, [shapes])]
 
 
-def _at_finer_instants(fit: Fit, start: Start) -> list[Start]:
-    """Starts of a cause at instants between readings near its coarse ones, which share its prior."""
-    circumstances, candidate = fit.posterior.model.circumstances, start.candidate
-    keys = instants_in(candidate.shapes)
+def _at_finer_instants(fit: Fit, coarse: _Weighed) -> list[Start]:
+    """Starts of a cause at instants between readings near its coarse ones, which share its prior.
+
+    Where something ends too, its beginning is asked once more when its end is known.
+    """
+    circumstances, cause, best = fit.posterior.model.circumstances, coarse.start.candidate.cause, coarse
+    keys = instants_in(coarse.start.candidate.shapes)
     coarse_h = circumstances.coarse_instants_h if UNTIL in keys else circumstances.instants_h
     result = list[Start]()
-    for key in keys:
-        nearer = starts_nearer(circumstances, coarse_h, candidate.shapes, key)
+    for key in [*keys, *keys[:-1]]:
+        nearer = starts_nearer(circumstances, coarse_h, best.start.candidate.shapes, key)
         if len(nearer) > 1:
-            log_prior = start.log_prior - math.log(len(nearer))
-            result += [Start(near, log_prior) for near in at_starts(fit, candidate.cause, nearer)]
+            log_prior = coarse.start.log_prior - math.log(len(nearer))
+            starts = [Start(near, log_prior) for near in at_starts(fit, cause, nearer)]
+            best = max(_weighed(fit, starts)[cause], key=lambda at: at.best)
+            result += starts
     return result
 
 
@@ -202,7 +207,7 @@ class _Weighed:
 
     @property
     def best(self) -> float:
-        """Of the most probable item."""
+        """Log posterior of the most probable item."""
         return float(self.values.max())
 
 

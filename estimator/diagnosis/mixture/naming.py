@@ -25,7 +25,9 @@ def _named(answer: Answer, found: Found) -> NamedCause:
             Alternative(p.cause, found.probability * p.share, _expected(fits, first.cause, p.cause))
             for p in others
         ),
-        answer.beside_item(answer.item_of(first.cause)).log_bayes_factor([first.cause]),
+        answer.beside_item(answer.item_of(first.cause), [p.cause for p in listed]).log_bayes_factor(
+            [first.cause]
+        ),
         1.0 - found.probability * sum(possibility.share for possibility in listed),
     )
 

@@ -16,6 +16,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session as DatabaseSession
 from starlette.responses import Response
 
+from estimator.readings.clock import Clock
 from estimator.rig_files.read import rig_from_text
 from estimator.service.archives import check_length, unpacked_session, zipped
 from estimator.service.core import Core
@@ -45,7 +46,10 @@ from estimator.service.schema import RigVersion, SessionRow
 from estimator.service.tokens import Caller
 from estimator.service.watching import Watched
 from estimator.store.files import sync
-from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
+from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants
+from estimator.store.importers.forms.sources import kind_of
+from estimator.store.importers.forms.understand import understood
+from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session, load_session
 
 OPEN, CLOSED = "open", "closed"
@@ -78,6 +82,34 @@ class SessionInfo(BaseModel):
     user: str
     n_readings: int | None
     hash: str | None
+
+
+class Form(BaseModel):
+    """How a table of readings is read; the parameters are those options of `coilcal import`."""
+
+    accept: Annotated[
+        bool, Field(description="Accept what was understood of a table that is no readings CSV.")
+    ] = False
+    column: Annotated[
+        list[str], Field(description="Meaning of a column: `HEADER=NAME`.", max_length=200)
+    ] = []
+    constant: Annotated[
+        list[str], Field(description="A column that is missing: `NAME=VALUE`.", max_length=200)
+    ] = []
+    decimal: Literal["point", "comma"] | None = None
+    clock: Clock = Clock.AS_WRITTEN
+    skip_bad_lines: bool = False
+
+    def recipe(self) -> Recipe:
+        """The recipe that they make.
+
+        Raises:
+            InvalidInput: One of them has another form.
+        """
+        columns, constants = named_columns(self.column), named_constants(self.constant)
+        return Recipe(
+            columns, constants, decimal=self.decimal, clock=self.clock, skips_bad=self.skip_bad_lines
+        )
 
 
 class Appended(BaseModel):
@@ -178,8 +210,9 @@ def import_csv(
     rig_id: RigId,
     body: Csv,
     room: ImportRoom,  # noqa: ARG001
+    form: Annotated[Form, Query()],
 ) -> SessionInfo:
-    """Make a closed session of a readings CSV."""
+    """Make a closed session of a table of readings; what is not a readings CSV has to be accepted with `accept=true`."""
     with core.database.reading() as db:
         version = db.get(RigVersion, rig_id)
     if version is None:
@@ -187,9 +220,15 @@ def import_csv(
     with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
         path = Path(folder) / "readings.csv"
         path.write_bytes(body)
-        session = read_readings_csv(path, rig_from_text(version.text, "rig"))
-        check_length(len(session.observations), core.settings.most_readings)
-        return _kept(core, request, caller, session, version.id)
+        if kind_of(path) != "text":  # libraries for other files are not made for what strangers send
+            raise Problem(415, "body", "must be text; export the table as CSV")
+        read = understood(path, rig_from_text(version.text, "rig"), form.recipe())
+        if read.proposal is not None and not form.accept:
+            meaning = ", ".join(f"{each.header!r} is {each.name}" for each in read.proposal.assigned)
+            rule = f"must be accepted with accept=true, for the table is no readings CSV: {meaning}"
+            raise Problem(422, "what was understood", rule, place="query accept")
+        check_length(len(read.session.observations), core.settings.most_readings)
+        return _kept(core, request, caller, read.session, version.id)
 
 
 @router.post(

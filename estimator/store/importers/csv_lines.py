@@ -6,18 +6,47 @@ reaches over the end of its line.
 
 from __future__ import annotations
 
+import io
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import compress
 from pathlib import Path
+from typing import NamedTuple
 
-from estimator.errors import Faults, InvalidInput, Place, reason
+from estimator.errors import InvalidInput, Place, reason
 from estimator.given_files import MOST_TABLE_BYTES, open_given, text_of
 
 BLOCK_BYTES = 4_000_000
 QUOTED_CELL = r'"(?:[^"]|"")*+"'
-ROW = re.compile(rf'(?:{QUOTED_CELL}|[^",]*+)(?:,(?:{QUOTED_CELL}|[^",]*+))*+')
-CELL = re.compile(rf'({QUOTED_CELL}|[^",]*+)(?:,|$)')
+NO_TEXT = "\0 \t"  # what a line holds that a log had reserved and never wrote
+
+
+@cache
+def _patterns(separator: str) -> tuple[re.Pattern[str], re.Pattern[str]]:
+    """A whole row, and one of its cells."""
+    bare = rf'[^"{re.escape(separator)}]*+'
+    cell, between = f"(?:{QUOTED_CELL}|{bare})", re.escape(separator)
+    return re.compile(f"{cell}(?:{between}{cell})*+"), re.compile(f"({QUOTED_CELL}|{bare})(?:{between}|$)")
+
+
+class BadLine(NamedTuple):
+    """A line that is no row like the others.
+
+    Attributes:
+        number: From 1.
+        column: The cell that is wrong; None where the whole line is.
+        rule: What a line must be.
+        received: What this one is.
+        cure: What to do about it beside leaving the line out.
+    """
+
+    number: int
+    column: int | None
+    rule: str
+    received: str
+    cure: str = ""
 
 
 @dataclass(frozen=True)
@@ -29,45 +58,66 @@ class Block:
         texts: The lines without their ends.
         numbers: Number of each line, from 1.
         is_plain: Whether no line holds a quote or a NUL.
+        separator: Between cells; None for runs of blanks.
+        may_comment: Whether a line may be a comment.
     """
 
     path: Path
     texts: list[str]
     numbers: Sequence[int]
     is_plain: bool
+    separator: str | None = ","
+    may_comment: bool = False
 
     def rest(self, n: int) -> Block:
         """The block without its first lines."""
-        return Block(self.path, self.texts[n:], self.numbers[n:], self.is_plain)
+        return replace(self, texts=self.texts[n:], numbers=self.numbers[n:])
 
-    def columns(self, width: int, faults: Faults) -> tuple[Sequence[Sequence[str]], Sequence[int]]:
+    def without(self, is_left_out: Callable[[str], bool]) -> Block:
+        """The block without some of its lines."""
+        pairs = [
+            (text, number)
+            for text, number in zip(self.texts, self.numbers, strict=True)
+            if not is_left_out(text)
+        ]
+        return replace(self, texts=[text for text, _ in pairs], numbers=[number for _, number in pairs])
+
+    def columns(self, width: int, bad_lines: list[BadLine]) -> tuple[Sequence[Sequence[str]], Sequence[int]]:
         """The cells by column, and the number of the line of each row.
 
         Args:
             width: Cells that a row must have.
-            faults: Where a fault is noted or raised; its line is left out.
+            bad_lines: Takes the lines that are no rows; they are left out.
         """
-        if self.is_plain and {text.count(",") for text in self.texts} == {width - 1}:
-            cells = ",".join(self.texts).split(",")  # one list is made far faster than one for each row
+        separator = self.separator
+        if self.is_plain and separator and {text.count(separator) for text in self.texts} == {width - 1}:
+            # One list is made far faster than one for each row.
+            cells = separator.join(self.texts).split(separator)
             return [cells[column::width] for column in range(width)], self.numbers
         rows, numbers = [], []
         for text, number in zip(self.texts, self.numbers, strict=True):
-            with faults.noting():
-                row = cells_of(text, self.path, number)
-                if len(row) != width:
-                    rule = f"a row must have {width} cells like the header"
-                    words = f"{rule}; received {len(row)} ({self.path}, line {number})"
-                    raise InvalidInput(words, Place(str(self.path), number))
-                rows.append(row)
-                numbers.append(number)
+            row = row_of(text, number, separator)
+            if isinstance(row, BadLine):
+                bad_lines.append(row)
+                continue
+            if len(row) > width and not any(cell.strip() for cell in row[width:]):
+                row = row[:width]  # a separator at the end of the line
+            if len(row) != width:
+                rule = f"a row must have {width} cells like the header"
+                bad_lines.append(BadLine(number, None, rule, f"{len(row)}"))
+                continue
+            rows.append(row)
+            numbers.append(number)
         return list(zip(*rows, strict=True)) or [()] * width, numbers
 
 
-def csv_blocks(path: Path) -> Iterator[Block]:
-    """The lines of a CSV file in UTF-8, which end in LF, CR LF or CR.
+def csv_blocks(path: Path, encoding: str = "utf-8", separator: str | None = ",") -> Iterator[Block]:
+    """The lines of a CSV file, which end in LF, CR LF or CR; lines without text are left out.
 
     Args:
         path: The file.
+        encoding: Of its text.
+        separator: Between cells; None for runs of blanks.
     Raises:
         InvalidInput: The file cannot be read or is no text. The message names file and line.
     Examples:
@@ -78,24 +128,27 @@ def csv_blocks(path: Path) -> Iterator[Block]:
         [['t_s,set', '0,"calibration"']]
     """
     n_before = 0
-    for text in _texts(path):
+    for text in _texts(path) if encoding == "utf-8" else _texts_in(path, encoding):
         lines = text.split("\n")
         if not lines[-1]:
             lines.pop()  # what follows the last line end is no line
         numbers: Sequence[int] = range(n_before + 1, n_before + 1 + len(lines))
         n_before += len(lines)
-        if not all(lines):
-            numbers = [number for number, line in zip(numbers, lines, strict=True) if line.strip()]
-            lines = [line for line in lines if line.strip()]
-        yield Block(path, lines, numbers, '"' not in text and "\0" not in text)
+        if "\0" in text or not all(lines):
+            are_there = [bool(line.strip().strip(NO_TEXT)) for line in lines]
+            numbers = list(compress(numbers, are_there))
+            lines = list(compress(lines, are_there))
+        is_plain = '"' not in text and ("\0" not in text or not any("\0" in line for line in lines))
+        yield Block(path, lines, numbers, is_plain, separator, "#" in text)
 
 
-def cells_of(line: str, path: Path, number: int) -> list[str]:
+def cells_of(line: str, path: Path, number: int, separator: str | None = ",") -> list[str]:
     """The cells of one line.
 
     Args:
         line: Its text, without line end.
         path, number: Its place, for messages.
+        separator: Between cells; None for runs of blanks.
     Raises:
         InvalidInput: A quote does not enclose a whole cell, or the line holds a NUL.
     Examples:
@@ -106,21 +159,39 @@ def cells_of(line: str, path: Path, number: int) -> list[str]:
         ...
         estimator.errors.InvalidInput: a quote must enclose a whole cell; cell 2 has one too many or too few (readings.csv, line 2)
     """
+    row = row_of(line, number, separator)
+    if isinstance(row, BadLine):
+        words = f"{row.rule}; {row.received} ({path}, line {number})"
+        raise InvalidInput(words, Place(str(path), number, row.column))
+    return row
+
+
+def row_of(line: str, number: int, separator: str | None) -> list[str] | BadLine:
+    """The cells of one line, or what is wrong with it."""
     if "\0" in line:
-        raise InvalidInput(
-            f"a line must hold text; it holds a NUL ({path}, line {number})", Place(str(path), number)
-        )
+        return BadLine(number, None, "a line must hold text", "it holds a NUL")
+    if separator is None:
+        return line.split()
     if '"' not in line:
-        return line.split(",")
-    if not ROW.fullmatch(line):
-        right = ROW.match(line)
-        column = len(CELL.findall(line[: right.end()] + ",")) - 1 if right else 1
-        words = f"a quote must enclose a whole cell; cell {column} has one too many or too few"
-        raise InvalidInput(f"{words} ({path}, line {number})", Place(str(path), number, column))
+        return line.split(separator)
+    row, cell = _patterns(separator)
+    if not row.fullmatch(line):
+        right = row.match(line)
+        column = len(cell.findall(line[: right.end()] + separator)) - 1 if right else 1
+        rule, received = "a quote must enclose a whole cell", f"cell {column} has one too many or too few"
+        return BadLine(number, column, rule, received, "remove or add the quote")
     return [
-        cell[1:-1].replace('""', '"') if cell.startswith('"') else cell
-        for cell in CELL.findall(line + ",")[:-1]
+        text[1:-1].replace('""', '"') if text.startswith('"') else text
+        for text in cell.findall(line + separator)[:-1]
     ]
+
+
+def _texts_in(path: Path, encoding: str) -> Iterator[str]:
+    """The text of a file in another encoding than UTF-8, in pieces of whole lines, with LF as line end."""
+    with open_given(path, MOST_TABLE_BYTES, rule="must be readable as text") as file:
+        text = io.TextIOWrapper(file, encoding, errors="replace", newline=None)
+        while block := text.read(BLOCK_BYTES):
+            yield (block + text.readline()).removeprefix("\ufeff")
 
 
 def _texts(path: Path) -> Iterator[str]:

@@ -16,16 +16,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import Faults, InvalidInput, in_order
+from estimator.errors import Faults, InvalidInput, Place, in_order, quoted
+from estimator.readings.clock import Clock, jumps_back, read_clock
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import MotionKind, Mover, Rig
-from estimator.store.importers.csv_table import Column, Table, read_table
+from estimator.store.importers.csv_table import read_table
+from estimator.store.importers.places import MOST_PLACES, left_out
 from estimator.store.importers.recorded import moment
+from estimator.store.importers.table import Column, Table
 from estimator.store.session import Session
 from estimator.store.staging import write_output
 from estimator.units import split_unit
@@ -35,18 +39,29 @@ SETS = ("calibration", "validation")
 LARGEST_NUMBER = 999_999_999  # of repeats and segments
 
 
-def read_readings_csv(path: Path, rig: Rig) -> Session:
+def read_readings_csv(
+    path: Path, rig: Rig, clock: Clock = Clock.AS_WRITTEN, skips_bad: bool = False
+) -> Session:
     """Read a readings CSV taken on a rig.
 
     Args:
         path: Comma-separated UTF-8 text. `sensor` may be left out if the rig has only one. The three rotations of a mover that only
-            translates may be left out together. An empty field cell is a component that was not measured.
+            translates may be left out together. An empty field cell, or a word such as OVLD, is a component that was not measured.
         rig: Determines the columns.
+        clock: How times are read.
+        skips_bad: Leave out lines that are no rows, and rows with a fault.
     Raises:
         InvalidInput: A column is missing, unknown, doubled or without unit; a cell has another type than its column; or a sensor has two
             readings at one time. The message names file, line and column.
     """
-    return _session(read_table(path, _columns(rig)), rig)
+    return session_of(read_table(path, columns_of(rig), skips_bad=skips_bad), rig, clock).session
+
+
+class ReadTable(NamedTuple):
+    """A session and the rows of the table that it was made of."""
+
+    table: Table
+    session: Session
 
 
 class CheckedReadings(NamedTuple):
@@ -57,16 +72,18 @@ class CheckedReadings(NamedTuple):
     faults: list[InvalidInput]
 
 
-def readings_and_faults(path: Path, rig: Rig) -> CheckedReadings:
+def readings_and_faults(
+    path: Path, rig: Rig, clock: Clock = Clock.AS_WRITTEN, skips_bad: bool = False
+) -> CheckedReadings:
     """Read a readings CSV and go on behind each fault."""
-    faults, known = Faults(is_collected=True), _columns(rig)
+    faults, known = Faults(is_collected=True), columns_of(rig)
     table = session = None
     with faults.noting():
-        table = read_table(path, known, faults)
+        table = read_table(path, known, faults, skips_bad)
         if any(fault.place is None or fault.place.line == 1 for fault in faults.noted):
             _read_cells(table, known)
         else:
-            session = _session(table, rig)
+            table, session = session_of(table, rig, clock)
     if faults.noted:
         return CheckedReadings(None, None, in_order(faults.noted))
     return CheckedReadings(table, session, [])
@@ -79,11 +96,66 @@ def _read_cells(table: Table, known: Mapping[str, Column]) -> None:
             table.numbers(quantity, may_be_empty=quantity in FIELD)
 
 
-def _session(table: Table, rig: Rig) -> Session:
-    time_s = table.numbers("t")
-    n = len(time_s)
+def session_of(table: Table, rig: Rig, clock: Clock = Clock.AS_WRITTEN) -> ReadTable:
+    """The session of a table, and its rows; rows without a field are left out, and those with a fault where the table says so.
+
+    Raises:
+        InvalidInput: A cell has another type than its column, a sensor has two readings at one time, or no row is left.
+    """
+    table = _with_fields(table)
+    session = _session(table, rig, clock)
+    while table.bad_rows:
+        table = without_bad_rows(table)
+        session = _session(table, rig, clock)
+    return ReadTable(table, session)
+
+
+def without_bad_rows(table: Table) -> Table:
+    """The table without rows that were found to have a fault, with a note.
+
+    Raises:
+        InvalidInput: No row is left.
+    """
+    if not table.bad_rows:
+        return table
+    bad_rows = sorted(table.bad_rows)
+    told = left_out([int(table.lines[row]) for row in bad_rows], "row")
+    table.notes.append(f"{told}: a cell has a fault.")
+    return _not_empty(table.without(bad_rows))
+
+
+def _with_fields(table: Table) -> Table:
+    """The table without rows that hold no field, and a note on cells that say so in words."""
+    names = [name for name in FIELD if name in table]
+    words = {(row, name): word for name in names for row, word in table.absent(name).items()}
+    if words:
+        first = sorted(words)[:MOST_PLACES]
+        shown = ", ".join(f"{words[key]} in line {table.lines[key[0]]}" for key in first)
+        more = f" and {len(words) - len(first)} more" if len(words) > len(first) else ""
+        many = "cells of fields count" if len(words) > 1 else "cell of a field counts"
+        table.notes.append(f"{len(words)} {many} as not measured: {shown}{more}.")
+    empty = np.ones(len(table.lines), dtype=bool)
+    for name in names:
+        empty &= table.is_nothing(name)
+    rows = np.flatnonzero(empty).tolist()
+    if not rows or not names:
+        return table
+    told = left_out([int(table.lines[row]) for row in rows], "row")
+    table.notes.append(f"{told}: no component of the field was measured.")
+    return _not_empty(table.without(rows))
+
+
+def _not_empty(table: Table) -> Table:
+    if not len(table.lines):
+        raise InvalidInput(f"{table.path} must hold at least one reading; all its rows were left out")
+    return table
+
+
+def _session(table: Table, rig: Rig, clock: Clock) -> Session:
+    n = len(table.lines)
     zeros = torch.zeros(n, dtype=torch.int64)
     sensor = table.words("sensor", [s.name for s in rig.sensors]) if "sensor" in table else zeros
+    time_s = torch.from_numpy(read_clock(_times(table), sensor.numpy(), clock))
     _refuse_doubles(table, time_s, sensor)
     bodies = [body.name for body in (*rig.coils, *rig.sensors)]
     segment, labels = _segment(table) if "segment" in table else (None, {})
@@ -101,6 +173,14 @@ def _session(table: Table, rig: Rig) -> Session:
     named = "".join(f"; segment {number} is {label}" for label, number in labels.items())
     session = Session(rig, observations, f"readings CSV {table.path.name}{named}")
     return replace(session, created=_recorded_at(table)) if "recorded_at" in table else session
+
+
+def _times(table: Table) -> npt.NDArray[np.float64]:
+    """Times as written; the number of the row where there are none, which only `Clock.ROWS` reads."""
+    if "t" not in table:
+        return np.arange(len(table.lines), dtype=np.float64)
+    times: npt.NDArray[np.float64] = table.numbers("t").numpy()
+    return times
 
 
 def write_readings_csv(session: Session, path: Path, overwrite: bool = True) -> None:
@@ -134,7 +214,8 @@ def write_readings_csv(session: Session, path: Path, overwrite: bool = True) -> 
     write_output(path, text.getvalue(), overwrite)
 
 
-def _columns(rig: Rig) -> dict[str, Column]:
+def columns_of(rig: Rig) -> dict[str, Column]:
+    """Columns that a rig knows, by quantity."""
     columns = [Column("t", "time"), Column("sensor", is_required=len(rig.sensors) > 1)]
     columns += [Column(f"{coil.name}_current", "current") for coil in rig.coils]
     for mover in rig.movers:
@@ -163,15 +244,16 @@ def _recorded_at(table: Table) -> str:
     cells = table.columns["recorded_at"]
     if not any(cells.words):
         raise InvalidInput(f"recorded_at must hold a date in some line; it holds none ({table.path})")
-    moments, refusals = [], {}
+    moments, refusals = [], list[int]()
     for code, word in enumerate(cells.words):
         try:
             if word:
                 moments.append(moment(word, "recorded_at"))
-        except InvalidInput as fault:
-            refusals[code] = str(fault)
-    is_refused = np.isin(cells.codes, list(refusals))
-    table.refuse_rows("recorded_at", is_refused, lambda row: refusals[int(cells.codes[row])])
+        except InvalidInput:
+            refusals.append(code)
+    is_refused = np.isin(cells.codes, refusals)
+    rule = "recorded_at must be a date such as 2026-03-01 or 2026-03-01T09:30+01:00, and not in the future"
+    table.refuse_rows("recorded_at", is_refused, rule, lambda row: quoted(cells.words[int(cells.codes[row])]))
     return min(moments, default="")
 
 
@@ -185,12 +267,22 @@ def _refuse_doubles(table: Table, time_s: Tensor, sensor: Tensor) -> None:
     first_of_row, is_double = np.empty_like(order), np.empty_like(is_new)
     first_of_row[order], is_double[order] = first, ~is_new
 
-    def words(row: int) -> str:
-        earlier, later = table.lines[first_of_row[row]], table.lines[row]
-        rule = "a sensor must have one reading at a time"
-        return f"{rule}; t_s = {float(time_s[row]):.15g} is in lines {earlier} and {later}"
-
-    table.refuse_rows("t", is_double, words, has_line=True)
+    rows = np.flatnonzero(is_double).tolist()
+    if table.skips_bad:
+        table.bad_rows.update(rows)
+    elif rows:
+        told = ", ".join(
+            f"t_s = {float(time_s[row]):.15g} is in lines {table.lines[first_of_row[row]]} and {table.lines[row]}"
+            for row in rows[:MOST_PLACES]
+        )
+        told += f" and {len(rows) - MOST_PLACES} more" if len(rows) > MOST_PLACES else ""
+        back = jumps_back(time_s.numpy(), sensor.numpy())
+        cure = "share stamps out with --clock spread"
+        if back:
+            cure = f"time jumps back in line {table.lines[back[0]]}: go on behind it with --clock continue"
+        words = f"a sensor must have one reading at a time; {told}; {cure} ({table.path}, line {table.lines[rows[0]]})"
+        place = Place(str(table.path), int(table.lines[rows[0]]), table.header["t"].column + 1)
+        table.faults.note(InvalidInput(words, place))
 
 
 def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:
@@ -200,12 +292,9 @@ def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:
 
 
 def _field(table: Table) -> Float[Tensor, "reading 3"]:
-    field_T = torch.stack([table.numbers(name, may_be_empty=True) for name in FIELD], dim=1)
-    known_lines = [fault.place.line for fault in table.faults.noted if fault.place]
-    is_empty = torch.isnan(field_T).all(dim=1).numpy() & ~np.isin(table.lines, known_lines)
-    rule = "a row must have at least one field component"
-    table.refuse_rows(None, is_empty, lambda _: f"{rule}; all three are empty")
-    return field_T
+    nothing = torch.full((len(table.lines),), torch.nan, dtype=torch.float64)
+    columns = [table.numbers(name, may_be_empty=True) if name in table else nothing for name in FIELD]
+    return torch.stack(columns, dim=1)
 
 
 def _segment(table: Table) -> tuple[Int[Tensor, " reading"], dict[str, int]]:
@@ -224,5 +313,5 @@ def _whole(table: Table, name: str, may_be_empty: bool = False) -> Int[Tensor, "
     values = table.numbers(name, may_be_empty)
     bad_rows = ((values != values.floor()) | (values < 0) | (values > LARGEST_NUMBER)) & ~values.isnan()
     rule = f"{name} must be a whole number from 0 to {LARGEST_NUMBER}"
-    table.refuse_rows(name, bad_rows.numpy(), lambda row: f"{rule}; received {values[row]:.15g}")
+    table.refuse_rows(name, bad_rows.numpy(), rule, lambda row: f"{values[row]:.15g}")
     return values.nan_to_num(nan=NO_SEGMENT).to(torch.int64)

@@ -46,14 +46,13 @@ REFUSALS = {
     "simulate --rig plan.yaml --plan plan.yaml --out new.zarr": "coils must name at least one; received none (plan.yaml, line 1)",
     "simulate --rig rig.yaml --plan rig.yaml --out new.zarr": "poses is missing (rig.yaml, line 1)",
     f"{IMPORT} --out session.zarr": f"{EXISTS} session.zarr",
-    f"{IMPORT} --out new.zarr --current coil1=3": "currents must not be given for a readings CSV, which holds its own; received coil1",
+    f"{IMPORT} --out new.zarr --current coil1=3": "coil1_current must be given once; the file has it, and a constant too (readings.csv)",
     f"{IMPORT} --out new.zarr --current coil1": "--current must look like NAME=1.0; received 'coil1'",
-    f"{IMPORT} readings.csv --out new.zarr": "this format takes one file; received 2",
+    f"{IMPORT} readings.csv --out new.zarr": "the format readings takes one file; received 2",
     "import no.csv --rig rig.yaml --out new.zarr": "no.csv must be readable as text: No such file or directory",
     "import session.zarr --rig rig.yaml --out new.zarr": "session.zarr must be readable as text: Is a directory",
-    "import rig.yaml --rig rig.yaml --out new.zarr": "column 'schema_version: 1' is not known to the rig; "
-    "known are t_s, sensor, coil1_current_A, arm1_x_m, arm1_y_m, arm1_z_m, arm1_rx_rad, arm1_ry_rad, arm1_rz_rad, Bx_T, By_T, Bz_T, "
-    "set, repeat, segment, recorded_at, coil1_temperature_C, hall_temperature_C (rig.yaml, line 1)",
+    "import rig.yaml --rig rig.yaml --out new.zarr": "rig.yaml must hold a header and rows of numbers; "
+    "no line holds two numbers between commas, semicolons, tabs or blanks",
     "import whole.csv --rig rig.yaml --out new.zarr --validation 20": "validation share must be at least 0 and below 1; received 20",
     "import whole.csv --rig rig.yaml --out new.zarr --validation 0.9999": "session must hold calibration readings; "
     "it holds none (whole.csv)",

@@ -123,6 +123,8 @@ def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tm
             "recorded": load_session(out).created,
             "session_hash": load_session(out).hash,
             "flagged": [],
+            "warnings": [],
+            "columns": None,
         }
     assert torch.equal(masks[0], masks[1])
     assert not torch.equal(masks[0], masks[2])

@@ -11,6 +11,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 import torch
 from pydantic import TypeAdapter
@@ -435,6 +436,9 @@ def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_proba
 ) -> None:
     asked = diagnosis.findings.answer.first
     slots = Slots(asked.slots.products, asked.slots.noise, 3)
+    slots.conditional = lambda chosen, noise: np.eye(1, len(asked.dictionary.items) + 1)[
+        0
+    ]  # one more is sure
     answer = replace(diagnosis.findings.answer, first=replace(asked, slots=slots))
     full = replace(diagnosis, findings=replace(diagnosis.findings, answer=answer))
     full = said_instead(full, {(GAIN, HEATING, WANDERS): 100})  # without the offset, which is there

@@ -11,8 +11,9 @@ import pytest
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.model.preflight import check_readings, check_units
+from estimator.model.preflight import check_readings
 from estimator.model.simulate import draw_truth, simulate
+from estimator.model.unit_gate import check_units
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, load_plan
 from estimator.rig.rig import Rig

@@ -13,8 +13,8 @@ from torch.func import jacrev, vmap
 from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
-from estimator.model.preflight import check_units
 from estimator.model.room_field import RoomField
+from estimator.model.unit_gate import check_units
 from estimator.model.unwound import unwound_field_per_ampere
 from estimator.readings.observations import Observations
 from estimator.rig.harmonic_terms import terms

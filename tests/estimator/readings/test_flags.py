@@ -167,3 +167,55 @@ def test_a_map_of_which_symmetry_repeats_whole_circles_is_left_alone():
     places_m = np.stack((np.cos(angle), np.sin(angle), circle), 1)
     field_T = np.stack((0.01 + 0.003 * circle, 0.002 * circle, 0.05 + 0.01 * circle**2), 1).round(4)
     assert flags_of_digits(readings_of(field_T, places_m)) == []
+
+
+SETTING_OUT = np.arange(N)[:, None] * [1e-3, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("rows", [(17,), (3, 44, 45)])
+@pytest.mark.parametrize("value_T", [-0.26624, 0.9999, 99.99])
+def test_a_number_that_stands_for_no_reading_is_flagged(measured_T, rows, value_T):
+    field_T = np.round(measured_T / 1.3e-4) * 1.3e-4 if value_T == -0.26624 else measured_T
+    field_T[list(rows), 2] = value_T
+    readings = readings_of(field_T)
+    (flag,) = [flag for flag in flags_of_digits(readings) if flag.reason == Reason.SENTINEL]
+    assert (flag.component, flag.readings) == (2, rows)
+    assert bool(without_flagged(readings, [flag]).field_sensor_T[list(rows), 2].isnan().all())
+
+
+def test_a_field_that_meets_the_end_of_the_range_is_no_sentinel(measured_T):
+    assert (
+        flags_of_digits(readings_of(np.clip(measured_T, [-0.004096, -1.0, -1.0], [0.004096, 1.0, 1.0]))) == []
+    )
+    strong_T = measured_T.copy()
+    strong_T[30] *= 20.0
+    assert flags_of_digits(readings_of(strong_T)) == []
+
+
+@pytest.mark.parametrize(("rows", "codes"), [((20,), 256), ((31, 32, 33), -65536), ((8, 40, 41), 65536)])
+def test_codes_that_wrapped_around_or_lost_a_byte_are_flagged(rows, codes):
+    slow = np.sin(np.arange(N)[:, None] * [0.11, 0.17, 0.05] + [0.0, 1.0, 2.0])
+    field_T = 1e-6 * np.round(40.0 * slow + 500.0)
+    assert flags_of_digits(readings_of(field_T, SETTING_OUT)) == []
+    field_T[list(rows), 1] += 1e-6 * codes
+    (flag,) = flags_of_digits(readings_of(field_T, SETTING_OUT))
+    assert (flag.reason, flag.component, flag.readings) == (Reason.WRAPPED, 1, rows)
+
+
+def test_a_current_that_is_switched_is_no_wrap():
+    field_T = 1e-6 * np.round(np.random.default_rng(2).normal(size=(N, 3)) * [3, 4, 5] + [0.0, 20.0, -70.0])
+    field_T[20:40] += 256e-6
+    readings = readings_of(field_T, SETTING_OUT)
+    switched = torch.ones(N, 1, dtype=torch.float64)
+    switched[20:40] = 0.0
+    assert flags_of_digits(replace(readings, current_A=switched)) == []
+
+
+def test_a_sensor_that_froze_is_flagged_among_readings_for_validation_too(measured_T):
+    measured_T[22:34] = measured_T[22]
+    readings = readings_of(measured_T).with_validation(torch.arange(N) % 3 == 0)
+    (flag,) = flags_of_digits(readings)
+    assert (flag.reason, flag.readings) == (Reason.HELD, tuple(range(23, 34)))
+    left = without_flagged(readings, [flag])
+    assert not left.is_measured[23:34].any()
+    assert bool(left.is_measured[:23].all())

@@ -233,6 +233,28 @@ def test_a_faulty_csv_is_refused_with_its_line(client: TestClient, rig_id: str, 
     assert "/" not in problem["detail"]
 
 
+def test_another_table_is_taken_where_what_was_understood_is_accepted(
+    client: TestClient, rig_id: str, readings_csv: bytes
+) -> None:
+    other = readings_csv.replace(b"Bx_T", b"Hall Bx [T]", 1)
+    call = {"content": other, "headers": {"Content-Type": "text/csv"}}
+    problem = refusal(client.post("/v1/sessions/import-csv", params={"rig_id": rig_id}, **call), 422)
+    assert "must be accepted with accept=true" in problem["detail"]
+    assert "'Hall Bx [T]' is Bx_T" in problem["detail"]
+    accepted = client.post("/v1/sessions/import-csv", params={"rig_id": rig_id, "accept": "true"}, **call)
+    assert accepted.json()["hash"] == import_csv(client, rig_id, readings_csv)["hash"]
+    packed = {**call, "content": b"\x89HDF\r\n\x1a\n" + other}
+    assert (
+        "must be text"
+        in refusal(client.post("/v1/sessions/import-csv", params={"rig_id": rig_id}, **packed), 415)["detail"]
+    )
+    named = {"rig_id": rig_id, "column": "Hall Bx [T]=Bx_furlong"}
+    assert (
+        "must be one that the rig knows"
+        in refusal(client.post("/v1/sessions/import-csv", params=named, **call), 422)["detail"]
+    )
+
+
 def send_zip(client: TestClient, rig_id: str, body: bytes) -> Any:
     call = {"params": {"rig_id": rig_id}, "content": body, "headers": {"Content-Type": "application/zip"}}
     return client.post("/v1/sessions/import-zip", **call)

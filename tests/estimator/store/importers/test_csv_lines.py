@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from estimator.errors import Faults, InvalidInput
+from estimator.errors import InvalidInput
 from estimator.store.importers import csv_lines
-from estimator.store.importers.csv_lines import cells_of, csv_blocks
+from estimator.store.importers.csv_lines import BadLine, cells_of, csv_blocks
 
 CELL = st.text(st.characters(blacklist_characters="\r\n\0", blacklist_categories=["Cs"]), max_size=6)
 
@@ -50,7 +50,7 @@ def test_no_row_is_lost_between_blocks(
     (tmp_path / "a.csv").write_bytes(b"\xef\xbb\xbf" + (end.join(lines) + end * last).encode())
     rows, numbers = [], []
     for block in csv_blocks(tmp_path / "a.csv"):
-        columns, of_rows = block.columns(2, Faults())
+        columns, of_rows = block.columns(2, [])
         rows += list(zip(*columns, strict=True))
         numbers += list(of_rows)
     assert rows == [(str(i), f"µ{i}") for i in range(500) if i != 17]
@@ -59,12 +59,12 @@ def test_no_row_is_lost_between_blocks(
 
 def test_two_lines_that_make_up_for_each_other_are_told_both(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("1,2\n3\n4,5,6\n7,8\n")
-    faults = Faults(is_collected=True)
+    bad_lines: list[BadLine] = []
     (block,) = csv_blocks(tmp_path / "a.csv")
-    columns, numbers = block.columns(2, faults)
+    columns, numbers = block.columns(2, bad_lines)
     assert list(zip(*columns, strict=True)) == [("1", "2"), ("7", "8")]
     assert list(numbers) == [1, 4]
-    assert [fault.place.line for fault in faults.noted if fault.place] == [2, 3]
+    assert [(bad.number, bad.received) for bad in bad_lines] == [(2, "1"), (3, "3")]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,127 @@
+"""Options that say how a file of readings is read, for the commands that read one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from estimator.errors import InvalidInput, quoted
+
+if TYPE_CHECKING:
+    from estimator.rig.rig import Rig
+    from estimator.store.importers.forms.recipe import Recipe
+
+CLOCKS = ("as-written", "continue", "spread", "rows")
+OPTIONS = (
+    click.option(
+        "--map",
+        "map_path",
+        metavar="FILE",
+        type=click.Path(path_type=Path),
+        help="How the columns are read, as an earlier import has written it (columns.yaml).",
+    ),
+    click.option(
+        "--column",
+        "columns",
+        multiple=True,
+        metavar="HEADER=NAME",
+        help="What a column of the file is, as 'Probe 1=Bx_mT'; 'HEADER=-' leaves it out. Repeatable.",
+    ),
+    click.option(
+        "--constant",
+        "constants",
+        multiple=True,
+        metavar="NAME=VALUE",
+        help="The value of a column that the file does not have, in all rows, as arm1_x_mm=0. Repeatable.",
+    ),
+    click.option(
+        "--decimal", type=click.Choice(["point", "comma"]), help="Decimal sign, where the file does not tell."
+    ),
+    click.option(
+        "--sheet", metavar="NAME", help="Sheet of a workbook; the first with a table where left out."
+    ),
+    click.option(
+        "--clock",
+        type=click.Choice(CLOCKS),
+        default="as-written",
+        show_default=True,
+        help="How times are read: 'continue' goes on behind a clock that was set back, 'spread' shares out the readings of one stamp "
+        "evenly up to the next, 'rows' counts rows.",
+    ),
+    click.option(
+        "--skip-bad-lines",
+        "skips_bad",
+        is_flag=True,
+        help="Leave out lines that are no rows, and rows with a cell that cannot be read; says which.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class FormOptions:
+    """What the options say; see `OPTIONS`."""
+
+    map_path: Path | None
+    columns: tuple[str, ...]
+    constants: tuple[str, ...]
+    decimal: str | None
+    sheet: str | None
+    clock: str
+    skips_bad: bool
+
+    def with_currents(self, rig: Rig, currents_A: Mapping[str, float]) -> Recipe:
+        """The recipe that they make, with currents by coil.
+
+        Raises:
+            InvalidInput: An option has another form, names no coil, or the file with the recipe is wrong.
+        """
+        from dataclasses import replace
+
+        from estimator.readings.clock import Clock
+        from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants, read_recipe
+
+        recipe = Recipe() if self.map_path is None else read_recipe(self.map_path)
+        coils = [coil.name for coil in rig.coils]
+        for name in currents_A:
+            if name not in coils:
+                raise InvalidInput(f"--current must name one of {', '.join(coils)}; received {quoted(name)}")
+        constants = named_constants(self.constants) | {
+            f"{name}_current_A": value for name, value in currents_A.items()
+        }
+        return replace(
+            recipe,
+            columns={**recipe.columns, **named_columns(self.columns)},
+            constants={**recipe.constants, **constants},
+            decimal=self.decimal or recipe.decimal,
+            sheet=self.sheet or recipe.sheet,
+            clock=Clock(self.clock) if self.clock != CLOCKS[0] else recipe.clock,
+            skips_bad=self.skips_bad or recipe.skips_bad,
+        )
+
+
+def form_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command these options, as one argument `form`."""
+
+    @wraps(command)
+    def with_form(
+        map_path: Path | None,
+        columns: tuple[str, ...],
+        constants: tuple[str, ...],
+        decimal: str | None,
+        sheet: str | None,
+        clock: str,
+        skips_bad: bool,
+        **others: Any,
+    ) -> Any:
+        form = FormOptions(map_path, columns, constants, decimal, sheet, clock, skips_bad)
+        return command(form=form, **others)
+
+    decorated: Callable[..., Any] = with_form
+    for option in reversed(OPTIONS):
+        decorated = option(decorated)
+    return decorated

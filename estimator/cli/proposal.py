@@ -1,0 +1,115 @@
+"""What was understood of a file that is no readings CSV, as a table with three rows in SI; asked once, and written as a recipe."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import click
+
+from estimator.cli.output import is_quiet, printable
+from estimator.cli.understood import si_symbol
+from estimator.errors import InvalidInput, cut
+from estimator.store.files import write_text
+from estimator.store.importers.forms.assignment import Assigned
+from estimator.store.importers.forms.recipe import CLOCK, DATE
+from estimator.store.importers.forms.understand import Proposal, Understood
+from estimator.store.importers.table import Table
+
+RECIPE = "columns.yaml"
+ROWS_SHOWN = 3
+LONGEST_HEADER = 28  # characters of a heading in the table
+
+
+def proposal_lines(path: Path, read: Understood) -> list[str]:
+    """A proposal in lines.
+
+    Args:
+        path: The file.
+        read: What was read of it.
+    """
+    proposal, table = read.proposal, read.table
+    assert proposal is not None
+    head = ["column", "is", *(f"line {line}" for line in _first_lines(table))]
+    rows = [head] + [_row(each, table) for each in proposal.assigned]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
+    lines = [f"{path}: {len(read.session.observations)} readings. {' '.join(proposal.remarks)}"]
+    lines += [
+        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+    return [printable(line) for line in lines]
+
+
+def _first_lines(table: Table) -> list[int]:
+    return list(dict.fromkeys(table.lines[: ROWS_SHOWN * 20].tolist()))[:ROWS_SHOWN]
+
+
+def _row(each: Assigned, table: Table) -> list[str]:
+    """Heading, meaning, and the first rows in SI."""
+    quantity = "t" if each.quantity in {CLOCK, DATE} else each.quantity
+    meaning = {CLOCK: "time of day", DATE: "date"}.get(each.quantity, each.name)
+    sensor, _, component = quantity.rpartition("_")
+    own = component if component in {"Bx", "By", "Bz"} and component in table else quantity
+    cells = []
+    for line in _first_lines(table):
+        rows = [i for i in range(min(len(table.lines), ROWS_SHOWN * 20)) if table.lines[i] == line]
+        if own != quantity:
+            names = table.columns["sensor"]
+            rows = [i for i in rows if names.words[names.codes[i]] == sensor]
+        cells.append(_shown(table, own, rows[0]) if rows and own in table else "")
+    return [cut(each.header, LONGEST_HEADER), meaning, *cells]
+
+
+def _shown(table: Table, quantity: str, row: int) -> str:
+    column, to_si = table.columns[quantity], table.header[quantity].to_si
+    if column.numbers is None:
+        return cut(column.words[column.codes[row]], 12)
+    value = column.numbers[row] * to_si
+    return "-" if math.isnan(value) else f"{value:.6g} {si_symbol(quantity)}"
+
+
+def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> None:
+    """Show a proposal, and ask once whether it is right.
+
+    Args:
+        path: The file.
+        read: What was read of it.
+        is_accepted: Whether `--yes` or a recipe accepts it.
+        is_asked: Whether somebody may be asked.
+    Raises:
+        InvalidInput: It is not accepted.
+    """
+    if not (is_accepted and is_quiet()):
+        for line in proposal_lines(path, read):
+            click.echo(line, err=True)
+    if is_accepted:
+        return
+    if is_asked and is_terminal():
+        if click.confirm("Import it so?", err=True):
+            return
+        raise InvalidInput(
+            f"columns must be right; say what they are with --column 'HEADER=NAME' for each that is not ({path})"
+        )
+    raise InvalidInput(
+        f"{path} is no readings CSV, so what was understood of it must be accepted: add --yes if the table above is right, "
+        f"else say what a column is with --column 'HEADER=NAME'"
+    )
+
+
+def is_terminal() -> bool:
+    """Whether somebody reads the question and can answer it."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
+
+
+def write_recipe(proposal: Proposal, out: Path) -> Path:
+    """Write the recipe beside an output; another one that is there stays.
+
+    Returns: The file.
+    """
+    path, text = out.parent / RECIPE, proposal.recipe.text()
+    if path.exists() and path.read_text(encoding="utf-8", errors="replace") != text:
+        path = out.parent / f"{out.stem}.{RECIPE}"
+    write_text(path, text)
+    return path

@@ -1,0 +1,206 @@
+"""Are readings in the units they claim? Refuses what no cause of the library could be, and warns of the rest.
+
+A wrong unit changes all readings alike; a few wild ones, a wrong pose, another frame or a reversed sign do not. So sizes are compared by
+their median over readings in the stronger half of the field, and a pattern that disagrees is a warning: a diagnosis may explain it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from estimator.errors import InvalidInput
+from estimator.model.measurement_model import MeasurementModel
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig, UnwoundCoil
+
+MOST_READINGS = 300
+PLAUSIBLE_RATIO = 20.0
+CERTAIN_RATIO = 300.0  # no cause of the library makes all fields so much larger, whatever their pattern
+SHARE_OF_ALL = 0.8  # of the readings that must miss by such a ratio before it counts as that of all
+SAME_PATTERN = 0.7  # correlation above which two patterns are one but for a scale
+GOOD_PATTERN = 0.9  # correlation above which nothing is said
+FAR = 10.0  # times the median misfit from which a reading counts as wild
+MOST_FAR = 0.1  # share of the readings that may be wild; where more are, the pattern is another one
+LARGEST_TURN_RAD = 2 * np.pi  # of a rotation vector or a joint in radians
+FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How measured fields compare with the rig's nominal model.
+
+    Attributes:
+        ratio: Median of measured over predicted size.
+        share_beyond: Share of readings whose own ratio is implausible to the same side.
+        correlation: Of the patterns, without the readings that are far off.
+        far: Numbers of the readings that are far off; empty where there are many.
+    """
+
+    ratio: float
+    share_beyond: float
+    correlation: float
+    far: tuple[int, ...]
+
+    @property
+    def is_plausible(self) -> bool:
+        """Whether the sizes agree, or only some readings miss."""
+        return 1.0 / PLAUSIBLE_RATIO < self.ratio < PLAUSIBLE_RATIO or self.share_beyond < SHARE_OF_ALL
+
+    @property
+    def is_certain(self) -> bool:
+        """Whether a wrong scale is the only explanation of sizes that disagree."""
+        is_extreme = not 1.0 / CERTAIN_RATIO < self.ratio < CERTAIN_RATIO
+        return is_extreme or abs(self.correlation) > SAME_PATTERN
+
+
+def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
+    """Refuse readings whose size only fits the rig's nominal model in another unit, and name the likely one.
+
+    Args:
+        rig: Its nominal values are what readings are compared with.
+        observations: Readings; at most `MOST_READINGS` of them are compared.
+        where: File or session that messages name.
+    Returns: Sentences on what does not fit and may have a cause.
+    Raises:
+        InvalidInput: Fields, currents, positions or angles of all readings are in another unit.
+    """
+    chosen = torch.arange(len(observations))
+    if len(observations) > MOST_READINGS:
+        index = np.random.default_rng(0).choice(len(observations), MOST_READINGS, replace=False)
+        chosen = torch.from_numpy(np.sort(index))
+        observations = observations.rows(chosen)
+    given = _agreement(rig, observations)
+    if given is not None and given.is_plausible and given.correlation > GOOD_PATTERN and not given.far:
+        return []
+    is_wrong_size = given is not None and not given.is_plausible
+    _refuse_motion(rig, observations, is_wrong_size, where)
+    if given is None:
+        rule = "Units could not be compared with the rig's nominal model"
+        return [
+            f"{rule}: there a sensor stands in a winding, or no reading shows a field of a winding ({where})."
+        ]
+    if is_wrong_size and given.is_certain:
+        raise InvalidInput(
+            f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: "
+            f"{_likely(given.ratio)} ({where})"
+        )
+    return _warnings(given, chosen, where)
+
+
+def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, where: str) -> None:
+    """Refuse positions or rotations that only fit in another unit: such positions move everything out of the field."""
+    turned = [
+        motion if mover.table is not None else motion[:, 3:].norm(dim=1, keepdim=True)
+        for mover in rig.movers
+        for motion in (observations.motion[mover.name],)
+    ]
+    is_turned_beyond = any(bool((turn.abs() > LARGEST_TURN_RAD).double().mean() > 0.1) for turn in turned)
+    for kind, factor, unit, is_possible in (
+        ("positions", 1e-3, "mm", is_wrong_size),
+        ("positions", 1e-2, "cm", is_wrong_size),
+        ("rotations", np.pi / 180.0, "degrees", is_turned_beyond),
+    ):
+        agreement = _agreement(rig, _scaled(rig, observations, kind, factor)) if is_possible else None
+        if (
+            agreement is not None
+            and 1.0 / 3.0 < agreement.ratio < 3.0
+            and agreement.correlation > SAME_PATTERN
+        ):
+            raise InvalidInput(
+                f"{kind} of the movers must be in {'metres' if kind == 'positions' else 'radians'}; they look like {unit}: "
+                f"divided by {1.0 / factor:.4g} they fit the rig's nominal model ({where})"
+            )
+
+
+def _likely(ratio: float) -> str:
+    unit, factor = min(FIELD_UNITS.items(), key=lambda item: abs(np.log(ratio / item[1])))
+    if 1.0 / 3.0 < ratio / factor < 3.0:
+        return f"fields look like {unit} (or currents are too small by {factor:g})"
+    if 1.0 / 3.0 < ratio * 1e3 < 3.0:
+        return "currents look like mA (or fields are too small by 1000)"
+    return "check units, currents and the nominal pose"
+
+
+def _warnings(given: Agreement, chosen: Int[Tensor, " reading"], where: str) -> list[str]:
+    told = []
+    if given.far:
+        numbers = [str(int(chosen[reading]) + 1) for reading in given.far]
+        listed = ", ".join(numbers[:3]) + (f" and {len(numbers) - 3} more" if len(numbers) > 3 else "")
+        told.append(
+            f"{'Reading' if len(numbers) == 1 else 'Readings'} {listed}: far from all others beside the rig's nominal model ({where})."
+        )
+    if not given.is_plausible:
+        told.append(
+            f"Fields are {given.ratio:.3g} times those of the rig's nominal model, in another pattern ({where})."
+        )
+    elif given.correlation < -SAME_PATTERN:
+        told.append(
+            f"Fields point against the rig's nominal model: a current or an axis may be reversed ({where})."
+        )
+    elif given.correlation < GOOD_PATTERN:
+        told.append(
+            f"Fields correlate with the rig's nominal model by {given.correlation:.2f} only: a place, a frame or a sign may be wrong; "
+            f"coilcal diagnose looks for the cause ({where})."
+        )
+    return told
+
+
+def _agreement(rig: Rig, observations: Observations) -> Agreement | None:
+    """Measured beside nominal field; None where a sensor would sit in a winding, or nothing can be compared."""
+    try:
+        model = MeasurementModel.build(rig, observations, tolerance=1e-3)
+    except InvalidInput:
+        return None
+    nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
+    has_current = observations.current_A != 0.0
+    is_wound = torch.tensor([not isinstance(coil, UnwoundCoil) for coil in rig.coils])
+    # Nothing is known beforehand of the field of a coil without a winding.
+    powered = has_current.any(dim=1) & ~(has_current & ~is_wound).any(dim=1)
+    mask = observations.is_measured & powered[:, None]
+    predicted_T = model.predict(nominal).masked_fill(~mask, 0.0)
+    measured_T = observations.field_sensor_T.masked_fill(~mask, 0.0)
+    is_compared = (predicted_T.norm(dim=1) > 0.0) & (measured_T.norm(dim=1) > 0.0)
+    if not bool(is_compared.any()):
+        return None
+    return _compared(predicted_T, measured_T, is_compared)
+
+
+def _compared(
+    predicted_T: Float[Tensor, "reading 3"],
+    measured_T: Float[Tensor, "reading 3"],
+    is_compared: Bool[Tensor, " reading"],
+) -> Agreement:
+    readings = is_compared.nonzero().flatten()
+    predicted_T, measured_T = predicted_T[readings], measured_T[readings]
+    size_T = predicted_T.norm(dim=1)
+    is_strong = size_T >= size_T.median()
+    ratios = (measured_T.norm(dim=1) / size_T)[is_strong]
+    ratio = float(ratios.median())
+    beyond = ratios > PLAUSIBLE_RATIO if ratio > 1.0 else ratios < 1.0 / PLAUSIBLE_RATIO
+    along = float((predicted_T * measured_T).sum(dim=1)[is_strong].sign().sum())
+    misfit_T = (measured_T - (ratio if along >= 0.0 else -ratio) * predicted_T).norm(dim=1)
+    # Coordinates that are wrong may predict much where little is measured: what is compared is the misfit itself.
+    is_far = misfit_T > FAR * torch.maximum(misfit_T.median(), 0.05 * ratio * size_T.median())
+    if float(is_far.double().mean()) > MOST_FAR:
+        is_far = torch.zeros_like(is_far)
+    nominal_T, shown_T = predicted_T[~is_far].flatten(), measured_T[~is_far].flatten()
+    correlation = float((nominal_T * shown_T).sum() / (nominal_T.norm() * shown_T.norm()))
+    far = tuple(readings[is_far].tolist())
+    return Agreement(ratio, float(beyond.double().mean()), correlation, far)
+
+
+def _scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> Observations:
+    motion = {}
+    for mover in rig.movers:
+        scaled = observations.motion[mover.name].clone()
+        is_joint = mover.table is not None
+        columns = slice(0, 6) if is_joint else slice(3, 6) if kind == "rotations" else slice(0, 3)
+        if not (is_joint and kind == "positions"):
+            scaled[:, columns] *= factor
+        motion[mover.name] = scaled
+    return replace(observations, motion=motion)

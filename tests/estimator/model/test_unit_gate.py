@@ -1,0 +1,103 @@
+"""Units are refused where all readings say so; wild readings are named, and what a cause explains is left to a diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from estimator.errors import InvalidInput
+from estimator.frames import rotation_from_vector
+from estimator.model.simulate import simulate
+from estimator.model.unit_gate import check_units
+from estimator.readings.observations import Observations
+from estimator.readings.plan import load_plan
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
+
+RIG = """
+schema_version: 1
+name: mapper
+movers: {stage: {motion: pose}}
+coils:
+  coil1:
+    radius_mm: {prior: {normal: {mean: 52, sd: 1}}}
+    wire_radius_mm: 0.5
+    axial_loops: 12
+    radial_loops: 10
+    world_from_coil: {z_mm: {prior: {normal: {mean: -40, sd: 2}}}}
+sensors: {hall: {carried_by: stage, noise_uT: 10, flange_from_sensor: {z_mm: HOLDER}}}
+"""
+PLAN = """
+schema_version: 1
+name: plan
+poses:
+  calibration:
+    stage: {x_mm: {from: -30, to: 30, count: 4}, y_mm: {from: -30, to: 30, count: 4}, z_mm: {from: 0, to: 20, count: 2},
+            rx_deg: {from: -40, to: 50, count: 2}, ry_deg: {from: 30, to: 70, count: 2}}
+currents_A: [{coil1: 3}]
+"""
+
+
+def rig(holder_mm: float = 0.0) -> Rig:
+    return rig_from_text(RIG.replace("HOLDER", str(holder_mm)))
+
+
+@pytest.fixture(scope="module")
+def readings(tmp_path_factory: pytest.TempPathFactory) -> Observations:
+    path = tmp_path_factory.mktemp("plan") / "plan.yaml"
+    path.write_text(PLAN, encoding="utf-8")
+    return simulate(rig(), load_plan(path, rig()), {}, seed=0)
+
+
+def with_row(observations: Observations, row: int, field_T: float) -> Observations:
+    changed_T = observations.field_sensor_T.clone()
+    changed_T[row] = field_T
+    return observations.with_field(changed_T)
+
+
+def test_readings_as_the_rig_describes_them_call_for_no_word(readings: Observations) -> None:
+    assert check_units(rig(), readings, "a.csv") == []
+
+
+def test_fields_in_the_frame_of_the_base_are_no_degrees(readings: Observations) -> None:
+    world_from_sensor = rotation_from_vector(readings.motion["stage"][:, 3:])
+    field_T = (world_from_sensor @ readings.field_sensor_T[..., None])[..., 0]
+    (told,) = check_units(rig(), readings.with_field(field_T), "a.csv")
+    assert told.startswith("Fields correlate with the rig's nominal model by 0.")
+
+
+@pytest.mark.parametrize("holder_mm", [-30.0, 25.0, 60.0])
+def test_a_sensor_that_sits_elsewhere_is_not_refused(readings: Observations, holder_mm: float) -> None:
+    check_units(rig(holder_mm), readings, "a.csv")
+
+
+def test_a_sensor_that_nominally_stands_in_the_winding_is_no_wrong_unit(readings: Observations) -> None:
+    motion = readings.motion["stage"].clone()
+    motion[3, :3] = torch.tensor([0.05, 0.0, -0.042])
+    motion[3, 3:] = 0.0
+    (told,) = check_units(rig(), replace(readings, motion={"stage": motion}), "a.csv")
+    assert told.startswith("Units could not be compared")
+
+
+@pytest.mark.parametrize("wild_T", [-0.26624, 9.999])
+def test_a_few_wild_readings_are_named_and_not_the_unit(readings: Observations, wild_T: float) -> None:
+    wild = with_row(with_row(readings, 7, wild_T), 11, wild_T)
+    assert check_units(rig(), wild, "a.csv") == [
+        "Readings 8, 12: far from all others beside the rig's nominal model (a.csv)."
+    ]
+
+
+def test_a_reversed_sign_is_told_and_left_to_the_diagnosis(readings: Observations) -> None:
+    (told,) = check_units(rig(), replace(readings, current_A=-readings.current_A), "a.csv")
+    assert "may be reversed" in told
+
+
+def test_a_thousand_in_all_rows_is_refused_whatever_the_pattern(readings: Observations) -> None:
+    shuffled = readings.field_sensor_T[
+        torch.randperm(len(readings), generator=torch.Generator().manual_seed(0))
+    ]
+    check_units(rig(), readings.with_field(30.0 * shuffled.sign() * readings.field_sensor_T.abs()), "a.csv")
+    with pytest.raises(InvalidInput, match="fields look like mT"):
+        check_units(rig(), readings.with_field(1e3 * shuffled), "a.csv")
