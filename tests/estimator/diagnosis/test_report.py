@@ -441,7 +441,7 @@ def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_proba
     ]  # one more is sure
     answer = replace(diagnosis.findings.answer, first=replace(asked, slots=slots))
     full = replace(diagnosis, findings=replace(diagnosis.findings, answer=answer))
-    full = said_instead(full, {(OFFSET, GAIN, WANDERS): 100})
+    full = said_instead(full, {(GAIN, HEATING, WANDERS): 100})  # without the offset, which is there
     assert full.causes == ()
     beside = headline(full)[1]
     assert beside.startswith("At least 3 things are wrong at once, too many to tell apart.")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
@@ -99,13 +98,23 @@ def test_a_cause_that_is_not_sure_enough_leaves_something_and_a_faint_one_nothin
     assert (faint.verdict, faint.named) == (Verdict.NOTHING_FOUND, [])
 
 
-def test_where_all_slots_are_full_nothing_is_named(asked):
-    many = (OFFSET, GAIN, CROSS, WANDERS, STEPS, Cause("current_gain", "coil1"))
-    slots = Slots(asked.slots.products, asked.slots.noise, len(many))
-    slots.conditional = lambda chosen, noise: np.array([0.9, 0.1])  # one more is probable
-    few = replace(asked, slots=slots)
-    outcome = outcome_of(said(few, {many: 100}))
-    assert (outcome.verdict, outcome.named) == (Verdict.UNEXPLAINED, [])
+def with_slots(asked: Asked, n: int) -> Asked:
+    """The same with so many slots."""
+    return replace(asked, slots=Slots(asked.slots.products, asked.slots.noise, n))
+
+
+def test_where_all_slots_are_full_and_more_is_there_nothing_is_named(of_two_causes: Answer):
+    """A gain and an offset are there, and fill none of the slots."""
+    full = outcome_of(said(with_slots(of_two_causes.first, 2), {(CROSS, WANDERS): 100}))
+    assert (full.verdict, full.named) == (Verdict.UNEXPLAINED, [])
+    spare = outcome_of(said(of_two_causes.first, {(CROSS, WANDERS): 100}))
+    assert [named.cause for named in spare.named] == [CROSS]
+
+
+def test_all_that_was_asked_for_has_names_where_no_more_would_be_there(asked):
+    """As where one cause alone is asked for: that it fills its slot does not say that more is wrong."""
+    one = with_slots(asked, Limits(1).n_slots(asked.expansion.plain.rig))
+    assert [named.cause for named in named_by(said(one, {(OFFSET,): 100}))] == [OFFSET]
 
 
 def test_mistakes_of_the_record_alone_are_named_unless_others_do_as_well(asked):
@@ -174,16 +183,6 @@ def test_evidence_of_a_name_is_not_taken_beside_its_own_twin(of_two_causes: Answ
     comparison = next(each for each in answer.comparisons if OFFSET in each.taken)
     of_twins = {h.cause: h.log_bayes_factor for h in comparison.hypotheses if h.cause in (OFFSET, ROOM)}
     assert of_twins[OFFSET] == pytest.approx(of_twins[ROOM], abs=1.0)
-
-
-def test_the_only_thing_that_was_asked_for_may_have_a_name(of_two_causes: Answer):
-    """As a recalibration may ask for one cause: that it fills its slot does not say that more is wrong."""
-    first = of_two_causes.first
-    one = replace(
-        first,
-        slots=Slots(first.slots.products, first.slots.noise, Limits(1).n_slots(first.expansion.plain.rig)),
-    )
-    assert [named.cause for named in named_by(said(one, {(OFFSET,): 100}))] == [OFFSET]
 
 
 def test_a_number_that_is_pulled_far_from_its_prior_is_unexplained(small_rig: Rig, small_session: Session):
