@@ -3,6 +3,8 @@
 Modules that declare what commands without tensors read, such as rigs and causes, take both from here: `from estimator.tensors import
 Tensor, torch`. Such a module computes nothing with torch while it is imported: no constant is a tensor, no default a dtype. Modules of fits
 import torch itself.
+
+`importlib.util.LazyLoader` would put an unloaded torch into `sys.modules`, where SciPy looks for one, and loads it.
 """
 
 from __future__ import annotations
