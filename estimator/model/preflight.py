@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import NoReturn
 
-
 from estimator.errors import Faults, InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations

@@ -8,6 +8,7 @@ another.
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import signal
 import sys
@@ -62,6 +63,7 @@ def _forked(function: Callable[[Item], Result], items: Sequence[Item]) -> Iterat
 
 def _answer(function: Callable[[Item], Result], item: Item, connection: Connection) -> None:
     """Work of a fork. Ctrl-C is for the program that waits; whoever ends the fork itself, ends it."""
+    gc.disable()  # a collection would look at all objects of the program, and so copy its memory page by page
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
     with suppress(Exception):
