@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import ClassVar
 
-from torch import Tensor
-
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
 from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
 from estimator.rig.rig import Body, Mover, Rig
+from estimator.tensors import Tensor
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
 

@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
@@ -25,6 +23,7 @@ from estimator.field.sided import SidedWinding
 from estimator.field.winding import Rule, Winding, field_of_loops
 from estimator.frames import Transform
 from estimator.rig.rig import Coil, Rig, SidedCoil
+from estimator.tensors import Tensor, torch
 
 FEWEST_COMPONENTS = 10  # from which on a sensor's residuals say anything of its scatter
 

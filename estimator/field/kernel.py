@@ -17,12 +17,10 @@ from typing import Any
 
 import numba
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
-from torch.autograd import forward_ad
 
 from estimator.field.loop import FEWEST_STEPS
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 POINTS_AT_ONCE = 32  # in a block
@@ -57,7 +55,7 @@ def has_derivatives(tensor: Tensor) -> bool:
     return (
         (tensor.requires_grad and torch.is_grad_enabled())
         or torch._C._functorch.is_functorch_wrapped_tensor(tensor)
-        or forward_ad.unpack_dual(tensor).tangent is not None
+        or torch.autograd.forward_ad.unpack_dual(tensor).tangent is not None
     )
 
 

@@ -6,9 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, at_least_zero, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -16,6 +14,7 @@ from estimator.effects.stages import HolderEffect, PerAmpere, RoomEffect
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
+from estimator.tensors import Tensor, torch
 
 GAPS = (0.3, 1.0)  # of the reach, between the positions and a plane behind them
 LEAST_BETWEEN = 0.5  # of the reach: how far sensors must lie apart for a plate to stand between them

@@ -6,14 +6,13 @@ import math
 from typing import ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import FEWEST_COMPONENTS, NoiseEffect, NoiseEstimate, Prediction
 from estimator.rig.parameters import LogNormal, Uniform
+from estimator.tensors import Tensor, torch
 
 EM_STEPS = 60
 MOST_SHARE = 0.1  # of readings that an instrument spoils, as `source` has it

@@ -13,9 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import WHEN, Effect, Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
@@ -23,6 +21,7 @@ from estimator.effects.stages import OneCoilCurrent
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, world_from_body
 from estimator.rig.rig import Body
+from estimator.tensors import Tensor, torch
 
 KEY = re.compile(r"degree(?P<degree>\d+)_\w+")
 TYPICAL_SHARE = 1e-3  # of the largest field, or of the reach: the width until a diagnosis sets it

@@ -9,15 +9,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.corrections.correction import InTime, ShareOfCurrent
 from estimator.effects.stages import MotionEffect, ReadingEffect, RoomEffect
 from estimator.frames import Transform
+from estimator.tensors import Tensor, torch
 
 
 class _Steps(InTime):

@@ -10,7 +10,7 @@ import torch
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.instants import on_known_sides
-from estimator.diagnosis.mixture.listed import _at_finer_instants, starts_of
+from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, starts_of
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
@@ -49,11 +49,11 @@ def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(
     """It would gain by the number of its instants else."""
     fit = fit_of(small_rig, small_session.observations.calibration)
     (start, *_) = starts_of(fit, candidates(fit, [Cause("offset_step", "hall")]))
-    finer = _at_finer_instants(fit, start)
+    finer = _at_finer_instants(fit, _weighed(fit, [start])[start.candidate.cause][0])
     assert len(finer) > 1
     assert sum(math.exp(each.log_prior) for each in finer) == pytest.approx(math.exp(start.log_prior))
     (gain,) = starts_of(fit, candidates(fit, [Cause("axis_gain", "hall")]))
-    assert _at_finer_instants(fit, gain) == []
+    assert _at_finer_instants(fit, _weighed(fit, [gain])[gain.candidate.cause][0]) == []
 
 
 def test_a_spell_is_found_between_the_readings_at_which_it_begins_and_ends(

@@ -111,7 +111,7 @@ def test_causes_that_are_not_sure_enough_to_be_stated_correct_by_themselves(
     assert correction.is_taken
     assert correction.parts == ()
     assert len(correction.final.rig.effects) == 2
-    assert "by causes that are not sure enough to be stated;" in correction.words(str)
+    assert "by causes that are not sure enough to be stated." in correction.words(str)
     gain = improvement_of(bare, correction.final, two_causes.validation)
     assert correction.judged_by(gain).is_taken
     assert gain.after.errors.vector_T < 0.5 * gain.before.errors.vector_T
