@@ -196,7 +196,7 @@ def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_s
     assert "holds its x back: 100 µT with a prior of ± 7.1 µT, about 200 µT without" in sentence
 
 
-def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosis, tmp_path: Path) -> None:
+def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosis) -> None:
     assert "Far from what the rig file expects" not in as_text(diagnosis)
     narrow = diagnosis.rig.with_parameters(
         [replace(diagnosis.rig.parameters[RADIUS], prior=Normal(0.9, 1e-3))]
@@ -205,7 +205,7 @@ def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosi
     words = "Far from what the rig file expects: radius is"
     assert words in as_text(strained)
     assert "where 900 is expected" in as_text(strained)
-    assert _text(strained, tmp_path).splitlines()[1].strip().startswith(words)
+    assert _text(strained).splitlines()[1].strip().startswith(words)
 
 
 def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(
@@ -223,9 +223,7 @@ def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(
     assert any(sentence.startswith("Check z in the rig file") for sentence in rest)
 
 
-def test_a_report_does_not_fail_for_one_part(
-    diagnosis: Diagnosis, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_report_does_not_fail_for_one_part(diagnosis: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
     """A sentence, a warning, a table and the figures fail; all others stand, and each that fails is told in its place."""
     monkeypatch.setattr(logging.getLogger("estimator.diagnosis.part_by_part"), "handlers", [])
     whole = headline(diagnosis)
@@ -249,7 +247,7 @@ def test_a_report_does_not_fail_for_one_part(
         "Symptoms",
     ):
         assert words in page
-    assert first in _text(diagnosis, tmp_path)
+    assert first in _text(diagnosis)
     assert len(pictures(diagnosis)) >= 3
 
 
@@ -388,8 +386,8 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     race = next(p for p in pictures(unexplained) if p.title == "Hypotheses, comparison 1").figure
     assert str(Role.STAND_IN) in [text.get_text() for text in race.legends[0].get_texts()]
     assert str(Role.NAMED) not in [text.get_text() for text in race.legends[0].get_texts()]
-    assert f"rig_extended.yaml also has {label}: it predicts better" in _text(unexplained, Path("out"))
-    assert "also has" not in _text(diagnosis, Path("out"))
+    assert f"rig_extended.yaml also has {label}: it predicts better" in _text(unexplained)
+    assert "also has" not in _text(diagnosis)
 
 
 GAIN, STEPS, WANDERS = Cause("axis_gain", "hall"), Cause("gain_steps", "hall"), Cause("zero_wanders", "hall")
