@@ -162,7 +162,7 @@ CREDIBLE_SHARE = 0.95
 verdict or names change in 1."""
 
 MOST_CAUSES = 6
-"""Things that may be wrong at once, by default. Effort: each costs a draw a sweep; few sessions have more flaws that show."""
+"""Things that may be wrong at once, by default. Effort: each costs a draw a sweep; few sessions have more flaws that show. Study: not in it."""
 
 # Flexible curves, for what no cause explains
 
@@ -331,4 +331,4 @@ share scatters by some per cent. Study: not in it."""
 
 LEAST_MISFIT_TOLD = 0.1
 """Squared error of the rig as described beyond the noise, over that of the noise, from which on an error budget is told. By judgement:
-below, shares are of chance."""
+below, shares are of chance. Study: not in it."""
