@@ -162,7 +162,8 @@ CREDIBLE_SHARE = 0.95
 verdict or names change in 1."""
 
 MOST_CAUSES = 6
-"""Things that may be wrong at once, by default. Effort: each costs a draw a sweep; few sessions have more flaws that show. Study: not in it."""
+"""Things that may be wrong at once, by default. Effort: each costs a draw a sweep; few sessions have more flaws that show. Study: not in
+it."""
 
 # Flexible curves, for what no cause explains
 
