@@ -15,7 +15,7 @@ STUDIES := paper two-arms coverage hidden open-world mixed truthful written-wron
 	unexplained-posteriors leave-one-out one-map policy real diagnose-real mice-floor mice-filaments \
 	harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice fuzz-service \
 	service-storm service-soak figures bench bench-kernel bench-growth bench-profile bench-live \
-	bench-diagnose bench-batch bench-device bench-service test-device browser
+	bench-diagnose bench-commands bench-batch bench-device bench-service test-device browser
 
 .PHONY: demo demo-service test checks lint types imports unit slow docs results words study $(STUDIES)
 

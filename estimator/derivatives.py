@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.side_by_side import each
+from estimator.tensors import Tensor, torch
 
 # Entries of a Jacobian from which on its paths take less time side by side than one after another.
 LARGE = 2**17

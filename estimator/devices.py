@@ -7,10 +7,9 @@ reports stay on the processor.
 from __future__ import annotations
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from estimator.errors import InvalidInput, quoted
+from estimator.tensors import Tensor, torch
 
 PRECISIONS = {"double": torch.float64, "single": torch.float32}
 

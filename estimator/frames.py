@@ -15,10 +15,9 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
-from torch.autograd import forward_ad
+
+from estimator.tensors import Tensor, torch
 
 # Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
 # digits there and are 0/0 at zero. The series stop at the first term below rounding.
@@ -56,8 +55,9 @@ class Transform:
     translation_m: Float[Tensor, "*#batch 3"]
 
     @classmethod
-    def identity(cls, dtype: torch.dtype = torch.float64, device: torch.device | str = "cpu") -> Transform:
-        """The transform of a frame to itself, without batch axes."""
+    def identity(cls, dtype: torch.dtype | None = None, device: torch.device | str = "cpu") -> Transform:
+        """The transform of a frame to itself, without batch axes, in double precision where no other is named."""
+        dtype = dtype or torch.float64
         return cls(torch.eye(3, dtype=dtype, device=device), torch.zeros(3, dtype=dtype, device=device))
 
     @classmethod
@@ -178,7 +178,7 @@ def _may_be_numbers(tensor: Tensor) -> bool:
         and tensor.device.type == "cpu"
         and not torch.compiler.is_compiling()
         and not torch._C._functorch.is_functorch_wrapped_tensor(tensor)
-        and forward_ad.unpack_dual(tensor).tangent is None
+        and torch.autograd.forward_ad.unpack_dual(tensor).tangent is None
     )
 
 

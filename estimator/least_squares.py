@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
+
+from estimator.tensors import Tensor, torch
 
 
 def least_squares(

@@ -16,7 +16,7 @@ from contextvars import ContextVar, copy_context
 from functools import cache, partial
 from typing import Generic, TypeVar
 
-import torch
+from estimator.tensors import torch
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")

@@ -1,13 +1,15 @@
-"""The figures of one calibration: fit, residuals around each coil, field and posterior."""
+"""The figures of one calibration: fit, residuals around each coil, field and posterior.
+
+Fields are computed here, pictures are drawn by the page.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from functools import partial
 
 import numpy as np
 import torch
-from matplotlib.figure import Figure
 
 from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
@@ -47,19 +49,19 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
     yield Picture(
         "Predicted against measured",
         "Points should lie on the line. About two residuals in three should lie inside the band (one standard deviation), without a trend.",
-        _figure(plots.predicted_against_measured(measured_T, predicted_T, sigma_T, title=title)),
+        partial(plots.predicted_against_measured, measured_T, predicted_T, sigma_T, title=title),
     )
     yield Picture(
         "Whitened residuals",
         "If the model is complete the histogram follows the normal curve.",
-        _figure(plots.residual_histogram(residual_T, sigma_T, title=title)),
+        partial(plots.residual_histogram, residual_T, sigma_T, title=title),
     )
     if len(by_sensor_T) > 1:
         names = [s.name for s in calibration.rig.sensors]
         yield Picture(
             "Residuals by sensor",
             "A sensor or component that stands out has a fault; if the noise was fitted, the components of a sensor average to 1.",
-            _figure(plots.residual_by_sensor(residual_T, sensor, names, sigma_T, title=title)),
+            partial(plots.residual_by_sensor, residual_T, sensor, names, sigma_T, title=title),
         )
     for coil, positions_m, winding in _sensor_positions(calibration, model, best):
         yield from _maps(coil, positions_m, winding, measured_T, predicted_T, sigma_T, title)
@@ -81,18 +83,18 @@ def _maps(
     yield Picture(
         f"Residual around {coil.name}",
         "Length of the residual where the sensor stood, in the coil's frame; a pattern points to something the model lacks.",
-        plots.residual_map(shown_m, measured - predicted, winding, sigma_T=one_sigma, title=title),
+        partial(plots.residual_map, shown_m, measured - predicted, winding, sigma_T=one_sigma, title=title),
     )
     yield Picture(
         f"Relative error around {coil.name}",
         "Residual over measured field; it grows where the field is weak.",
-        plots.relative_error_map(shown_m, measured, predicted, winding, title=title),
+        partial(plots.relative_error_map, shown_m, measured, predicted, winding, title=title),
     )
     if np.isfinite(measured).all(axis=1).any():
         yield Picture(
             f"Angular deviation around {coil.name}",
             "Angle between measured and predicted field.",
-            plots.angular_deviation_map(shown_m, measured, predicted, winding, title=title),
+            partial(plots.angular_deviation_map, shown_m, measured, predicted, winding, title=title),
         )
 
 
@@ -122,19 +124,21 @@ def _posterior_figures(calibration: Calibration, title: str) -> Iterator[Picture
     yield Picture(
         "What the data taught",
         f"Posterior interval of {which} in units of its prior; a narrow one is determined by the data.",
-        _figure(plots.interval_summary(shown, priors, calibration.summary()["truth"] or None, title=title)),
+        partial(plots.interval_summary, shown, priors, calibration.summary()["truth"] or None, title=title),
     )
     if len(moving) > 1:
         point = {name: calibration.best[name] for name in moving}
         yield Picture(
             "Posterior",
             "68 and 95 % regions; narrow diagonal bands are combinations that the data determine better than single parameters.",
-            plots.corner({name: draws[name] for name in moving}, truth or None, point, title=title),
+            partial(plots.corner, {name: draws[name] for name in moving}, truth or None, point, title=title),
         )
     yield Picture(
         "Trace",
         "Walkers should mix and not drift.",
-        plots.traces({name: calibration.draws[name].T for name in moving or list(draws)[:1]}, title=title),
+        partial(
+            plots.traces, {name: calibration.draws[name].T for name in moving or list(draws)[:1]}, title=title
+        ),
     )
 
 
@@ -162,7 +166,7 @@ def _spectra(calibration: Calibration, title: str) -> Iterator[Picture]:
         yield Picture(
             f"Harmonics of {coil.name}",
             "Points far above the band are known; where they sink into it, readings tell no more. If the last stand out, raise `degree`.",
-            _figure(plots.harmonic_spectrum(medians, sds, prior_sd, title=title)),
+            partial(plots.harmonic_spectrum, medians, sds, prior_sd, title=title),
         )
 
 
@@ -210,7 +214,8 @@ def _plane(
     yield Picture(
         f"Field of {coil.name}",
         "Field per ampere in the plane through the axis, and its uncertainty: the model is known best where readings were taken.",
-        plots.field_plane(
+        partial(
+            plots.field_plane,
             x_m,
             z_m,
             field.reshape(*shape, 3),
@@ -240,8 +245,3 @@ def _field_in_coil_frame(
     )
     half_width = 0.5 * (upper - lower) / field.norm(dim=-1)
     return world_from_coil.unrotate(field).numpy(), half_width.numpy()
-
-
-def _figure(axes: Any) -> Figure:
-    figure: Figure = axes.figure
-    return figure

@@ -9,14 +9,12 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import xarray as xr
 from jaxtyping import Float
 from torch import Tensor
-from zarr.codecs import Crc32cCodec, ZstdCodec
 
 from estimator.devices import numpy_of
 from estimator.errors import CorruptStore, InvalidInput, cut, quoted
@@ -33,9 +31,13 @@ from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.admission import admit, admit_readings
 from estimator.store.files import kind_of, unwritable, write_text
 from estimator.store.made import GROUP, Made, arrays_of, holds
-from estimator.store.session import ARRAYS, digest, observation_arrays, observations_from, quiet_zarr
+from estimator.store.session import ARRAYS, observation_arrays, observations_from
 from estimator.store.staging import staged
+from estimator.store.tree import Node, read_tree, tree_hash
 from estimator.units import LARGEST
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 SCHEMA_VERSION = 1
 POSTERIOR_STORE, SUMMARY_FILE, CHAIN_STORE, REPORT = (
@@ -275,33 +277,27 @@ class Calibration:
         try:
             text = read_given(folder / SUMMARY_FILE, MOST_RESULT_BYTES, CorruptStore)
             summary = json_object(text, folder / SUMMARY_FILE, CorruptStore)
-            with (
-                quiet_zarr(),
-                xr.open_datatree(
-                    folder / POSTERIOR_STORE, engine="zarr", consolidated=False, zarr_format=3
-                ) as tree,
-            ):
-                tree.load()
-            if tree.attrs["schema_version"] != SCHEMA_VERSION:
+            tree = read_tree(folder / POSTERIOR_STORE)
+            attributes = tree["/"].attributes
+            if attributes["schema_version"] != SCHEMA_VERSION:
                 raise CorruptStore(
-                    f"calibration schema_version must be {SCHEMA_VERSION}; received {quoted(tree.attrs['schema_version'])} ({folder})"
+                    f"calibration schema_version must be {SCHEMA_VERSION}; received {quoted(attributes['schema_version'])} ({folder})"
                 )
-            stored_hash = tree.attrs.pop("sha256")
-            if stored_hash != _tree_hash(tree):
+            stored_hash = attributes.pop("sha256")
+            if stored_hash != tree_hash(tree):
                 raise CorruptStore(
                     f"calibration must match its SHA-256; {folder / POSTERIOR_STORE} was altered or lost a chunk"
                 )
             # Version 0.1 and the first of 0.2 did not seal the summary.
-            if tree.attrs.get(SUMMARY_SEAL, _sha256(text)) != _sha256(text):
+            if attributes.get(SUMMARY_SEAL, _sha256(text)) != _sha256(text):
                 raise CorruptStore(
                     f"calibration must match its SHA-256; {folder / SUMMARY_FILE} was altered, or belongs to another posterior"
                 )
-            attributes = tree.attrs
-            arrays = {**_arrays(tree.children["constant_data"]), **_arrays(tree.children["observed_data"])}
+            arrays = {**tree["/constant_data"].arrays, **tree["/observed_data"].arrays}
             rig = rig_from_state(json.loads(attributes["rig"]), f"rig inside {folder}")
             admit_readings(arrays, rig, str(folder))
             observations, best = observations_from(arrays, rig), json.loads(attributes["best"])
-            draws, log_prob = _arrays(tree.children["posterior"]), tree["sample_stats/lp"].to_numpy()
+            draws, log_prob = tree["/posterior"].arrays, tree["/sample_stats"].arrays["lp"]
             _check_numbers(rig, best, draws, log_prob, folder)
             if any(not isinstance(summary[key], kind) for key, kind in SUMMARY_KEYS.items()):
                 raise CorruptStore(
@@ -316,6 +312,9 @@ class Calibration:
         return cls(rig, observations, best, draws, log_prob, summary)
 
     def _write_posterior(self, path: Path, summary: str) -> None:
+        import xarray as xr  # almost a second, which whoever reads does without
+        from zarr.codecs import Crc32cCodec, ZstdCodec
+
         walkers, steps = self.log_prob.shape
         coords = {"chain": np.arange(walkers), "draw": np.arange(steps)}
         attributes = {
@@ -335,7 +334,7 @@ class Calibration:
                 "/constant_data": xr.Dataset(arrays),
             }
         )
-        tree.attrs["sha256"] = _tree_hash(tree)
+        tree.attrs["sha256"] = tree_hash({node.path: _as_read(node) for node in tree.subtree})
         checksummed = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
         encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
         tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
@@ -439,15 +438,10 @@ def _sha256(text: bytes) -> str:
     return hashlib.sha256(text).hexdigest()
 
 
-def _tree_hash(tree: xr.DataTree) -> str:
-    """SHA-256 over every array and attribute of a tree."""
-    arrays = {
-        f"{node.path} {name}": (tuple(str(d) for d in variable.dims), variable.to_numpy())
-        for node in tree.subtree
+def _as_read(node: xr.DataTree) -> Node:
+    """A node of a tree as `read_tree` will find it."""
+    variables = {
+        str(name): (tuple(map(str, variable.dims)), variable.to_numpy())
         for name, variable in node.dataset.variables.items()
     }
-    return digest(arrays, {node.path: dict(node.attrs) for node in tree.subtree})
-
-
-def _arrays(node: xr.DataTree) -> dict[str, np.ndarray]:
-    return {str(name): array.to_numpy() for name, array in node.data_vars.items()}
+    return Node({str(name): value for name, value in node.attrs.items()}, variables)

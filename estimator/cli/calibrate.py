@@ -1,10 +1,13 @@
-"""`coilcal calibrate`: from a session to a posterior and its report."""
+"""`coilcal calibrate`: from a session to a posterior and its report.
+
+The result is printed before the report is drawn, which takes as long as the estimate. A program that reads JSON gets it when all is there.
+"""
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,6 +23,9 @@ from estimator.cli.options import (
     seed_option,
 )
 from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
+
+if TYPE_CHECKING:
+    from estimator.calibration.result import Calibration
 
 MOST_WALKERS, MOST_STEPS = 100_000, 1_000_000_000  # more fit into no memory
 MOST_LISTED = 50  # amplitudes on the screen
@@ -84,34 +90,35 @@ def calibrate_command(
     Run the same command again to continue a calibration that was interrupted.
     """
     from estimator.calibration.calibrate import calibrate
-    from estimator.calibration.report import calibration_report
     from estimator.cli.stage_progress import StageReporter
     from estimator.inference.ensemble import SamplerSettings
     from estimator.rig_files.read import load_rig
-    from estimator.store.files import write_text
     from estimator.store.session import load_session
     from estimator.store.staging import only_writer
 
     session = load_session(session_path)
     rig = load_rig(rig_path) if rig_path else None
     settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
-    with only_writer(out), StageReporter() as reporter:
-        calibration = calibrate(
-            session,
-            rig,
-            out=out,
-            overwrite=overwrite,
-            seed=seed,
-            settings=settings,
-            has_integer_counts=counts == "integer",
-            as_described=as_described,
-            device=device,
-            precision=precision,
-            on_stage=reporter,
-        )
-        command = command_of(click.get_current_context())
-        write_text(out / "report.html", calibration_report(calibration, command))
-    show(dict(calibration.summary()), _text(calibration.summary(), out), as_json)
+    with only_writer(out):
+        with StageReporter() as reporter:
+            calibration = calibrate(
+                session,
+                rig,
+                out=out,
+                overwrite=overwrite,
+                seed=seed,
+                settings=settings,
+                has_integer_counts=counts == "integer",
+                as_described=as_described,
+                device=device,
+                precision=precision,
+                on_stage=reporter,
+            )
+        summary = dict(calibration.summary())
+        if not as_json:
+            show(summary, _text(summary), as_json)
+        _write_report(calibration, out / "report.html")
+    show(summary, f"report: {out / 'report.html'}", as_json)
     if not calibration.summary()["is_converged"]:
         click.echo(
             f"coilcal: sampling did not converge in {calibration.summary()['sampling']['steps']} steps; intervals are provisional "
@@ -124,7 +131,14 @@ def calibrate_command(
         sys.exit(EXIT_NOT_CONVERGED)
 
 
-def _text(summary: Any, out: Path) -> str:
+def _write_report(calibration: Calibration, path: Path) -> None:
+    from estimator.calibration.report import calibration_report  # matplotlib, after the result
+    from estimator.store.files import write_text
+
+    write_text(path, calibration_report(calibration, command_of(click.get_current_context())))
+
+
+def _text(summary: Any) -> str:
     from estimator.calibration.notes import told_by_data
     from estimator.reporting.numbers import displays, percent, probability
 
@@ -168,7 +182,6 @@ def _text(summary: Any, out: Path) -> str:
         f"not determined by the data: {direction['words']}"
         for direction in told_by_data(summary["undetermined"], summary.get("fitted_besides", ()))
     ]
-    lines.append(f"report: {out / 'report.html'}")
     return "\n".join(lines)
 
 

@@ -1,30 +1,37 @@
-"""What a file or folder of coilcal is, and what it holds: as lines for people and as a record for programs."""
+"""What a file or folder of coilcal is, and what it holds: as lines for people and as a record for programs.
+
+A kind of folder is recognised by names of files, which are stated here: what reads the folder is loaded once it is known to be one.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from estimator.calibration.result import CHAIN_STORE, SUMMARY_FILE, Calibration
 from estimator.cli.understood import rig_lines, rig_record
 from estimator.cli.words import duration_words
-from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
-from estimator.diagnosis.verdict import UNKNOWN
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.json_files import read_json
-from estimator.recalibration.registry import LOG, VERSIONS, Registry
 from estimator.reporting.numbers import displays, interval_with_unit, probability, quantity_words
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.csv_lines import cells_of, csv_blocks
-from estimator.store.importers.readings_csv import FIELD
-from estimator.store.session import Session, is_growing, is_session, load_session
+from estimator.store.session import is_growing, is_session
 from estimator.units import split_unit
 from estimator.yaml_section import Section
 
-JOBS, RESULT_FILE = "jobs", "result.json"  # of `estimator.batching`, which needs an extra
-DATABASE = "coilcal.sqlite"  # of `estimator.service`, likewise
+if TYPE_CHECKING:
+    from estimator.store.session import Session
+
+# Of the modules that write them; a test holds each together with its own.
+SUMMARY_FILE, CHAIN_STORE = "summary.json", "chain.zarr"  # `calibration.result`
+DIAGNOSIS, CALIBRATION_FOLDER = "diagnosis.json", "calibration"  # `diagnosis.result`
+UNKNOWN = "something not in the library"  # `diagnosis.verdict`
+VERSIONS, LOG = "versions", "log.jsonl"  # `recalibration.registry`
+JOBS, RESULT_FILE = "jobs", "result.json"  # `batching`, which needs an extra
+DATABASE = "coilcal.sqlite"  # `service`, likewise
+FIELD = ("Bx", "By", "Bz")  # `store.importers.readings_csv`
 MOST_LINES = 8  # of a list inside; `--json` has all of it
 Contents = tuple[dict[str, Any], list[str]]
 
@@ -130,6 +137,8 @@ def _is_plain_folder(path: Path) -> bool:
 
 
 def _session(path: Path) -> Contents:
+    from estimator.store.session import load_session
+
     session = load_session(path)
     o = session.observations
     n_validation = int(o.is_validation.sum())
@@ -176,6 +185,8 @@ def _growing(path: Path) -> Contents:
 
 
 def _calibration(path: Path) -> Contents:
+    from estimator.calibration.result import Calibration
+
     summary = dict(Calibration.load(path).summary())
     quality = summary.get("quality", {"verdict": "not judged", "reasons": []})
     return summary, [
@@ -244,6 +255,8 @@ def _with_interval(told: dict[str, Any]) -> str:
 
 
 def _registry(path: Path) -> Contents:
+    from estimator.recalibration.registry import Registry
+
     registry = Registry(path)
     entries = registry.entries()
     conclusions = Counter(entry.conclusion for entry in entries)

@@ -66,7 +66,11 @@ if TYPE_CHECKING:
     default=math.inf,
     help="Time for search and corrections. When it is over, the best so far is reported; the same command goes on from there.",
 )
-@click.option("--most-causes", type=click.IntRange(min=0), help="Number of causes at which the search ends.")
+@click.option(
+    "--most-causes",
+    type=click.IntRange(min=0),
+    help="Things that may be wrong at once; 6 by default, and one more for each further sensor and coil.",
+)
 @click.option(
     "--thin",
     "most_readings",
@@ -100,16 +104,13 @@ def diagnose_command(
 
     A diagnosis that was killed, stopped (Ctrl-C, SIGTERM) or ran out of --minutes goes on when the same command is given again.
     """
-    from estimator.calibration.report import calibration_report
     from estimator.cli.search_progress import SearchReporter
     from estimator.diagnosis import policy
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.fit_journal import FITS
     from estimator.diagnosis.limits import Limits
-    from estimator.diagnosis.report import diagnosis_report
-    from estimator.diagnosis.result import CALIBRATION_FOLDER, MADE, REPORT
+    from estimator.diagnosis.result import MADE
     from estimator.rig_files.read import load_rig
-    from estimator.store.files import write_text
     from estimator.store.session import load_session
     from estimator.store.staging import check_output, staged
 
@@ -118,7 +119,7 @@ def diagnose_command(
     session = load_session(session_path)
     validation = load_session(validation_path) if validation_path else None
     rig = load_rig(rig_path) if rig_path else None
-    limits = Limits(policy.MOST_CAUSES if most_causes is None else most_causes, minutes)
+    limits = Limits(most_causes, minutes)
     with (
         SearchReporter() as reporter,
         _stopping(limits, reporter.stage),
@@ -140,13 +141,24 @@ def diagnose_command(
             on_stage=reporter.stage,
             on_progress=reporter.progress,
         )
-        command = command_of(click.get_current_context())
-        write_text(unfinished / REPORT, diagnosis_report(diagnosis, command))
-        if diagnosis.posterior is not None:
-            write_text(
-                unfinished / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command)
-            )
-    show(diagnosis.to_json(), _text(diagnosis, out), as_json)
+        reporter.stop()
+        if not as_json:
+            show(diagnosis.to_json(), _text(diagnosis), as_json)
+        _write_reports(diagnosis, unfinished)
+    show(diagnosis.to_json(), _written(out), as_json)
+
+
+def _write_reports(diagnosis: Diagnosis, folder: Path) -> None:
+    """Draw the pages, for which matplotlib is loaded after the result is printed."""
+    from estimator.calibration.report import calibration_report
+    from estimator.diagnosis.report import diagnosis_report
+    from estimator.diagnosis.result import CALIBRATION_FOLDER, REPORT
+    from estimator.store.files import write_text
+
+    command = command_of(click.get_current_context())
+    write_text(folder / REPORT, diagnosis_report(diagnosis, command))
+    if diagnosis.posterior is not None:
+        write_text(folder / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
 
 
 def _keep_fits(unfinished: Path, before: Path | None) -> None:
@@ -184,10 +196,15 @@ def _stopping(limits: Limits, tell: Callable[[str], None]) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _text(diagnosis: Diagnosis, out: Path) -> str:
-    from estimator.diagnosis.headline import difference_words, headline, held_back, tension_words
-    from estimator.diagnosis.hypotheses.step import leaves_structure
+def _written(out: Path) -> str:
     from estimator.diagnosis.result import DIAGNOSIS, EXTENDED_RIG, REPORT
+
+    return f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}, {out / REPORT}"
+
+
+def _text(diagnosis: Diagnosis) -> str:
+    from estimator.diagnosis.headline import difference_words, headline, held_back, tension_words
+    from estimator.diagnosis.result import EXTENDED_RIG
     from estimator.reporting.numbers import interval_with_unit, odds, percent, probability, quantity_words
 
     left_open, improvement = diagnosis.left_open, diagnosis.improvement
@@ -210,15 +227,13 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
     if diagnosis.findings.stand_ins:
         names = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
         lines.append(
-            f"  {EXTENDED_RIG} also has {names}: needed here, but something unknown may look like them"
+            f"  {EXTENDED_RIG} also has {names}: it predicts better with them, but they are not sure enough to be stated"
         )
     if diagnosis.verdict.leaves_something:
-        remainder = diagnosis.findings.search.remainder
-        lines.append(
-            f"  {odds(remainder.log_bayes_factor)} that something is left beside the causes, which depends on {remainder.family}"
-        )
-        scatter = diagnosis.findings.search.scatter
-        if leaves_structure(scatter):
+        left, scatter = diagnosis.findings.answer.left, diagnosis.findings.scatter
+        if left.log_bayes_factor > 0.0:
+            lines.append(f"  {odds(left.log_bayes_factor)} that something no list holds acts in {left.words}")
+        if scatter.is_probable:
             lines.append(
                 f"  {odds(scatter.log_bayes_factor)} that how far readings miss depends on {scatter.along}"
             )
@@ -235,5 +250,4 @@ def _text(diagnosis: Diagnosis, out: Path) -> str:
             f"of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.coverage90, 1)}; log predictive density "
             f"{improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
         )
-    lines.append(f"written: {out / DIAGNOSIS}, {out / EXTENDED_RIG}, {out / REPORT}")
     return "\n".join(lines)

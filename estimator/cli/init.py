@@ -58,7 +58,7 @@ def init_command(folder: Path, is_quiet: bool, overwrite: bool, as_json: bool, *
 
     What no option gives is asked for; where nobody can answer, as in a script, the default counts.
     """
-    from estimator.model.simulate import simulate
+    from estimator.cli.understood import plan_record
     from estimator.readings.plan import plan_from_text
     from estimator.rig_files.read import rig_from_text
     from estimator.rig_files.starter import (
@@ -84,12 +84,12 @@ def init_command(folder: Path, is_quiet: bool, overwrite: bool, as_json: bool, *
     rig_text, plan_text = starter_rig_text(starter), starter_plan_text(starter)
     rig = rig_from_text(rig_text, str(rig_path))
     plan = plan_from_text(plan_text, rig, str(plan_path))
-    readings = simulate(rig, plan, {}, seed=0)
     with only_writer(folder):
         write_output(rig_path, rig_text, overwrite)
         write_output(plan_path, plan_text, overwrite)
-    result = {"rig": str(rig_path), "plan": str(plan_path), "readings": len(readings), "free": len(rig.free)}
-    show(result, _text(folder, rig_path, plan_path, len(readings), len(rig.free)), as_json)
+    n_readings = plan_record(plan, rig)["readings"]
+    result = {"rig": str(rig_path), "plan": str(plan_path), "readings": n_readings, "free": len(rig.free)}
+    show(result, _text(folder, rig_path, plan_path, n_readings, len(rig.free)), as_json)
 
 
 def _answer(key: str, given: Any, is_quiet: bool) -> Any:

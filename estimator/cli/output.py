@@ -191,11 +191,13 @@ def _is_within(path: Path, folder: Path) -> bool:
 
 
 def use_threads(n_threads: int) -> None:
-    """Set the threads of one tensor operation, here and in the processes that this one starts."""
-    import torch
+    """Set the threads of one tensor operation, here and in the processes that this one starts.
 
-    torch.set_num_threads(n_threads)
-    os.environ.setdefault("OMP_NUM_THREADS", str(n_threads))
+    torch reads the variable when it is loaded, which commands that compute nothing never do.
+    """
+    os.environ["OMP_NUM_THREADS"] = str(n_threads)
+    if torch := sys.modules.get("torch"):
+        torch.set_num_threads(n_threads)
 
 
 @contextmanager

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimator.cli.words import duration_words, prior_words
 from estimator.readings.plan import Plan
 from estimator.reporting.numbers import SHOWN_IN
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Body, Coil, EquivalentSourceCoil, Mover, Rig, SidedCoil
-from estimator.store.importers.table import Table
 from estimator.units import UNITS
+
+if TYPE_CHECKING:
+    from estimator.store.importers.table import Table
 
 MOST_FREE = 30  # parameters that are listed one by one; a coil without a winding has hundreds
 

@@ -14,24 +14,24 @@ from estimator.calibration.calibrate import Stage
 from estimator.calibration.result import Calibration, remove_calibration
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
+from estimator.diagnosis.budget import budget
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.columns import Columns
+from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
     leaves_much_of_the_field,
     refit_outside,
     without_record_mistakes,
 )
-from estimator.diagnosis.hypotheses.search import search
-from estimator.diagnosis.hypotheses.search_record import Search
-from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import answer
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.naming import alternative_fits
+from estimator.diagnosis.mixture.scatter import BesideScatter, answer_beside_scatter
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.outcome import Outcome
@@ -50,10 +50,7 @@ from estimator.diagnosis.result import (
 )
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.validation import posterior_scores
-from estimator.diagnosis.verdict import (
-    NamedCause,
-    stand_ins,
-)
+from estimator.diagnosis.verdict import NamedCause
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.errors import InvalidInput
@@ -105,7 +102,7 @@ def diagnose(
         precision: `double`, or `single` for predictions of fits and of sampling; the last step of every fit, columns and evidences are in
             double precision.
         on_stage: Called with a message at the start of each stage.
-        on_progress: Called as the search fits hypotheses, with how far it is.
+        on_progress: Called as the readings are asked, with how far it is.
     Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
     Raises:
         InvalidInput: The readings cannot support a fit.
@@ -157,7 +154,7 @@ def diagnose(
     if folder is not None:
         folder.mkdir(parents=True, exist_ok=True)
         result.save(folder)
-        if not result.findings.search.ended_early:
+        if not result.findings.answer.ended_early:
             (folder / FITS).unlink(missing_ok=True)
     return result
 
@@ -223,11 +220,10 @@ def _judged_as_handed_out(result: Diagnosis, posterior: Calibration, unseen: Obs
 
 
 def _cut_short(result: Diagnosis, limits: Limits) -> Diagnosis:
-    """A diagnosis that says that it was stopped, also where that came after its search."""
-    search_result = result.findings.search
-    words = limits.words if search_result.ended_early else f"{limits.words} after its search"
-    search_result = replace(search_result, ended_early=words)
-    return replace(result, findings=replace(result.findings, search=search_result))
+    """A diagnosis that says that it was stopped, also where that came after its causes were found."""
+    answer = result.findings.answer
+    words = limits.words if answer.ended_early else f"{limits.words} after its causes were found"
+    return replace(result, findings=replace(result.findings, answer=replace(answer, ended_early=words)))
 
 
 def _is_in_doubt(result: Diagnosis) -> bool:
@@ -248,13 +244,9 @@ def _judged(
     """The diagnosis from readings to be fitted and others to judge the fits, and those that have judged them; they may be none."""
     rig, seed, plain, seen = question.rig, question.seed, first.plain, first.seen
     symptoms = meanwhile(lambda: Symptoms.of(plain, seed))
-    search_result, mistakes, visible, twins = computed_on(
-        place, lambda fit: _found(fit, first.refusal, limits, tell, on_progress), plain
-    )
-    outcome = Outcome.of(plain, search_result, mistakes, is_record_wrong=bool(first.flags or mistakes))
-    if outcome.is_doubtful and not limits.is_over:
-        tell("asking which causes stand beside what no list holds")
-        outcome = outcome.partly(answer(search_result.base, limits, seed))
+    said = computed_on(place, lambda fit: _found(fit, first.refusal, limits, seed, tell, on_progress), plain)
+    mistakes, answer = said.mistakes, said.said.answer
+    outcome = Outcome.of(plain, said.said, mistakes, is_record_wrong=bool(first.flags or mistakes))
     tell("validating on readings not used for fitting")
     if len(seen) > len(plain.observations):
         outcome = outcome.fitted_to(thinned(seen, policy.MOST_READINGS_FITTED, seed))
@@ -263,8 +255,7 @@ def _judged(
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
         outcome = outcome.checked_by(unseen)
     if outcome.verdict.leaves_something and has_corrections:
-        tell("correcting what is left, without a name")
-        outcome = outcome.corrected(unseen, place, tell, limits)
+        outcome = outcome.corrected(unseen, limits, tell)
     elif outcome.verdict.leaves_something:
         outcome = outcome.widened(unseen)
     named, extended = outcome.named, outcome.extended
@@ -273,14 +264,15 @@ def _judged(
         question=question,
         verdict=outcome.verdict,
         findings=Findings(
-            search=search_result,
+            answer=answer,
+            scatter=outcome.scatter,
+            pull=outcome.pull,
             record_mistakes=tuple(mistakes),
             causes=tuple(named),
-            stand_ins=tuple(stand_ins(search_result, named, extended)),
+            stand_ins=tuple(_stand_ins(plain.rig, mistakes, named, extended.rig)),
             flags=first.flags,
             judging_flags=tuple(judging_flags),
             outliers=tuple(outliers_of(outcome.after, first.session.observations)),
-            mixture=outcome.mixture,
         ),
         fits=Fits(
             plain=plain,
@@ -290,11 +282,12 @@ def _judged(
             after=before if extended is plain else Symptoms.of(extended, seed),
             improvement=outcome.improvement,
             correction=outcome.correction,
+            budget=budget(outcome.answer.plain, extended, on_known_sides(extended, unseen), seed),
         ),
         left_open=LeftOpen(
-            visible=tuple(visible),
-            twins=tuple(twins),
-            next_measurements=tuple(_next_measurements(search_result, named, rig)),
+            visible=tuple(said.visible),
+            twins=tuple(said.twins),
+            next_measurements=tuple(_next_measurements(answer, rig)),
             widening=outcome.widening,
         ),
         extended_rig=extended_rig(rig, outcome.after),
@@ -302,10 +295,18 @@ def _judged(
     return diagnosis, unseen
 
 
-class _Found(NamedTuple):
-    """The search, mistakes of the record, and what the session can show and tell apart of any cause."""
+def _stand_ins(
+    rig: Rig, mistakes: Sequence[RecordMistake], named: Sequence[NamedCause], extended: Rig
+) -> list[Cause]:
+    """Causes of the extended rig that are not sure enough to be stated."""
+    known = {*(cause.cause for cause in named), *(mistake.cause for mistake in mistakes), *rig.effects}
+    return [cause for cause in extended.effects if cause not in known]
 
-    search: Search
+
+class _Found(NamedTuple):
+    """What the readings say beside mistakes of the record, and what they can show and tell apart of any cause."""
+
+    said: BesideScatter
     mistakes: Sequence[RecordMistake]
     visible: Sequence[Visible]
     twins: Sequence[tuple[Cause, ...]]
@@ -315,10 +316,11 @@ def _found(
     plain: Fit,
     refusal: InvalidInput | None,
     limits: Limits,
+    seed: int,
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> _Found:
-    """What a search finds beside mistakes of the record; without such mistakes where they are doubtful.
+    """What the readings say beside mistakes of the record; without such mistakes where they are doubtful.
 
     A geometry that is refused is that of the record: it counts unless a mistake of the record puts it right.
     """
@@ -326,40 +328,39 @@ def _found(
     base, mistakes = without_record_mistakes(plain)
     if refusal is not None:
         base = refit_outside(base, refusal)
-    tell("searching for causes")
-    with_record_put_right = _searched(base, mistakes, limits, tell, on_progress)
-    if mistakes and _are_doubtful(mistakes, with_record_put_right.search):
+    tell("asking what is wrong")
+    with_record_put_right = _asked(base, mistakes, limits, seed, tell, on_progress)
+    if mistakes and _are_doubtful(mistakes, with_record_put_right.said.answer):
         if refusal is not None:
             raise refusal
-        tell("the mistakes of the record are doubtful: searching again with the record as it is")
-        return _searched(plain, [], limits, tell, on_progress)
+        tell("the mistakes of the record are doubtful: asking again with the record as it is")
+        return _asked(plain, [], limits, seed, tell, on_progress)
     return with_record_put_right
 
 
-def _searched(
+def _asked(
     base: Fit,
     mistakes: Sequence[RecordMistake],
     limits: Limits,
+    seed: int,
     tell: Callable[[str], None],
     on_progress: OnProgress,
 ) -> _Found:
-    columns = Columns.at(base, limits)
-    visible = meanwhile(lambda: smallest_visible(base, columns.pool))
-    twins = meanwhile(lambda: indistinguishable(base, columns.pool))
-    result = search(columns, tell, limits, on_progress)
-    return _Found(result, mistakes, visible(), twins())
+    said = answer_beside_scatter(base, limits, seed, tell, on_progress)
+    pool = said.answer.first.pool
+    return _Found(said, mistakes, smallest_visible(base, pool), indistinguishable(base, pool))
 
 
-def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> bool:
+def _are_doubtful(mistakes: Sequence[RecordMistake], answer: Answer) -> bool:
     """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
 
     It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left
     more of the field than causes do. It also may if the causes that were found explain the unchanged record better.
     """
-    remainder, final = search_result.remainder, search_result.final
+    left, base, final = answer.left, answer.plain, answer.leading_fit
     least = min(mistake.log_bayes_factor for mistake in mistakes)
-    is_little = least < remainder.log_bayes_factor or leaves_much_of_the_field(search_result.base)
-    if leaves_structure(remainder) and is_little:
+    is_little = least < left.log_bayes_factor or leaves_much_of_the_field(base)
+    if answer.leaves_something and is_little:
         return True
     rig = final.rig
     for mistake in mistakes:
@@ -367,26 +368,18 @@ def _are_doubtful(mistakes: Sequence[RecordMistake], search_result: Search) -> b
     if not rig.effects:
         return False
     rules = final.posterior.model.rules
-    as_recorded = fit_rig(rig, final.observations, rig.nominal_values(), rules, policy.MORE_STARTS)
+    as_recorded = fit_rig(rig, base.observations, rig.nominal_values(), rules, policy.MORE_STARTS)
     return as_recorded.log_evidence > final.log_evidence
 
 
-def _next_measurements(search_result: Search, named: Sequence[NamedCause], rig: Rig) -> list[Proposal]:
-    """The best few proposals that would tell the fitted members of each credible set apart."""
+def _next_measurements(answer: Answer, rig: Rig) -> list[Proposal]:
+    """The best few proposals that would tell the possibilities of each stated set apart."""
     best: list[Proposal] = []
-    compared = {step.taken for step in search_result.steps}  # those of a mixture were not fitted one by one
-    for step in (search_result.step_of(n.cause) for n in named if n.cause in compared):
-        hypotheses = {
-            label_of(hypothesis.cause, rig): hypothesis.fit
-            for hypothesis in step.credible
-            if hypothesis.fit is not None and hypothesis.cause is not None
-        }
-        if len(hypotheses) > 1:
-            possible = actions(next(iter(hypotheses.values())).observations, rig)
-            clear = [
-                p
-                for p in proposals(hypotheses, possible)
-                if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE
-            ]
-            best += clear[: policy.MOST_PROPOSALS]
+    for entry in answer.stated:
+        if sum(possibility.is_listed for possibility in entry.possibilities) < 2:
+            continue
+        fits = {label_of(cause, rig): fit for cause, fit in alternative_fits(answer, entry).items()}
+        possible = actions(answer.plain.observations, rig)
+        clear = [p for p in proposals(fits, possible) if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE]
+        best += clear[: policy.MOST_PROPOSALS]
     return best

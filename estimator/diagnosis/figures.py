@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -18,18 +17,18 @@ from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coil
 from estimator.effects.corrections.correction import KEY
 from estimator.model.bodies import winding_of
 from estimator.reporting import plots
-from estimator.reporting.numbers import SHOWN_IN
+from estimator.reporting.numbers import SHOWN_IN, size_with_unit
 from estimator.reporting.page import Picture
 from estimator.rig.rig import Cause, Coil
 from estimator.units import UNITS
 
 MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12
-MOST_IN_TITLE, LEAST_STEPS = 3, 2
+MOST_IN_TITLE = 3
 
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a caption that says what to look for."""
-    parts = (_maps, _explained, _corrected, _ladder, _structure, _ranking)
+    parts = (_maps, _budget, _explained, _corrected, _structure, _ranking)
     return part_by_part(parts, diagnosis)
 
 
@@ -61,6 +60,27 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
             figure = plots.residual_map(powered_m, residuals[0][is_on], winding, one_sigma, title=rig.name)
             words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame. A pattern means a model error."
             yield Picture(f"Residual around {name}", words, figure)
+
+
+def _budget(diagnosis: Diagnosis) -> Iterator[Picture]:
+    budget = diagnosis.fits.budget
+    if budget is None:
+        return
+    shares = {diagnosis.label(cause): (s.value, s.ci90) for cause, s in budget.causes.items()}
+    roles = [_role(diagnosis, cause) for cause in budget.causes]
+    if len(budget.causes) > 1:
+        shares["shared by several"] = (budget.shared.value, budget.shared.ci90)
+        roles.append(plots.Role.OTHER)
+    shares["left"] = (budget.left.value, budget.left.ci90)
+    figure = plots.error_budget(shares, [*roles, plots.Role.LEFT], title=diagnosis.rig.name).figure
+    assert isinstance(figure, Figure)
+    yield Picture(
+        "Error budget",
+        f"What the rig as described misses of {budget.n_readings} readings that no fit has seen, beyond the noise: "
+        f"{size_with_unit(budget.misfit_T, 'T', 3)} rms. Each bar is the share that a cause accounts for, the mean over orders of adding "
+        "them; lines are 90 % intervals over the choice of the readings.",
+        figure,
+    )
 
 
 def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
@@ -104,29 +124,6 @@ def _corrected(diagnosis: Diagnosis) -> Iterator[Picture]:
         "What is corrected without a name",
         "Residual without the corrections against what they add to the prediction, for each reading. The means should follow the slanted "
         "line; points far from it are what is left.",
-        figure,
-    )
-
-
-def _ladder(diagnosis: Diagnosis) -> Iterator[Picture]:
-    additions = diagnosis.findings.search.additions
-    if len(additions) < LEAST_STEPS:
-        return
-    fits = [diagnosis.findings.search.base, *(addition.fit for addition in additions)]
-    figure = plots.stepwise_residual(
-        [diagnosis.label_of_addition(addition) for addition in additions],
-        [float(np.sqrt(np.nanmean(_residual_T(fit) ** 2))) for fit in fits],
-        [after.log_evidence - before.log_evidence for before, after in pairwise(fits)],
-        [_role(diagnosis, addition.causes) for addition in additions],
-        diagnosis.fits.before.lack_of_fit.noise_T,
-        title=diagnosis.rig.name,
-    ).figure
-    assert isinstance(figure, Figure)
-    yield Picture(
-        "What each cause contributes",
-        "Rms residual after each cause, in the order in which the causes were taken, with the rise in log evidence. The last "
-        "bar is what remains beyond the noise that repeats or the rig file state: its square and that of the noise add up to the square of "
-        "the bar above.",
         figure,
     )
 
@@ -180,34 +177,35 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
-    for number, (title, step) in enumerate(diagnosis.comparisons[:MOST_STEPS], start=1):
+    for number, (title, comparison) in enumerate(diagnosis.comparisons[:MOST_STEPS], start=1):
         evidence = {
             diagnosis.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
-            for hypothesis in step.hypotheses
+            for hypothesis in comparison.hypotheses
         }
-        taken = None if step.taken is None else diagnosis.label(step.taken)
+        stated = diagnosis.label(comparison.taken[0]) if comparison.taken else None
         roles = {
-            diagnosis.label_of_hypothesis(hypothesis): _role(diagnosis, (hypothesis.cause,))
-            for hypothesis in step.hypotheses
+            diagnosis.label_of_hypothesis(hypothesis): plots.Role.ALTERNATIVE
+            if hypothesis.cause in comparison.taken[1:]
+            else _role(diagnosis, hypothesis.cause)
+            for hypothesis in comparison.hypotheses
             if hypothesis.cause is not None
         }
-        figure = plots.evidence_bars(evidence, taken, roles, title=f"step {number}").figure
+        figure = plots.evidence_bars(evidence, stated, roles, title=title).figure
         assert isinstance(figure, Figure)
-        words = f"{title} was taken." if taken else "No further cause has enough evidence."
-        if taken and title != taken:
-            words += f" The bars compare {taken}, given the other causes of this step."
+        words = f"{title} is stated." if stated else "What more there may be, beside all that leads."
         yield Picture(
-            f"Hypotheses, step {number}",
-            f"Log Bayes factor of each cause, and of a flexible curve for what no known cause explains, against nothing wrong. {words}",
+            f"Hypotheses, comparison {number}",
+            "Log Bayes factor of each cause, and of a departure that no list holds, against nothing wrong, beside everything else that "
+            f"leads. {words}",
             figure,
         )
 
 
-def _role(diagnosis: Diagnosis, causes: Sequence[Cause]) -> plots.Role:
-    """What the verdict makes of causes that were taken together: what the search kept without a name stands in for the unknown."""
-    if {named.cause for named in diagnosis.causes} & set(causes):
+def _role(diagnosis: Diagnosis, cause: Cause) -> plots.Role:
+    """What the verdict makes of a cause."""
+    if cause in {named.cause for named in diagnosis.causes}:
         return plots.Role.NAMED
-    return plots.Role.STAND_IN if set(diagnosis.findings.search.added) & set(causes) else plots.Role.OTHER
+    return plots.Role.STAND_IN if cause in diagnosis.findings.stand_ins else plots.Role.OTHER
 
 
 def _residual_T(fit: Fit) -> np.ndarray:

@@ -99,16 +99,6 @@ class Fit:
         """The readings that were fitted."""
         return self.posterior.model.circumstances.observations
 
-    @cached_property
-    def is_bent(self) -> bool:
-        """Whether a number that the rig states has been pulled so far that something large must be missing."""
-        of_causes = tuple(f"{cause.label}." for cause in self.rig.effects)
-        return any(
-            abs(float(self.values[p.name]) - p.prior.mean) > policy.BENT * p.prior.sd
-            for p in self.rig.free
-            if isinstance(p.prior, Normal) and not p.name.startswith(of_causes)
-        )
-
     def start_with(self, rig: Rig) -> dict[str, Tensor | float]:
         """Values to start another rig from: those of this fit; nominal ones for parameters that only the other rig has."""
         new = {name: p.value for name, p in rig.parameters.items() if name not in self.rig.parameters}
@@ -122,11 +112,6 @@ class Fit:
             weight = self.posterior.weight(self.posterior.whitened(self.vector), self.vector)
         whitening: Tensor = torch.sqrt(weight) / sigma_T
         return whitening
-
-    def weight_over(self, other: Fit) -> Float[Tensor, " component"]:
-        """Weight of each component over its weight in another fit: as causes are taken, noise shrinks and outliers fade."""
-        denominator = other.whitening_per_T
-        return torch.where(denominator > 0.0, self.whitening_per_T / denominator, 0.0)
 
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
@@ -193,15 +178,6 @@ class Fit:
         """Laplace covariance of the coordinates."""
         return inverse(self.optimum.precision)[0]
 
-    def covariance_beside(
-        self, columns: Float[Tensor, "component column"]
-    ) -> Float[Tensor, "coordinate coordinate"]:
-        """Covariance of the coordinates with a discrepancy fitted as well, given by columns with standard normal coefficients."""
-        cross = self.jacobian.T @ columns
-        precision = columns.T @ columns + columns.new_ones(columns.shape[1]).diag()
-        lost = cross @ torch.linalg.solve(precision, cross.T)
-        return inverse((self.optimum.precision[0] - lost)[None])[0]
-
     def value_sd(self, name: str, covariance: Tensor | None = None) -> float:
         """Standard deviation of a parameter in its own unit, to first order; 0 where it is fixed.
 
@@ -218,11 +194,6 @@ class Fit:
         """Standard deviation of one parameter minus another of the same unit, to first order."""
         gradient = self._value_gradients[plus] - self._value_gradients[minus]
         return float(torch.sqrt(gradient @ self.covariance @ gradient))
-
-    @cached_property
-    def log_predictive_by_blocks(self) -> dict[bytes, Float[Tensor, " block"]]:
-        """What `log_predictive` has answered, by the bytes of the readings' blocks."""
-        return {}
 
     @cached_property
     def _value_gradients(self) -> dict[str, Float[Tensor, " coordinate"]]:
@@ -243,38 +214,6 @@ class Fit:
         rows = [i for i, name in enumerate(coordinates.names) if name in nulls]
         own = [(coordinates.parameters[i], nulls[coordinates.names[i]]) for i in rows]
         return rows, self.vector.new_tensor([float(v.log() if p.is_positive else v) for p, v in own])
-
-    def log_evidence_for(
-        self, cause: Cause, beside: Float[Tensor, "component column"] | None = None
-    ) -> float:
-        """Log Bayes factor of one of the rig's causes against its null, beside all others, by the Savage-Dickey ratio.
-
-        It is infinite where no quantity is free, or where one is positive, so never at its null of 0.
-
-        Args:
-            cause: One that the rig has.
-            beside: Columns of a discrepancy with standard normal coefficients, fitted as well.
-        References: Dickey and Lientz, Ann. Math. Stat. 41, 214 (1970): ratio of prior and posterior density at the null.
-        """
-        rows, null = self.at_null(cause)
-        if not rows or not bool(torch.isfinite(null).all()):
-            return math.inf
-        vector, covariance = self.vector, self.covariance
-        if beside is not None:
-            covariance = self.covariance_beside(beside)
-            precision = beside.T @ beside + beside.new_ones(beside.shape[1]).diag()
-            pull = self.jacobian.T @ (beside @ torch.linalg.solve(precision, beside.T @ self.residual))
-            vector = vector - covariance @ pull
-        posterior = torch.distributions.MultivariateNormal(vector[rows], covariance[rows][:, rows])
-        log_prior = 0.0
-        parameters = self.posterior.coordinates.parameters
-        for parameter, coordinate in zip((parameters[i] for i in rows), null, strict=True):
-            assert parameter.prior is not None
-            value = coordinate.exp() if parameter.is_positive else coordinate
-            log_prior += float(parameter.prior.log_density(value)) + parameter.prior.log_normaliser
-            if parameter.is_positive:
-                log_prior += float(coordinate)  # per logarithm, which is what was fitted
-        return log_prior - float(posterior.log_prob(null))
 
     def still_has(self, cause: Cause) -> bool:
         """Whether one of the rig's causes is still itself at the fitted values, as its effect defines it."""

@@ -75,7 +75,7 @@ def gained(diagnosis: Diagnosis) -> str:
 def _beside_the_field(diagnosis: Diagnosis) -> str:
     """Causes that act in readings of this session and not in the field that the extended rig predicts; empty where there are none."""
     rig = diagnosis.fits.final.rig
-    lacking = [diagnosis.label(cause) for cause in rig.effects if not _is_predicted(rig, cause)]
+    lacking = [diagnosis.label(cause) for cause in rig.acting if not _is_predicted(rig, cause)]
     names = ", ".join(lacking[:MOST_BESIDE]) + (
         f" and {len(lacking) - MOST_BESIDE} more" if len(lacking) > MOST_BESIDE else ""
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import wraps
 
 import numpy as np
@@ -10,12 +10,12 @@ import numpy as np
 from estimator.calibration.quality import tensions
 from estimator.diagnosis import policy
 from estimator.diagnosis.gain_in_words import gained, misses
-from estimator.diagnosis.hypotheses.step import leaves_structure
+from estimator.diagnosis.mixture.answer import Found
+from estimator.diagnosis.mixture.comparison import NOTHING
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import EXTENDED_RIG, Diagnosis, label_of
 from estimator.diagnosis.sizes import Difference
-from estimator.diagnosis.structure.families.position import is_of_coil
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.diagnosis.what_shows import PLACE, hidden_words
@@ -28,6 +28,7 @@ from estimator.reporting.numbers import (
     displays,
     interval_with_unit,
     odds,
+    percent,
     probability,
     quantity_words,
     size_with_unit,
@@ -36,17 +37,17 @@ from estimator.reporting.numbers import (
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
 
-MOST_STRUCTURES = 2  # that the sentence about the source lists
 MOST_SIZES = 2
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
+MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
 MOST_TENSIONS = 3  # that are listed one by one
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
 
 
 def headline(diagnosis: Diagnosis) -> list[str]:
     """The sentences, most important first."""
-    parts = (_flagged, _what, _beside, _how_large, _outliers, _source, gained, _next, _ended_early)
+    parts = (_flagged, _what, _beside, _how_large, _outliers, gained, _next, _ended_early)
     sentences = part_by_part([_listed(part) for part in parts], diagnosis, lambda fault: fault)
     return [sentence for sentence in sentences if sentence]
 
@@ -60,7 +61,7 @@ def _listed(part: Callable[[Diagnosis], str]) -> Callable[[Diagnosis], list[str]
 
 
 def _ended_early(diagnosis: Diagnosis) -> str:
-    ended = diagnosis.findings.search.ended_early
+    ended = diagnosis.findings.answer.ended_early
     return f"The diagnosis ended early, for {ended}; the same command goes on with it." if ended else ""
 
 
@@ -140,79 +141,93 @@ def _what(diagnosis: Diagnosis) -> str:
         return _doubts(diagnosis) or f"Nothing else is wrong{_would_have_shown(diagnosis, 'these readings')}."
     if diagnosis.verdict is Verdict.NOTHING_FOUND:
         return _doubts(diagnosis) or f"These readings show nothing wrong{_would_have_shown(diagnosis)}."
-    wrong = [f"{words} ({label})" for label, words in _mistakes(diagnosis)]
-    wrong += _causes(diagnosis)
-    if not diagnosis.verdict.leaves_something:
-        return f"{_capital('; '.join(wrong))}."
-    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:
-        mistakes = [f"{_capital(words)} ({label})." for label, words in _mistakes(diagnosis)]
-        return " ".join([*mistakes, *stated_causes(diagnosis)])
-    search = diagnosis.findings.search
-    remainder = search.remainder
+    mistakes = [f"{_capital(words)} ({label})." for label, words in _mistakes(diagnosis)]
+    if diagnosis.verdict is Verdict.UNEXPLAINED:
+        return " ".join([_unexplained(diagnosis), *mistakes])
+    return " ".join([*mistakes, *stated_causes(diagnosis)])
+
+
+def _unexplained(diagnosis: Diagnosis) -> str:
+    """Says that something is wrong, how much, and whether causes are probable."""
     if _is_pulled(diagnosis):
         name, widths = _pulled(diagnosis)
-        dependence = f"the readings alone would put {name} {widths:.2g} widths of its prior from what the rig file states"
-    elif leaves_structure(search.scatter) and not leaves_structure(remainder):
-        dependence = f"how far readings miss depends on {_plain(search.scatter.along)}"
+        why = f"the readings alone would put {name} {widths:.2g} widths of its prior from what the rig file states"
+    elif diagnosis.findings.scatter.is_probable and not diagnosis.findings.answer.leaves_something:
+        why = f"how far readings miss depends on {_plain(diagnosis.findings.scatter.along)}"
     else:
-        is_of_all = remainder.log_bayes_factor <= 0.0 or not diagnosis.fits.extended.rig.effects
-        remainder = search.base_discrepancy if is_of_all else remainder
-        what = "what it misses" if is_of_all else "what is left beside the causes that were taken"
-        dependence = f"{misses(diagnosis)}; {what} depends on {_plain(remainder.family)}"
-    unknown = f"Something is wrong that no known cause explains: {dependence}"
-    return f"{unknown}. Beside it: {'; '.join(wrong)}." if wrong else f"{unknown}."
+        why = misses(diagnosis)
+    is_probable = any(entry.first.is_listed for entry in diagnosis.findings.answer.beside)
+    unknown = "no cause is sure enough to be stated" if is_probable else "no known cause explains it"
+    return f"Something is wrong, and {unknown}: {why}."
 
 
 def stated_causes(diagnosis: Diagnosis) -> list[str]:
-    """One sentence for each cause that is stated beside something unexplained, with what else it may be."""
+    """One sentence for each stated cause, with what else it may be; several places of one cause in one sentence."""
     sentences = []
-    for named in diagnosis.causes:
-        others = "".join(
-            f", or {EFFECTS[other.cause.name].words} ({diagnosis.label(other.cause)}, {probability(other.probability)})"
-            for other in named.alternatives
+    for name in dict.fromkeys(named.cause.name for named in diagnosis.causes):
+        same = [named for named in diagnosis.causes if named.cause.name == name]
+        first = same[0]
+        label = diagnosis.label(first.cause)
+        if len(same) > 1:
+            label = f"{name}[{', '.join(named.cause.place for named in same)}]"
+        least = min(named.probability for named in same)
+        sentences.append(
+            f"{_capital(EFFECTS[name].words)} ({label}, {probability(least)}){_others(diagnosis, first)}."
+            f"{_share(diagnosis, [named.cause for named in same])}"
         )
-        words, label = EFFECTS[named.cause.name].words, diagnosis.label(named.cause)
-        sentences.append(f"{_capital(words)} ({label}, {probability(named.probability)}){others}.")
     return sentences
+
+
+def _share(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
+    """How much of the misfit some causes account for; empty where no budget tells it."""
+    budget = diagnosis.fits.budget
+    known = [] if budget is None else [budget.causes[cause] for cause in causes if cause in budget.causes]
+    if not known:
+        return ""
+    subject = "It accounts" if len(causes) == 1 else "They account"
+    return f" {subject} for {percent(sum(share.value for share in known))} of the misfit."
 
 
 def _beside(diagnosis: Diagnosis) -> str:
     """What else is probable: first what no list holds, then listed causes that are not sure enough to be stated."""
-    mixture = diagnosis.findings.mixture
-    if mixture is None or not diagnosis.verdict.leaves_something:
+    answer = diagnosis.findings.answer
+    if not diagnosis.verdict.leaves_something:
         return ""
-    if mixture.is_full:
-        links = [link.words for link, p in mixture.unlisted.items() if p > 0.5]
+    if answer.is_full:
+        links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
         where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
-        return (
-            f"At least {len(mixture.asked.leading)} things are wrong at once, too many to tell apart.{where}"
-        )
-    unlisted, faint = list[str](), list[str]()
-    for entry in mixture.beside:
-        each = " or ".join(
-            f"{EFFECTS[p.cause.name].words} ({label_of(p.cause, diagnosis.rig)}, {probability(entry.probability * p.share)})"
-            for p in entry.possibilities[:MOST_BESIDE]
-        )
-        (faint if entry.first.is_listed else unlisted).append(each)
+        listed = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
+        most = f" Most probable, but not stated: {'; '.join(listed[:MOST_OF_MANY])}." if listed else ""
+        return f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell apart.{most}{where}"
+    unlisted = [_words_of(diagnosis, entry) for entry in answer.beside if not entry.first.is_listed]
+    faint = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
     sentences = []
     if unlisted:
         sentences.append(f"What is left is best described so: {'; '.join(unlisted)}.")
-    elif diagnosis.causes:
-        sentences.append(
-            "Something else is left that no listed cause explains, and the readings do not tell where it sits."
-        )
+    elif diagnosis.causes and not faint:
+        links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
+        where = f"It is in {links[0]}." if links else "The readings do not tell where it sits."
+        sentences.append(f"Something else is left that no listed cause explains. {where}")
     if faint:
         sentences.append(f"Not sure enough to be stated: {'; '.join(faint)}.")
     return " ".join(sentences)
 
 
+def _words_of(diagnosis: Diagnosis, entry: Found) -> str:
+    """The possibilities of a set in words, with their probabilities."""
+    return " or ".join(
+        f"{EFFECTS[p.cause.name].words} ({label_of(p.cause, diagnosis.rig)}, {probability(entry.probability * p.share)})"
+        for p in entry.possibilities[:MOST_BESIDE]
+    )
+
+
 def _doubts(diagnosis: Diagnosis) -> str:
     """Sentence that something probably is wrong where nothing is sure enough to be named; empty where nothing wrong is probable."""
-    last = diagnosis.findings.search.steps[-1].hypotheses
-    nothing = next(hypothesis.probability for hypothesis in last if hypothesis.name == "nothing")
+    last = diagnosis.comparisons[-1][1].hypotheses
+    nothing = next(hypothesis.probability for hypothesis in last if hypothesis.name == NOTHING)
     if nothing > policy.LEAST_SURE_OF_NOTHING:
         return ""
-    others = [hypothesis for hypothesis in last if hypothesis.name != "nothing"][:MOST_ALTERNATIVES]
+    others = [hypothesis for hypothesis in last if hypothesis.name != NOTHING][:MOST_ALTERNATIVES]
     names = ", ".join(
         f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {probability(h.probability)}"
         for h in others
@@ -225,8 +240,7 @@ def _doubts(diagnosis: Diagnosis) -> str:
 
 def _is_pulled(diagnosis: Diagnosis) -> bool:
     """Whether all that is left unexplained is that a number lies far outside its prior."""
-    search = diagnosis.findings.search
-    return leaves_structure(search.pull) and not leaves_structure(search.remainder)
+    return diagnosis.findings.pull.is_probable and not diagnosis.findings.answer.leaves_something
 
 
 def _pulled(diagnosis: Diagnosis) -> tuple[str, float]:
@@ -265,57 +279,9 @@ def _would_have_shown(diagnosis: Diagnosis, readings: str = "they") -> str:
     return f"; {readings} would have shown, for example, {', '.join(shown)}" if shown else ""
 
 
-def _source(diagnosis: Diagnosis) -> str:
-    """Sentence that causes of many kinds pile up, so that none of them is believed, and where to look.
-
-    The model of the source itself seems wrong where what the rig as described leaves goes with a coil, and not with time or a mover.
-    """
-    search = diagnosis.findings.search
-    if not search.source_seems_wrong:
-        return ""
-    others = search.other_structures
-    assert others is not None
-    n_kinds = len({cause.name for cause in search.added})
-    left = search.remainder
-    leaving = f" and leave structure with a log evidence of {left.log_bayes_factor:.0f}"
-    reached = "".join(
-        f"; {diagnosis.label(structure.cause)} {structure.log_bayes_factor:.0f} beside {len(structure.needed)} of them"
-        for structure in others.asked[:MOST_STRUCTURES]
-    )
-    pile = f"{len(search.added)} causes of {n_kinds} kinds pile up{leaving if leaves_structure(left) else ''}"
-    rivals = (
-        f"None of {len(others.asked)} other ways to build the source explains more than the first {len(others.pile)} by as few "
-        f"(log evidence {others.log_bayes_factor:.0f}{reached})."
-    )
-    of_all = search.base_discrepancy.family
-    if is_of_coil(_plain(of_all)):
-        return f"The model of the source itself seems wrong, so check how it is built: {pile}, and none of them is believed. {rivals}"
-    return (
-        f"Look first at what depends on {_plain(of_all)}: most of what the rig as described leaves does. {pile}, and none of them is "
-        f"believed: together they stand in for something that is not in the library. {rivals}"
-    )
-
-
 def _mistakes(diagnosis: Diagnosis) -> list[tuple[str, str]]:
     causes = [mistake.cause for mistake in diagnosis.record_mistakes]
     return [(diagnosis.label(cause), EFFECTS[cause.name].words) for cause in causes]
-
-
-def _causes(diagnosis: Diagnosis) -> list[str]:
-    """The named causes with what they are confused with; several places of one cause in one phrase."""
-    phrases = []
-    for name in dict.fromkeys(named.cause.name for named in diagnosis.causes):
-        same = [named for named in diagnosis.causes if named.cause.name == name]
-        first = same[0]
-        places = ", ".join(named.cause.place for named in same)
-        label = diagnosis.label(first.cause) if len(same) == 1 else f"{name}[{places}]"
-        least = min(named.probability for named in same)
-        is_probable = any(named.may_be_unknown for named in same)
-        hedge = "either " if first.alternatives else "probably " if is_probable else ""
-        phrases.append(
-            f"{hedge}{EFFECTS[name].words} ({label}, {probability(least)}){_others(diagnosis, first)}"
-        )
-    return phrases
 
 
 def _how_large(diagnosis: Diagnosis) -> str:
@@ -366,20 +332,18 @@ def difference_words(difference: Difference) -> str:
 
 def _others(diagnosis: Diagnosis, named: NamedCause) -> str:
     others = [
-        f"{diagnosis.label(o.cause)} {probability(o.probability)}"
+        f"{EFFECTS[o.cause.name].words} ({diagnosis.label(o.cause)}, {probability(o.probability)})"
         for o in named.alternatives[:MOST_ALTERNATIVES]
     ]
     n_more = len(named.alternatives) - len(others)
     others += [f"{n_more} more causes"] if n_more > 0 else []
     if named.p_not_in_library >= 0.005:
-        others.append(f"{UNKNOWN} {probability(named.p_not_in_library)}")
+        others.append(f"{UNKNOWN} ({probability(named.p_not_in_library)})")
     return f", or {', or '.join(others)}" if others else ""
 
 
 def _next(diagnosis: Diagnosis) -> str:
-    """What to do next; empty where the sentence about the source has said it."""
-    if diagnosis.findings.search.source_seems_wrong:
-        return ""
+    """What to do next."""
     if diagnosis.left_open.next_measurements:
         best = diagnosis.left_open.next_measurements[0]
         return (

@@ -20,7 +20,6 @@ from estimator.inference.positive_definite import inner_products
 
 N_SHRINKS = 101  # grid of the logarithm of the noise
 COARSE = 5  # of it, one in so many is tried first
-N_BOUNDS, SMALLEST_BOUND = 512, 1e-3  # values of what columns reach at which a bound is tabulated
 TINY = 1e-12  # smallest square of a column, in units of the noise and its prior, that is divided by
 
 
@@ -205,25 +204,6 @@ def log_bayes_factor_by_width(
     return _of_directions(size[..., None, :] * variance, square[..., None, :] * variance, noise)
 
 
-def log_bayes_factor_of_noise(
-    gram: Float[Tensor, "*batch column column"], width: Float[Tensor, "*#batch width"]
-) -> Float[Tensor, "*batch width"]:
-    """Expected log Bayes factor by width of columns that have no part in the residual: it is noise, less what the fit follows.
-
-    A direction of size a then has the score a in the mean square, a / (1 + a) of it is explained.
-
-    Args:
-        gram, width: As above.
-    Examples:
-        >>> gram = torch.tensor([[81.0]], dtype=torch.float64)
-        >>> log_bayes_factor_of_noise(gram, torch.ones(1, dtype=torch.float64)).round(decimals=2).item()
-        -1.71
-    """
-    size = torch.linalg.eigvalsh(gram).clamp(min=0.0)[..., None, :] * width.square()[..., None]
-    expected: Tensor = 0.5 * (size / (1.0 + size) - torch.log1p(size)).sum(-1)
-    return expected
-
-
 def _directions(
     scaled: Float[Tensor, "*batch column column"], score: Float[Tensor, "*batch column"]
 ) -> tuple[Float[Tensor, "*batch column"], Float[Tensor, "*batch column"]]:
@@ -269,46 +249,6 @@ def _of_directions(
     near = (best[..., None] + torch.arange(1 - COARSE, COARSE, device=size.device)).clamp(0, N_SHRINKS - 1)
     fitted: Tensor = log_density(shrinks[near]).max(-1).values + relieved
     return fitted
-
-
-def highest_log_bayes_factor(
-    gram: Float[Tensor, "*batch column column"],
-    score: Float[Tensor, "*batch column"],
-    noise: FreeNoise | None = None,
-) -> Float[Tensor, "*batch"]:
-    """A bound that `log_bayes_factor` of columns with standard normal coefficients does not exceed, for a part of its time.
-
-    With noise smaller by e^s the columns weigh g = e^(-2s) >= 1 times as much. A direction of size a and score b then explains
-    g^2 b^2 / (1 + g a), at most g b^2 / (e + a) where 1 / e is the largest g, and its Occam factor only grows.
-    """
-    unit = torch.eye(gram.shape[-1], dtype=gram.dtype, device=gram.device)
-    factor, failed = torch.linalg.cholesky_ex(gram + unit)
-    occam: Tensor = torch.log(torch.diagonal(factor, dim1=-2, dim2=-1)).sum(-1)
-    if noise is None:
-        return torch.where(failed == 0, 0.5 * _square(factor, score) - occam, torch.inf)
-    factor, failed = torch.linalg.cholesky_ex(gram + math.exp(2.0 * noise.most_shrink) * unit)
-    most = noise.n + noise.tension
-    reached = _square(factor, score).clamp(max=most)
-    # What is explained rises with what is reached: a table, read at the next larger value, bounds it.
-    shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64, device=gram.device)
-    grown = torch.exp(-2.0 * shrinks)
-    noisier = noise.n * shrinks + 0.5 * noise.n * (grown - 1.0) + 0.5 * (shrinks / noise.width) ** 2
-    values = torch.logspace(
-        math.log10(SMALLEST_BOUND), math.log10(most), N_BOUNDS, dtype=torch.float64, device=gram.device
-    )
-    values[-1] = most
-    table = (0.5 * noise.n / most * values[:, None] * grown - noisier).amax(-1)
-    explained = table[torch.searchsorted(values, reached.contiguous()).clamp(max=N_BOUNDS - 1)]
-    relieved = 0.5 * noise.tension / most * reached
-    return torch.where(failed == 0, explained + relieved - occam, torch.inf)
-
-
-def _square(factor: Tensor, score: Tensor) -> Tensor:
-    """b^T A^-1 b, given the Cholesky factor of A."""
-    square: Tensor = (
-        torch.linalg.solve_triangular(factor, score[..., None], upper=False).square().sum((-1, -2))
-    )
-    return square
 
 
 def log_mean_exp(values: Float[Tensor, " value"]) -> float:

@@ -74,7 +74,7 @@ class Runner:
     """One hypothesis of a race.
 
     Attributes:
-        label: The cause; `nothing`, or `unexplained` for a flexible curve.
+        label: The cause; `nothing`, or `unexplained` for a departure that no list holds.
         words: What it is.
         log_bayes_factor: Against nothing wrong.
         role: `named`, `alternative` to what was named, `stand-in` or `other`.

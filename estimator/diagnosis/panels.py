@@ -13,8 +13,8 @@ from torch import Tensor
 from estimator.diagnosis.drawing import outline_of, rounded
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.headline import difference_words, headline
-from estimator.diagnosis.hypotheses.step import Hypothesis, Step
 from estimator.diagnosis.impact import impact_sd
+from estimator.diagnosis.mixture.comparison import NOTHING, Comparison, Hypothesis, credible
 from estimator.diagnosis.next_readings.stops import best_to_shrink, candidate_stops
 from estimator.diagnosis.panel_records import (
     Answer,
@@ -66,8 +66,7 @@ def panels(diagnosis: Diagnosis) -> Panels:
         left_sigma=(_left_sigma(plain, extended), _left_sigma(extended)),
         maps=list(_maps(diagnosis)),
         races=[
-            _race(diagnosis, title, step, number)
-            for number, (title, step) in enumerate(diagnosis.comparisons[:MOST_RACES])
+            _race(diagnosis, title, comparison) for title, comparison in diagnosis.comparisons[:MOST_RACES]
         ],
         moved=_moved(diagnosis),
         next=_next(diagnosis),
@@ -98,8 +97,8 @@ def _maps(diagnosis: Diagnosis) -> Iterator[ResidualMap]:
     is_on = extended.observations.current_A != 0.0
     measured_T = extended.observations.field_sensor_T
     is_known = ~measured_T.isnan().all(-1)
-    base = diagnosis.findings.search.base
-    leaders = [h for h in _leaders(diagnosis) if h.fit is not None][:MOST_PATTERNS]
+    alone = diagnosis.findings.answer.alone
+    leaders = [h.cause for h in alone.hypotheses if h.cause is not None][:MOST_PATTERNS]
     powered = [i for i in range(is_on.shape[1]) if bool(is_on[:, i].any())]
     for i in powered[:MOST_MAPS]:
         coil = extended.rig.coils[i]
@@ -119,50 +118,44 @@ def _maps(diagnosis: Diagnosis) -> Iterator[ResidualMap]:
             position_m=rounded(position_m[rows]),
             before_T=shown(measured_T - predicted_T(plain)),
             after_T=shown(measured_T - predicted_T(extended)),
-            patterns_T={
-                diagnosis.label_of_hypothesis(h): shown(predicted_T(h.fit) - predicted_T(base))
-                for h in leaders
-                if h.fit is not None
-            },
+            patterns_T={diagnosis.label(cause): shown(_pattern_T(alone, cause)) for cause in leaders},
         )
 
 
-def _leaders(diagnosis: Diagnosis) -> list[Hypothesis]:
-    """Causes of the first comparison, by evidence."""
-    first = diagnosis.findings.search.steps[0].hypotheses
-    return sorted((h for h in first if h.cause is not None), key=lambda h: -h.log_bayes_factor)
+def _pattern_T(comparison: Comparison, cause: Cause) -> Float[Tensor, "reading 3"]:
+    """What a cause alone adds to the predictions, less what the rig's numbers can follow; 0 where a component was not measured."""
+    fit = comparison.asked.expansion.fit
+    change = comparison.change(comparison.best_item(cause)) / fit.whitening_per_T
+    pattern_T = change.new_zeros(len(fit.observations), 3)
+    pattern_T[fit.observations.is_measured] = change
+    return pattern_T
 
 
-def _race(diagnosis: Diagnosis, title: str, step: Step, number: int) -> Race:
+def _race(diagnosis: Diagnosis, title: str, comparison: Comparison) -> Race:
     named = {cause.cause for cause in diagnosis.causes}
-    added = set(diagnosis.findings.search.added)
+    same = credible(comparison.hypotheses) if comparison.taken else []
 
     def runner(hypothesis: Hypothesis) -> Runner:
         cause = hypothesis.cause
-        is_twin = step.taken in named and hypothesis in step.credible
-        role = (
-            "named"
-            if cause in named
-            else "alternative"
-            if is_twin
-            else "stand-in"
-            if cause in added
-            else "other"
-        )
+        role, item = "other", comparison.best_departure
+        if cause in named:
+            role = "named"
+        elif hypothesis in same:
+            role = "alternative"
+        elif cause in diagnosis.findings.stand_ins:
+            role = "stand-in"
         if cause is not None:
-            words = EFFECTS[cause.name].words
+            words, item = EFFECTS[cause.name].words, comparison.best_item(cause)
         else:
-            words = "nothing wrong" if hypothesis.name == "nothing" else "a flexible curve without a cause"
-        fit = hypothesis.fit
-        if fit is None and number == 0 and hypothesis.name == "nothing":
-            fit = diagnosis.findings.search.base
-        left_sigma = None if fit is None else _left_sigma(fit, diagnosis.fits.extended)
+            is_nothing = hypothesis.name == NOTHING
+            words = "nothing wrong" if is_nothing else "a departure that no list holds"
+            item = None if is_nothing else item
         label = diagnosis.label_of_hypothesis(hypothesis)
-        return Runner(label, words, hypothesis.log_bayes_factor, role, left_sigma)
+        return Runner(label, words, hypothesis.log_bayes_factor, role, comparison.left_sigma(item))
 
-    ranked = sorted(step.hypotheses, key=lambda h: -h.log_bayes_factor)
+    ranked = sorted(comparison.hypotheses, key=lambda h: -h.log_bayes_factor)
     listed = [h for i, h in enumerate(ranked) if i < MOST_RUNNERS or h.cause is None]
-    return Race("" if step.taken is None else title, [runner(h) for h in listed])
+    return Race(title if comparison.taken else "", [runner(h) for h in listed])
 
 
 def _left_sigma(fit: Fit, noise_of: Fit | None = None) -> float:

@@ -39,10 +39,6 @@ ROUGH_TO_SD = 0.03
 """How near its maximum such a fit ends where it has more than 22 numbers: root mean square over them, in standard deviations. Effort:
 hundreds of numbers crawl along valleys. Study: not in it, for its models are smaller."""
 
-STRUCTURE_TOLERANCE = 0.1
-"""Gain in log density below which the fit of a hypothesis of structure, in place of a pile of causes, stops. Effort: hundreds of log
-evidence are to beat, and most crawl along valleys that lead nowhere; the one that does better is fitted to the end. Study: not in it."""
-
 CORRECTED_TO_SD = 0.08
 """How near its maximum the fit of a corrected model to all readings that count ends, and the one before it to those of the search: root
 mean square over its numbers, in standard deviations. Effort: no name depends on it, and hundreds of amplitudes crawl. Study: not in it."""
@@ -76,10 +72,10 @@ twenty-fifth of the readings leaves 0.2, and causes that are no mistakes leave a
 
 MOST_READINGS_COMPARED = 100
 """Readings on which all starts of all mistakes are compared, and the best of them fitted first. Effort: mistakes make most readings absurd
-(docs/decisions/0008). Study of 1 case: no change."""
+. Study of 1 case: no change."""
 
 MOST_MISTAKES_FITTED = 6
-"""Mistakes that are fitted after that comparison. Effort (docs/decisions/0008). Study of 1 case: no change."""
+"""Mistakes that are fitted after that comparison. Effort. Study of 1 case: no change."""
 
 MOST_LOST_ON_FEW = 3.0
 """Log evidence on the few readings that a mistake may lose against none, by one linear step and still be fitted, or by that fit and still
@@ -139,59 +135,17 @@ not in it."""
 # Prior probabilities of the hypotheses
 
 LOG_PRIOR_NOTHING = math.log(0.4)
-"""Log prior probability that no cause, and nothing else, is there. By judgement (docs/decisions/0008). Study of 5 cases: no change."""
+"""Log prior probability that no cause, and nothing else, is there. By judgement. Study of 5 cases: no change."""
 
 LOG_PRIOR_CAUSE = math.log(0.3)
-"""Log prior probability that one of the causes is there; all causes share it alike. By judgement (docs/decisions/0008). Study of 5 cases:
+"""Log prior probability that one of the causes is there; all causes share it alike. By judgement. Study of 5 cases:
 no change."""
 
 LOG_PRIOR_UNEXPLAINED = math.log(0.3)
-"""Log prior probability that something is there which no cause explains. By judgement (docs/decisions/0008). Study of 5 cases: no
+"""Log prior probability that something is there which no cause explains. By judgement. Study of 5 cases: no
 change."""
 
 # Screening
-
-MOST_LEADERS = 4
-"""Causes that are fitted in full after the screening. Effort: one fit each (docs/decisions/0008). Study of 5 cases: numbers change in 2."""
-
-MOST_FITTED = 16
-"""Causes that are fitted in full where more could be better, by their screening, than the best that was fitted. Effort: a leader may
-collapse in its fit. In a map of a large solenoid the fifth by screening was the best; tightly stated rigs needed up to six. Study of 5
-cases: no change."""
-
-MOST_LOST_BETWEEN = 2.0
-"""Factor by which log evidence may be larger at an instant between two readings than at the coarse instant beside it. Effort: finer
-instants are asked of a cause where that could matter. By measurement: 85 in place of 36 in one session, for a gain of one sensor. Study:
-not in it."""
-
-MOST_LOST_AWAY = 4.0
-"""Factor by which log evidence may be larger where something acts than at the coarse place beside it. Effort: nearer places are asked of a
-cause where that could matter. By measurement: 430 in place of 111 for a piece of iron between two starts, where another cause had 356.
-Study: not in it."""
-
-BENT = 6.0
-"""Prior widths by which a fit may pull a number of the rig until a cause that starts far from its null is fitted in full, whatever the
-linear model says there. By measurement: a coil with an unknown iron core was moved by 30 and more, and screening put the core last.
-Study: none of its cases has two coils with cores."""
-
-MOST_GAINED_IN_FULL = 4.0
-"""Log evidence that a full fit may find beyond the linear model for a cause without shapes, while little speaks for any: where every cause
-stays farther than this below the evidence that it needs, such causes are not fitted. By measurement: none of 32 gained more than 0.12
-(docs/decisions/0064). Study of 2 cases: numbers change in 1."""
-
-MOST_FITTED_IN_A_PILE = 3
-"""Causes that are fitted in full, as `MOST_FITTED`, where more kinds of causes than `MOST_KINDS` have piled up. Effort: such a model has
-hundreds of numbers, and no cause of it gets a name for what it leads by. By measurement in MICE run07 (docs/decisions/0064). Study: not in
-it."""
-
-LEADERS_WITHIN = 10.0
-"""Log evidence behind the best fitted cause up to which another is fitted too, and a hint at scatter is; and by which scatter must lead
-what it may imitate to come first. By measurement: a hint 2 behind the best fell to 17 behind once it was fitted (docs/decisions/0008).
-Study of 5 cases: numbers change in 1."""
-
-SHAPES_WIDTH = 5.0
-"""Log evidence by which the screening of a cause with shapes may exceed that of its fit: Laplace misses the width of shapes, and starts
-that lie far off its maximum. By judgement. Study of 5 cases: numbers change in 2."""
 
 LEAST_SCATTER_GAIN = 4.0
 """Log likelihood that outliers or a scattering mover must gain at the residuals as they are to enter the race. Effort: to be taken a cause
@@ -207,39 +161,15 @@ CREDIBLE_SHARE = 0.95
 """Probability that a credible set of causes holds. Convention; 24 of 25 sets held the truth (docs/results.md). Study of 5 cases:
 verdict or names change in 1."""
 
-LEAST_HELD_OUT_LOSS_SE = 2.0
-"""Standard errors by which a cause with sufficient evidence must predict left-out blocks of positions worse to be refused all the same.
-Statistics: 2 % of causes that change nothing. Study of 5 cases: no change."""
-
-SURELY_NEEDED = 15.0
-"""Log evidence by distance from the null, to first order, beyond which a cause is not refitted without. Effort: twice what is needed to be
-taken. Study of 1 case: no change."""
-
-MOST_CAUSES_REFITTED = 4
-"""With no more causes than that, each is asked again beside the others at the end, exchanged or dropped, and judged beside flexible curves
-by a fit without it. With more nothing is exchanged, for in MICE run07 that made things worse (docs/decisions/0008), and each is judged to
-first order. Study of 5 cases: no change."""
-
-MOST_KINDS = 5
-"""Kinds of causes after which it is asked whether the source is built otherwise instead; beyond it, where no such hypothesis does better,
-the model of the source seems wrong. By judgement: few sessions have more flaws at once, and for a compensating winding that the rig file
-did not tell of nine kinds piled up. Study of 5 cases: no change."""
-
-MOST_CAUSES = 60
-"""Causes at which a search ends; the search says so. Effort: the most so far were 33, in MICE run07. Study of 5 cases: no change."""
+MOST_CAUSES = 6
+"""Things that may be wrong at once, by default. Effort: each costs a draw a sweep; few sessions have more flaws that show. Study: not in
+it."""
 
 # Flexible curves, for what no cause explains
 
 AMPLITUDES = (0.5, 2.0, 8.0, 30.0)
 """Rms of a family of curves, in units of the noise, over which its evidence is averaged. Factors of four, so that any amplitude between
 0.25 and 60 lies within a factor of two of one. Study of 5 cases: numbers change in 5."""
-
-SMOOTH_DEGREE = 4
-"""Degree of the polynomials in position and reading. By judgement: gradients, curvature and what is between three readings along an axis.
-Study of 5 cases: numbers change in 4."""
-
-COARSE_DEGREE = 2
-"""Degree of an alternative family in position, whose evidence is not spent on many columns. By judgement. Study of 5 cases: no change."""
 
 HARMONIC_DEGREE = 5
 """Degree of the fields that sources outside the workspace make. By judgement: they fall with the power of the distance. Study of 5 cases:
@@ -248,55 +178,8 @@ numbers change in 3."""
 TIME_DEGREE = 6
 """Degree of the polynomials in time. By judgement: three periods of what swings during a session. Study of 5 cases: numbers change in 5."""
 
-DECAY_STEPS = (0.7, 2.0, 6.0)
-"""Time constants of what lingers of the readings before, in typical steps between readings. By judgement: factors of three; less than a
-step shows no more than the reading before does. Study of 5 cases: numbers change in 5."""
-
-N_INSTANTS = 11
-"""Instants at which something may have changed, evenly over the session. By judgement: one lies within a 24th of it. Study of 5 cases:
-numbers change in 4."""
-
-N_RANGES = 7
-"""Sizes of its readings, evenly by their number, at which a sensor may change its range. By judgement: one lies within a sixteenth of the
-readings of it. Study: not in it."""
-
-MOST_PERIODS = 320
-"""Periods that are looked for in time, from twice the session down in steps of half a cycle per session, and in the reading, from its range
-down. Effort: sessions with fewer readings have fewer. Study of 5 cases: numbers change in 1."""
-
-MOST_PERIODS_ALONG_AXIS = 24
-"""Periods that are looked for along each axis of a mover, whose grids are coarser. By judgement: a screw has a turn every few millimetres.
-Study of 5 cases: numbers change in 4."""
-
-WANDERING_SHARES = (0.2, 0.05, 0.0125)
-"""Times over which what wanders keeps its value, over the duration. By judgement: factors of four, down to two readings of 160. Study of 5
-cases: numbers change in 3."""
-
-WANDERING_COMPONENTS = 24
-"""Principal components of such a wandering that are kept. By judgement: they hold most of its variance. Study of 5 cases: numbers change in
-2."""
-
 SETTING_DEGREE = 4
 """Degree of the curves in one circumstance, such as a current or a pause. As `SMOOTH_DEGREE`. Study of 5 cases: numbers change in 4."""
-
-MOVER_DEGREE = 3
-"""Degree of the errors of position in the position itself. By judgement: sag and bending are of second and third degree. Study of 5 cases:
-numbers change in 2."""
-
-LEAST_PAUSE_RANGE = 0.1
-"""Range of the logarithm of pauses between readings from which on they may matter. By judgement: a tenth is jitter of a clock. Study of 5
-cases: no change."""
-
-MOST_HISTORY_PREDICTED = 4000
-"""Readings of the history, times sensors, beyond which nothing is said of what lingers. Effort: each field is predicted. Study of 5 cases:
-no change."""
-
-WINDING_WAVES = 4
-"""Waves around the loops that a winding of another shape may have. By judgement: farther out their fields fall quickly. Study of 5 cases:
-numbers change in 4."""
-
-WINDING_DEGREE = 2
-"""Degree along the axis of the same. By judgement. Study of 5 cases: numbers change in 2."""
 
 N_INSTANTS_OF_BURSTS = 24
 """Parts of a session between which readings may scatter more, any number of them in a row. By judgement: a burst of four readings among 96
@@ -312,36 +195,15 @@ WIDER_PRIORS = (4.0, 16.0)
 
 # What is in no list
 
-PRIOR_OUTSIDE = 0.3
-"""Share of what goes wrong that is in no list. By judgement; the study of the open world has it so. Study of 3 cases: verdict or names
-change in 2."""
-
-MOST_NOT_IN_LIBRARY = 0.5
-"""Probability that a cause is something else, which no list holds, up to which it is named. By definition: beyond, the latter is more
-probable. Study of 3 cases: verdict or names change in 1."""
-
 MOST_BESIDE_A_NAME = 0.2
 """Probability that a cause is something else, which no list holds, up to which its name may be stated alone; beyond, that belongs to its
-credible set. By measurement (docs/decisions/0040). Study: not in it."""
-
-LEAST_BESIDE_A_NAME = 1.0 - CREDIBLE_SHARE
-"""Probability that a cause is something else, which no list holds, up to which its name is stated alone whatever its size. By definition of
-a credible set. Study: not in it."""
-
-MORE_THAN_OF_NOISE = math.log(3.0)
-"""Log evidence for something else, over what noise is expected to leave beside a cause of that size, up to which its name is stated alone
-between these two. By measurement: four fifths of noise stay below, and 16 of 18 right names at 30 standard deviations
-(docs/decisions/0040). Study: not in it."""
-
-RELATIVE_SHARES = (0.3, 1.0)
-"""Rms of what a relative of a cause leaves beside that cause, over the rms of what the cause explains. By judgement: what differs by less
-is hardly another cause, and what differs by more no relative. Study of 3 cases: numbers change in 1."""
+credible set. By measurement (docs/decisions/0084). Study: not in it."""
 
 # Verdict
 
 LEAST_LOG_ODDS_LEFT = math.log(10.0)
 """Posterior odds against nothing from which on what is left counts as unexplained. By measurement: in clean sessions of the tuning seeds
-the log evidence scatters by 1 about -3 and never reached 2 (docs/decisions/0008). Study of 5 cases: no change."""
+the log evidence scatters by 1 about -3 and never reached 2. Study of 5 cases: no change."""
 
 VALIDATION_SHARE = 0.2
 """Share of the readings that are kept out of all fits, in blocks of places, to judge them. Convention. Study: read by no case."""
@@ -352,25 +214,9 @@ version. Statistics: 2 % by chance. Study: read by no case."""
 
 LEAST_LOSS_SE = 3.0
 """Standard errors from which on a loss in log predictive density turns the verdict into `unexplained`. Statistics: 0.1 % by chance, for a
-verdict hangs on it (docs/decisions/0008). Study of 5 cases: no change."""
+verdict hangs on it. Study of 5 cases: no change."""
 
 # Corrections
-
-LEAST_LOG_EVIDENCE_CORRECTED = 2.0 * math.log(20.0)
-"""Log evidence that a correction needs. Odds of 20 to 1 with a prior of one in twenty, for so many kinds and degrees are asked; by
-judgement. Study of 1 case: numbers change in 1."""
-
-MOST_CORRECTIONS = 6
-"""Kinds and places that one diagnosis corrects. Effort: each has tens of amplitudes. Study of 1 case: no change."""
-
-MOST_AMPLITUDES_BESIDE_A_PILE = 128
-"""Amplitudes of one correction where causes of many kinds have piled up. Effort: such a model has hundreds of numbers before it. By
-measurement in MICE run07: waves to degree 19 instead of 6 left 0.141 mT instead of 0.143 and took twice the time of the whole diagnosis
-(docs/decisions/0064). Study: not in it."""
-
-MOST_ASKED_AGAIN = 12
-"""Kinds of corrections, with their places, that are asked again beside one that was taken, and one more beside causes that stand in: those
-that had most evidence before. Effort: of forty that a session may have, the others had none. Study: not in it."""
 
 # Widening of intervals
 
@@ -483,3 +329,7 @@ LISTED_IMPACT_SD = 0.3
 LEAST_COVERAGE90, MOST_COVERAGE90 = 0.8, 0.97
 """Share of unseen components in 90 % intervals outside which the report warns. By judgement: blocks share what a model gets wrong, so the
 share scatters by some per cent. Study: not in it."""
+
+LEAST_MISFIT_TOLD = 0.1
+"""Squared error of the rig as described beyond the noise, over that of the noise, from which on an error budget is told. By judgement:
+below, shares are of chance. Study: not in it."""

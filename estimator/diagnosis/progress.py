@@ -1,4 +1,4 @@
-"""How far a search is while it fits one hypothesis after another."""
+"""How far a diagnosis is while it asks the readings again and again."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Progress:
-    """State of a series of fits.
+    """State of a series of questions to the readings.
 
     Attributes:
-        what: What they are for.
-        n_fitted: Hypotheses that were fitted.
-        most: Hypotheses that will have been fitted at most; it falls when one turns out better than others can be.
-        left_s: Time that the fits will take at most, at their mean pace so far; None before the first.
+        what: What is asked.
+        n_fitted: Questions that were answered.
+        most: Questions at most.
+        left_s: Time that they will take at most, at their mean pace so far; None before the first.
     """
 
     what: str
@@ -30,7 +30,7 @@ OnCount = Callable[[str, int, int], None]
 
 
 def unwatched(progress: Progress) -> None:
-    """Ignore the progress of a search that nobody watches."""
+    """Ignore the progress of a diagnosis that nobody watches."""
 
 
 def uncounted(what: str, done: int, total: int) -> None:
@@ -38,10 +38,10 @@ def uncounted(what: str, done: int, total: int) -> None:
 
 
 class Pace:
-    """Tells after each fit of a series how far it is.
+    """Tells after each question of a series how far it is.
 
     Args:
-        what: What the fits are for.
+        what: What is asked.
         on_progress: Called with the state.
     """
 
@@ -50,7 +50,7 @@ class Pace:
         self.begin_s = time.monotonic()
 
     def tell(self, n_fitted: int, most: int) -> None:
-        """Tell how many hypotheses were fitted, and how many will have been at most."""
+        """Tell how many questions were answered, and how many there will be at most."""
         mean_s = (time.monotonic() - self.begin_s) / n_fitted if n_fitted else None
         left_s = None if mean_s is None else mean_s * (most - n_fitted)
         self.on_progress(Progress(self.what, n_fitted, most, left_s))

@@ -11,9 +11,6 @@ from estimator.diagnosis.headline import headline, held_back, tension_words
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.tables import appendix, tables
-from estimator.diagnosis.verdict import Verdict
-from estimator.effects import EFFECTS
-from estimator.effects.stages import NoiseEffect
 from estimator.reporting.numbers import percent
 from estimator.reporting.page import ReportPage, render_report
 from estimator.rig.rig import Cause
@@ -45,7 +42,7 @@ def diagnosis_report(diagnosis: Diagnosis, command: str) -> str:
 
 def warnings_of(diagnosis: Diagnosis) -> list[str]:
     """What a reader must know before relying on the diagnosis, one sentence each."""
-    parts = (_tension, held_back, _not_sampled, _validation, _stand_ins, _dropped, _passed_over)
+    parts = (_tension, held_back, _not_sampled, _validation, _stand_ins)
     return part_by_part(parts, diagnosis, lambda fault: fault)
 
 
@@ -77,48 +74,9 @@ def _stand_ins(diagnosis: Diagnosis) -> list[str]:
     if not diagnosis.findings.stand_ins:
         return []
     return [
-        f"The extended rig also has {_listed(diagnosis, diagnosis.findings.stand_ins)}: the fit needs them, but they may stand in for "
-        "something unknown."
+        f"The extended rig also has {_listed(diagnosis, diagnosis.findings.stand_ins)}: it predicts better with them, but they are not "
+        "sure enough to be stated."
     ]
-
-
-def _dropped(diagnosis: Diagnosis) -> list[str]:
-    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:  # whose causes the search has not taken
-        return []
-    return [
-        f"{diagnosis.label(cause)} was taken at first and dropped when other causes explained the same structure."
-        for cause in diagnosis.findings.search.dropped
-    ]
-
-
-def _passed_over(diagnosis: Diagnosis) -> list[str]:
-    """Causes that led steps and were not taken, such as scatter that passes for anything that is wrong."""
-    if diagnosis.verdict is Verdict.PARTLY_EXPLAINED:
-        return []
-    steps = diagnosis.findings.search.steps
-    leads: dict[Cause, list[float]] = {}
-    for step in steps:
-        causes = [hypothesis for hypothesis in step.hypotheses if hypothesis.cause is not None]
-        leader = max(causes, key=lambda hypothesis: hypothesis.log_bayes_factor, default=None)
-        if leader is None or leader.cause is None or leader.cause in diagnosis.fits.final.rig.effects:
-            continue
-        taken = next((h.log_bayes_factor for h in causes if h.cause == step.taken), 0.0)
-        if leader.log_bayes_factor > max(taken, 0.0) + policy.CLEAR_LOG_EVIDENCE:
-            leads.setdefault(leader.cause, []).append(leader.log_bayes_factor)
-    return [
-        f"{diagnosis.label(cause)} ({EFFECTS[cause.name].words}) led {len(led)} of {len(steps)} steps of the search, by a log evidence of "
-        f"up to {max(led):.0f}, and was not taken: {_why_not(cause)}."
-        for cause, led in leads.items()
-    ]
-
-
-def _why_not(cause: Cause) -> str:
-    effect = EFFECTS[cause.name]
-    if isinstance(effect, NoiseEffect) and effect.imitates_structure:
-        return "such scatter passes for anything that is wrong, so causes with a pattern come first. Look whether it is there, too"
-    return (
-        "it predicts blocks of places that were held out no better, or another explains more beside the rest"
-    )
 
 
 def _listed(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,20 +10,21 @@ import torch
 
 from estimator.calibration.result import CALIBRATION, Calibration
 from estimator.diagnosis import policy
+from estimator.diagnosis.budget import Budget
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.differences import clearest_difference
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.fit_journal import FITS
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
-from estimator.diagnosis.hypotheses.search_record import Addition, Search
-from estimator.diagnosis.hypotheses.step import Hypothesis, Step, p_of_structure
 from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.comparison import Comparison, Hypothesis
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.outlying import Outlier
-from estimator.diagnosis.search_json import search_to_json
 from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
+from estimator.diagnosis.structure.pull import Pull
+from estimator.diagnosis.structure.scatter import Scatter
 from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.validation import Improvement
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
@@ -51,7 +51,6 @@ MADE = Made(
     (DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER),
     lambda folder: holds(folder / DIAGNOSIS, '"verdict"') or holds(folder / FITS, '"key"'),
 )
-MOST_KINDS_TOLD = 3  # of causes that were taken together
 
 
 def label_of(cause: Cause, rig: Rig) -> str:
@@ -76,27 +75,29 @@ class Question:
 
 @dataclass(frozen=True)
 class Findings:
-    """Results of the search.
+    """What was found.
 
     Attributes:
-        search: The steps by which the causes were found.
-        record_mistakes: Mistakes of the record, undone before the search.
-        causes: The named causes, in order.
-        stand_ins: Further causes of the extended rig. They are not named, for something unknown may look like them.
+        answer: What the readings say of causes and of departures that no list holds.
+        scatter: Whether they scatter otherwise than the leading causes say.
+        pull: Whether the fit with these pulls a number of the rig far from its prior.
+        record_mistakes: Mistakes of the record, undone before.
+        causes: The named causes, surest first.
+        stand_ins: Further causes of the extended rig, which are not sure enough to be stated.
         flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
         judging_flags: The same of another session, which judges the fits.
         outliers: Components that are probably wrong, where the extended rig has outliers, those that miss most first.
-        mixture: Causes and departures beside each other, where something is unexplained; None where that was not asked.
     """
 
-    search: Search
+    answer: Answer
+    scatter: Scatter
+    pull: Pull
     record_mistakes: tuple[RecordMistake, ...] = ()
     causes: tuple[NamedCause, ...] = ()
     stand_ins: tuple[Cause, ...] = ()
     flags: tuple[Flag, ...] = ()
     judging_flags: tuple[Flag, ...] = ()
     outliers: tuple[Outlier, ...] = ()
-    mixture: Answer | None = None
 
 
 @dataclass(frozen=True)
@@ -110,6 +111,7 @@ class Fits:
         before, after: Symptoms in the residuals of `plain` and `extended`.
         improvement: Of the predictions of unseen readings; None where there are none.
         correction: Of what no cause explains; its terms are in `extended` and `final`. None where nothing is unexplained.
+        budget: Shares of the error on unseen readings; None where there are none, or nothing was found.
     """
 
     plain: Fit
@@ -119,6 +121,7 @@ class Fits:
     after: Symptoms
     improvement: Improvement | None = None
     correction: Correction | None = None
+    budget: Budget | None = None
 
 
 @dataclass(frozen=True)
@@ -196,29 +199,13 @@ class Diagnosis:
         """Name of a cause, with its place where the rig has several for it."""
         return label_of(cause, self.rig)
 
-    def label_of_addition(self, addition: Addition) -> str:
-        """Names of the causes that the search took together; of many kinds, of the first."""
-        kinds = list(self._kinds(addition).values())
-        if len(kinds) > MOST_KINDS_TOLD:
-            kinds = [*kinds[: MOST_KINDS_TOLD - 1], f"{len(kinds) - MOST_KINDS_TOLD + 1} other kinds"]
-        return " + ".join(kinds)
-
-    def _kinds(self, addition: Addition) -> dict[str, str]:
-        """What to call each kind of the causes that were taken together."""
-        n_places = Counter(cause.name for cause in addition.causes)
-        label = {cause.name: self.label(cause) for cause in addition.causes}
-        return {name: label[name] if n == 1 else f"{name} at {n} places" for name, n in n_places.items()}
-
     @property
-    def comparisons(self) -> list[tuple[str, Step]]:
-        """For each addition what it took, and the step of the first cause of each name; last, the step that took nothing."""
-        search = self.findings.search
-        steps = [
-            (self._kinds(addition)[cause.name], search.step_of(cause))
-            for addition in search.additions
-            for cause in {cause.name: cause for cause in reversed(addition.causes)}.values()
+    def comparisons(self) -> list[tuple[str, Comparison]]:
+        """In the place of each stated cause all hypotheses, with the names of what was stated; last, beside all that leads."""
+        return [
+            (" or ".join(map(self.label, comparison.taken)) or "nothing more", comparison)
+            for comparison in self.findings.answer.comparisons
         ]
-        return [*steps, ("nothing more", search.steps[-1])]
 
     @property
     def sized_causes(self) -> tuple[SizedCause, ...]:
@@ -228,15 +215,15 @@ class Diagnosis:
     @property
     def p_not_in_library(self) -> float:
         """Probability that something is there which no list holds: beside the named causes, or instead of one."""
-        search = self.findings.search
-        left = max(p_of_structure(evidence) for evidence in (search.remainder, search.scatter, search.pull))
+        findings = self.findings
+        left = max(findings.answer.p_unlisted, findings.scatter.probability, findings.pull.probability)
         return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
 
     def evidence(self) -> dict[str, float]:
-        """Log Bayes factor of every hypothesis against nothing, before any cause was taken."""
+        """Log Bayes factor of every hypothesis against nothing, each alone."""
         return {
             self.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
-            for hypothesis in self.findings.search.steps[0].hypotheses
+            for hypothesis in self.findings.answer.alone.hypotheses
         }
 
     def label_of_hypothesis(self, hypothesis: Hypothesis) -> str:
@@ -268,12 +255,12 @@ class Diagnosis:
 
     def to_json(self) -> dict[str, Any]:
         """Content of `diagnosis.json`."""
-        search, left_open, improvement = self.findings.search, self.left_open, self.improvement
-        remainder = search.remainder
+        findings, left_open, improvement = self.findings, self.left_open, self.improvement
+        left, scatter, pull = findings.answer.left, findings.scatter, findings.pull
         result: dict[str, Any] = {
             "verdict": str(self.verdict),
             "p_not_in_library": self.p_not_in_library,
-            "ended_early": search.ended_early,
+            "ended_early": findings.answer.ended_early,
             "causes": [cause.to_json() for cause in self.sized_causes],
             "stand_ins": [
                 {"name": self.label(c), "place": c.place, "parameters": intervals_to_json(self.quantities(c))}
@@ -308,24 +295,25 @@ class Diagnosis:
             },
             "signatures": {"before": self.fits.before.to_json(), "after": self.fits.after.to_json()},
             "unexplained": {
-                "log_bayes_factor": remainder.log_bayes_factor,
-                "looks_like": remainder.family,
-                "rms_sigma": remainder.rms_sigma,
+                "log_bayes_factor": left.log_bayes_factor,
+                "looks_like": left.words,
+                "rms_sigma": left.rms_sigma,
             },
             "scatter": {
-                "log_bayes_factor": search.scatter.log_bayes_factor,
-                "depends_on": search.scatter.along,
+                "log_bayes_factor": scatter.log_bayes_factor,
+                "depends_on": scatter.along,
             },
             "pull": {
-                "log_bayes_factor": search.pull.log_bayes_factor,
-                "parameter": search.pull.name,
-                "widths": search.pull.widths,
+                "log_bayes_factor": pull.log_bayes_factor,
+                "parameter": pull.name,
+                "widths": pull.widths,
             },
-            "mixture": None if self.findings.mixture is None else self.findings.mixture.to_json(),
+            "mixture": findings.answer.to_json(),
             "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
+            "budget": None if self.fits.budget is None else self.fits.budget.to_json(),
             "rig_parameters": intervals_to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,
-            **search_to_json(search, self.label),
+            "steps": [self._comparison_json(comparison) for _, comparison in self.comparisons],
             "seed": self.question.seed,
         }
         if improvement is not None:
@@ -336,6 +324,19 @@ class Diagnosis:
             result["moved_sd"] = {n: sd for n, sd in improvement.moved_sd.items() if n not in loosened}
             result["no_longer_determined"] = list(loosened)
         return result
+
+    def _comparison_json(self, comparison: Comparison) -> dict[str, Any]:
+        return {
+            "taken": self.label(comparison.taken[0]) if comparison.taken else None,
+            "considered": [
+                {
+                    "name": self.label_of_hypothesis(hypothesis),
+                    "log_bayes_factor": hypothesis.log_bayes_factor,
+                    "probability": hypothesis.probability,
+                }
+                for hypothesis in comparison.hypotheses
+            ],
+        }
 
     def save(self, folder: Path) -> None:
         """Write `diagnosis.json`, sealed by its SHA-256, and `rig_extended.yaml`."""

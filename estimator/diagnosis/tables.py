@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.hypotheses.step import Hypothesis, Step, shares_of
 from estimator.diagnosis.impact import impact_sd
+from estimator.diagnosis.mixture.comparison import NOTHING, Comparison, Hypothesis, credible
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
@@ -169,8 +169,8 @@ def _stand_in_tables(diagnosis: Diagnosis) -> list[Table]:
     return _sizes_tables(
         diagnosis,
         diagnosis.findings.stand_ins,
-        "What stands in for something unknown",
-        "Quantities of causes that the extended rig (rig_extended.yaml) needs, though none of them is believed.",
+        "Causes that are not sure enough to be stated",
+        "Their quantities in the extended rig (rig_extended.yaml), which predicts better with them.",
     )
 
 
@@ -224,13 +224,13 @@ def _numbers(diagnosis: Diagnosis, cause: Cause) -> dict[str, Interval]:
 
 
 def _names_first(diagnosis: Diagnosis) -> list[Cause]:
-    """Causes of the extended rig, those that stand in for something unknown last."""
+    """Causes of the extended rig, those that are not sure enough to be stated last."""
     return sorted(diagnosis.fits.final.rig.effects, key=lambda cause: cause in diagnosis.findings.stand_ins)
 
 
 def _label(diagnosis: Diagnosis, cause: Cause) -> str:
-    """Name of a cause, and whether it stands in for something unknown."""
-    return diagnosis.label(cause) + (" (stands in)" if cause in diagnosis.findings.stand_ins else "")
+    """Name of a cause, and whether it is not sure enough to be stated."""
+    return diagnosis.label(cause) + (" (not sure)" if cause in diagnosis.findings.stand_ins else "")
 
 
 def _validation_table(diagnosis: Diagnosis) -> Table:
@@ -338,30 +338,24 @@ def _impact_table(diagnosis: Diagnosis) -> Table:
     )
 
 
-def _hypotheses_table(diagnosis: Diagnosis, step: Step, number: int, title: str) -> Table:
-    """All hypotheses of a step."""
-    causes = [hypothesis for hypothesis in step.hypotheses if hypothesis.cause is not None]
-    probability = dict(zip((hypothesis.name for hypothesis in causes), shares_of(causes), strict=True))
+def _hypotheses_table(diagnosis: Diagnosis, comparison: Comparison, number: int, title: str) -> Table:
+    """All hypotheses of a comparison."""
     rows = [
         [
             diagnosis.label_of_hypothesis(hypothesis),
             _words(hypothesis),
             _signed(hypothesis.log_bayes_factor),
-            _percent(probability.get(hypothesis.name)),
-            "—"
-            if hypothesis.held_out is None
-            else f"{_signed(hypothesis.held_out.elpd_difference)} ± {hypothesis.held_out.elpd_se:.1f}",
-            _why(diagnosis, step, hypothesis),
+            _percent(hypothesis.probability),
+            _why(comparison, hypothesis),
         ]
-        for i, hypothesis in enumerate(step.hypotheses)
+        for i, hypothesis in enumerate(comparison.hypotheses)
         if i < MOST_HYPOTHESES or hypothesis.cause is None  # `nothing` and `unexplained` are always listed
     ]
     return Table(
-        f"Hypotheses considered, step {number}: {title} taken",
-        ["hypothesis", "meaning", "log Bayes factor", "among causes", "unseen blocks", "outcome"],
+        f"Hypotheses, comparison {number}: {title}",
+        ["hypothesis", "meaning", "log Bayes factor", "probability", "outcome"],
         rows,
-        "Log Bayes factors are against nothing wrong. Unseen blocks: change in log predictive density where each block of neighbouring "
-        "positions is predicted from the others, with its standard error.",
+        "Log Bayes factors are against nothing wrong, beside all other causes and departures that lead, by the readings that were asked.",
     )
 
 
@@ -375,35 +369,19 @@ def _signed(value: float) -> str:
     return f"{round(value, 1) + 0.0:.1f}".replace("-", "−")
 
 
-def _percent(share: float | None) -> str:
-    if share is None:
-        return "—"
+def _percent(share: float) -> str:
     return percent(share, 1) if share > 1e-3 else "< 0.1 %"
 
 
 def _words(hypothesis: Hypothesis) -> str:
     if hypothesis.cause is not None:
         return EFFECTS[hypothesis.cause.name].words
-    return (
-        "nothing wrong"
-        if hypothesis.name == "nothing"
-        else "a flexible curve, for what no known cause explains"
-    )
+    return "nothing wrong" if hypothesis.name == NOTHING else "a departure that no list holds"
 
 
-def _why(diagnosis: Diagnosis, step: Step, hypothesis: Hypothesis) -> str:
-    if hypothesis.cause is not None and hypothesis.cause == step.taken:
-        return "taken; stands in" if hypothesis.cause in diagnosis.findings.stand_ins else "taken"
-    if hypothesis in step.credible and step.taken is not None:
-        return "cannot be told apart from what was taken"
-    best = next((r for r in step.hypotheses if r.cause == step.taken), None)
-    if hypothesis.name == "unexplained":
-        return "tested again at the end"
-    if best is None or step.taken is None:
-        return "not needed" if hypothesis.cause is not None else "no cause was taken"
-    if hypothesis.held_out is not None and hypothesis.held_out.is_loss:
-        return "predicts unseen blocks worse"
-    behind = best.log_bayes_factor - hypothesis.log_bayes_factor
-    if hypothesis.name == "nothing":
-        return f"explains nothing: {behind:.1f} behind"
-    return f"explains less: {behind:.1f} behind" if behind > 0.0 else "tested again later"
+def _why(comparison: Comparison, hypothesis: Hypothesis) -> str:
+    if hypothesis.cause in comparison.taken:
+        return "stated"
+    if comparison.taken and hypothesis in credible(comparison.hypotheses):
+        return "cannot be told apart from what was stated"
+    return "" if hypothesis.cause is None else "not needed"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,9 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.least_growth import least_growth
-from estimator.diagnosis.structure.cross_validation import jackknife_covariance
-from estimator.diagnosis.structure.discrepancy import Discrepancy
+from estimator.diagnosis.structure.jackknife import jackknife_covariance
 from estimator.diagnosis.whole_counts import with_whole_counts
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.rig import Rig
@@ -37,57 +35,26 @@ class Widening:
     covariance: Float[Tensor, "coordinate coordinate"]
 
     @classmethod
-    def of(cls, searched: Fit, fit: Fit, remainder: Discrepancy) -> Widening:
+    def of(cls, searched: Fit, final: Fit, names: Sequence[str], spread: Float[Tensor, "n n"]) -> Widening:
         """The smallest covariance that is nowhere below three others, and nowhere beyond the priors.
 
-        These are: the Laplace covariance of the fit; that of the search with the strongest remaining curve fitted as well; and the block
-        jackknife over neighbouring positions. The last two use the few readings of the search, for the error of a wrong model does not
-        average out over more.
+        These are: the Laplace covariance of the fit; what the mixture says of the rig's numbers, carried to the other numbers as the fit
+        ties them to these; and the jackknife over blocks of places and of times, for a wrong model errs where it guesses.
 
         Args:
-            searched: The last fit of the search.
-            fit: The same model, fitted to all readings.
-            remainder: Structure in the residual at the end of the search.
+            searched: The extended rig, fitted to the readings of the search.
+            final: The same, fitted to all readings.
+            names: Of the rig's numbers.
+            spread: Their mean square distance from those of the final fit.
         """
-        block = pose_blocks(searched.observations, np.random.default_rng(0))
-        others = (searched.covariance_beside(remainder.columns), jackknife_covariance(searched, block))
-        return cls(fit, within_prior(fit, envelope(fit.covariance, *others)))
-
-    def carried_to(self, fit: Fit) -> Widening:
-        """The widening of a fit with further terms: no parameter that both fits have is surer than this one says.
-
-        Ties between parameters are not carried: where the further terms have moved the fit far, numbers that made up for each other no
-        longer do. Of all covariances with such intervals the one is taken that the later fit contradicts least, and the further terms go
-        along as its posterior has it. So the field that all predict together grows little less sure.
-
-        Args:
-            fit: With corrections.
-        """
-        names, own = fit.posterior.coordinates.names, self.fit.posterior.coordinates.names
-        shared = [name for name in own if name in names]
-        rows, own_rows = [names.index(name) for name in shared], [own.index(name) for name in shared]
-        among = fit.covariance[rows][:, rows]
-        growth = least_growth(among, self.covariance.diagonal()[own_rows])
-        following = torch.linalg.solve(among, fit.covariance[rows]).T
-        return Widening(fit, fit.covariance + following @ growth @ following.T)
-
-    def over_blocks(self, searched: Fit) -> Widening:
-        """The widening that is also nowhere surer than predictions of readings held out allow, by place and by time.
-
-        What follows a rest without a name is a wrong model where it guesses: between places, or between times. Neither the noise nor the
-        priors of its amplitudes know of that; the scatter of a fit, as one block after another is left out, does.
-
-        Args:
-            searched: The same model, fitted to the few readings of the search.
-        """
-        blocks = (
-            pose_blocks(searched.observations, np.random.default_rng(0)),
-            time_blocks(searched.observations),
-        )
-        others = (jackknife_covariance(searched, block) for block in blocks)
-        return Widening(
-            self.fit, within_prior(self.fit, envelope(self.fit.covariance, self.covariance, *others))
-        )
+        rows = [final.posterior.coordinates.names.index(name) for name in names]
+        among = final.covariance[rows][:, rows]
+        following = torch.linalg.solve(among, final.covariance[rows]).T
+        growth = envelope(among, spread) - among
+        carried = final.covariance + following @ growth @ following.T
+        places = pose_blocks(searched.observations, np.random.default_rng(0))
+        jackknives = [jackknife_covariance(searched, b) for b in (places, time_blocks(searched.observations))]
+        return cls(final, within_prior(final, envelope(final.covariance, carried, *jackknives)))
 
     @cached_property
     def factors(self) -> dict[str, float]:

@@ -13,11 +13,10 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import ClassVar
 
-from torch import Tensor
-
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
 from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
 from estimator.rig.rig import Body, Mover, Rig
+from estimator.tensors import Tensor
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
 
@@ -106,10 +105,7 @@ class Effect(ABC):
         words: What has happened, in a few words, for reports.
         source: Where the width of its priors comes from.
         is_record_mistake: It is there or not, and makes the readings absurd unless undone. All its starts are tried before any other cause.
-        idealises: What it is a simplified picture of. Where a session needs two pictures of the same thing, neither is true.
-        is_structural: The source is built otherwise than described, which may do for causes of many kinds that have piled up.
-        starts_far_off: Fits with it start far from its null, and multiply what the coils do. Where a fit without it has bent the rig to
-            follow, the linear model there says nothing of it.
+        is_structural: The source is built otherwise than described.
         is_linear: The field stays proportional to the currents.
         can_begin: It may be there in one session and not in the one before. What is built into a winding, or is a formula, was there from
             the first reading on: beside a calibration of the same coil it explains no change.
@@ -126,9 +122,7 @@ class Effect(ABC):
     words: ClassVar[str]
     source: ClassVar[str]
     is_record_mistake: ClassVar[bool] = False
-    idealises: ClassVar[str | None] = None
     is_structural: ClassVar[bool] = False
-    starts_far_off: ClassVar[bool] = False
     is_linear: ClassVar[bool] = True
     can_begin: ClassVar[bool] = True
     needs_winding: ClassVar[bool] = False

@@ -6,15 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
 
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, nominal_positions_m
 from estimator.readings.observations import SECONDS_PER_HOUR, Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 MOST_TIME_STEPS = 300  # of a heating curve
 SMALLEST_MOVE_M = 1e-9

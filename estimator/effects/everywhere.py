@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
+from estimator.tensors import torch
 
 LEAST_SHARE = 0.01  # of a constant, left beside what is proportional to the currents: its error is then ten times that of a mean
 

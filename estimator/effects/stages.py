@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
@@ -25,6 +23,7 @@ from estimator.field.sided import SidedWinding
 from estimator.field.winding import Rule, Winding, field_of_loops
 from estimator.frames import Transform
 from estimator.rig.rig import Coil, Rig, SidedCoil
+from estimator.tensors import Tensor, torch
 
 FEWEST_COMPONENTS = 10  # from which on a sensor's residuals say anything of its scatter
 
@@ -367,12 +366,7 @@ class NoiseEffect(Effect):
 
     It changes the standard deviation of components (`sigma_T`), the shape of their distribution (`contamination`), or both. Likelihood,
     simulation, predictive density and the tests of agreement all follow from these.
-
-    Attributes:
-        imitates_structure: Wrong predictions pass for it; all other causes are asked first, and again beside it.
     """
-
-    imitates_structure: ClassVar[bool] = False
 
     @property
     def is_contaminating(self) -> bool:

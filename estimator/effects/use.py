@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Generic, TypeVar
 
-import torch
 from jaxtyping import Bool
-from torch import Tensor
 
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Effect, Kind, Theta
@@ -28,6 +26,7 @@ from estimator.effects.stages import (
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Cause, Mover, Rig
+from estimator.tensors import Tensor, torch
 
 OF_FIELD = (
     CurrentEffect,

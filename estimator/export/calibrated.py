@@ -7,11 +7,11 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor
 
 Motion = Mapping[str, Float[Tensor, " 6"]]
 

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
-
 from estimator.export.labels import identifier, plain_words
 from estimator.export.magnet import Magnet
 from estimator.export.plain_model import PlainCoil, numbers_of
@@ -14,6 +11,7 @@ from estimator.field.sided import SidedWinding
 from estimator.field.winding import DEFAULT_TOLERANCE, Winding
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 

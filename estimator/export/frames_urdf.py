@@ -12,8 +12,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
-import torch
-
 from estimator.effects.stages import MotionEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
@@ -24,6 +22,7 @@ from estimator.frames import Transform
 from estimator.geometry.motion import ends_of
 from estimator.model.room_field import at_one_moment
 from estimator.rig.rig import Body, MotionKind, Mover
+from estimator.tensors import torch
 
 FIXED, REVOLUTE, FLOATING = "fixed", "revolute", "floating"
 

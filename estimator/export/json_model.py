@@ -8,7 +8,6 @@ from dataclasses import fields
 from typing import Any
 
 import numpy as np
-from torch import Tensor
 
 from estimator.code_version import code_version
 from estimator.export.calibrated import Calibrated
@@ -20,6 +19,7 @@ from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
+from estimator.tensors import Tensor
 from estimator.units import MU0_T_M_PER_A
 
 SCHEMA_VERSION = 1

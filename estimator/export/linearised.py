@@ -10,9 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.export.calibrated import Calibrated
@@ -24,6 +22,7 @@ from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
 from estimator.rig.coordinates import Coordinates, Values
 from estimator.rig.rig import Rig, WoundCoil
+from estimator.tensors import Tensor, torch
 
 WINDING_NUMBERS = tuple(item.name for item in fields(Winding))
 _Numbers = Callable[[Rig, Sources, Values], Tensor]

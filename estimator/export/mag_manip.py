@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import torch
 import yaml
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.export.calibrated import Calibrated, Motion
 from estimator.export.request import Grid, Request, motion_of
+from estimator.tensors import Tensor, torch
 
 LEAST_POINTS = 2  # along each axis, between which it interpolates
 PROPORTIONAL = 1e-9  # of the field: what the sum of all coils may be off

@@ -6,9 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.export.calibrated import Calibrated
@@ -16,6 +14,7 @@ from estimator.export.labels import origin_of, points_about, regions_of
 from estimator.export.linearised import CoilChange, Linearised, linearised
 from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover, plain_model
 from estimator.rig.rig import AnyCoil
+from estimator.tensors import Tensor, torch
 
 
 @dataclass(frozen=True)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 from typing import Any
 
-import torch
-
 from estimator.errors import InvalidInput
 from estimator.export.calibrated import Motion
 from estimator.export.labels import plain_words
@@ -14,6 +12,7 @@ from estimator.export.magnet import Magnet
 from estimator.export.plain_model import numbers_of
 from estimator.export.request import motion_of
 from estimator.rig.rig import SidedCoil
+from estimator.tensors import torch
 
 CHORDS_PER_ARC = 90
 CHORDS = f" Arcs are {CHORDS_PER_ARC} chords each."

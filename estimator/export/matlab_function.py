@@ -5,9 +5,6 @@ from __future__ import annotations
 import re
 from dataclasses import astuple
 
-import torch
-from torch import Tensor
-
 from estimator.errors import InvalidInput, quoted
 from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
@@ -19,6 +16,7 @@ from estimator.field.winding import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
 from estimator.rig.arms import DenavitHartenberg
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 DEFINED = re.compile(r"^function .*?(\w+)\(", re.MULTILINE)

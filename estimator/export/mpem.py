@@ -11,13 +11,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 import yaml
 from jaxtyping import Float
 
 from estimator.errors import InvalidInput
 from estimator.export.mag_manip import per_ampere_on
 from estimator.export.request import Grid, Request, motion_of
+from estimator.tensors import torch
 
 DEGREES = range(2, 13, 2)  # tried in turn
 ENOUGH = 1e-5  # error of the largest field at which no higher degree is tried; predictions sum their loops to a tenth of it

@@ -7,9 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Effect
 from estimator.effects.stages import (
@@ -46,6 +44,7 @@ from estimator.rig.rig import (
     SidedCoil,
     WoundCoil,
 )
+from estimator.tensors import Tensor, torch
 
 PROBES_A = (1.0, -3.0, 7.0)  # currents at which a supply shows whether it is linear
 # Points at which a room shows whether it is uniform.

@@ -7,14 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput, quoted
 from estimator.export.calibrated import Calibrated, Motion
 from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
+from estimator.tensors import Tensor, torch
 
 BLOCK = 10_000  # points evaluated at once
 

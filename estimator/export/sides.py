@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.export.plain_model import PlainCoil
 from estimator.field.sided import SidedWinding
+from estimator.tensors import Tensor, torch
 
 
 def is_rounded(coil: PlainCoil) -> bool:

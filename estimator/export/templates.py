@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 import jinja2
-from torch import Tensor
+
+from estimator.tensors import Tensor
 
 Filters = Mapping[str, Callable[..., Any]]  # how values are written in a language, by name
 

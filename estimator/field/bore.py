@@ -11,12 +11,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.harmonics import interior_field
 from estimator.field.kernel import has_derivatives
+from estimator.tensors import Tensor, torch
 
 SOURCES = 2.0  # radii from the axis, where sources are expected to begin
 MOST_TURNS = 6  # around the axis: fields with m turns fall as the power m - 1 of the distance from the wall

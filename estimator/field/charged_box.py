@@ -11,13 +11,12 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.harmonics import exterior_field
 from estimator.rig.charged_box import MULTIPOLE_DEGREE, Triple
 from estimator.rig.harmonic_terms import terms
+from estimator.tensors import Tensor, torch
 
 # Amplitudes of a multipole by degree.
 SIZES = [len(terms(degree)) for degree in range(1, MULTIPOLE_DEGREE + 1)]

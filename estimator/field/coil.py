@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import SumMode
@@ -28,6 +26,7 @@ from estimator.field.winding import (
     loops_of,
 )
 from estimator.rig.rig import Coil, FieldSum, Leads, WoundCoil
+from estimator.tensors import Tensor, torch
 
 AnyWinding = Winding | SidedWinding
 

@@ -12,12 +12,11 @@ import math
 from dataclasses import dataclass
 from functools import cache
 
-import torch
 from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
-from torch import Tensor
 
 from estimator.field.loop import NEAREST_STEPS, loop_terms
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 BANDS = 8  # between heights; 6 have an error of 0.8 % on the axis, 8 of 0.4 %

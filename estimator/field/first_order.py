@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
+from estimator.tensors import Tensor, torch
 
 
 def first_order_field(

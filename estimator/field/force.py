@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.loop import NEAREST_STEPS, loop_terms
+from estimator.tensors import Tensor, torch
 
 N_POINTS = 64  # on the circle that feels the force; the sum over them converges geometrically
 

@@ -14,11 +14,10 @@ from functools import cache
 from importlib.util import find_spec
 from typing import Any
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.kernel import QUARTER_MU0, has_derivatives
+from estimator.tensors import Tensor, torch
 
 POINTS_IN_A_BLOCK = 128
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float
-from scipy.interpolate import make_interp_spline
-from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.tensors import Tensor, torch
 
 DEGREE = 3
 FEWEST_POINTS = 2 * DEGREE + 1  # along an axis: every second one still makes a cubic spline
@@ -52,6 +50,10 @@ class GridMap:
     def _through(
         cls, axes_m: tuple[np.ndarray, np.ndarray, np.ndarray], values: Float[np.ndarray, "x y z 3"]
     ) -> GridMap:
+        from scipy.interpolate import (
+            make_interp_spline,  # half a second, which only field maps on a grid need
+        )
+
         knots_m, coefficients = [], values
         for i, axis_m in enumerate(axes_m):
             spline = make_interp_spline(axis_m, coefficients, k=DEGREE, axis=i)

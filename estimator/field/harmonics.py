@@ -10,9 +10,9 @@ import math
 from collections.abc import Mapping
 from functools import lru_cache
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+
+from estimator.tensors import Tensor, torch
 
 Exponents = tuple[int, int, int]
 Polynomial = dict[Exponents, float]  # coefficient by powers of x, y and z

@@ -17,12 +17,10 @@ from typing import Any
 
 import numba
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
-from torch.autograd import forward_ad
 
 from estimator.field.loop import FEWEST_STEPS
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 POINTS_AT_ONCE = 32  # in a block
@@ -57,7 +55,7 @@ def has_derivatives(tensor: Tensor) -> bool:
     return (
         (tensor.requires_grad and torch.is_grad_enabled())
         or torch._C._functorch.is_functorch_wrapped_tensor(tensor)
-        or forward_ad.unpack_dual(tensor).tangent is not None
+        or torch.autograd.forward_ad.unpack_dual(tensor).tangent is not None
     )
 
 
@@ -140,11 +138,17 @@ def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
 
 
-def machine_code(function: Callable[..., None]) -> Any:
-    """Machine code of a function, kept on disk where a folder for it can be written."""
+def machine_code(function: Callable[..., None], is_in_order: bool = True) -> Any:
+    """Machine code of a function, kept on disk where a folder for it can be written.
+
+    Args:
+        function: What is translated.
+        is_in_order: Sums are added in the order in which they are written, not several terms at a time.
+    """
     plain = inspect.unwrap(function)  # without the checks of shapes that tests put around every function
     # A product and a sum may become one instruction, which rounds once.
-    settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": {"contract"}}
+    fastmath = {"contract"} if is_in_order else {"contract", "reassoc", "nsz"}
+    settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
     try:
         return numba.njit(cache=True, **settings)(plain)
     except RuntimeError:  # neither the package's folder nor the user's can be written

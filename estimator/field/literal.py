@@ -6,12 +6,11 @@ It is off by 4 to 22 % rms, the more the nearer the workspace (docs/paper.md, er
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.loop import loop_terms
 from estimator.field.winding import Rule, Winding, loops_of
+from estimator.tensors import Tensor, torch
 
 
 def literal_field_per_ampere(

@@ -19,10 +19,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 FEWEST_STEPS = 3

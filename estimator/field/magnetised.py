@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import torch
 from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
-from torch import Tensor
 
 from estimator.field.kernel import is_plain, sums_of_rings
 from estimator.field.loop import NEAREST_STEPS, loop_terms
 from estimator.field.node_sum import carrying_first_order, loop_slopes
 from estimator.field.winding import Winding
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 # Nodes along a winding: at least, and more per inner radius of its length.

@@ -9,13 +9,12 @@ from enum import Enum, auto
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.first_order import carrying_slopes
 from estimator.field.kernel import SMALLEST_RHO2_M2, field_and_slopes, is_plain, slopes_of_loops, sum_of_loops
 from estimator.field.loop import loop_derivatives, loop_terms
+from estimator.tensors import Tensor, torch
 
 
 class Nodes(NamedTuple):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
+
+from estimator.tensors import Tensor, torch
 
 # Radius of the ring, over that of the opening: there a field that rises as the square equals its weighted mean over the opening.
 RING = math.sqrt(0.4)

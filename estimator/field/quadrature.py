@@ -9,9 +9,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
+
+from estimator.tensors import Tensor, torch
 
 LARGEST_COUNT = 1e9  # an optimiser may step far off; squares of larger counts overflow
 

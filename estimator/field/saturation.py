@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
+
+from estimator.tensors import Tensor, torch
 
 SUSCEPTIBILITY = 20.0  # at a strength of 0.5; about where the shape of a short rod begins to limit it
 MOST_STEPS = 20  # of Newton's method, which takes 3 to 6

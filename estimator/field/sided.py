@@ -15,9 +15,7 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.derivatives import value_and_jacobian
 from estimator.field.first_order import carrying_slopes, first_order_field
@@ -27,6 +25,7 @@ from estimator.field.quadrature import discrete_gauss
 from estimator.field.sided_kernel import slopes_of_sided_loops, sum_of_sided_loops
 from estimator.field.straight import MU0_OVER_4PI, along_wire
 from estimator.field.winding import DEFAULT_TOLERANCE, NODE_LADDER, Rule, smallest_rule
+from estimator.tensors import Tensor, torch
 
 ELEMENTS_PER_CHUNK = 1_000_000  # numbers that torch holds at once in between
 ALL_DIGITS = 1e-15

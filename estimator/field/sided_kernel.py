@@ -5,11 +5,10 @@ from __future__ import annotations
 from math import pi, sqrt
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.field.kernel import machine_code
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 MU0_OVER_4PI = 0.25 / pi * MU0_T_M_PER_A

@@ -12,10 +12,9 @@ from __future__ import annotations
 
 import math
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 MU0_OVER_4PI = MU0_T_M_PER_A / (4.0 * math.pi)

@@ -12,9 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.field.fused import fused_sum_of_loops, is_fusable
@@ -22,6 +20,7 @@ from estimator.field.kernel import POINTS_AT_ONCE, is_plain, sum_of_loops
 from estimator.field.loop import steps_for_ratio
 from estimator.field.node_sum import Nodes, SumMode, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
+from estimator.tensors import Tensor, torch
 
 # Keeps what torch and the slopes of loops need in between in the second-level cache of a processor.
 ELEMENTS_PER_CHUNK = 32_768

@@ -10,13 +10,12 @@ import math
 from dataclasses import astuple, dataclass
 from functools import lru_cache
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.field.coil import AnyWinding, distance_to_coil, rule_of_coil
 from estimator.field.sided import SidedWinding
 from estimator.field.winding import Rule, Winding
+from estimator.tensors import Tensor, torch
 
 ZONES_PER_OCTAVE = 2  # of the distance; one would take twice the loops at the far end of each zone
 POINTS_PER_EDGE = 6  # of the contour on which the rule of a zone is found; eight edges have the 48 points that `choose_rule` looks at

@@ -7,13 +7,12 @@ which its controller reports; corrected values form a table of the same kind.
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput, quoted
 from estimator.frames import Transform
 from estimator.rig.arms import ARMS, DenavitHartenberg
+from estimator.tensors import Tensor, torch
 
 
 def base_from_flange(robot: DenavitHartenberg | str, joints_rad: Float[Tensor, "*batch 6"]) -> Transform:

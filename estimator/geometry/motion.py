@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.frames import Transform, rotation_from_vector, vector_from_rotation
@@ -14,6 +12,7 @@ from estimator.geometry.kinematics import base_from_flange
 from estimator.least_squares import least_squares
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, DisplacementFrame, MotionKind, Mover, Rig
+from estimator.tensors import Tensor, torch
 
 MOST_POSES = 200
 NEWTON_STEPS = 6

@@ -8,9 +8,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import overload
 
-import torch
-from torch import Tensor
-
 from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect, SidesEffect, WindingEffect
@@ -22,6 +19,7 @@ from estimator.frames import Transform
 from estimator.geometry.motion import world_from_body as nominal_world_from_body
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Body, Coil, Rig, SidedCoil, WoundCoil
+from estimator.tensors import Tensor, torch
 
 OF_LOOPS = ("axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
 WINDING_KEYS = ("radius_m", *OF_LOOPS)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.field.coil import AnyWinding, distance_to_coil
@@ -14,6 +12,7 @@ from estimator.model.bodies import winding_of
 from estimator.model.unwound import CLEAR_SHARE, is_among_sources, is_beyond_box, is_near_multipole
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import EquivalentSourceCoil, Region, UnwoundCoil, WoundCoil
+from estimator.tensors import Tensor, torch
 
 if TYPE_CHECKING:
     from estimator.model.measurement_model import MeasurementModel

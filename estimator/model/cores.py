@@ -10,9 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import CoreMagnetisation, CoreMemory
@@ -35,6 +33,7 @@ from estimator.frames import Transform
 from estimator.model.bodies import winding_of
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Coil, Rig, UnwoundCoil, WoundCoil
+from estimator.tensors import Tensor, torch
 
 MOST_AXIAL_NODES, MOST_RADIAL_NODES, STEPS = 12, 3, 7  # of a winding as its core sees it: error 1e-4
 

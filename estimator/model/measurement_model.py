@@ -12,9 +12,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
 
 from estimator.derivatives import slopes_in
 from estimator.effects.base import Effect
@@ -42,6 +40,7 @@ from estimator.model.sources import Sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import AnyCoil, Rig, UnwoundCoil
+from estimator.tensors import Tensor, torch
 
 MOSTLY_APART = 0.75  # share of readings by sensors with elements apart from which on all are evaluated as such, in one call instead of two
 

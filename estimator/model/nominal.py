@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.effects.stages import Prediction
@@ -14,6 +13,7 @@ from estimator.field.node_sum import SumMode
 from estimator.frames import Transform
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Values
+from estimator.tensors import Tensor
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import NoReturn
 
-import torch
-
 from estimator.errors import Faults, InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
+from estimator.tensors import torch
 
 SINGLE_ERROR = 0.05  # of the noise: added as a square, it widens no interval by more than 0.2 %
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 
-import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
-from torch.func import jvp
 
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect
@@ -25,6 +22,7 @@ from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Coil, FieldSum, Rig, UnwoundCoil
+from estimator.tensors import Tensor, torch
 
 DRAWS_AND_POINTS = 20_000  # at a time: an oval coil holds a dozen arrays of 256 numbers for each
 
@@ -145,7 +143,9 @@ class RoomField:
             direction = torch.zeros_like(self.points_m)
             direction[:, axis] = 1.0
             columns.append(
-                jvp(lambda p: self.field_by_point_T(values, current_A, p), (self.points_m,), (direction,))[1]
+                torch.func.jvp(
+                    lambda p: self.field_by_point_T(values, current_A, p), (self.points_m,), (direction,)
+                )[1]
             )
         gradient = torch.stack(columns, dim=-1)
         return torch.where(self.is_inside[:, None, None], torch.nan, gradient)

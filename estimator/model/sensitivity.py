@@ -13,10 +13,8 @@ from itertools import combinations
 from typing import Literal
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from scipy.stats import qmc, sobol_indices
-from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.errors import InvalidInput
@@ -24,6 +22,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 N_LEVELS = 7  # of every parameter in the paper's Table 1
 LEARNT = 0.5  # of the prior's width: what the readings teach is worth a free parameter

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects import effect_of
 from estimator.effects.stages import NoiseEffect, RecordEffect
@@ -22,6 +20,7 @@ from estimator.readings.plan import Plan, observations_of
 from estimator.readings.segments import segments_in_turn
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 MOST_DRAWS = 100
 TOLERANCE = 1e-10

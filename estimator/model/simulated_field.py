@@ -11,7 +11,6 @@ from dataclasses import dataclass, field, replace
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
 
 from estimator.effects import effect_of
 from estimator.errors import InvalidInput
@@ -21,6 +20,7 @@ from estimator.model.hide import cause_of, full_names, with_hidden
 from estimator.model.simulate import perfect_readings
 from estimator.readings.observations import Observations
 from estimator.rig.rig import DisplacementFrame, MotionKind, Mover, Rig
+from estimator.tensors import torch
 from estimator.units import ICE_POINT_K
 
 TIME_STEP_S = 1.0  # to which drifts are followed

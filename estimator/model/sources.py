@@ -11,9 +11,7 @@ from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import cast
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.effects.base import Kind, Theta
 from estimator.effects.circumstances import Circumstances
@@ -43,6 +41,7 @@ from estimator.model.cores import Cores
 from estimator.model.unwound import unwound_field_per_ampere
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import AnyCoil, Body, Rig, UnwoundCoil, WoundCoil
+from estimator.tensors import Tensor, torch
 
 # Of points in a coil's frame, as `SourceEffect.apply`.
 SourceField = Callable[[Tensor, Winding, Rule, Theta], Tensor]

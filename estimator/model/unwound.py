@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Bool, Float
-from torch import Tensor
 
 from estimator.field.charged_box import charged_box_field, multipole_field
 from estimator.field.harmonics import exterior_field, interior_field
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
+from estimator.tensors import Tensor, torch
 
 # Share of the margin: 1.5 spacings off the charges, where they pass for a layer to a part in ten thousand.
 CLEAR_SHARE = 0.5

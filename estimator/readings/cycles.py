@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import torch
-
 from estimator.readings.observations import Observations
+from estimator.tensors import torch
 
 FEWEST_CYCLES = 3
 LEAST_REPEATED = 0.9  # of the readings: the others stand at a pause, or were left out

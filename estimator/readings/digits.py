@@ -15,11 +15,11 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 from jaxtyping import Int
-from torch import Tensor
 
 from estimator.readings.flags import Flag, Reason, in_time, runs_of
 from estimator.readings.observations import Observations
 from estimator.readings.spoilt import sentinels, wrapped
+from estimator.tensors import Tensor
 
 MOST_DECIMALS = 11  # of a tesla in which steps of the readings are looked for
 MANY_STEPS = 30  # by which a component changes that noise and rounding leave alone

@@ -8,11 +8,10 @@ from enum import StrEnum
 from itertools import groupby
 from typing import Any
 
-import torch
 from jaxtyping import Int
-from torch import Tensor
 
 from estimator.readings.observations import Observations
+from estimator.tensors import Tensor, torch
 
 COMPONENTS = ("x", "y", "z")
 MOST_STRETCHES = 4  # that are listed one by one

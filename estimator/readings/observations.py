@@ -6,11 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
 
 from estimator.readings.segments import segments_by_pauses
+from estimator.tensors import Tensor, torch
 
 SECONDS_PER_HOUR = 3600.0
 

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import torch
 import yaml
 
 from estimator.errors import Faults, InvalidInput, in_order, quoted
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
 from estimator.rig.rig import POSE_QUANTITIES, Mover, Rig
+from estimator.tensors import torch
 from estimator.units import LARGEST, UNITS
 from estimator.yaml_section import Section
 
@@ -214,11 +214,36 @@ def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
 
 
 def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
-    from scipy.stats import qmc  # takes a second to load, which few plans need
-
-    unit = qmc.Halton(len(spans), scramble=False).random(count + 1)[1:]  # the first point is the corner
+    unit = halton(len(spans), count + 1)[1:]  # the first point is the corner
     low, high = np.array([[span[0], span[-1]] for span in spans]).T
     return np.asarray(low + unit * (high - low))
+
+
+def halton(n_axes: int, count: int) -> np.ndarray:
+    """The first points of Halton's sequence in the unit cube, a row each. `scipy.stats.qmc` has it, too, and takes a second to load.
+
+    Examples:
+        >>> halton(2, 4).tolist()
+        [[0.0, 0.0], [0.5, 0.3333333], [0.25, 0.6666667], [0.75, 0.1111111]]
+    """
+    points = np.zeros((count, n_axes))
+    for axis, base in enumerate(_primes(n_axes)):
+        left, place = np.arange(count), 1.0 / base
+        while left.any():
+            left, digit = np.divmod(left, base)
+            points[:, axis] += digit * place
+            place /= base
+    return points
+
+
+def _primes(count: int) -> list[int]:
+    primes: list[int] = []
+    for number in itertools.count(2):
+        if len(primes) == count:
+            break
+        if all(number % prime for prime in primes):
+            primes.append(number)
+    return primes
 
 
 def _stops(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:

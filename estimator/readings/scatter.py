@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
-
 from estimator.readings.observations import Observations
+from estimator.tensors import Tensor, torch
 
 FEWEST = 30  # degrees of freedom from which on the scatter counts; it is then known to an eighth
 

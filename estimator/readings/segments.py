@@ -6,9 +6,9 @@ cause that needs it still has to earn its evidence.
 
 from __future__ import annotations
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
+
+from estimator.tensors import Tensor, torch
 
 NO_SEGMENT = -1  # of readings outside any
 LEAST_PAUSE_S = 3600.0  # a night or a change of the set-up; a coil that cools between two maps takes less

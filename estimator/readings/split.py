@@ -5,15 +5,14 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Int
 from scipy.cluster.vq import kmeans2
 from scipy.spatial import cKDTree
-from torch import Tensor
 
 from estimator.devices import numpy_of
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
+from estimator.tensors import Tensor, torch
 
 FEWEST_BLOCKS, MOST_BLOCKS = 20, 200
 MOST_POSES = 10_000  # by which blocks are placed

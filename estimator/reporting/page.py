@@ -1,6 +1,7 @@
 """A self-contained HTML page of sentences, tables and pictures, for any report.
 
 Pictures are embedded as PNG at twice the screen's resolution and styles are inline, so that the file can be mailed, printed and archived.
+As SVG they would take as long, since most of the time goes into their layout, and most of them two to three times the bytes.
 """
 
 from __future__ import annotations
@@ -8,15 +9,18 @@ from __future__ import annotations
 import base64
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
 from estimator.errors import InvalidInput
+from estimator.reporting.forks import in_forks
 
 PIXELS_PER_INCH = 96
 OVERSAMPLING = 2
@@ -57,11 +61,25 @@ class Table:
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure with a sentence that says what to look for."""
+    """A figure with a sentence that says what to look for.
+
+    Attributes:
+        title: What it shows.
+        caption: What to look for.
+        plot: The figure, or what draws it, which a page does for several side by side.
+    """
 
     title: str
     caption: str
-    figure: Figure
+    plot: Figure | Callable[[], Figure | Axes]
+
+    @cached_property
+    def figure(self) -> Figure:
+        """The figure, drawn when it is first asked for."""
+        plot = self.plot() if callable(self.plot) else self.plot
+        figure = plot.figure if isinstance(plot, Axes) else plot
+        assert isinstance(figure, Figure)  # Axes of a sub-figure are in no page
+        return figure
 
     @property
     def width_px(self) -> int:
@@ -79,6 +97,21 @@ class Picture:
         palette = image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         palette.save(file, format="png")
         return base64.b64encode(file.getvalue()).decode("ascii")
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A picture as a page shows it."""
+
+    title: str
+    caption: str
+    width_px: int
+    png_base64: str
+
+    @classmethod
+    def of(cls, picture: Picture) -> Drawn:
+        """Draw a picture."""
+        return cls(picture.title, picture.caption, picture.width_px, picture.png_base64)
 
 
 @dataclass(frozen=True)
@@ -123,4 +156,8 @@ def render_report(page: ReportPage) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return templates.get_template("report.html.j2").render(page=page)
+    drawn = in_forks(Drawn.of, [*page.lead, *page.figures])
+    n_lead = len(page.lead)
+    return templates.get_template("report.html.j2").render(
+        page=page, lead=drawn[:n_lead], figures=drawn[n_lead:]
+    )

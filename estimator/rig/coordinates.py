@@ -14,14 +14,13 @@ from copy import copy
 from functools import cached_property
 
 import numpy as np
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.frames import rotation_from_vector
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Uniform, normal_log_density
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 # Of the winding's thickness, by which the mean loop is larger than the bore.
 SHARE_OF_THICKNESS = {"inner_side_x_m": 1.0, "inner_side_y_m": 1.0, "inner_corner_radius_m": 0.5}

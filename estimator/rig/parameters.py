@@ -11,12 +11,10 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from scipy.special import ndtr
-from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.tensors import Tensor, torch
 
 
 class Prior(ABC):
@@ -85,6 +83,8 @@ class Normal(Prior):
 
     @property
     def log_normaliser(self) -> float:
+        from scipy.special import ndtr  # a quarter of a second, which no command needs that only reads a rig
+
         ends = [(bound - self.mean) / self.standard_deviation for bound in (self.lower, self.upper)]
         probability = float(ndtr(ends[1]) - ndtr(ends[0]))
         return -math.log(self.standard_deviation) - 0.5 * math.log(2.0 * math.pi) - math.log(probability)

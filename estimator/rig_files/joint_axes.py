@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.spatial.transform import Rotation
 
 from estimator.rig.arms import ArmEnds, DenavitHartenberg
 
@@ -87,5 +86,7 @@ def _across(z: Vector) -> Vector:
 
 def _pose(matrix: Matrix) -> tuple[float, ...]:
     """Position and rotation vector."""
+    from scipy.spatial.transform import Rotation  # a third of a second, which few rig files need
+
     numbers = np.concatenate((matrix[:3, 3], Rotation.from_matrix(matrix[:3, :3]).as_rotvec()))
     return tuple(float(number) for number in numbers)

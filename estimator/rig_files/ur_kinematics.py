@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import yaml
-from scipy.spatial.transform import Rotation
 
 from estimator.errors import InvalidInput, reason
 from estimator.given_files import MOST_SETTINGS_BYTES, read_given_text
@@ -76,6 +75,8 @@ def _links(path: Path) -> list[Matrix]:
         if isinstance(error, InvalidInput):
             raise
         raise InvalidInput(f"{path} must be a YAML file that can be read: {reason(error)}") from error
+    from scipy.spatial.transform import Rotation  # a third of a second, which few rig files need
+
     links = document.get("kinematics") if isinstance(document, dict) else None
     transforms = []
     for name in LINKS:

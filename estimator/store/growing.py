@@ -8,13 +8,11 @@ from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
-import torch
-from torch import Tensor
-
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.state import rig_state
 from estimator.store.journal import Entry
+from estimator.tensors import Tensor, torch
 
 GROWING = "coilcal growing session"
 SCHEMA_VERSION = 1

@@ -19,10 +19,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-import zarr
-from zarr.codecs import Crc32cCodec, ZstdCodec
-from zarr.errors import ZarrUserWarning
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
 from estimator.readings.observations import Observations
@@ -36,6 +32,7 @@ from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import read_journal, unwritten
 from estimator.store.made import GROUP, JOURNAL, Made, arrays_of, has_journal, holds
 from estimator.store.staging import scratch_folder, staged
+from estimator.tensors import torch
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
@@ -118,6 +115,9 @@ class Session:
                 raise InvalidInput(str(fault).replace(str(new), str(path))) from fault
 
     def _write(self, path: Path) -> None:
+        import zarr  # a fifth of a second, which only the arrays of a session need
+        from zarr.codecs import Crc32cCodec, ZstdCodec
+
         attributes: dict[str, Any] = {
             "kind": KIND,
             "schema_version": SCHEMA_VERSION,
@@ -152,6 +152,8 @@ def load_session(path: Path | str) -> Session:
         InvalidInput: There is no session at this path.
         CorruptStore: A file is missing, truncated or altered, or the schema has another version.
     """
+    import zarr
+
     path = Path(path)
     if is_growing(path):
         return _from_journal(path)
@@ -345,6 +347,8 @@ def digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], attributes:
 @contextmanager
 def quiet_zarr() -> Iterator[None]:
     """Silence zarr's warnings about unknown files: users may add notes, and missing chunks are detected by the SHA-256."""
+    from zarr.errors import ZarrUserWarning
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ZarrUserWarning)
         yield

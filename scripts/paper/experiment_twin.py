@@ -191,7 +191,7 @@ def study(out: Path) -> str:
     }
     for name, title in {
         "residual": "Residual around coil1, before and after",
-        "evidence": "Hypotheses, step 1",
+        "evidence": "Hypotheses, comparison 1",
     }.items():
         drawn = next(picture.figure for picture in pictures(diagnosis) if picture.title == title)
         drawn.savefig(out / f"twin_{name}.png", dpi=90, bbox_inches="tight")

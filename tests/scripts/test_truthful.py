@@ -108,9 +108,9 @@ def are_true(statements: dict[str, list[Statement]], kind: str) -> list[bool]:
 
 
 @pytest.fixture
-def printed(folder: Path, small_calibration: Calibration) -> str:
+def printed(small_calibration: Calibration) -> str:
     """What `coilcal calibrate` prints of it."""
-    return _text(small_calibration.summary(), folder / "calibration")
+    return _text(small_calibration.summary())
 
 
 def wrong_truth(calibration: Calibration) -> Truth:

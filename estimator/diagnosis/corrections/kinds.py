@@ -1,21 +1,15 @@
-"""Kinds of corrections that readings may support, and how well they do: by their evidence in the linear model at a fit."""
+"""Kinds of corrections that readings may support, and what each changes in the predictions of a fit."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
-from estimator.diagnosis.corrections.linear_fit import density_in_full, full_fit, linear_fit
-from estimator.diagnosis.corrections.steps import Starts, log_choices, steps_of
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.linear import log_mean_exp
-from estimator.diagnosis.structure.discrepancy import evidence_by_amplitude
-from estimator.diagnosis.structure.families.collection import Family
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.corrections.correction import Correction as CorrectionEffect
@@ -29,7 +23,6 @@ from estimator.rig.coordinates import Values
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 
-FRACTION = 5  # of a degree to the next that is asked: between them evidence hardly changes
 STEP = 1e-3  # of the typical width of an amplitude, for derivatives; predictions are nearly linear in it
 
 
@@ -53,13 +46,6 @@ class CorrectionKind:
         degrees = range(self.effect.lowest, degree + 1)
         return [(d, self.effect.key(d, term)) for d in degrees for term in self.effect.terms(d)]
 
-    def with_at_most(self, n_amplitudes: int) -> CorrectionKind:
-        """This kind up to the highest degree with at most so many amplitudes, or up to its lowest."""
-        degree = self.limit.degree
-        while degree > self.effect.lowest and len(self.keys(degree)) > n_amplitudes:
-            degree -= 1
-        return replace(self, limit=replace(self.limit, degree=degree))
-
     def as_predicted(self, rig: Rig) -> CorrectionKind | None:
         """This kind up to the degree to which the field of a single moment has it, as predictions do; None where it has nothing of it."""
         degrees = range(self.effect.lowest, self.limit.degree + 1)
@@ -75,11 +61,20 @@ class CorrectionKind:
             return None
         return replace(self, limit=replace(self.limit, degree=degree))
 
-    def rig(self, fit: Fit, start: dict[str, float], widths: dict[str, float], is_free: bool = True) -> Rig:
-        """The rig with amplitudes at zero and priors of these widths."""
+    def rig(
+        self,
+        fit: Fit,
+        start: dict[str, float],
+        widths: dict[str, float],
+        is_free: bool = True,
+        of: Rig | None = None,
+    ) -> Rig:
+        """A rig, by default that of a fit, with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)
         circumstances = fit.posterior.model.circumstances
-        rig = with_effect(fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances)
+        rig = with_effect(
+            of or fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances
+        )
         named = {f"{self.cause.label}.{key}": width for key, width in widths.items()}
         return rig.with_parameters(
             replace(rig.parameters[name], prior=Normal(0.0, width) if is_free else None)
@@ -137,119 +132,6 @@ class CorrectionKind:
         return torch.einsum("rij,arj->ari", slope_T_per_m, moved.translation_m - pose.translation_m)
 
 
-@dataclass(frozen=True)
-class CorrectionOption:
-    """One kind up to one degree, with the widths of its amplitudes that have most evidence.
-
-    Attributes:
-        columns_T: Change of the measured components per unit of each amplitude.
-    """
-
-    kind: CorrectionKind
-    start: dict[str, float]
-    degree: int
-    widths: dict[str, float]
-    columns_T: Float[Tensor, "component amplitude"]
-    log_bayes_factor: float
-
-    def fitted(self, fit: Fit) -> Fit:
-        """A fit with this correction as well, in the linear model.
-
-        In full where that does not hold, so that the full model is no more probable there; and with a frequency, which moves off its grid.
-        """
-        rig = self.kind.rig(fit, self.start, self.widths)
-        names = [f"{self.kind.cause.label}.{key}" for key in self.widths]
-        linear = linear_fit(fit, rig, dict(zip(names, self.columns_T.unbind(1), strict=True)))
-        has_frequency = len(rig.free) > len(fit.rig.free) + len(names)
-        if has_frequency or density_in_full(linear) <= density_in_full(fit):
-            return full_fit(linear, fit, policy.ROUGH_TOLERANCE)
-        return linear
-
-
-@dataclass(frozen=True)
-class CorrectionCandidate:
-    """A kind, with the columns of its amplitudes at the fit that was first.
-
-    Attributes:
-        columns: By start: of all degrees where there is one start, else of the lowest.
-        of_all_degrees: The others, of starts that were best once.
-    """
-
-    kind: CorrectionKind
-    first: Fit
-    columns: Float[Tensor, "start component amplitude"]
-    of_all_degrees: dict[int, Float[Tensor, "component amplitude"]] = field(default_factory=dict)
-
-    @classmethod
-    def at(cls, kind: CorrectionKind, fit: Fit) -> CorrectionCandidate:
-        """Candidate of a kind of correction, with its columns at a fit."""
-        degree = kind.limit.degree if len(kind.starts) == 1 else kind.effect.lowest
-        return cls(kind, fit, kind.columns(fit, kind.starts, degree))
-
-    @property
-    def as_predicted(self) -> CorrectionCandidate | None:
-        """This candidate as far as predictions have it; None where they have nothing of it."""
-        kind = self.kind.as_predicted(self.first.rig)
-        return None if kind is None else replace(self, kind=kind)
-
-    def best_option(self, fit: Fit) -> CorrectionOption:
-        """The start, degree and width with most evidence in the residual of a fit; the evidence is averaged over starts and widths."""
-        weight = fit.weight_over(self.first)[:, None]
-        if len(self.kind.starts) == 1:
-            return _best_degree(fit, self.kind, self.kind.starts[0], self.columns[0] * weight)
-        if self.kind.effect.is_stepwise:
-            return _best_steps(fit, self.kind, self.columns * weight)
-        by_start = Starts.of(fit, self.columns * weight).evidence_beside([])
-        top = int(by_start.argmax())
-        if top not in self.of_all_degrees:
-            start = [self.kind.starts[top]]
-            self.of_all_degrees[top] = self.kind.columns(self.first, start, self.kind.limit.degree)[0]
-        option = _best_degree(fit, self.kind, self.kind.starts[top], self.of_all_degrees[top] * weight)
-        lost = float(by_start.max()) - log_mean_exp(by_start)
-        return replace(option, log_bayes_factor=option.log_bayes_factor - lost)
-
-
-def _best_steps(
-    fit: Fit, kind: CorrectionKind, columns: Float[Tensor, "start component amplitude"]
-) -> CorrectionOption:
-    """The steps with most evidence, and the widths of their amplitudes."""
-    rows = steps_of(fit, columns, kind.limit.degree)
-    start = {f"since{i}_h": kind.starts[row]["since1_h"] for i, row in enumerate(rows, start=1)}
-    together = columns[rows].transpose(0, 1).flatten(1)
-    option = _best_degree(fit, kind, start, together, is_all=True)
-    return replace(option, log_bayes_factor=option.log_bayes_factor - log_choices(len(columns), len(rows)))
-
-
-def _best_degree(
-    fit: Fit,
-    kind: CorrectionKind,
-    start: dict[str, float],
-    columns: Float[Tensor, "component amplitude"],
-    is_all: bool = False,
-) -> CorrectionOption:
-    """The degree with most evidence, averaged over the widths of its amplitudes.
-
-    Widths go over the rms that the terms have together, from less than the noise to many times as much; the best of them becomes the
-    prior. So what is left sets the scale of a correction, which no source knows beforehand (empirical Bayes).
-    """
-    families, by_degree = [], []
-    highest = columns.shape[1] // len(kind.effect.terms(1)) if is_all else kind.limit.degree
-    for degree in [highest] if is_all else _asked(kind.effect.lowest, highest):
-        keys = kind.keys(degree)
-        relative = columns.new_tensor([kind.effect.relative_width(d) for d, _ in keys])
-        own = columns[:, : len(keys)] * relative
-        scale = float(own.square().sum(1).mean().sqrt())
-        families.append(Family.of(kind.cause.label, own))
-        by_degree.append((degree, keys, relative / max(scale, 1e-300)))
-    evidence = evidence_by_amplitude(fit, families)
-    top = int(torch.tensor([log_mean_exp(row) for row in evidence]).argmax())
-    degree, keys, per_rms = by_degree[top]
-    rms = policy.AMPLITUDES[int(evidence[top].argmax())]
-    widths = {key: float(f"{rms * float(w):.3g}") for (_, key), w in zip(keys, per_rms, strict=True)}
-    columns_T = columns[:, : len(keys)] / fit.whitening_per_T[:, None]
-    return CorrectionOption(kind, start, degree, widths, columns_T, log_mean_exp(evidence[top]))
-
-
 def kinds_of(fit: Fit) -> list[CorrectionKind]:
     """Corrections that concern the session and that the rig does not have yet."""
     circumstances = fit.posterior.model.circumstances
@@ -261,12 +143,3 @@ def kinds_of(fit: Fit) -> list[CorrectionKind]:
         if (cause := Cause(effect.name, place)) not in fit.rig.corrections
         and effect.concerns(circumstances, place)
     ]
-
-
-def _asked(lowest: int, highest: int) -> list[int]:
-    """Degrees that are asked: each of the low ones, then a fifth more each time, and the highest."""
-    degrees, degree = [], lowest
-    while degree < highest:
-        degrees.append(degree)
-        degree += max(1, degree // FRACTION)
-    return [*degrees, highest]

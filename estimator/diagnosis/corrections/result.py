@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.structure.cross_validation import HeldOut
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.cycles import CYCLE, cycle_of_currents_s, is_of_cycle
 from estimator.readings.observations import SECONDS_PER_HOUR
@@ -30,17 +29,17 @@ class Part:
     Attributes:
         degree: Highest degree of its terms.
         n_amplitudes: Their number.
-        log_bayes_factor: In the linear model, against none of this kind; of a full fit where it has a frequency.
-        held_out: Gain in predicting blocks of places from the others.
+        log_bayes_factor: In the linear model, beside everything else, against none of this kind.
+        probability: That something of this kind is there.
         extent: Instants of steps, the period of a swing, or the degree of anything else, in words.
-        is_predicted: The field of a prediction has it; else it says only how the readings of this session came about.
+        is_predicted: The field of a prediction has it; else it acts on the readings of this session.
     """
 
     cause: Cause
     degree: int
     n_amplitudes: int
     log_bayes_factor: float
-    held_out: HeldOut
+    probability: float
     extent: str
     is_predicted: bool
 
@@ -56,7 +55,7 @@ class Part:
             "degree": self.degree,
             "amplitudes": self.n_amplitudes,
             "log_bayes_factor": self.log_bayes_factor,
-            "held_out": self.held_out.to_json(),
+            "probability": self.probability,
             "extent": self.extent,
         }
 
@@ -67,12 +66,12 @@ class Correction:
 
     Attributes:
         fit: Of the readings of the search, with the corrections; as it was where none was taken.
-        parts: The corrections, as they were taken; none where causes that stand in for something unknown correct by themselves.
+        parts: The corrections, surest first; none where causes that are not sure enough to be stated correct by themselves.
         limits: By kind and place why no higher degree was asked, or none, and what to measure.
         refusal: Why nothing is corrected; empty where something is.
         final: The same, fitted to more readings.
         gain: On unseen readings, over the causes alone; None where there are none, or nothing was taken.
-        of_session: What would have been taken first, but which no prediction has: by time, by what was before, or by the sensor itself.
+        of_session: What leads too and is not corrected: what a current did by time or by what was before, which no prediction has.
         is_cut_short: The time was over before all were asked.
     """
 
@@ -95,9 +94,17 @@ class Correction:
         if not self.is_taken:
             corrected = f"Nothing is corrected: {self.refusal}."
         else:
-            by = "; ".join(part.words(label) for part in self.parts) or "the causes that stand in"
-            corrected = (
-                f"Predictions are corrected, not explained, by {by}; intervals stay widened by what was left."
+            of_field = "; ".join(part.words(label) for part in self.parts if part.is_predicted)
+            of_readings = "; ".join(part.words(label) for part in self.parts if not part.is_predicted)
+            by = of_field or ("" if of_readings else "causes that are not sure enough to be stated")
+            corrected = " ".join(
+                sentence
+                for sentence, has_any in (
+                    (f"Predictions are corrected, not explained, by {by}.", by),
+                    (f"Fitted too, but no part of the field: {of_readings}.", of_readings),
+                    ("Intervals stay widened by what was left.", True),
+                )
+                if has_any
             )
         if not self.of_session:
             return corrected
@@ -128,22 +135,20 @@ class Correction:
         }
 
 
-def extent_of(cause: Cause, degree: int, fit: Fit) -> str:
+def extent_of(start: Mapping[str, float], degree: int, fit: Fit) -> str:
     """Instants of the steps of a correction, the period of its swing, or the degree of anything else.
 
     Args:
-        cause: The correction.
+        start: What its terms are functions of.
         degree: Highest degree of its terms.
-        fit: With it.
+        fit: Of the same readings.
     """
-    own = f"{cause.label}."
-    values = {k.removeprefix(own): float(v) for k, v in fit.values.items() if k.startswith(own)}
-    instants_h = [values[key] for key in values if INSTANT.fullmatch(key)]
+    instants_h = [value for key, value in start.items() if INSTANT.fullmatch(key)]
     if instants_h:
         return f"at {', '.join(f'{SECONDS_PER_HOUR * at_h:.0f}' for at_h in sorted(instants_h))} s"
     for key, (factor, unit) in PERIODS.items():
-        if values.get(key, 0.0) > 0.0:
-            period = factor / values[key]
+        if start.get(key, 0.0) > 0.0:
+            period = factor / start[key]
             cycle_s = cycle_of_currents_s(fit.observations) if unit == "s" else None
             session_s = SECONDS_PER_HOUR * fit.posterior.model.circumstances.duration_h
             is_cycle = is_of_cycle(period, cycle_s, session_s)

@@ -12,41 +12,11 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import at_starts
-from estimator.diagnosis.hypotheses.screening import Screened, linear_evidence
-from estimator.diagnosis.linear import log_mean_exp
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances
 from estimator.readings.observations import Observations
 
 # Instants that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants.
 MOST_INSTANTS = 48
-
-
-def at_finer_instant(fit: Fit, screened: Screened) -> Screened:
-    """What the linear model says of a cause at the best instants between two readings near those of its coarse start.
-
-    The evidence is averaged over the instants that are asked, so that a finer choice wins nothing by itself. Where something ends too, its
-    beginning is asked once more when its end is known.
-
-    Args:
-        fit: Without the cause.
-        screened: At its best coarse start; returned as it is where that has no instant.
-    """
-    circumstances = fit.posterior.model.circumstances
-    highest, start, keys = screened.highest, screened.start, instants_in(screened.start.shapes)
-    coarse_h = circumstances.coarse_instants_h if UNTIL in keys else circumstances.instants_h
-    paid = dict[str, float]()  # for the choice of each instant among those that were asked
-    for key in [*keys, *keys[:-1]]:
-        starts = starts_nearer(circumstances, coarse_h, start.shapes, key)
-        finer = at_starts(fit, start.cause, starts) if len(starts) > 1 else []
-        if finer:
-            before, *each = linear_evidence(fit, [start, *finer])
-            values = torch.tensor(each, dtype=torch.float64)
-            highest += float(values.max()) - before
-            paid[key] = float(values.max()) - log_mean_exp(values)
-            start = finer[int(values.argmax())]
-    value = screened.log_bayes_factor + highest - screened.highest - sum(paid.values())
-    return Screened(value, highest, start)
 
 
 def instants_in(start: Mapping[str, float]) -> list[str]:

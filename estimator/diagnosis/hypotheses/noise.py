@@ -10,7 +10,6 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.screening import Reached
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Kind
@@ -21,25 +20,21 @@ from estimator.rig.rig import Cause
 from estimator.side_by_side import each
 
 
-def noise_causes(
-    fit: Fit, beside: float, reached: Reached | None = None
-) -> list[tuple[Cause, float, Fit | None]]:
-    """For each noise effect the place with the strongest hint: its cause, log Bayes factor and fit.
+def noise_causes(fit: Fit) -> list[tuple[Cause, float, Fit]]:
+    """For each noise effect with a hint the place with the strongest one: its cause, log Bayes factor and fit.
 
     Args:
         fit: Without them.
-        beside: Hint from which on a full fit is worth its time; below, the hint stands for the log Bayes factor and the fit is None.
-        reached: Where an earlier comparison has found causes.
     """
 
-    def asked(effect: NoiseEffect) -> tuple[Cause, float, Fit | None] | None:
+    def asked(effect: NoiseEffect) -> tuple[Cause, float, Fit] | None:
         circumstances = fit.posterior.model.circumstances
         uses = [Use(effect, p) for p in effect.places(fit.rig) if effect.concerns(circumstances, p)]
         hints = [(_hint(fit, use), use) for use in uses if use.cause not in fit.rig.effects]
         hint, use = max(hints, key=lambda pair: pair[0], default=(0.0, None))
         if use is None or hint <= policy.LEAST_SCATTER_GAIN:
             return None
-        return (use.cause, hint, None) if hint < beside else (use.cause, *_fitted(fit, use, reached or {}))
+        return (use.cause, *_fitted(fit, use))
 
     effects = [effect for effect in EFFECTS.values() if isinstance(effect, NoiseEffect)]
     return [row for row in each(asked, effects) if row is not None]
@@ -82,7 +77,7 @@ def _concerned(
     return components[fit.posterior.measured_components(readings[:, None].expand(-1, 3))]
 
 
-def _fitted(fit: Fit, use: Use[NoiseEffect], reached: Reached) -> tuple[float, Fit]:
+def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
     """Log Bayes factor and fit with the effect, which starts from its estimate by the residuals."""
     whitened = _concerned(fit, use, fit.residual)
     estimate = use.effect.estimate(whitened) or NoiseEstimate({}, 1.0, 0.0)
@@ -99,7 +94,6 @@ def _fitted(fit: Fit, use: Use[NoiseEffect], reached: Reached) -> tuple[float, F
         rules,
         tolerance=policy.ROUGH_TOLERANCE,
         near=fit,
-        other_start=reached.get(use.cause),
     )
     if not full.still_has(use.cause):
         return 0.0, full

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from estimator.diagnosis.fitting import Fit
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.climb import BURN_IN, SWEEPS, Asked, climbed
+from estimator.diagnosis.mixture.climb import Asked, climbed
+from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
-from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
+from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
-from estimator.diagnosis.mixture.slots import Samples, Slots
+from estimator.diagnosis.mixture.slots import Samples, Slots, Sweeps
+from estimator.diagnosis.progress import OnProgress, Pace, unwatched
+from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
 
 N_PAIRS = 3  # of complementary halves
+IN_HALVES = Sweeps(24, 6)
 STATED = 0.9  # probability from which on a cause is stated
 ALTERNATIVE = 0.05  # share of a slot from which on something is an alternative to what is there
 LEAST_IN_HALVES = 1e-5  # largest probability of an item beside others, with all readings, from which on halves are asked about it
@@ -47,19 +55,27 @@ class Found:
 
     Attributes:
         possibilities: Most probable first.
-        probability: That one of them is there, beside everything else: the mean of the two that follow.
+        probability: That one of them is there, beside everything else: that with all readings, moved towards that in halves by half the
+            probability that something acts which no list holds, and less where halves say less than half of what is expected of them.
         with_all, in_halves: With all readings; the mean over halves of them.
+        expected: What is expected in halves of what is there as all readings have it.
     """
 
     possibilities: tuple[Possibility, ...]
     probability: float
     with_all: float
     in_halves: float
+    expected: float
 
     @property
     def first(self) -> Possibility:
         """The most probable possibility."""
         return self.possibilities[0]
+
+    @property
+    def first_listed(self) -> Cause:
+        """The most probable listed cause."""
+        return next(possibility.cause for possibility in self.possibilities if possibility.is_listed)
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `causes` or `departures` in `diagnosis.json`."""
@@ -67,6 +83,7 @@ class Found:
             "probability": self.probability,
             "with_all_readings": self.with_all,
             "in_halves": self.in_halves,
+            "expected_in_halves": self.expected,
             "is_one_of": [
                 {
                     "name": possibility.cause.name,
@@ -85,21 +102,37 @@ class Answer:
     """Which causes and departures stand beside each other in the readings of a session.
 
     Attributes:
+        first: About the rig as described.
         asked: At the expansion that counts.
         in_halves: Draws from halves of the readings.
+        expected: Probability that halves are expected to give each leading item, by its number.
+        ended_early: Why it ended before all was asked; empty where it did not.
+        refused: Causes that a full fit does not bear out, so that they are not stated.
+        fits: Of the rig with listed causes, by these, as they were made.
     """
 
+    first: Asked
     asked: Asked
     in_halves: tuple[Samples, ...]
+    expected: Mapping[int, float] = field(default_factory=dict)
+    ended_early: str = ""
+    refused: frozenset[Cause] = frozenset()
+    fits: dict[frozenset[Cause], Fit] = field(default_factory=dict, repr=False, compare=False)
+
+    @property
+    def plain(self) -> Fit:
+        """Fit of the rig as described."""
+        return self.asked.expansion.plain
 
     @cached_property
-    def _both(self) -> Samples:
+    def both(self) -> Samples:
+        """Draws with all readings and with halves of them, each half of the whole."""
         return self.asked.samples.joined(self.in_halves)
 
     @cached_property
     def found(self) -> tuple[Found, ...]:
         """Sets of alternatives about listed causes and departures, most probable first."""
-        items, present = self.asked.dictionary.items, self._both.present
+        items, present = self.asked.dictionary.items, self.both.present
         by_cause: dict[Cause, float] = {}
         for item, probability in zip(items, present, strict=True):
             by_cause[item.cause] = by_cause.get(item.cause, 0.0) + float(probability)
@@ -116,7 +149,7 @@ class Answer:
         """What the slot of a cause holds, as shares; the cause itself has one of the largest."""
         items = self.asked.dictionary.items
         total: dict[Cause, float] = {}
-        for drawn, conditional in self._both.beside.items():
+        for drawn, conditional in self.both.beside.items():
             if items[drawn].cause == cause:
                 for item, probability in zip(items, conditional, strict=True):
                     total[item.cause] = total.get(item.cause, 0.0) + float(probability)
@@ -131,20 +164,29 @@ class Answer:
         items = self.asked.dictionary.items
         first = {item.cause: item for item in reversed(items)}
         own = [i for i, item in enumerate(items) if item.cause in shares]
-        with_all = self.asked.samples.holding(own)
-        of_halves = [samples.holding(own) for samples in self.in_halves]
+        with_all = self.asked.samples.one_of(own)
+        of_halves = [samples.one_of(own) for samples in self.in_halves]
         in_halves = sum(of_halves) / len(of_halves) if of_halves else with_all
         whole = sum(shares.values())
         possibilities = [
             Possibility(cause, first[cause].is_listed, first[cause].link, share / whole)
             for cause, share in sorted(shares.items(), key=lambda pair: -pair[1])
         ]
-        return Found(tuple(possibilities), 0.5 * (with_all + in_halves), with_all, in_halves)
+        expected = max((self.expected.get(i, 0.0) for i in own), default=0.0)
+        probability = with_all + 0.5 * self.p_unlisted * (in_halves - with_all)
+        if 2.0 * in_halves < expected:
+            probability *= 2.0 * in_halves / expected
+        return Found(tuple(possibilities), probability, with_all, in_halves, expected)
 
     @property
     def is_full(self) -> bool:
-        """Whether the leading set fills all slots, so that more is wrong at once than is asked for."""
-        return len(self.asked.leading) >= self.asked.slots.n_slots
+        """Whether the leading set fills all slots and one more would be filled too: more is wrong at once than is asked for."""
+        asked = self.asked
+        if (
+            not 1 < asked.slots.n_slots <= len(asked.leading)
+        ):  # the only cause that was asked for may be stated
+            return False
+        return float(asked.slots.conditional(asked.leading, asked.noise_number)[-1]) < 0.5
 
     @property
     def stated(self) -> tuple[Found, ...]:
@@ -154,8 +196,24 @@ class Answer:
         return tuple(
             entry
             for entry in self.found
-            if entry.probability >= STATED and _listed(entry.possibilities) > 0.5
+            if entry.probability >= STATED
+            and _listed(entry.possibilities) > 0.5
+            and entry.first_listed not in self.refused
         )
+
+    def borne_out(self) -> Answer:
+        """This answer without statements that full fits do not bear out: with each cause the evidence must be clearly higher."""
+        stated = [entry.first_listed for entry in self.stated]
+        if not stated:
+            return self
+        rises = {}
+        for cause in stated:
+            others = [other for other in stated if other != cause]
+            rises[cause] = self.fit_with(stated).log_evidence - self.fit_with(others).log_evidence
+        least = min(rises, key=rises.__getitem__)
+        if rises[least] > policy.CLEAR_LOG_EVIDENCE and self.fit_with(stated).still_has(least):
+            return self
+        return replace(self, refused=self.refused | {least}).borne_out()
 
     @property
     def beside(self) -> tuple[Found, ...]:
@@ -170,8 +228,94 @@ class Answer:
         for link in dict.fromkeys(item.link for item in items):
             own = [i for i, item in enumerate(items) if item.link is link and not item.is_listed]
             if own:
-                result[link] = self._both.holding(own)
+                result[link] = self.both.holding(own)
         return result
+
+    @cached_property
+    def p_unlisted(self) -> float:
+        """Probability that something acts which no list holds."""
+        items = self.asked.dictionary.items
+        return self.both.holding([i for i, item in enumerate(items) if not item.is_listed])
+
+    @property
+    def leaves_something(self) -> bool:
+        """Whether something beside what is stated is rather there than not."""
+        is_unlisted = any(probability > 0.5 for probability in self.unlisted.values())
+        return self.is_full or bool(self.beside) or is_unlisted
+
+    @cached_property
+    def leading_fit(self) -> Fit:
+        """The fit of the listed causes that lead, to the readings without the departures that lead."""
+        asked, items = self.asked, self.asked.dictionary.items
+        causes = {items[i].cause for i in asked.leading if items[i].is_listed}
+        has_departures = any(not items[i].is_listed for i in asked.leading)
+        if causes == set(asked.expansion.causes) and not has_departures:
+            return asked.expansion.fit
+        sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
+        return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
+
+    def fit_with(self, causes: Sequence[Cause]) -> Fit:
+        """The rig as described with some listed causes, fitted to the readings that were asked."""
+        key = frozenset(causes)
+        if key not in self.fits:
+            plain, rig = self.plain, self.plain.rig
+            if not key:
+                return plain
+            for cause in causes:
+                rig = with_effect(rig, cause, plain.observations, self.shapes_of(cause))
+            start = self.asked.expansion.fit.values
+            self.fits[key] = fit_rig(rig, plain.observations, start, plain.posterior.model.rules)
+        return self.fits[key]
+
+    def item_of(self, cause: Cause) -> int:
+        """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""
+        own = [i for i, item in enumerate(self.asked.dictionary.items) if item.cause == cause]
+        in_leading = [i for i in own if i in self.asked.leading]
+        return in_leading[0] if in_leading else max(own, key=lambda i: float(self.both.present[i]))
+
+    def sizes_of(self, item: int) -> Float[Tensor, " column"]:
+        """Coefficients of an item's columns, beside the leading set."""
+        asked = self.asked
+        others = [i for i in asked.leading if i != item]
+        sizes, _ = asked.slots.products.sizes([*others, item], asked.noise)
+        return sizes[len(sizes) - len(asked.dictionary.items[item].columns) :]
+
+    def shapes_of(self, cause: Cause) -> dict[str, float]:
+        """Shapes of a cause: as fitted where the expansion has it, else those of its start."""
+        start, values = (
+            self.asked.dictionary.items[self.item_of(cause)].start,
+            self.asked.expansion.fit.values,
+        )
+        own = {key: values.get(f"{cause.label}.{key}") for key in start}
+        return {key: start[key] if value is None else float(value) for key, value in own.items()}
+
+    def beside_item(self, item: int, taken: Sequence[Cause] = ()) -> Comparison:
+        """All hypotheses in the place of an item of the leading set, and of others of the same set of alternatives."""
+        items = self.asked.dictionary.items
+        rest = tuple(i for i in self.asked.leading if i != item and items[i].cause not in taken)
+        return Comparison(self.asked, rest, tuple(taken))
+
+    @cached_property
+    def comparisons(self) -> tuple[Comparison, ...]:
+        """All hypotheses in the place of each stated cause; last, beside all that leads."""
+        stated = [
+            self.beside_item(
+                self.item_of(entry.first_listed), [p.cause for p in entry.possibilities if p.is_listed]
+            )
+            for entry in self.stated
+        ]
+        return (*stated, Comparison(self.asked, self.asked.leading))
+
+    @property
+    def alone(self) -> Comparison:
+        """All hypotheses before anything is there."""
+        return Comparison(self.first, ())
+
+    @cached_property
+    def left(self) -> Left:
+        """What no list holds, beside the listed causes that lead."""
+        items = self.asked.dictionary.items
+        return left_beside(Comparison(self.asked, tuple(i for i in self.asked.leading if items[i].is_listed)))
 
     def to_json(self) -> dict[str, Any]:
         """Content of `mixture` in `diagnosis.json`."""
@@ -185,7 +329,9 @@ def _listed(possibilities: Iterable[Possibility]) -> float:
     return sum(possibility.share for possibility in possibilities if possibility.is_listed)
 
 
-def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Answer:
+def answer(
+    plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS, on_progress: OnProgress = unwatched
+) -> Answer:
     """Ask the readings of a fit what is wrong, all of them and halves of them.
 
     Args:
@@ -193,17 +339,30 @@ def answer(plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS) -> Ans
         limits: Causes that are asked, and the time.
         seed: Of blocks, halves and draws.
         n_pairs: Of complementary halves.
+        on_progress: Called after each expansion and each half.
     """
-    asked = climbed(plain, limits, seed)
+    first, asked = climbed(plain, limits, seed, on_progress)
+    pace = Pace("what leads, in halves of the readings", on_progress)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
     few = asked.dictionary.restricted(numbers)
     readings = as_meant(plain.rig, plain.observations)
     block = blocks_of(readings, plain.rig, seed)
-    of_halves = list[Samples]()
+    of_halves, expected = list[Samples](), list[dict[int, float]]()
+    leading = list(asked.leading)
+    sizes, _ = asked.slots.products.sizes(leading, asked.noise)
     for i, is_in in enumerate(halves(block, n_pairs, seed)):
         if limits.is_over:
             break
+        pace.tell(i, 2 * n_pairs)
         products = Products(few, weight_of(is_in, readings.is_measured))
-        samples = Slots(products, asked.slots.noise).sample(SWEEPS, BURN_IN, seed + i)
-        of_halves.append(samples.renumbered(numbers, len(asked.dictionary.items)))
-    return Answer(asked, tuple(of_halves))
+        slots = Slots(products, asked.slots.noise, asked.slots.n_slots)
+        of_halves.append(slots.sample(IN_HALVES, seed + i).renumbered(numbers, len(asked.dictionary.items)))
+        few_leading = [numbers.index(item) for item in leading]
+        expected.append(expected_in_half(slots, few_leading, sizes, asked.noise_number))
+    mean = {
+        item: sum(of_half[few] for of_half in expected) / len(expected)
+        for item, few in zip(leading, map(numbers.index, leading), strict=True)
+        if expected
+    }
+    ended_early = limits.words if limits.is_over else ""
+    return Answer(first, asked, tuple(of_halves), mean, ended_early).borne_out()

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.departures import departures
 from estimator.diagnosis.mixture.dictionary import dictionary
@@ -20,27 +20,39 @@ from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, present_items, starts_of
-from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots
+from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
+from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
-SWEEPS, BURN_IN = 40, 10
+LIKED_BY = 10.0  # log density by which an expansion that has all leading causes is preferred: far from it, linear models err by as much
+CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
 
 
 @dataclass(frozen=True)
 class Asked:
-    """What the readings say at one expansion."""
+    """What the readings say at one expansion.
+
+    Attributes:
+        pool: Columns of every listed cause that the expansion lacks.
+    """
 
     expansion: Expansion
+    pool: tuple[Candidate, ...]
     dictionary: Dictionary
     slots: Slots
     samples: Samples
 
     @property
+    def noise_number(self) -> int:
+        """Number of the most frequent factor on the noise of the fit."""
+        return max(self.samples.noises, key=self.samples.noises.__getitem__)
+
+    @property
     def noise(self) -> float:
         """The most frequent factor on the noise of the fit."""
-        return float(self.slots.grid[max(self.samples.noises, key=self.samples.noises.__getitem__)])
+        return float(self.slots.grid[self.noise_number])
 
     @cached_property
     def leading(self) -> tuple[int, ...]:
@@ -52,6 +64,20 @@ class Asked:
             by_labels[labels[model]] += n
         most = max(by_labels, key=by_labels.__getitem__)
         return max((m for m in models if labels[m] == most), key=models.__getitem__)
+
+    def without(self, causes: Collection[Cause], seed: int) -> Asked:
+        """The readings asked again without some causes."""
+        rows = [i for i, item in enumerate(self.dictionary.items) if item.cause in causes]
+        if not rows:
+            return self
+        slots = Slots(self.slots.products, self.slots.noise, self.slots.n_slots, excluded=rows)
+        return replace(self, slots=slots, samples=slots.sample(CLIMBING, seed))
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the expansion has every leading cause, so that none is known from a linear model far from it alone."""
+        items = [self.dictionary.items[i] for i in self.leading]
+        return all(item.cause in self.expansion.causes for item in items if item.is_listed)
 
     @cached_property
     def log_density(self) -> float:
@@ -69,30 +95,41 @@ class Asked:
         )
 
 
-def climbed(plain: Fit, limits: Limits, seed: int) -> Asked:
-    """The readings, asked about the expansion at which the leading set of items is most probable.
+def climbed(
+    plain: Fit, limits: Limits, seed: int, on_progress: OnProgress = unwatched
+) -> tuple[Asked, Asked]:
+    """The readings, asked about the rig as described, and about the expansion at which the leading set of items is most probable.
 
     Args:
         plain: Fit of the rig as described.
         limits: Causes that are asked, and the time.
         seed: Of the draws.
+        on_progress: Called after each expansion.
     """
-    asked = [ask(Expansion.of(plain), limits, seed, {})]
+    pace = Pace("what leads, in all readings", on_progress)
+    pace.tell(0, MOST_EXPANSIONS)
+    first = ask(Expansion.of(plain), limits, seed, {})
+    asked, excluded = [first], set[Cause]()
     seen, shapes = {frozenset[Cause]()}, dict[Cause, dict[str, float]]()
-    while len(asked) < MOST_EXPANSIONS and not limits.is_over:
+    for n in range(1, MOST_EXPANSIONS):
+        pace.tell(n, MOST_EXPANSIONS)
         last = asked[-1]
         items, chosen = last.dictionary.items, one_more_of_each_link(last, last.leading)
         causes = frozenset(items[i].cause for i in chosen if items[i].is_listed)
-        if causes in seen:
+        if causes in seen or limits.is_over:
             break
         seen.add(causes)
         sizes, _ = last.slots.products.sizes(chosen, last.noise)
         moved = last.expansion.moved(last.dictionary, chosen, sizes)
-        if moved.fit.log_evidence < plain.log_evidence:
-            break
-        asked.append(ask(moved, limits, seed, shapes))
+        new = causes.difference(last.expansion.causes)
+        if new and moved.is_worse_than(last.expansion):
+            excluded |= new  # what the linear model said of them does not hold
+            asked[-1] = last.without(excluded, seed)
+            continue
+        asked.append(ask(moved, limits, seed, shapes).without(excluded, seed))
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
-    return max(asked, key=lambda one: one.log_density)
+    best = max(asked, key=lambda at: at.log_density + (LIKED_BY if at.is_fitted else 0.0))
+    return first, replace(best, samples=best.slots.sample(SAMPLING, seed))
 
 
 def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]) -> Asked:
@@ -105,15 +142,16 @@ def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, 
         shapes: Those that earlier fits have found, by cause.
     """
     fit, alone = expansion.fit, expansion.alone
-    starts = starts_of(fit, candidates(fit, causes_of(fit.rig, fit, limits)))
+    pool = candidates(fit, causes_of(fit.rig, fit, limits))
+    starts = starts_of(fit, pool)
     starts += [more for cause, of_cause in shapes.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts)
     if expansion.causes:
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(alone, others))
-    slots = Slots(Products(entries), noise_prior(fit))
-    return Asked(expansion, entries, slots, slots.sample(SWEEPS, BURN_IN, seed))
+    slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))
+    return Asked(expansion, tuple(pool), entries, slots, slots.sample(CLIMBING, seed))
 
 
 def one_more_of_each_link(asked: Asked, model: Sequence[int]) -> list[int]:

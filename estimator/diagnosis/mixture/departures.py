@@ -15,7 +15,6 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.links import Link, link_of
-from estimator.rig.rig import Cause
 from estimator.side_by_side import each
 
 SAME = 1e-6  # of the square of columns: what is left of those that a listed cause has too
@@ -49,12 +48,11 @@ def departures(fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:
         fit: The fit.
         listed: Listed causes. A departure that changes the readings as one of them does is that one.
     """
-    causes = {candidate.cause for candidate in listed}
     kinds = [
         kind
         for kind in kinds_of(fit)
         if kind.limit.degree >= kind.effect.lowest
-        and not (kind.effect.single and Cause(kind.effect.single, kind.cause.place) in causes)
+        and not kind.effect.single  # one step of it is a listed cause, or one that readings cannot tell from a listed one
     ]
     by_link: dict[Link, set[str]] = {}
     places: dict[str, int] = {}

@@ -2,39 +2,17 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.mixture.evidence_kernel import RIDGE, log_bayes_factors
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.inference.positive_definite import lower_factor
-
-RIDGE = 1e-10  # of the square of a column: what rounding leaves of those that the rig's numbers follow
-SMALL = 4  # number of columns below which none are added
-
-
-@dataclass(frozen=True)
-class Alike:
-    """Items with equally many columns, whose evidence is computed at once.
-
-    Attributes:
-        members: Their numbers.
-        columns: Of each.
-        widths: Prior standard deviations.
-        shift: Column of each by which its start changes the predictions; the last, empty one where it does not.
-    """
-
-    members: Tensor
-    columns: Tensor
-    widths: Float[Tensor, "item column"]
-    shift: Tensor
-    gram: Float[Tensor, "item column column"]
-    is_one_sided: Tensor
 
 
 class Products:
@@ -53,28 +31,23 @@ class Products:
             vectors, n = vectors * weight[:, None], float(weight.square().sum())
             always = Projector.of(always.jacobian * weight[:, None], dictionary.prior_precision)
         followed = always.basis.T @ vectors
-        self.gram = vectors.T @ vectors - followed.T @ followed
+        self.gram = (vectors.T @ vectors - followed.T @ followed).cpu().contiguous()
         self.items = dictionary.items
         self.n = n - always.jacobian.shape[1]
         self.empty, self.residual = len(self.gram) - 2, len(self.gram) - 1
-        self.groups = self._groups()
-
-    def _groups(self) -> list[Alike]:
-        by_size: dict[int, list[int]] = {}
-        for i, item in enumerate(self.items):
-            by_size.setdefault(_padded(len(item.columns)), []).append(i)
-        groups = []
-        for size, members in by_size.items():
-            lack = {i: size - len(self.items[i].columns) for i in members}
-            columns = torch.tensor([(*self.items[i].columns, *[self.empty] * lack[i]) for i in members])
-            widths = self.gram.new_tensor([(*self.items[i].widths, *[0.0] * lack[i]) for i in members])
-            shift = torch.tensor([self._shift(self.items[i]) for i in members])
-            gram = (
-                self.gram[columns[:, :, None], columns[:, None, :]] * widths[:, :, None] * widths[:, None, :]
-            )
-            one_sided = torch.tensor([self.items[i].is_one_sided for i in members])
-            groups.append(Alike(torch.tensor(members), columns, widths, shift, gram, one_sided))
-        return groups
+        self._begin = np.cumsum([0, *(len(item.columns) for item in self.items)])
+        self._columns = np.array([column for item in self.items for column in item.columns], dtype=np.int64)
+        self._widths = np.array([width for item in self.items for width in item.widths], dtype=float)
+        self._shifts = np.array([self._shift(item) for item in self.items], dtype=np.int64)
+        self._is_one_sided = np.array([item.is_one_sided for item in self.items], dtype=bool)
+        before = [None, *self.items][: len(self.items)]
+        self._is_like_before = np.array(
+            [
+                last is not None and (last.columns, last.shift) == (item.columns, item.shift)
+                for last, item in zip(before, self.items, strict=True)
+            ],
+            dtype=bool,
+        )
 
     def _shift(self, item: Item) -> int:
         return self.empty if item.shift is None else item.shift
@@ -89,21 +62,50 @@ class Products:
             mixture[self._shift(self.items[i])] -= 1.0
         return torch.tensor(columns, dtype=torch.long), self.gram.new_tensor(widths), mixture
 
-    def beside(self, chosen: Sequence[int], noise: float) -> Float[Tensor, " item"]:
+    def signal_of(self, items: Sequence[int], sizes: Float[Tensor, " size"]) -> Float[Tensor, " column"]:
+        """What some items change in the readings, as a combination of columns.
+
+        Args:
+            items: Their numbers.
+            sizes: Coefficients of their columns, one item after the other.
+        """
+        columns, _, without = self.of(items)
+        signal = -without
+        signal[self.residual] = 0.0
+        return signal.index_add(0, columns, sizes)
+
+    def beside(
+        self, chosen: Sequence[int], noise: float, signal: Float[Tensor, " column"] | None = None
+    ) -> Float[Tensor, " item"]:
         """Log Bayes factor of each item beside some others, against these alone.
 
         Args:
             chosen: The others.
             noise: Factor on the noise of the fit.
+            signal: Combination of columns that stands for the residual, where something else than what was measured is asked about.
         """
         columns, widths, mixture = self.of(chosen)
+        if signal is not None:
+            mixture = mixture + signal
+            mixture[self.residual] = 0.0
         score = self.gram @ mixture / noise**2
         followed, reached = self._followed(columns, widths, score, noise)
         score = score - followed.T @ reached
-        result = self.gram.new_zeros(len(self.items))
-        for alike in self.groups:
-            result[alike.members] = self._of_alike(alike, followed, score, noise)
-        return result
+        result = np.empty(len(self.items))
+        log_bayes_factors(
+            self.gram.numpy(),
+            followed.T.contiguous().numpy(),
+            score.numpy(),
+            self._begin,
+            self._columns,
+            self._widths,
+            self._shifts,
+            self._is_one_sided,
+            self._is_like_before,
+            1.0 / noise**2,
+            result,
+        )
+        return torch.from_numpy(result)
 
     def _followed(
         self, columns: Tensor, widths: Tensor, score: Tensor, noise: float
@@ -116,33 +118,6 @@ class Products:
         both = torch.cat((self.gram[columns] / noise**2, score[columns][:, None]), dim=1) * widths[:, None]
         followed = torch.linalg.solve_triangular(factor, both, upper=False)
         return followed[:, :-1], followed[:, -1]
-
-    def _of_alike(self, alike: Alike, followed: Tensor, score: Tensor, noise: float) -> Tensor:
-        gram = alike.gram / noise**2
-        own_score = score[alike.columns]
-        at_start = self.gram[alike.columns, alike.shift[:, None]] / noise**2
-        square = torch.diagonal(self.gram)[alike.shift] / noise**2
-        if len(followed):
-            beside = followed[:, alike.columns.flatten()].unflatten(1, alike.columns.shape)
-            scaled = (beside * alike.widths).movedim(1, 0)
-            gram = gram - scaled.mT @ scaled
-            shifted = followed[:, alike.shift]
-            at_start = at_start - torch.einsum("rim,ri->im", beside, shifted)
-            square = square - shifted.square().sum(0)
-        own_score = (own_score - at_start) * alike.widths
-        factor, failed = torch.linalg.cholesky_ex(_with_unit_prior(gram))
-        explained = (
-            torch.linalg.solve_triangular(factor, own_score[:, :, None], upper=False).square().sum((1, 2))
-        )
-        occam = torch.diagonal(factor, dim1=1, dim2=2).log().sum(1)
-        started = score[alike.shift] - 0.5 * square
-        value = 0.5 * explained - occam + started
-        if bool(alike.is_one_sided.any()):  # what cannot be negative has twice the density on one side
-            sd_above_0 = own_score[:, 0].sign() * explained.sqrt()
-            value = value + torch.where(
-                alike.is_one_sided, torch.special.log_ndtr(sd_above_0) + math.log(2.0), 0.0
-            )
-        return torch.where(failed == 0, value, -math.inf)
 
     def sizes(self, chosen: Sequence[int], noise: float) -> tuple[Tensor, Tensor]:
         """Mean and covariance of the coefficients of some items' columns, one item after the other."""
@@ -178,13 +153,3 @@ def _with_unit_prior(gram: Float[Tensor, "*batch column column"]) -> Float[Tenso
     diagonal = torch.diagonal(gram, dim1=-2, dim2=-1)
     precision: Tensor = gram + torch.diag_embed(1.0 + RIDGE * diagonal.abs())
     return precision
-
-
-def _padded(n: int) -> int:
-    """Number of columns with empty ones, so that many items are computed at once: a small number, or the next 4, 8, 16, 32 ... beyond.
-
-    Examples:
-        >>> [_padded(n) for n in (1, 2, 3, 4, 5, 9, 33)]
-        [1, 2, 3, 4, 8, 16, 64]
-    """
-    return n if n < SMALL else 1 << (n - 1).bit_length()

@@ -50,6 +50,11 @@ class Expansion:
         """Causes that the fit has beyond the rig as described."""
         return tuple(cause for cause in self.fit.rig.effects if cause not in self.plain.rig.effects)
 
+    def is_worse_than(self, other: Expansion) -> bool:
+        """Whether the readings are less probable with these causes than with others, by full fits beside the same departures."""
+        is_alike = torch.equal(self.departed_T, other.departed_T)
+        return is_alike and self.fit.log_evidence < other.fit.log_evidence
+
     @cached_property
     def _own(self) -> dict[Cause, list[int]]:
         """Coordinates of each of these causes."""
@@ -73,24 +78,28 @@ class Expansion:
         """Removes what these numbers can follow."""
         return Projector.of(self.fit.jacobian[:, self._base], self.prior_precision)
 
-    @cached_property
-    def _missed(self) -> Float[Tensor, " component"]:
-        """Whitened readings less the predictions of the fit."""
-        fit = self.fit
-        missed: Tensor = (fit.posterior.measured_T - fit.predicted_T) * fit.whitening_per_T
-        return missed
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Coordinates of the rig as described, by name."""
+        return tuple(self.fit.posterior.coordinates.names[i] for i in self._base)
+
+    @property
+    def prior_mean(self) -> Float[Tensor, " parameter"]:
+        """Their prior means."""
+        mean: Tensor = self.fit.vector[self._base] - self._pulled
+        return mean
 
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
         """Whitened, without causes and departures and with the rig's numbers at their prior means."""
         pulled = self.always.jacobian @ self._pulled
-        without = self._missed + pulled + self.departed_T * self.fit.whitening_per_T
+        without = self.fit.residual + pulled + self.departed_T * self.fit.whitening_per_T
         return without + sum((self._change(cause) for cause in self.causes), torch.zeros_like(without))
 
     @cached_property
     def _pulled(self) -> Float[Tensor, " parameter"]:
         """How far the readings pull the rig's numbers from their prior means: at the maximum as hard as the priors pull back."""
-        pull = self.always.jacobian.T @ self._missed
+        pull = self.always.jacobian.T @ self.fit.residual
         apart: Tensor = torch.linalg.pinv(self.prior_precision, hermitian=True) @ pull
         return apart
 

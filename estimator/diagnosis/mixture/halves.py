@@ -10,8 +10,9 @@ References:
 
 from __future__ import annotations
 
+import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -20,11 +21,15 @@ from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
 from estimator.devices import numpy_of
+from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.slots import Slots
 from estimator.geometry.motion import base_from_motion
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 
 N_BLOCKS, LEAST_IN_A_BLOCK = 30, 3
+N_NODES = 15  # of the mean over the noise
+LARGE = 500.0  # log odds beyond which nothing changes
 WEIGHT_OF_TIME = 3.0  # of the whole session over a standard deviation of the positions
 
 
@@ -59,6 +64,33 @@ def halves(block: Int[np.ndarray, " reading"], n_pairs: int, seed: int) -> Itera
         chosen = np.isin(block, random.permutation(n_blocks)[: n_blocks // 2])
         yield chosen
         yield ~chosen
+
+
+def expected_in_half(slots: Slots, leading: Sequence[int], sizes: Tensor, noise: int) -> dict[int, float]:
+    """Probability that each leading item is expected to have in a half of the readings, were all of them there.
+
+    The log Bayes factor of what is there scatters by the root of twice its expected value.
+
+    Args:
+        slots: Of the half.
+        leading: Numbers of the items.
+        sizes: Coefficients of their columns in all readings, one item after the other.
+        noise: Number of the factor on the noise.
+    """
+    products, signal = slots.products, slots.products.signal_of(leading, sizes)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
+    result = {}
+    for item in leading:
+        rest = [other for other in leading if other != item]
+        evidence = products.beside(sorted(rest), float(slots.grid[noise]), signal) + slots.log_prior
+        is_own = slots.name == slots.name[item]
+        is_open = ~np.isin(slots.name, slots.name[rest]) & ~is_own
+        others = torch.cat((evidence[is_open], evidence.new_tensor([math.log(priors.EMPTY)])))
+        log_odds = float(torch.logsumexp(evidence[is_own], 0) - torch.logsumexp(others, 0))
+        spread = math.sqrt(2.0 * max(float((evidence - slots.log_prior)[is_own].max()), 0.0))
+        probability = 1.0 / (1.0 + np.exp(-np.clip(log_odds + spread * nodes, -LARGE, LARGE)))
+        result[item] = float((weights * probability).sum() / weights.sum())
+    return result
 
 
 def weight_of(is_in: np.ndarray, is_measured: Tensor) -> Float[Tensor, " component"]:

@@ -1,12 +1,12 @@
-"""The causes that an answer states, as a verdict lists them, and the fit of the rig with them."""
+"""The causes that an answer states, as a verdict lists them, and fits of the rig with them."""
 
 from __future__ import annotations
 
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.answer import Answer, Found
-from estimator.diagnosis.mixture.items import Item
+from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.diagnosis.verdict import Alternative, NamedCause
-from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause
 
 
 def named_by(answer: Answer) -> list[NamedCause]:
@@ -17,39 +17,37 @@ def named_by(answer: Answer) -> list[NamedCause]:
 def _named(answer: Answer, found: Found) -> NamedCause:
     listed = [possibility for possibility in found.possibilities if possibility.is_listed]
     first, *others = listed
-    asked, item = answer.asked, _item_of(answer, found)
-    beside = [i for i in asked.leading if i != item]
+    fits = alternative_fits(answer, found) if others else {}
     return NamedCause(
         first.cause,
         found.probability * first.share,
-        tuple(Alternative(other.cause, found.probability * other.share, None) for other in others),
-        float(asked.slots.products.beside(beside, asked.noise)[item]),
+        tuple(
+            Alternative(p.cause, found.probability * p.share, _expected(fits, first.cause, p.cause))
+            for p in others
+        ),
+        answer.beside_item(answer.item_of(first.cause), [p.cause for p in listed]).log_bayes_factor(
+            [first.cause]
+        ),
         1.0 - found.probability * sum(possibility.share for possibility in listed),
     )
 
 
-def _item_of(answer: Answer, found: Found) -> int:
-    """Number of the most probable item of the cause that comes first."""
-    asked = answer.asked
-    cause = next(p.cause for p in found.possibilities if p.is_listed)
-    own = [i for i, item in enumerate(asked.dictionary.items) if item.cause == cause]
-    in_leading = [i for i in own if i in asked.leading]
-    return in_leading[0] if in_leading else max(own, key=lambda i: float(asked.samples.present[i]))
+def _expected(fits: dict[Cause, Fit], truth: Cause, other: Cause) -> float:
+    """Expected log evidence of these readings for one cause, were it true, against another."""
+    two = {truth.label: fits[truth], other.label: fits[other]}
+    return float(separation(two, rows_seen(two))[0])
+
+
+def alternative_fits(answer: Answer, found: Found) -> dict[Cause, Fit]:
+    """Fits of the rig with each listed possibility of a set, beside the other stated causes."""
+    others = [entry.first_listed for entry in answer.stated if entry != found]
+    return {
+        possibility.cause: answer.fit_with([*others, possibility.cause])
+        for possibility in found.possibilities
+        if possibility.is_listed
+    }
 
 
 def fitted_with_stated(answer: Answer) -> Fit:
     """The rig as described with the stated causes, fitted to the readings that were asked."""
-    expansion = answer.asked.expansion
-    plain, fit = expansion.plain, expansion.fit
-    items = [_item_of(answer, entry) for entry in answer.stated]
-    rig = plain.rig
-    for i in items:
-        item = answer.asked.dictionary.items[i]
-        rig = with_effect(rig, item.cause, plain.observations, _start(item, fit))
-    return fit_rig(rig, plain.observations, fit.values, plain.posterior.model.rules)
-
-
-def _start(item: Item, fit: Fit) -> dict[str, float]:
-    """Shapes of a cause: as fitted where the fit has it."""
-    own = {key: fit.values.get(f"{item.cause.label}.{key}") for key in item.start}
-    return {key: item.start[key] if value is None else float(value) for key, value in own.items()}
+    return answer.fit_with([entry.first_listed for entry in answer.stated])

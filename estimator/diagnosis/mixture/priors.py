@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-EMPTY = 0.6  # of a slot
+EMPTY = 0.7  # of a slot
 LISTED = 0.25
-DEPARTURE = 0.15
-N_SLOTS = 6  # things that may be wrong at once
+DEPARTURE = 0.05
 WIDTHS = ((0.1, 0.15), (0.3, 0.25), (1.0, 0.4), (3.0, 0.13), (10.0, 0.07))
 """Factors on the stated width of a listed cause, and their probabilities. Most things are smaller than they may be, and some are larger: a
 probe has elements 2 mm apart where 0.5 mm is stated."""

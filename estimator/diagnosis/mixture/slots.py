@@ -15,12 +15,14 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.evidence import Products
 
@@ -51,6 +53,13 @@ class NoisePrior:
         if self.width == 0.0:
             return torch.zeros_like(noise)
         return -0.5 * ((noise.log() - math.log(self.median)) / self.width).square()
+
+
+class Sweeps(NamedTuple):
+    """Draws of all slots, one after another: how many, and how many of the first do not count."""
+
+    n: int
+    burn_in: int
 
 
 @dataclass
@@ -117,6 +126,10 @@ class Samples:
             other.models[tuple(sorted(numbers[i] for i in model))] += n
         return other
 
+    def one_of(self, items: Sequence[int]) -> float:
+        """Probability that one of some items is there that exclude each other."""
+        return min(1.0, float(self.present[list(items)].sum()))
+
     def holding(self, items: Sequence[int]) -> float:
         """Share of the draws that hold at least one of some items."""
         some = set(items)
@@ -136,14 +149,22 @@ class Slots:
         products: Inner products of its columns.
         noise: What is known of the noise.
         n_slots: Things that may be wrong at once.
+        excluded: Items that no slot holds.
     """
 
-    def __init__(self, products: Products, noise: NoisePrior, n_slots: int = priors.N_SLOTS) -> None:
+    def __init__(
+        self,
+        products: Products,
+        noise: NoisePrior,
+        n_slots: int = policy.MOST_CAUSES,
+        excluded: Sequence[int] = (),
+    ) -> None:
         self.products, self.noise, self.n_slots = products, noise, n_slots
         self.grid = noise.grid()
         self.log_prior_noise = noise.log_density(self.grid)
         items = products.items
         self.log_prior = torch.tensor([item.log_prior for item in items], dtype=torch.float64)
+        self.log_prior[list(excluded)] = -math.inf
         names = {name: i for i, name in enumerate(dict.fromkeys(item.name for item in items))}
         self.name = np.array([names[item.name] for item in items], dtype=int)
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
@@ -179,11 +200,11 @@ class Slots:
                 break
         return slots, noise
 
-    def sample(self, sweeps: int, burn_in: int, seed: int, is_climbed: bool = True) -> Samples:
+    def sample(self, sweeps: Sweeps, seed: int, is_climbed: bool = True) -> Samples:
         """Draw items slot by slot.
 
         Args:
-            sweeps: Over all slots; the first `burn_in` do not count.
+            sweeps: Over all slots.
             seed: Of the draws.
             is_climbed: Begin where a climb ends; else without anything.
         """
@@ -193,19 +214,19 @@ class Slots:
         if is_climbed:
             slots, noise = self.climbed()
         samples = Samples(len(self.log_prior))
-        for sweep in range(sweeps):
+        for sweep in range(sweeps.n):
             for k in range(self.n_slots):
                 rest = [i for j, i in enumerate(slots) if j != k and i is not None]
                 probability = self.conditional(rest, noise)
                 drawn = int(np.searchsorted(np.cumsum(probability), random.random() * probability.sum()))
                 slots[k] = drawn if drawn < len(self.log_prior) else None
-                if sweep >= burn_in:
+                if sweep >= sweeps.burn_in:
                     samples.add(rest, probability[:-1], slots[k])
             chosen = [i for i in slots if i is not None]
             of_noise = self.noise_of(chosen)
             noise = int(np.searchsorted(np.cumsum(of_noise), random.random() * of_noise.sum()))
             noise = min(noise, len(self.grid) - 1)
-            if sweep >= burn_in:
+            if sweep >= sweeps.burn_in:
                 samples.models[tuple(sorted(chosen))] += 1
                 samples.noises[noise] += 1
         return samples

@@ -14,22 +14,21 @@ import torch
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_mean_exp
+from estimator.diagnosis.structure.doubt import Doubt
 from estimator.rig.parameters import LogNormal, Normal
 
 LEAST_KNOWN = 1e-3  # share of the knowledge of a number that the readings have; below, they say nothing of it
 
 
 @dataclass(frozen=True)
-class Pull:
-    """Evidence that the prior of a number of the rig is wrong.
+class Pull(Doubt):
+    """Evidence that the prior of a number of the rig is wrong: for a wider one, averaged over numbers and widths.
 
     Attributes:
-        log_bayes_factor: Of a wider prior against the stated one, averaged over numbers and widths.
         name: The number with the most evidence; empty where none has a prior with a width.
         widths: How far from the middle of its prior the readings alone would have it, in the prior's standard deviations.
     """
 
-    log_bayes_factor: float
     name: str = ""
     widths: float = 0.0
 

@@ -20,6 +20,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.diagnosis.structure.covariates import covariates
+from estimator.diagnosis.structure.doubt import Doubt
 from estimator.diagnosis.structure.smooth import legendre, unit_interval
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import uses_of
@@ -29,15 +30,13 @@ LEAST_SHARE = 0.05  # of a component's variance that the fit leaves it; below, t
 
 
 @dataclass(frozen=True)
-class Scatter:
-    """Evidence that readings do not scatter as a fit says.
+class Scatter(Doubt):
+    """Evidence that readings do not scatter as a fit says, averaged over all that it may depend on.
 
     Attributes:
-        log_bayes_factor: Against scatter as the fit says, averaged over all that it may depend on.
         along: What it depends on most.
     """
 
-    log_bayes_factor: float
     along: str
 
 

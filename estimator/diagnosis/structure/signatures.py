@@ -16,10 +16,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils, sensor_in_room
-from estimator.diagnosis.structure.discrepancy import by_name, evidence_by_amplitude
-from estimator.diagnosis.structure.families.collection import Collection, Family
-from estimator.diagnosis.structure.families.history import before
-from estimator.diagnosis.structure.families.position import dipoles
+from estimator.diagnosis.structure.curves import Collection, axes_of, before, dipoles
 from estimator.diagnosis.structure.harmonics import harmonic_gradients
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.model.bodies import winding_of
@@ -64,7 +61,7 @@ def _stays_with(fit: Fit) -> Evidence:
     circumstances = fit.posterior.model.circumstances
     field_T = predicted_T(fit)
     constant = field_T.new_ones(len(circumstances), 1)
-    axes = Collection(fit).axes
+    axes = axes_of(fit)
     largest_T = field_T.abs().max().clamp(min=1e-12)
     along_field = torch.diag_embed(field_T / largest_T)
     collection = Collection(fit)
@@ -86,7 +83,7 @@ def _stays_with(fit: Fit) -> Evidence:
     change = (before(field_T, circumstances.observations.row) - field_T) / largest_T
     rolled = [torch.diag_embed(torch.roll(change, k, dims=1)) for k in range(3)]
     collection.add("path", constant, torch.cat(rolled, dim=-1))
-    return _evidence(fit, collection.families)
+    return collection.evidence()
 
 
 def _current(fit: Fit) -> Evidence | None:
@@ -106,7 +103,7 @@ def _current(fit: Fit) -> Evidence | None:
                 collection.add("even", position * drive[:, None] ** 2, rotation)
             if len(sizes[sizes > 0.0]) > 1:
                 collection.add("cubic", position * drive[:, None] ** 3, rotation)
-    return _evidence(fit, collection.families) if collection.families and len(circumstances) else None
+    return collection.evidence() if collection.curves and len(circumstances) else None
 
 
 def _field_equations(fit: Fit) -> Evidence | None:
@@ -131,11 +128,7 @@ def _field_equations(fit: Fit) -> Evidence | None:
             for degree in policy.SIGNATURE_DEGREES:
                 position = polynomials(unit_interval(position_m), 0, degree)
                 collection.add("no magnetic field", position * drive_factor[:, None], rotation)
-    return _evidence(fit, collection.families) if collection.families else None
-
-
-def _evidence(fit: Fit, families: list[Family]) -> Evidence:
-    return by_name(families, evidence_by_amplitude(fit, families))
+    return collection.evidence() if collection.curves else None
 
 
 def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape, triple
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import SourceEffect
 from estimator.field.winding import Rule, Winding
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 FARTHEST_M = 0.15  # from the coil: what is farther off hardly shows, or does not move with it

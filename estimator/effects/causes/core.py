@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import ClassVar
 
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, at_least_zero
 from estimator.effects.circumstances import Circumstances, Extent
@@ -14,6 +13,7 @@ from estimator.field.core import Core
 from estimator.field.saturation import played
 from estimator.rig.parameters import LogNormal, Normal
 from estimator.rig.rig import Cause, Rig
+from estimator.tensors import Tensor
 
 USUAL_STRENGTH = 0.95  # a susceptibility of 380: fits begin at iron, for little of it looks otherwise
 # Radius in radii of the bore, length in those of the winding, front face before that of the winding in its lengths.
@@ -32,7 +32,6 @@ class CrossMagnetisation(CoreMagnetisation):
         "soft iron and steel: susceptibility 100 to 10000, saturation 1.6 to 2.2 T (Bozorth, Ferromagnetism, 1951); sizes wide"
     )
     is_structural: ClassVar[bool] = True
-    starts_far_off: ClassVar[bool] = True
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Strength (0 no iron, 1 unlimited permeability); sizes, place of the front face, and polarisation when saturated."""

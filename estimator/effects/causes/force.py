@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
@@ -16,6 +14,7 @@ from estimator.field.force import force_on_loop_N
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, world_from_body
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 
 class CoilPulled(MountEffect):

@@ -6,9 +6,7 @@ import math
 from collections.abc import Iterator
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, at_least_zero, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -16,6 +14,7 @@ from estimator.effects.stages import HolderEffect, PerAmpere, RoomEffect
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
+from estimator.tensors import Tensor, torch
 
 GAPS = (0.3, 1.0)  # of the reach, between the positions and a plane behind them
 LEAST_BETWEEN = 0.5  # of the reach: how far sensors must lie apart for a plate to stand between them
@@ -36,7 +35,6 @@ class IronPlate(RoomEffect):
     name: ClassVar[str] = "iron_plate"
     words: ClassVar[str] = "a plate of iron mirrors the coils"
     source: ClassVar[str] = "strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less"
-    idealises: ClassVar[str | None] = "iron in the room"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin."""
@@ -292,7 +290,6 @@ class _SoftIron(RoomEffect):
     """A small piece of soft iron is magnetised by the coils and answers as a dipole."""
 
     source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
-    idealises: ClassVar[str | None] = "iron in the room"
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
@@ -356,7 +353,6 @@ class SecondIronBody(_SoftIron):
 
     name: ClassVar[str] = "second_iron_body"
     words: ClassVar[str] = "a second piece of iron in the room answers the coils"
-    idealises: ClassVar[str | None] = None
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether the rig has a first piece already."""

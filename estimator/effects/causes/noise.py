@@ -6,14 +6,13 @@ import math
 from typing import ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import FEWEST_COMPONENTS, NoiseEffect, NoiseEstimate, Prediction
 from estimator.rig.parameters import LogNormal, Uniform
+from estimator.tensors import Tensor, torch
 
 EM_STEPS = 60
 MOST_SHARE = 0.1  # of readings that an instrument spoils, as `source` has it
@@ -76,7 +75,6 @@ class NoiseGrows(NoiseEffect):
     kind: ClassVar[Kind] = Kind.SENSOR
     words: ClassVar[str] = "the readings scatter the more, the larger they are"
     source: ClassVar[str] = "two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading"
-    imitates_structure: ClassVar[bool] = True  # whatever grows with the field
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Standard deviation over the component that is read."""
@@ -103,7 +101,6 @@ class PositionJitter(NoiseEffect):
     kind: ClassVar[Kind] = Kind.MOVER
     words: ClassVar[str] = "the mover scatters about its targets"
     source: ClassVar[str] = "repeatability of small arms, 10 to 100 um"
-    imitates_structure: ClassVar[bool] = True  # whatever grows with the gradient
 
     def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
         """Standard deviation of the position along each axis."""

@@ -10,15 +10,14 @@ from collections.abc import Mapping
 from itertools import permutations
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, switch
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
+from estimator.tensors import Tensor, torch
 
 # mm under m, m under mm, mm under cm, ..., inch under mm.
 LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)

@@ -8,16 +8,14 @@ from functools import cache
 from itertools import combinations, permutations, product
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
-from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, shape, switch
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import CurrentEffect, MotionEffect, ReadingEffect, RecordEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
+from estimator.tensors import Tensor, torch
 
 FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
 SMALLEST_TURN_RAD = math.radians(15.0)
@@ -282,6 +280,8 @@ def _signed_permutations() -> list[dict[str, float]]:
 def _turns() -> tuple[tuple[float, ...], ...]:
     """Rotation vectors of turns in steps of 45 degrees about each axis, no two of them alike, without the identity."""
     steps = list(product(range(0, 360, 45), (-90, -45, 0, 45, 90), range(0, 360, 45)))
+    from scipy.spatial.transform import Rotation  # a third of a second, which only rotations as numbers need
+
     distinct = Rotation.identity(1)
     for turn in Rotation.from_euler("XYZ", steps, degrees=True):
         if (turn.inv() * distinct).magnitude().min() > math.radians(44.0):

@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, since, switch
 from estimator.effects.causes.pose_record import RowsShifted
@@ -18,6 +16,7 @@ from estimator.effects.causes.record import MOST_BODIES, AxesSwapped, CurrentSig
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import CurrentEffect
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 
 class AxesSwappedSince(AxesSwapped):

@@ -6,9 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since, triple
 from estimator.effects.circumstances import Circumstances, Extent, is_meanwhile
@@ -18,6 +16,7 @@ from estimator.geometry.kinematics import base_from_joints
 from estimator.geometry.motion import base_from_motion, ends_of
 from estimator.rig.arms import N_JOINTS
 from estimator.rig.rig import MotionKind, Rig
+from estimator.tensors import Tensor, torch
 
 LEAST_TURN = 1e-6  # of a rotation matrix: below, a mover only moves
 # The joint that gives way, and that at which the weight sits; None is the flange.

@@ -12,14 +12,13 @@ import re
 from collections.abc import Iterable, Sequence
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.frames import Transform, rotation_from_vector
+from estimator.tensors import Tensor, torch
 
 FEWEST_SEGMENTS = 2  # one alone is the whole session
 MOST_SEGMENTS = 12  # 72 numbers for places; what scatters from file to file beyond is not asked

@@ -5,13 +5,12 @@ from __future__ import annotations
 from itertools import permutations
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, normal, shape, triple
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import ElementEffect, ReadingEffect
+from estimator.tensors import Tensor, torch
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
 # xy: what the x axis picks up of the y component.

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import WHEN, Quantity, Theta, at_least_zero, normal, since
 from estimator.effects.causes.sensor import (
@@ -21,6 +19,7 @@ from estimator.effects.stages import ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 # Shares of the time between readings: 0.1 % to a quarter is left of the reading before.
 LAGS = (0.15, 0.25, 0.4, 0.7)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.causes.sensor import AxisGain, SensorOffset
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import ReadingEffect
+from estimator.tensors import Tensor, torch
 
 CUTS = 6  # parts of the readings, between which a side may begin
 PARTS = (AxisGain(), SensorOffset())  # of a contact, in the order in which they act

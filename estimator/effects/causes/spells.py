@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantity, Theta, since, until
 from estimator.effects.causes.record_since import CurrentSignSince
@@ -20,6 +18,7 @@ from estimator.effects.causes.sensor_history import OffsetStep
 from estimator.effects.causes.supply import CurrentStep
 from estimator.effects.causes.surroundings import BackgroundStep
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
+from estimator.tensors import Tensor, torch
 
 
 class Spell(Effect):

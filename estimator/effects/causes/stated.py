@@ -10,9 +10,7 @@ import math
 from typing import ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, normal, triple
 from estimator.effects.circumstances import Circumstances, Extent
@@ -31,6 +29,7 @@ from estimator.field.winding import Winding
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Body, MotionKind, Rig, SidedCoil
+from estimator.tensors import Tensor, torch
 
 SHIFT_KEYS, TURN_KEYS = ("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad")
 LOOSE_NOISE = 0.2  # relative width of a prior from which on the noise follows the readings by itself

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import ClassVar
 
 import numpy as np
-import torch
 
 from estimator.effects.base import Quantity, Theta, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -14,6 +13,7 @@ from estimator.field.loop import FEWEST_STEPS
 from estimator.field.node_sum import Nodes
 from estimator.field.winding import Rule, Winding, loops_of
 from estimator.rig.parameters import LogNormal, Normal
+from estimator.tensors import torch
 
 HIDDEN_NODES = 6  # loops that stand for a hidden winding
 HIDDEN_STEPS = FEWEST_STEPS + 3  # enough wherever it ends up: a millionth of the distance to its other side

@@ -7,9 +7,7 @@ from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, triple
 from estimator.effects.circumstances import Circumstances, Extent
@@ -20,6 +18,7 @@ from estimator.frames import Transform
 from estimator.geometry.motion import pose_of
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import POSE_KEYS, Coil, Rig
+from estimator.tensors import Tensor, torch
 
 LEFT = ("axial", "radial", "fan")  # what an earlier field leaves of itself
 AZIMUTHS = 4  # of a ring, over which the field of another coil is averaged

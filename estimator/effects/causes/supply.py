@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, shape, since
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.stages import CurrentEffect, OneCoilCurrent
 from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 RANGES = 12  # steps of the largest current at which a range may end
 

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import WHEN, Quantity, Theta, shape, since, triple
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import RoomEffect
+from estimator.tensors import Tensor, torch
 
 MOST_FREQUENCIES = 160
 # Slopes of a field, in the order of its numbers; zz is what leaves no divergence.

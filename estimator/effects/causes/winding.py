@@ -6,9 +6,7 @@ import math
 from typing import ClassVar
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, normal, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -18,6 +16,7 @@ from estimator.field.node_sum import Nodes
 from estimator.field.straight import MU0_OVER_4PI, segment_field
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
 from estimator.rig.parameters import LogNormal
+from estimator.tensors import Tensor, torch
 
 POINTS_AT_ONCE = 1000  # in all of a batch: more would push the dozen arrays of an oval coil out of the cache
 OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve

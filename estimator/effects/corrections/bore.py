@@ -9,9 +9,7 @@ import math
 from collections.abc import Mapping
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -21,6 +19,7 @@ from estimator.effects.stages import RoomEffect
 from estimator.field.bore import WAVES, bore_field
 from estimator.field.coil import AnyWinding
 from estimator.field.winding import Rule
+from estimator.tensors import Tensor, torch
 
 NARROW = 2.0  # least length over diameter of the cylinder about the places; in a rounder set solid harmonics follow more with less
 BEYOND = 2.5  # radii by which the cylinder is longer than the places at each end: half waves repeat beyond it as in a mirror, and what

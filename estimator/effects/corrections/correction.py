@@ -13,9 +13,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import WHEN, Effect, Quantity, Theta, normal
 from estimator.effects.circumstances import Circumstances, Extent
@@ -23,6 +21,7 @@ from estimator.effects.stages import OneCoilCurrent
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, world_from_body
 from estimator.rig.rig import Body
+from estimator.tensors import Tensor, torch
 
 KEY = re.compile(r"degree(?P<degree>\d+)_\w+")
 TYPICAL_SHARE = 1e-3  # of the largest field, or of the reach: the width until a diagnosis sets it
@@ -51,7 +50,6 @@ class Correction(Effect):
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
-        is_stepwise: Each degree is one more step, whose place is looked for beside those before.
         single: Name of the cause that one step alone is.
     """
 
@@ -61,7 +59,6 @@ class Correction(Effect):
     highest: ClassVar[int] = 5
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0
-    is_stepwise: ClassVar[bool] = False
     single: ClassVar[str | None] = None
 
     @abstractmethod

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -15,6 +13,7 @@ from estimator.effects.corrections.correction import InTime, ShareOfCurrent
 from estimator.effects.corrections.turning import shown_by_turned
 from estimator.effects.stages import MotionEffect, ReadingEffect, RoomEffect
 from estimator.frames import Transform
+from estimator.tensors import Tensor, torch
 
 
 class _Drift(InTime):

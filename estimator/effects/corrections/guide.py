@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -15,6 +13,7 @@ from estimator.effects.corrections.correction import Correction, Limit, limit_of
 from estimator.effects.stages import MotionEffect
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
+from estimator.tensors import Tensor, torch
 
 STRAIGHT_DEGREE = 3  # up to which a guide may bend across itself; beyond, only the screw's own error is asked
 SMALLEST_SPAN = 1e-3  # of the widest: along shorter ways nothing depends on the position

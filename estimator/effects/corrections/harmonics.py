@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Kind, Quantity, Theta, shape
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
@@ -17,6 +15,7 @@ from estimator.field.coil import AnyWinding
 from estimator.field.winding import Rule
 from estimator.rig.harmonic_terms import terms
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 LEAST_REACH_M = 1e-6
 NEAREST = 0.5  # of the mean distance of the readings from a coil: nearer to it multipoles grow beyond what the others tell

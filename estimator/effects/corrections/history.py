@@ -6,15 +6,14 @@ import math
 from collections.abc import Sequence
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import MotionEffect, OneCoilCurrent, ReadingEffect
 from estimator.frames import Transform, rotation_from_vector
+from estimator.tensors import Tensor, torch
 
 N_DIRECTIONS = 48  # of a half sphere: any direction is within 15 degrees of one of them
 LEAST_MOVE = 1e-3  # of a typical move: less is rounding

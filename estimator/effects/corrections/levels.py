@@ -8,14 +8,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape, switch
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
+from estimator.tensors import Tensor, torch
 
 MOST_LEVELS = 100  # of each axis
 FEWEST_BEYOND = 3  # readings on either side of a level

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import MotionEffect
 from estimator.frames import Transform, rotation_from_vector
+from estimator.tensors import Tensor, torch
 
 LEAST_LENGTH_M = 1e-9
 BY_MOVE, BY_SIDE, BY_MOVE_AND_TIME = 1, 2, 3

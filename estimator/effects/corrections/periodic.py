@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -21,6 +19,7 @@ from estimator.effects.corrections.correction import (
 from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
+from estimator.tensors import Tensor, torch
 
 MOST_HALF_CYCLES = 320  # over the session or the range; sessions with fewer readings have fewer
 SHORTEST_PERIOD_M = 0.5e-3  # finer pitches are rarer than errors that look like them

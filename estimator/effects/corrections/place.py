@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
+from estimator.tensors import Tensor, torch
 
 SMALLEST_SPAN = 1e-3  # of the widest: along shorter ways nothing depends on the position
 LEAST_SPAN_M = 1e-6

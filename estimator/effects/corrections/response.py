@@ -6,14 +6,13 @@ import math
 from itertools import combinations_with_replacement
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
 from estimator.effects.stages import ReadingEffect
+from estimator.tensors import Tensor, torch
 
 
 class _OverRange(Correction, ReadingEffect):

@@ -9,21 +9,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.corrections.correction import InTime, ShareOfCurrent
 from estimator.effects.stages import MotionEffect, ReadingEffect, RoomEffect
 from estimator.frames import Transform
+from estimator.tensors import Tensor, torch
 
 
 class _Steps(InTime):
     """Each degree is one more step, which stays from its instant on."""
-
-    is_stepwise: ClassVar[bool] = True
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """Components of what jumps."""

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from typing import ClassVar
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.effects.base import Quantity, Theta, shape
 from estimator.effects.circumstances import Circumstances, Extent
@@ -14,6 +12,7 @@ from estimator.effects.corrections.correction import Correction, Limit, limit_of
 from estimator.effects.stages import ReadingEffect
 from estimator.frames import vector_from_rotation
 from estimator.geometry.motion import base_from_motion
+from estimator.tensors import Tensor, torch
 
 SAME_ANGLE_RAD = 1e-3
 LEAST_ANGLE_RAD = 0.1  # that a mover turns through

@@ -14,9 +14,9 @@ from estimator.reporting.plots.field_map import field_plane
 from estimator.reporting.plots.history import history
 from estimator.reporting.plots.hypotheses import (
     Role,
+    error_budget,
     evidence_bars,
     explained_residual,
-    stepwise_residual,
     structure_bars,
 )
 from estimator.reporting.plots.posterior import interval_summary, trace, traces
@@ -36,6 +36,7 @@ __all__ = [
     "angular_deviation_map",
     "before_and_after_map",
     "corner",
+    "error_budget",
     "evidence_bars",
     "explained_residual",
     "field_plane",
@@ -52,7 +53,6 @@ __all__ = [
     "residual_by_sensor",
     "residual_histogram",
     "residual_map",
-    "stepwise_residual",
     "structure_bars",
     "trace",
     "traces",

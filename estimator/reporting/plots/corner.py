@@ -59,18 +59,16 @@ def corner(
     n = len(columns)
     size = min(max(4.6, 1.35 * n), 14.0)
     fig = figure(size, size, title)
-    grid = fig.subplots(n, n, squeeze=False, gridspec_kw={"wspace": 0.04, "hspace": 0.04})
+    grid = fig.add_gridspec(n, n, wspace=0.04, hspace=0.04)
     for i, row in enumerate(columns):
-        for j, column in enumerate(columns):
-            if j > i:
-                grid[i, j].remove()
-            elif i == j:
-                _diagonal(grid[i, i], column)
-                _x_axis(grid[i, i], column, has_labels=i == n - 1)
+        for j, column in enumerate(columns[: i + 1]):
+            ax = fig.add_subplot(grid[i, j])
+            if i == j:
+                _diagonal(ax, column)
             else:
-                _pair(grid[i, j], column, row)
-                _x_axis(grid[i, j], column, has_labels=i == n - 1)
-                _y_axis(grid[i, j], row, has_labels=j == 0)
+                _pair(ax, column, row)
+                _y_axis(ax, row, has_labels=j == 0)
+            _x_axis(ax, column, has_labels=i == n - 1)
     fig.align_labels()
     handles: list[Patch | Line2D] = [Patch(color=INSIDE_68, label="68 %")]
     handles.append(Patch(color=INSIDE_95, label="95 %"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 
@@ -13,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from estimator.reporting.numbers import plain, size_with_unit
+from estimator.reporting.numbers import plain
 from estimator.reporting.plots.style import (
     BLACK,
     BLUE,
@@ -40,14 +39,21 @@ class Role(StrEnum):
     """What a diagnosis makes of a hypothesis, in the words of the legend; drawn in this order."""
 
     NAMED = "named by the verdict"
-    STAND_IN = "stands in for something unknown, not named"
+    ALTERNATIVE = "cannot be told from it"
+    STAND_IN = "not sure enough to be stated"
     OTHER = "not needed"
     LEFT = "what no known cause explains"
 
 
-COLOUR = {Role.NAMED: BLUE, Role.STAND_IN: PURPLE, Role.OTHER: GREY, Role.LEFT: ORANGE}
+COLOUR = {
+    Role.NAMED: BLUE,
+    Role.ALTERNATIVE: PALE,
+    Role.STAND_IN: PURPLE,
+    Role.OTHER: GREY,
+    Role.LEFT: ORANGE,
+}
 HATCH = {Role.STAND_IN: "///"}
-WORDS = {"nothing": "nothing wrong", "unexplained": "a flexible curve"}
+WORDS = {"nothing": "nothing wrong", "unexplained": "something unlisted"}
 
 
 @styled
@@ -84,7 +90,7 @@ def evidence_bars(
         _bar(ax, row, value, role[name])
         if name != "nothing":
             text = f"{round(evidence[name], 1) + 0.0:.1f}" if evidence[name] >= least else f"< {least:.0f}"
-            text = f" {text}".replace("-", "−") + ("  ← taken here" if name == adopted else "")
+            text = f" {text}".replace("-", "−") + ("  ← stated" if name == adopted else "")
             ax.annotate(text, (max(value, 0.0), row), va="center", ha="left", fontsize=8)
     ax.axvline(0.0, color=BLACK, lw=0.8)
     ax.axvspan(best - CLEAR, best, color=NOISE, zorder=0, lw=0, label="within 20 to 1 of the best")
@@ -98,47 +104,36 @@ def evidence_bars(
 
 
 @styled
-def stepwise_residual(
-    names: Sequence[str],
-    rms_T: Sequence[float],
-    evidence: Sequence[float],
-    roles: Sequence[Role] | None = None,
-    noise_T: float | None = None,
+def error_budget(
+    shares: Mapping[str, tuple[float, tuple[float, float]]],
+    roles: Sequence[Role],
     ax: Axes | None = None,
     title: str = "",
 ) -> Axes:
-    """Residual that remains as causes are added one after another, first on top; last, what is left beyond the noise.
+    """Shares of the squared error of the rig as described, with their 90 % intervals.
 
     Args:
-        names: Names of the causes, in the order in which they were adopted.
-        rms_T: Rms residual per component before any cause, then after each; one more than names.
-        evidence: Increase of the log evidence of the fit by each cause.
-        roles: Of each cause; named by default.
-        noise_T: Rms noise per component.
+        shares: By name: the share of 1, and its interval.
+        roles: Of each.
         ax: Axes to draw into; a new figure by default.
         title: Rig.
     """
-    roles = list(roles or [Role.NAMED] * len(names))
-    ax = axes(ax, 6.4, 1.7 + 0.26 * len(rms_T))
-    factor, unit = (1e3, "mT") if max(rms_T) >= 1e-3 else (1e6, "µT")
-    labels = ["rig as described", *(f"+ {name}" for name in names)]
-    rises = ["", *(f", log evidence {rise:+.0f}".replace("-", "−") for rise in evidence)]
-    bars = list(zip(map(float, range(len(rms_T))), rms_T, [Role.OTHER, *roles], labels, rises, strict=True))
-    if noise_T is not None:
-        left_T = math.sqrt(max(rms_T[-1] ** 2 - noise_T**2, 0.0))
-        bars.append((len(rms_T) + 0.5, left_T, Role.LEFT, "left beyond the noise", ""))
-        ax.axvline(factor * noise_T, color=BLACK, lw=1.0, ls="--", label="noise alone")
-        roles.append(Role.LEFT)
-    for row, value_T, role, _, rise in bars:
-        _bar(ax, row, factor * value_T, role)
-        text = f"  {size_with_unit(value_T, 'T', 3)}{rise}"
-        ax.annotate(text, (factor * value_T, row), va="center", ha="left", fontsize=8)
-    ax.set_yticks([bar[0] for bar in bars], [plain(bar[3]) for bar in bars])
+    ax = axes(ax, 6.4, 1.7 + 0.3 * len(shares))
+    for row, ((value, (low, high)), role) in enumerate(zip(shares.values(), roles, strict=True)):
+        _bar(ax, row, 100.0 * value, role)
+        ax.plot([100.0 * low, 100.0 * high], [row, row], color=BLACK, lw=1.0)
+        end = 100.0 * max(value, high, 0.0)
+        ax.annotate(
+            f"  {100.0 * value:.0f} %".replace("-", "−"), (end, row), va="center", ha="left", fontsize=8
+        )
+    ax.set_yticks(range(len(shares)), [plain(name) for name in shares])
     ax.invert_yaxis()
-    ax.set_xlim(0.0, 1.45 * factor * max(rms_T))
-    ax.set_xlabel(f"rms residual per component, readings used in the search ({unit})")
+    most = max(100.0, *(100.0 * high for _, (_, high) in shares.values()))
+    ax.set_xlim(min(0.0, *(100.0 * low for _, (low, _) in shares.values())), 1.15 * most)
+    ax.axvline(0.0, color=BLACK, lw=0.6)
+    ax.set_xlabel("share of the squared error beyond the noise, unseen readings (%)")
     ax.set_title(plain(title))
-    _legend(ax, roles)
+    _legend(ax, list(roles))
     return ax
 
 

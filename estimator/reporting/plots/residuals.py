@@ -6,13 +6,14 @@ the band of one sigma are always drawn: two thirds of pure noise lie inside.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
 from matplotlib.axes import Axes
-from scipy import stats
+from scipy.special import gammaincinv
 
 from estimator.reporting.numbers import plain
 from estimator.reporting.plots.style import (
@@ -136,7 +137,14 @@ def residual_histogram(
                 clipped, list(bins), density=True, histtype="step", color=COMPONENT[name], lw=1.5, label=text
             )
     grid = np.linspace(bins[0], bins[-1], 200)
-    ax.plot(grid, stats.norm.pdf(grid), color=BLACK, ls="--", lw=1.2, label="unit normal")
+    ax.plot(
+        grid,
+        np.exp(-0.5 * grid**2) / math.sqrt(2.0 * math.pi),
+        color=BLACK,
+        ls="--",
+        lw=1.2,
+        label="unit normal",
+    )
     ax.set_xlabel("residual / sigma")
     ax.set_ylabel("density per sigma")
     ax.set_title(plain(title))
@@ -173,7 +181,9 @@ def residual_by_sensor(
         if not is_measured.any():
             continue
         n = int(is_measured.sum(axis=0).max())
-        low95, low68, _, high68, high95 = np.sqrt(stats.chi2.ppf(QUANTILES_95_68_50, n) / n)
+        low95, low68, _, high68, high95 = np.sqrt(
+            2.0 * gammaincinv(0.5 * n, QUANTILES_95_68_50) / n
+        )  # chi-squared
         ax.barh(row, high95 - low95, left=low95, height=0.7, color=NOISE)
         ax.barh(row, high68 - low68, left=low68, height=0.7, color="#c4c4c4")
         rms = [_rms(values[:, i]) if is_measured[:, i].any() else np.nan for i in range(3)]

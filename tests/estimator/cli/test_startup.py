@@ -24,12 +24,12 @@ from tests.once import once
 
 ROOT = Path(__file__).parents[3]
 LARGE = (
-    *("apscheduler", "arviz", "dask", "distributed", "emcee", "jaxtyping", "jinja2", "matplotlib", "numpy"),
-    *("pandas", "rich", "scipy", "scipy.stats", "sympy", "torch", "xarray", "yaml", "zarr"),
+    *("apscheduler", "arviz", "dask", "distributed", "emcee", "jaxtyping", "jinja2", "matplotlib", "numba"),
+    *("numpy", "pandas", "rich", "scipy", "scipy.stats", "sympy", "torch", "xarray", "yaml", "zarr"),
 )
-MODEL = {"jaxtyping", "numpy", "scipy", "torch", "yaml"}
+RIG = {"jaxtyping", "numba", "numpy", "scipy", "yaml"}  # of scipy its name alone, which numba asks for
+MODEL = RIG | {"torch"}
 JACOBIANS = {"sympy"}  # torch.autograd.grad loads it where it is given weights
-DASK = {"dask", "jinja2"}  # xarray loads it where the extra `batch` is installed
 COMPLETION = {"_COILCAL_COMPLETE": "bash_complete", "COMP_WORDS": "coilcal cal", "COMP_CWORD": "1"}
 LONGEST_HELP_S = 1.5  # of the processor: 0.2 s on a quiet computer, 5.7 s when help still loaded torch
 
@@ -87,7 +87,7 @@ def test_completion_offers_the_commands() -> None:
 Ended = tuple[int, str, set[str]]
 FORKS = f"""
 import importlib, json, os, sys
-for library in {sorted(MODEL)}:
+for library in sys.argv[1:]:
     importlib.import_module(library)
 from estimator.cli.main import main
 for number, call in enumerate(json.load(sys.stdin)):
@@ -109,7 +109,6 @@ for number, call in enumerate(json.load(sys.stdin)):
 @pytest.fixture(scope="module")
 def ended(
     workspace: Path,
-    rig_text: str,
     small_rig: Rig,
     small_session: Session,
     tmp_path_factory: pytest.TempPathFactory,
@@ -121,7 +120,6 @@ def ended(
             "import": [
                 *(workspace / "readings.csv", "--rig", workspace / "rig.yaml", "--out", folder / "s.zarr")
             ],
-            "devices": ["check", with_device(rig_text, folder / "rig.yaml")],
             "predict": [
                 *(workspace / "calibration", "--grid", "z_mm=10", "--current", "coil1=2"),
                 *("--out", folder / "field.csv"),
@@ -129,19 +127,23 @@ def ended(
             "live": [measured(small_rig, small_session, folder / "live.zarr"), "--no-refresh", "--json"],
             "design": [workspace / "session.zarr", "--shrink", "coil1.radius_m", "--readings", 1],
         }
-        return dict(
-            zip(calls, each_in_a_fork([[c, *rest] for c, rest in calls.items()], folder), strict=True)
-        )
+        called = each_in_a_fork([[c, *rest] for c, rest in calls.items()], folder, MODEL)
+        return dict(zip(calls, called, strict=True))
 
     return once(tmp_path_factory, "startup", make)
 
 
-def each_in_a_fork(calls: Sequence[Sequence[object]], folder: Path) -> list[Ended]:
-    """Commands, each in a fork of one process that has loaded `MODEL`: a process for each would load torch anew."""
+def each_in_a_fork(calls: Sequence[Sequence[object]], folder: Path, loaded: set[str]) -> list[Ended]:
+    """Commands, each in a fork of one process that has loaded some libraries: a process for each would load them anew."""
     given = json.dumps([[str(part) for part in call] for call in calls])
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     subprocess.run(
-        [sys.executable, "-c", FORKS], input=given, text=True, cwd=folder, env=environment, check=True
+        [sys.executable, "-c", FORKS, *sorted(loaded)],
+        input=given,
+        text=True,
+        cwd=folder,
+        env=environment,
+        check=True,
     )
     told = [json.loads((folder / f"{number}.json").read_text()) for number in range(len(calls))]
     return [(code, (folder / str(n)).read_text(), set(names)) for n, (code, names) in enumerate(told)]
@@ -171,20 +173,44 @@ def test_import_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> Non
     assert (exit_code, libraries) == (0, MODEL | {"zarr"})
 
 
-def test_devices_check_loads_the_rig_alone(ended: dict[str, Ended]) -> None:
-    exit_code, _, libraries = ended["devices"]
-    assert (exit_code, libraries) == (5, MODEL)
+def test_what_reads_and_explains_loads_no_torch(workspace: Path, rig_text: str, tmp_path: Path) -> None:
+    """Rigs and causes are declared without it, and nothing else reads an array."""
+    rig, plan = workspace / "rig.yaml", workspace / "plan.yaml"
+    diagnosis = tmp_path / "diagnosis"
+    diagnosis.mkdir()
+    told = {"verdict": "nothing_found", "causes": [], "next_measurement": [], "ended_early": None}
+    (diagnosis / "diagnosis.json").write_text(json.dumps(told))
+    calls: list[list[object]] = [
+        ["explain"],
+        ["explain", "axis_gain"],
+        ["schema", "rig"],
+        ["schema", "calibration"],
+        ["check", rig],
+        ["check", rig, plan],
+        ["show", rig],
+        ["show", plan],
+        ["show", workspace / "readings.csv"],
+        ["show", diagnosis],
+        ["init", tmp_path / "new", "--yes"],
+        ["devices", "check", with_device(rig_text, tmp_path / "rig.yaml")],
+    ]
+    ended = each_in_a_fork(calls, tmp_path, RIG)
+    assert [code for code, *_ in ended] == [0] * (len(calls) - 1) + [5]
+    assert all(printed for _, printed, _ in ended)
+    assert [
+        (call, more) for call, (*_, loaded) in zip(calls, ended, strict=True) if (more := loaded - RIG)
+    ] == []
 
 
 def test_predict_loads_what_reads_a_posterior(ended: dict[str, Ended]) -> None:
     exit_code, _, libraries = ended["predict"]
-    assert (exit_code, libraries - DASK) == (0, MODEL | {"pandas", "xarray", "zarr"})
+    assert (exit_code, libraries) == (0, MODEL | {"zarr"})
 
 
 def test_live_without_refresh_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
     exit_code, printed, libraries = ended["live"]
     assert (exit_code, json.loads(printed)["readings"]) == (0, 3)
-    assert libraries == MODEL | JACOBIANS | {"rich", "zarr"}
+    assert libraries == MODEL | JACOBIANS | {"rich"}
 
 
 def test_design_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
@@ -195,7 +221,11 @@ def test_design_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> Non
 def test_the_package_loads_a_public_name_when_it_is_used() -> None:
     assert start("import estimator; dir(estimator)", variables={})[2] == set()
     assert start("from estimator import InvalidInput", variables={})[2] == set()
-    assert start("from estimator import load_rig", variables={})[2] == MODEL
+    assert start("from estimator import load_rig", variables={})[2] == RIG
+    assert (
+        start("from estimator import register_effect; from estimator.effects import EFFECTS", variables={})[2]
+        == RIG
+    )
 
 
 def test_threads_are_set_where_a_command_runs(

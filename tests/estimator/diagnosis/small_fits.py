@@ -6,10 +6,9 @@ from collections.abc import Mapping
 
 import torch
 
-from estimator.diagnosis.corrections.choice import best_corrected
-from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer, answer
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -25,13 +24,13 @@ def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
     return fit
 
 
+def answered(fit: Fit, n_pairs: int = 1) -> Answer:
+    """What the readings of a fit say is wrong."""
+    return answer(fit, Limits(), seed=1, n_pairs=n_pairs)
+
+
 def unheard(words: str) -> None:
     """Stages, which no test reads."""
-
-
-def corrected(fit: Fit) -> Correction:
-    """The correction of a fit, judged by no unseen readings."""
-    return best_corrected(fit, fit, fit, unheard, Limits())
 
 
 def with_wrong(

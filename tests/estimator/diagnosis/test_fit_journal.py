@@ -43,7 +43,7 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
     session, tmp_path, monkeypatch, many_directions
 ):
     monkeypatch.setattr(secant, "MANY_DIRECTIONS", many_directions)
-    limits = Limits(most_causes=1)
+    limits = Limits(most_causes=2)
     whole = diagnose(session, seed=1, out=tmp_path / "whole", has_corrections=False, limits=limits)
     n_fits = []
     climb = fitting.climbed
@@ -73,24 +73,23 @@ def test_a_killed_diagnosis_goes_on_and_ends_as_if_it_had_not_been(
 @pytest.mark.slow  # cli/test_diagnose_interrupted stops one by a signal
 def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(session, tmp_path):
     hasty = diagnose(session, seed=1, out=tmp_path, limits=Limits(minutes=0.0))
-    assert hasty.findings.search.ended_early
-    assert hasty.causes == ()
+    assert hasty.findings.answer.ended_early
     assert (tmp_path / FITS).exists()
     patient = diagnose(session, seed=1, out=tmp_path)
-    assert not patient.findings.search.ended_early
+    assert not patient.findings.answer.ended_early
     assert {cause.cause.name for cause in patient.causes} & {"sensor_offset", "background_field"}
 
 
 @pytest.mark.parametrize(
     ("at", "words"),
     [
-        pytest.param("searching for causes", "it was stopped", marks=pytest.mark.slow),
-        ("sampling", "it was stopped after its search"),
+        pytest.param("asking what is wrong", "it was stopped", marks=pytest.mark.slow),
+        ("sampling", "it was stopped after its causes were found"),
     ],
 )
 def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str, words: str):
-    """Also where its search was over."""
-    limits = Limits(most_causes=1)
+    """Also where its causes were found."""
+    limits = Limits(most_causes=2)
 
     def stop(stage: str) -> None:
         if stage.startswith(at):
@@ -103,7 +102,7 @@ def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: 
     assert stopped.posterior is None
     correction = stopped.fits.correction
     assert correction is None or (correction.is_cut_short and not correction.is_taken)
-    assert stopped.findings.search.ended_early == words
+    assert stopped.findings.answer.ended_early == words
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
         "diagnosis.json",
         FITS,

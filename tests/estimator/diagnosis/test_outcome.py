@@ -3,45 +3,106 @@
 from __future__ import annotations
 
 import pytest
-import torch
 
-from estimator.diagnosis.hypotheses.columns import Columns
-from estimator.diagnosis.hypotheses.search import search
+from estimator.diagnosis import outcome
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.scatter import BesideScatter
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.validation import validation_scores
-from estimator.rig.rig import Rig
+from estimator.diagnosis.verdict import Verdict
+from estimator.readings.metrics import HALF_WIDTH_90
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause
 from estimator.store.session import Session
-from tests.estimator.diagnosis.corrections.test_choice import with_dipole
-from tests.estimator.diagnosis.small_fits import fit_of, unheard
+from tests.estimator.diagnosis.small_fits import unheard
+from tests.estimator.diagnosis.unknown_source import with_dipole
 
 pytestmark = pytest.mark.whole
 
+GAIN = Cause("axis_gain", "hall")
+
+
+@pytest.fixture(scope="module")
+def before(of_dipole: Answer) -> Outcome:
+    return Outcome.of(of_dipole.plain, BesideScatter(of_dipole, ()), (), is_record_wrong=False)
+
 
 def test_unseen_readings_keep_a_correction_or_drop_it_with_its_covariance(
-    small_rig: Rig, small_session: Session
+    before: Outcome, dipole: Observations, small_session: Session
 ) -> None:
     """Those that keep it hold the dipole that the fitted ones hold; those that drop it hold the opposite one."""
-    clean, coil_z_m = small_session.observations, small_session.truth["coil1.world_from_coil0.z_m"]
-    flawed = with_dipole(clean, coil_z_m)
-    opposite = clean.with_field(2.0 * clean.field_sensor_T - flawed.field_sensor_T)
-    plain = fit_of(small_rig, flawed.calibration)
-    limits = Limits(most_causes=0)
-    found_nothing = search(Columns.at(plain, limits), unheard, limits)
-    before = Outcome.of(plain, found_nothing, (), is_record_wrong=False)
-    kept, dropped = (
-        before.corrected(unseen.validation, torch.device("cpu"), unheard, Limits())
-        for unseen in (flawed, opposite)
-    )
+    assert before.verdict is Verdict.UNEXPLAINED
+    opposite = with_dipole(small_session, -1.0)
+    kept, dropped = (before.corrected(unseen.validation, Limits(), unheard) for unseen in (dipole, opposite))
+    assert kept.correction is not None
+    assert dropped.correction is not None
     assert kept.correction.is_taken
     assert kept.after is kept.correction.final
     assert kept.after.rig.corrections
     assert not dropped.correction.is_taken
     assert "unseen" in dropped.correction.refusal
     assert (dropped.extended, dropped.after) == (before.extended, before.after)
-    for outcome, unseen in ((kept, flawed), (dropped, opposite)):
-        scores = validation_scores(outcome.after, unseen.validation, outcome.widening.covariance)
-        assert outcome.widening.fit is outcome.after
-        assert outcome.improvement.after.elpd == pytest.approx(scores.elpd)
+    for made, unseen in ((kept, dipole), (dropped, opposite)):
+        assert made.widening is not None
+        assert made.improvement is not None
+        scores = validation_scores(made.after, unseen.validation, made.widening.covariance)
+        assert made.widening.fit is made.after
+        assert made.improvement.after.elpd == pytest.approx(scores.elpd)
+    assert kept.improvement is not None
+    assert kept.correction.gain is not None
     assert kept.correction.gain.after is kept.improvement.after
     assert kept.improvement.elpd_difference > 0.0
+
+
+def test_without_corrections_intervals_of_the_rig_hold_the_truth(
+    before: Outcome, dipole: Observations, small_session: Session
+) -> None:
+    """The fit of the rig as described is several of its own standard deviations off, for it makes up for the dipoles."""
+    widened = before.widened(dipole.validation)
+    assert widened.after is before.after
+    assert widened.correction is None
+    assert widened.widening is not None
+    assert small_session.truth is not None
+    fit, factors = widened.after, widened.widening.factors
+    off_sd = {
+        name: abs(float(fit.values[name]) - value) / fit.value_sd(name)
+        for name, value in small_session.truth.items()
+    }
+    assert max(off_sd.values()) > 3.0
+    assert all(off / factors[name] < HALF_WIDTH_90 for name, off in off_sd.items())
+
+
+def test_a_cause_that_unseen_readings_refute_loses_its_name(
+    of_two_causes: Answer, two_causes: Observations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = Outcome.of(of_two_causes.plain, BesideScatter(of_two_causes, ()), (), is_record_wrong=False)
+    named = {each.cause for each in said.named}
+    assert len(named) == 2
+    assert GAIN in named
+    confirmed = said.checked_by(two_causes.validation)
+    assert (confirmed.verdict, confirmed.named) == (said.verdict, said.named)
+    assert confirmed.improvement is not None
+    assert confirmed.improvement.is_significant
+    monkeypatch.setattr(outcome, "is_refuted", lambda fit, cause, unseen: cause == GAIN)
+    refuted = said.checked_by(two_causes.validation)
+    assert refuted.verdict is Verdict.PARTLY_EXPLAINED
+    assert {each.cause for each in refuted.named} == named - {GAIN}
+    monkeypatch.setattr(outcome, "is_refuted", lambda fit, cause, unseen: True)
+    nothing = said.checked_by(two_causes.validation)
+    assert (nothing.verdict, nothing.named) == (Verdict.UNEXPLAINED, [])
+
+
+def test_a_rig_that_predicts_worse_does_not_replace_the_one_described(
+    of_two_causes: Answer, small_session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Unseen readings without the causes; what remains is refuted too."""
+    said = Outcome.of(of_two_causes.plain, BesideScatter(of_two_causes, ()), (), is_record_wrong=False)
+    unseen = small_session.observations.validation
+    assert said.checked_by(unseen).verdict is Verdict.PARTLY_EXPLAINED
+    monkeypatch.setattr(outcome, "is_refuted", lambda fit, cause, unseen: True)
+    refused = said.checked_by(unseen)
+    assert refused.verdict is Verdict.UNEXPLAINED
+    assert refused.after is refused.extended is of_two_causes.plain
+    assert refused.improvement is not None
+    assert refused.improvement.elpd_difference == pytest.approx(0.0)

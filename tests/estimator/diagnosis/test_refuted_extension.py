@@ -29,7 +29,7 @@ def test_rows_of_the_other_session_that_were_written_down_wrongly_judge_nothing(
     wrong = replace(other, observations=other.observations.with_field(field_T))
     session = session_with(hidden, currents_A, 1)
     diagnosis, right = (
-        diagnose(session, validation=validation, seed=1, has_corrections=False, limits=Limits(1))
+        diagnose(session, validation=validation, seed=1, has_corrections=False, limits=Limits(2))
         for validation in (wrong, other)
     )
     (flag,) = diagnosis.findings.judging_flags
@@ -59,9 +59,9 @@ def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.M
     monkeypatch.setattr(outcome, "improvement_of", worse)
     monkeypatch.setattr(outcome, "is_refuted", lambda *_: True)
     diagnosis = diagnose(
-        session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(1)
+        session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(2)
     )
-    assert diagnosis.findings.search.final.rig.effects
+    assert diagnosis.findings.answer.stated
     assert diagnosis.verdict == "unexplained"
     assert not diagnosis.causes
     assert not diagnosis.findings.stand_ins

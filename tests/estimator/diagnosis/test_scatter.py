@@ -24,18 +24,14 @@ def biased(small_rig, small_session) -> Fit:
     return fit_of(small_rig, with_wrong(small_rig, seen, SPHERICAL, {"weight": 1.0}))
 
 
-def test_a_hint_near_the_best_is_fitted_and_one_far_below_is_not(biased):
-    hints = {cause.name: (value, fit) for cause, value, fit in noise_causes(biased, 1e9)}
-    hint, fit = hints["position_jitter"]
-    assert fit is None
-    (cause, value, fit), *_ = [
-        noise_cause
-        for noise_cause in noise_causes(biased, hint - 1.0)
-        if noise_cause[0].name == "position_jitter"
-    ]
-    assert fit is not None
+def test_evidence_of_a_scatter_is_that_of_its_full_fit(biased):
+    (cause, value, fit), *_ = [row for row in noise_causes(biased) if row[0].name == "position_jitter"]
     assert value == pytest.approx(fit.log_evidence - biased.log_evidence)
     assert cause in fit.rig.effects
+
+
+def test_where_readings_scatter_as_they_should_no_scatter_is_fitted(small_rig, small_session):
+    assert noise_causes(fit_of(small_rig, small_session.observations.calibration)) == []
 
 
 def test_what_tells_two_scatters_apart_is_the_divergence_of_two_normal_distributions(

@@ -1,4 +1,4 @@
-"""Widened intervals contain the truth where the readings hold a curve that no cause explains."""
+"""Widened intervals contain the truth where the readings hold something that no cause explains."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import pytest
 import torch
 
 from estimator.diagnosis import whole_counts
+from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.structure.cross_validation import jackknife_covariance
-from estimator.diagnosis.structure.discrepancy import Discrepancy, discrepancy
-from estimator.diagnosis.structure.families import families
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.numbers import Numbers
+from estimator.diagnosis.structure.jackknife import jackknife_covariance
 from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, have_whole_counts, within_prior
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
@@ -28,15 +29,17 @@ def fit(small_rig: Rig, small_session: Session) -> Fit:
 
 
 @pytest.mark.slow
-def test_blocks_know_of_curves_that_the_noise_does_not(fit):
-    """Over many draws of curve and noise, in the linear model about the fit. Blocks must not be smaller than the structure."""
-    curves = [f for f in families(fit) if f.name == "position relative to coil1, with its current"]
+def test_blocks_know_of_a_field_that_the_noise_does_not(fit: Fit) -> None:
+    """Over many draws of field and noise, in the linear model about the fit. Blocks must not be smaller than the structure."""
+    kinds = [kind for kind in kinds_of(fit) if kind.cause == Cause("coil_harmonics", "coil1")]
+    (columns,) = kinds[0].columns(fit, kinds[0].starts, 4)
+    columns = columns[:, len(kinds[0].keys(2)) :]
+    columns = 4.0 * columns / columns.square().sum(1).mean().sqrt()
     generator = torch.Generator().manual_seed(13)
     block = pose_blocks(fit.observations, np.random.default_rng(0))
     by_noise, by_block = [], []
     sd = torch.sqrt(torch.diagonal(fit.covariance))
-    for i in range(600):
-        columns = 2.0 * curves[i % len(curves)].columns
+    for _ in range(600):
         readings = torch.randn(len(columns), generator=generator, dtype=torch.float64)
         readings += columns @ torch.randn(columns.shape[1], generator=generator, dtype=torch.float64)
         off = (fit.covariance @ (fit.jacobian.T @ readings)).abs()
@@ -48,21 +51,44 @@ def test_blocks_know_of_curves_that_the_noise_does_not(fit):
     assert (torch.stack(by_block).double().mean(0) > 0.75).all()
 
 
-def test_more_readings_make_nothing_surer_of_what_a_curve_leaves_open(small_rig, small_session):
+def test_more_readings_make_nothing_surer_of_what_the_mixture_leaves_open(small_rig, small_session):
+    """With ten times the variance of the fit of the search, in its principal axes as they are."""
     observations = small_session.observations
     searched, fitted_to_all = fit_of(small_rig, observations.calibration), fit_of(small_rig, observations)
-    columns = 5.0 * families(searched)[0].columns
-    left = Discrepancy(30.0, "a curve", {}, 5.0, columns)
-    beside = searched.covariance_beside(columns)
-    for name, factor in Widening.of(searched, fitted_to_all, left).factors.items():
-        assert factor * fitted_to_all.value_sd(name) >= 0.99 * searched.value_sd(name, beside)
+    names, spread = searched.posterior.coordinates.names, 10.0 * searched.covariance
+    for name, factor in Widening.of(searched, fitted_to_all, names, spread).factors.items():
+        assert factor * fitted_to_all.value_sd(name) >= 0.99 * searched.value_sd(name, spread)
         assert factor > 1.0
 
 
-def test_nothing_is_made_surer(fit):
-    factors = Widening.of(fit, fit, discrepancy(fit, families(fit))).factors
-    assert set(factors) == {parameter.name for parameter in fit.rig.free}
-    assert all(1.0 <= factor < 2.0 for factor in factors.values())
+def test_of_right_readings_little_is_made_less_sure_and_nothing_surer(of_nothing: Answer) -> None:
+    plain, numbers = of_nothing.plain, Numbers.of(of_nothing)
+    factors = Widening.of(plain, plain, numbers.names, numbers.about(plain)).factors
+    assert set(factors) == {parameter.name for parameter in plain.rig.free}
+    assert all(1.0 <= factor < 2.5 for factor in factors.values())
+
+
+def test_what_is_open_of_some_numbers_opens_those_that_follow_them(small_rig, small_session) -> None:
+    """A zero of the sensor is tied to the loops by the readings: it is as open as draws of these, each with the zero that fits them."""
+    fit = fit_of(small_rig, small_session.observations, Cause("sensor_offset", "hall"))
+    names = [p.name for p in small_rig.free]
+    own, others = _rows(fit, names)
+    wide = 9.0 * fit.covariance[own][:, own]
+    slopes = torch.linalg.solve(fit.covariance[own][:, own], fit.covariance[own][:, others])
+    spread = fit.covariance[others][:, others] + slopes.T @ (8.0 / 9.0 * wide) @ slopes
+    widened = Widening.of(fit, fit, names, wide).covariance
+    share = widened[others][:, others].diagonal() / spread.diagonal()
+    assert (share > 0.97).all()  # priors may narrow it by some per cent
+    assert float((spread.diagonal() / fit.covariance[others][:, others].diagonal()).max()) > 1.5
+    same = Widening.of(fit, fit, names, fit.covariance[own][:, own]).covariance
+    assert (widened[others][:, others].diagonal() > same[others][:, others].diagonal()).any()
+
+
+def _rows(fit: Fit, names: list[str]) -> tuple[list[int], list[int]]:
+    """Coordinates of some numbers, and the others."""
+    of_fit = fit.posterior.coordinates.names
+    own = [of_fit.index(name) for name in names]
+    return own, [i for i in range(len(of_fit)) if i not in own]
 
 
 def test_no_widening_says_less_than_the_priors_do_nor_more_than_the_fit(fit) -> None:
@@ -156,21 +182,23 @@ def test_no_draw_leaves_the_bounds_of_its_prior(rig_text, small_session, small_c
     assert draws[RADIUS].max() <= 1e-3 * most_mm
 
 
-def test_widening_over_blocks_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow(
+def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow(
     small_rig: Rig, small_session: Session
 ):
     observations = small_session.observations
     hours = (observations.time_s - observations.time_s.min()) / 3600.0
     wave = 1.0 + 0.03 * torch.cos(3.0 * torch.pi * hours / hours.max())[:, None]
     fit = fit_of(small_rig, observations.with_field(wave * observations.field_sensor_T).calibration)
-    wider = Widening(fit, fit.covariance).over_blocks(fit)
+    wider = Widening.of(fit, fit, fit.posterior.coordinates.names, fit.covariance)
     scale = fit.covariance.diagonal().sqrt()
     for least in (
         fit.covariance,
         jackknife_covariance(fit, time_blocks(fit.observations)),
         jackknife_covariance(fit, pose_blocks(fit.observations, np.random.default_rng(0))),
     ):
-        more = (wider.covariance - least) / (scale[:, None] * scale)
+        more = (wider.covariance - within_prior(fit, envelope(fit.covariance, least))) / (
+            scale[:, None] * scale
+        )
         assert torch.linalg.eigvalsh(0.5 * (more + more.T)).min() > -1e-6 * more.abs().max()
     assert max(wider.factors.values()) > 1.5
 

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.stats import qmc
 
 from estimator.errors import InvalidInput
-from estimator.readings.plan import Plan, load_plan, observations_of, plan_and_faults
+from estimator.readings.plan import Plan, halton, load_plan, observations_of, plan_and_faults
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 
@@ -116,6 +117,12 @@ def test_what_is_left_out_has_a_default(rig: Rig, tmp_path: Path) -> None:
     assert (plan.order, plan.repeats, plan.settle_s, plan.validation) == ("raster", 1, 1.0, ())
     assert plan.currents_A == ({"coil1": 1e-3},)
     assert len(observations_of(plan, rig, np.random.default_rng(0))) == 2
+
+
+def test_halton_points_are_those_of_scipy_to_the_last_bit() -> None:
+    """Plans of before are drawn again as they were."""
+    for n_axes in (1, 2, 6, 12):
+        assert np.array_equal(halton(n_axes, 1000), qmc.Halton(n_axes, scramble=False).random(1000))
 
 
 def test_scattered_poses_fill_the_spans_of_all_axes_evenly(rig: Rig, tmp_path: Path) -> None:

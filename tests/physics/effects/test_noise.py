@@ -7,14 +7,11 @@ import pytest
 import torch
 from scipy import stats
 
-from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
-from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
-from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,
@@ -121,21 +118,6 @@ def test_misstated_noise_is_that_multiple_of_the_stated_one():
     expected = stats.norm.logpdf(ERROR_T, scale=3.0 * NOISE_T).sum()
     effects = {"noise_misstated[probe]": {"factor": 3.0}}
     assert log_likelihood(measured(), effects) == pytest.approx(expected, rel=1e-9)
-
-
-def test_evidence_for_misstated_noise_by_its_distance_from_one_is_that_of_two_fits():
-    """Readings that scatter 1.1 times as much as stated: near enough to 1 for the Savage-Dickey ratio."""
-    points_m = np.repeat(POINTS_M, 12, axis=0)
-    plain = readings(points_m, (CURRENT_A, 0.0))
-    error_T = 1.1 * NOISE_T * np.random.default_rng(2).normal(size=(len(points_m), 3))
-    observations = plain.with_field(torch.from_numpy(predicted_T(plain) + error_T))
-    rig, cause = rig_from_text(FREE), Cause("noise_misstated", "probe")
-    without = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules)
-    wider = with_effect(rig, cause, observations, {})
-    fit = fit_rig(wider, observations, {}, without.posterior.model.rules)
-    assert float(fit.values[f"{cause.label}.factor"]) == pytest.approx(1.1, abs=0.1)
-    ratio = fit.log_evidence - without.log_evidence
-    assert fit.log_evidence_for(cause) == pytest.approx(ratio, abs=0.4)
 
 
 @pytest.mark.parametrize(

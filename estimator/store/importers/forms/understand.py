@@ -40,6 +40,8 @@ from estimator.store.importers.readings_csv import columns_of, session_of, witho
 from estimator.store.importers.table import Cells, Column, HeaderCell, Table
 from estimator.store.session import Session
 
+LONGEST_LINE = 100_000  # characters: more columns than a file may have
+
 
 @dataclass(frozen=True)
 class Proposal:
@@ -210,6 +212,13 @@ def _text(path: Path, recipe: Recipe) -> Source:
             f"encoding must be one that Python knows; received {encoding!r} ({path})"
         ) from None
     lines = _lines(first.texts, first.numbers)
+    for line in lines:
+        if len(line.text) > LONGEST_LINE:
+            words = f"a line must have at most {LONGEST_LINE} characters; received {len(line.text)}"
+            raise InvalidInput(
+                f"{words} ({path}, line {line.number}): write one reading a line",
+                Place(str(path), line.number),
+            )
     separators = SEPARATORS if recipe.separator is None else (SEPARATOR_OF[recipe.separator],)
     decimals = ".," if recipe.decimal is None else DECIMALS[recipe.decimal]
     layout = layout_of(lines, separators, decimals)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
-from estimator.diagnosis.hypotheses.screening import screening
+from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
+from tests.estimator.diagnosis.mixture.weighed import weighed
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T, with_wrong
 
 CONTACT = Cause("sensor_contact", "hall")
@@ -50,10 +50,10 @@ def test_hidden_contact_of_a_sensor_read_on_a_small_part_of_the_way_is_found(
     readings = readings.with_field(predicted_T(truth, readings) + noise_T)
     fit = fit_of(rig, with_wrong(truth, readings, CONTACT, {**SIZE, "beyond_m": beyond_m}))
     asked = [cause for cause in causes_of(rig, fit) if cause.name in NAMES]
-    told = screening(fit, candidates(fit, asked))
+    told = weighed(fit, asked)
     best = max(told, key=lambda cause: told[cause][0])
     assert best == CONTACT
-    assert all(told[CONTACT][0] > value + 5.0 for cause, (value, _, _) in told.items() if cause != CONTACT)
-    shapes = told[CONTACT][2].shapes
+    assert all(told[CONTACT][0] > value + 5.0 for cause, (value, _) in told.items() if cause != CONTACT)
+    shapes = told[CONTACT][1].start
     assert shapes["along"] == 0.0
     assert float(x_m[ROW - 1]) < shapes["beyond_m"] < float(x_m[ROW])

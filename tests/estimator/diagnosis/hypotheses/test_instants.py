@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.hypotheses.instants import at_finer_instant, on_known_sides
-from estimator.diagnosis.hypotheses.screening import Screened, screening
+from estimator.diagnosis.hypotheses.instants import on_known_sides
+from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, starts_of
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
+from tests.estimator.diagnosis.mixture.weighed import weighed
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 pytestmark = pytest.mark.whole
 
 SIZES = {
     Cause("offset_step", "hall"): {"x_T": 60e-6, "z_T": -40e-6},
-    Cause("sensor_bumped", "hall"): {"x_m": 1e-3, "z_m": 1e-3},
+    Cause("sensor_bumped", "hall"): {"x_m": 2e-3, "z_m": 2e-3},
     Cause("current_step", "coil1"): {"step": 0.05},
 }
 
@@ -34,19 +37,23 @@ def test_instant_is_that_between_the_last_reading_before_and_the_first_after(
     since_h = 0.5 * float(hours[row] + hours[row + 1])
     truth = small_rig.with_values(small_truth)
     fit = fit_of(truth, with_wrong(truth, readings, cause, {**SIZES[cause], "since_h": since_h}))
-    coarse = screening(fit, candidates(fit, [cause]))[cause]
-    assert coarse.start.shapes["since_h"] != pytest.approx(since_h)
-    finer = at_finer_instant(fit, coarse)
-    assert float(hours[row]) < finer.start.shapes["since_h"] < float(hours[row + 1])
-    assert finer.log_bayes_factor > coarse.log_bayes_factor
-    assert finer.highest > coarse.highest
+    coarse_h = [candidate.shapes["since_h"] for candidate in candidates(fit, [cause])]
+    assert not [at_h for at_h in coarse_h if float(hours[row]) < at_h < float(hours[row + 1])]
+    _, item = weighed(fit, [cause])[cause]
+    assert float(hours[row]) < item.start["since_h"] < float(hours[row + 1])
 
 
-def test_cause_without_an_instant_keeps_its_start(small_rig: Rig, small_session: Session):
+def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(
+    small_rig: Rig, small_session: Session
+):
+    """It would gain by the number of its instants else."""
     fit = fit_of(small_rig, small_session.observations.calibration)
-    (start,) = candidates(fit, [Cause("axis_gain", "hall")])
-    screened = Screened(1.5, 2.5, start)
-    assert at_finer_instant(fit, screened) == screened
+    (start, *_) = starts_of(fit, candidates(fit, [Cause("offset_step", "hall")]))
+    finer = _at_finer_instants(fit, _weighed(fit, [start])[start.candidate.cause][0])
+    assert len(finer) > 1
+    assert sum(math.exp(each.log_prior) for each in finer) == pytest.approx(math.exp(start.log_prior))
+    (gain,) = starts_of(fit, candidates(fit, [Cause("axis_gain", "hall")]))
+    assert _at_finer_instants(fit, _weighed(fit, [gain])[gain.candidate.cause][0]) == []
 
 
 def test_a_spell_is_found_between_the_readings_at_which_it_begins_and_ends(
@@ -59,11 +66,8 @@ def test_a_spell_is_found_between_the_readings_at_which_it_begins_and_ends(
     truth, cause = small_rig.with_values(small_truth), Cause("offset_spell", "hall")
     size = {"x_T": 60e-6, "z_T": -40e-6, "since_h": since_h, "until_h": until_h}
     fit = fit_of(truth, with_wrong(truth, readings, cause, size))
-    coarse = screening(fit, candidates(fit, [cause]))[cause]
-    finer = at_finer_instant(fit, coarse)
-    assert finer.start.shapes == pytest.approx({"since_h": since_h, "until_h": until_h})
-    assert finer.log_bayes_factor > coarse.log_bayes_factor
-    assert finer.log_bayes_factor < finer.highest
+    _, item = weighed(fit, [cause])[cause]
+    assert item.start == pytest.approx({"since_h": since_h, "until_h": until_h})
 
 
 def test_columns_of_a_spell_are_the_difference_of_those_of_what_stays(small_rig: Rig, small_session: Session):

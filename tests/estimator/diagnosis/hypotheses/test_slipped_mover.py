@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
-from estimator.diagnosis.hypotheses.screening import screening
+from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.rig.rig import Cause
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
+from tests.estimator.diagnosis.mixture.weighed import weighed
 from tests.estimator.diagnosis.small_fits import fit_of
 from tests.hidden.session import draw_session
 
@@ -37,7 +37,7 @@ def test_the_same_shift_at_all_sensors_is_the_movers_and_at_one_the_sensors(
     fit, place = fit_of_hidden(name, tmp_path)
     asked = [cause for cause in causes_of(fit.rig, fit) if cause.name in (SLIPPED, BUMPED)]
     assert len(asked) == 3
-    evidence = {cause: value for cause, (value, _, _) in screening(fit, candidates(fit, asked)).items()}
+    evidence = {cause: value for cause, (value, _) in weighed(fit, asked).items()}
     best = max(evidence, key=evidence.__getitem__)
     assert best == Cause(name, "arm1" if name == SLIPPED else place)
     assert all(evidence[best] > value + 5.0 for cause, value in evidence.items() if cause != best)

@@ -31,10 +31,14 @@ def samples(models: dict[tuple[int, ...], int], shares: dict[int, dict[int, floa
 
 def answered(with_all: Samples, *in_halves: Samples, n_slots: int = 6) -> Answer:
     leading = max(with_all.models, key=with_all.models.__getitem__)
+    with_all.noises[0] = 1
     asked = object.__new__(Asked)
-    slots = SimpleNamespace(n_slots=n_slots)
+    more = SimpleNamespace(
+        conditional=lambda chosen, noise: np.array([0.9, 0.1])
+    )  # one more item is probable
+    slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
-    return Answer(asked, in_halves)
+    return Answer(asked, asked, in_halves)
 
 
 BOTH = {
@@ -60,9 +64,21 @@ def test_an_imitation_that_halves_do_not_have_is_not_stated():
     made = answered(samples(MODELS, BOTH), samples({(WANDERS,): 60, (GAIN, WANDERS): 40}, BOTH))
     (gain,) = [one for one in made.found if one.first.is_listed]
     assert (gain.with_all, gain.in_halves) == pytest.approx((1.0, 0.4))
-    assert gain.probability == pytest.approx(0.7)
+    assert made.p_unlisted == pytest.approx(
+        0.99
+    )  # as sure in halves as with all readings, each half of the whole
+    assert gain.probability == pytest.approx(1.0 - 0.5 * 0.99 * 0.6)
     assert made.stated == ()
     assert gain in made.beside
+
+
+def test_halves_say_nothing_against_a_cause_where_nothing_unlisted_acts():
+    """A half may be too small to show it."""
+    made = answered(samples({(GAIN,): 96, (): 4}, BOTH), samples({(): 60, (GAIN,): 40}, BOTH))
+    (gain,) = made.stated
+    assert (gain.probability, gain.in_halves) == pytest.approx((0.96, 0.4))
+    assert made.p_unlisted == 0.0
+    assert not made.leaves_something
 
 
 def test_a_departure_is_never_stated_as_a_cause_but_told_with_its_link():

@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 import torch
-from scipy.integrate import quad
 
 from estimator.diagnosis.mixture.evidence import Products
 from tests.estimator.diagnosis.mixture.dictionaries import N, dictionary, item, log_density
@@ -19,6 +17,13 @@ ITEMS = [
     item("five", [3, 4, 5, 6, 7], width=0.5),
     item("moved", [8], shift=9),
     item("moved both", [10, 11, 12], shift=13),
+    # Each has the columns of the one before, with other widths or another start.
+    item("moved both", [10, 11, 12], width=20.0, shift=13),
+    item("moved both", [10, 11, 12], width=0.1, shift=13),
+    item("moved otherwise", [10, 11, 12], shift=14),
+    item("at rest", [10, 11, 12]),
+    item("a part", [10, 11]),
+    item("a part", [10, 11], width=30.0),
 ]
 
 
@@ -74,20 +79,40 @@ def test_sizes_are_those_of_a_regression_with_the_same_priors():
     assert torch.allclose(covariance, torch.linalg.inv(precision)[:3, :3], atol=1e-9)
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(sign):
-    half = item("half", [0], width=2.0, is_one_sided=True)
-    made = dictionary([half])
-    made = replace(made, residual=made.residual + sign * made.columns[:, 0])
-    products = Products(made)
-    gram, score = float(products.gram[0, 0]), float(products.gram[0, products.residual])
+def test_evidence_of_a_signal_is_that_of_readings_which_are_nothing_else():
+    """With what two items change, one of them with a start, in the place of the residual."""
+    made = dictionary(ITEMS)
+    products, sizes = Products(made), torch.tensor([1.5, -2.0, 0.7], dtype=torch.float64)
+    signal_T = made.columns[:, [1, 2, 8]] @ sizes + made.columns[:, 9]
+    alone = Products(replace(made, residual=signal_T))
+    signal = products.signal_of([1, 3], sizes)
+    for chosen in ([], [3], [0, 4]):
+        expected = alone.beside(chosen, 0.8)
+        torch.testing.assert_close(products.beside(chosen, 0.8, signal), expected, rtol=1e-9, atol=1e-9)
 
-    def density(size: float) -> float:
-        return (
-            math.exp(score * size - 0.5 * gram * size**2)
-            * math.exp(-0.125 * size**2)
-            / math.sqrt(2.0 * math.pi)
-        )
 
-    integral = quad(density, 0.0, 20.0)[0]  # a half-normal of width 2 has 2 / (2 sqrt(2 pi)) at its end
-    assert float(products.beside([], 1.0)[0]) == pytest.approx(np.log(integral), abs=1e-6)
+@pytest.mark.parametrize("noise", [1.0, 0.6])
+@pytest.mark.parametrize("shift", [None, 3])
+@pytest.mark.parametrize("size", [1.0, -1.0, -60.0])  # the last one 40 standard deviations on the wrong side
+def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(
+    size: float, shift: int | None, noise: float
+):
+    """By the full density at each size, beside another item and after one with the same column that may be negative."""
+    other, whole = item("other", [1, 2]), item("half", [0], width=2.0, shift=shift)
+    half = replace(whole, is_one_sided=True)
+    made = dictionary([other, whole, half], prior_precision=1e-5)
+    made = replace(made, residual=made.residual + size * made.columns[:, 0])
+    given = made.residual - (0.0 if shift is None else 1.0) * made.columns[:, 3]
+
+    def log_density_at(value: float) -> float:
+        return log_density(replace(made, residual=given - value * made.columns[:, 0]), [0], noise)
+
+    sizes = torch.cat((torch.zeros(1), torch.logspace(-6.0, 1.15, 800))).double()
+    log_prior = math.log(2.0 / (2.0 * math.sqrt(2.0 * math.pi))) - 0.125 * sizes.square()
+    joint = torch.tensor([log_density_at(float(value)) for value in sizes], dtype=torch.float64) + log_prior
+    largest = float(joint.max())
+    integral = largest + math.log(float(torch.trapezoid((joint - largest).exp(), sizes)))
+    expected = integral - log_density(made, [0], noise)
+    beside = Products(made).beside([0], noise)
+    assert float(beside[2]) == pytest.approx(expected, abs=1e-3)
+    assert float(beside[1]) != pytest.approx(float(beside[2]), abs=0.1)

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 import torch
 
-from estimator.diagnosis.mixture.halves import blocks_of, halves, weight_of
+from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
+from estimator.diagnosis.mixture.slots import NoisePrior, Slots
+from tests.estimator.diagnosis.mixture.dictionaries import N_NUMBERS, N, dictionary, item
+
+PRIOR_PRECISION = 0.3  # of the numbers of these dictionaries
 
 
 def test_halves_are_complementary_and_keep_blocks_together(small_session):
@@ -34,3 +40,30 @@ def test_a_block_is_nearer_together_than_all_readings(small_session):
 def test_missing_components_have_no_weight():
     is_measured = torch.tensor([[True, False, True], [True, True, True]])
     assert weight_of(np.array([True, False]), is_measured).tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("size", [0.4, 0.9, 2.0])
+def test_what_a_half_is_expected_to_say_is_the_mean_of_what_halves_with_other_noise_say(size: float):
+    """One of two leading items, which the half shows hardly, in part, and clearly; over many draws of noise and of the rig's numbers."""
+    items = [
+        item("gain", [0]),
+        item("gain", [0], width=20.0, log_prior=-3.0),
+        item("beside", [1]),
+        item("absent", [3]),
+    ]
+    made = dictionary(items)
+    weight = (torch.arange(N) % 2 == 0).to(torch.float64)
+    slots = Slots(Products(made, weight), NoisePrior(1.0, 0.0))
+    sizes = torch.tensor([size, 6.0], dtype=torch.float64)
+    expected = expected_in_half(slots, [0, 2], sizes, 0)
+    signal = made.columns[:, [0, 1]] @ sizes
+    generator = torch.Generator().manual_seed(3)
+    probability = []
+    for _ in range(400):
+        numbers = torch.randn(N_NUMBERS, generator=generator, dtype=torch.float64) / PRIOR_PRECISION**0.5
+        noise = torch.randn(N, generator=generator, dtype=torch.float64)
+        drawn = dictionary(items, residual=signal + noise + made.always.jacobian @ numbers)
+        of_slot = Slots(Products(drawn, weight), NoisePrior(1.0, 0.0)).conditional([2], 0)
+        probability.append(of_slot[0] + of_slot[1])
+    assert expected[0] == pytest.approx(np.mean(probability), abs=0.08)
+    assert expected[2] > 0.9

@@ -12,11 +12,11 @@ import torch
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.items import Dictionary
-from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots
+from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item, log_density
 
 KNOWN = NoisePrior(1.0, 0.0)
-SWEEPS, BURN_IN = 4000, 100
+MANY = Sweeps(4000, 100)
 
 
 def noisy() -> Dictionary:
@@ -52,7 +52,7 @@ def exact(made: Dictionary, n_slots: int) -> np.ndarray:
 
 def test_draws_have_the_probabilities_of_a_sum_over_all_states():
     made = noisy()
-    samples = Slots(Products(made), KNOWN, n_slots=3).sample(SWEEPS, BURN_IN, seed=1)
+    samples = Slots(Products(made), KNOWN, n_slots=3).sample(MANY, seed=1)
     expected = exact(made, 3)
     assert expected[[0, 4]].min() > 0.2, "else the case says little"
     assert samples.present == pytest.approx(expected, abs=0.02)
@@ -60,18 +60,18 @@ def test_draws_have_the_probabilities_of_a_sum_over_all_states():
 
 def test_draws_do_not_depend_on_where_they_begin():
     slots = Slots(Products(noisy()), KNOWN, n_slots=3)
-    climbed, empty = (slots.sample(SWEEPS, BURN_IN, 2, is_climbed).present for is_climbed in (True, False))
+    climbed, empty = (slots.sample(MANY, 2, is_climbed).present for is_climbed in (True, False))
     assert climbed == pytest.approx(empty, abs=0.02)
 
 
 def test_the_same_seed_gives_the_same_draws():
-    first, second = (Slots(Products(noisy()), KNOWN).sample(30, 5, seed=3) for _ in range(2))
+    first, second = (Slots(Products(noisy()), KNOWN).sample(Sweeps(30, 5), seed=3) for _ in range(2))
     assert first.models == second.models
     assert first.present.tolist() == second.present.tolist()
 
 
 def test_items_of_one_name_never_stand_beside_each_other():
-    samples = Slots(Products(noisy()), KNOWN, n_slots=4).sample(300, 10, seed=4)
+    samples = Slots(Products(noisy()), KNOWN, n_slots=4).sample(Sweeps(300, 10), seed=4)
     assert not [model for model in samples.models if {0, 1} <= set(model)]
 
 
@@ -79,7 +79,7 @@ def test_the_noise_is_found_where_it_is_free():
     made = dictionary([item("absent", [3])])
     quiet = dictionary(made.items, residual=0.5 * made.residual)
     slots = Slots(Products(quiet), NoisePrior(1.0, 1.0))
-    samples = slots.sample(200, 10, seed=5)
+    samples = slots.sample(Sweeps(200, 10), seed=5)
     mean = sum(float(slots.grid[k]) * n for k, n in samples.noises.items()) / sum(samples.noises.values())
     assert mean == pytest.approx(0.5 * float(made.residual.std()), rel=0.15)
 
@@ -99,3 +99,12 @@ def test_joined_draws_count_as_much_as_the_first_and_keep_their_numbers():
 def test_a_known_noise_is_one():
     assert KNOWN.grid().tolist() == [1.0]
     assert torch.equal(KNOWN.log_density(torch.tensor([0.3])), torch.zeros(1))
+
+
+def test_excluded_items_are_in_no_draw_and_others_are_as_if_there_were_none():
+    made = noisy()
+    slots = Slots(Products(made), KNOWN, n_slots=3, excluded=[0, 1])
+    samples = slots.sample(MANY, seed=6)
+    assert not [model for model in samples.models if {0, 1} & set(model)]
+    assert samples.present[[0, 1]].tolist() == [0.0, 0.0]
+    assert samples.present[2:] == pytest.approx(exact(made.restricted([2, 3, 4]), 3), abs=0.02)

@@ -9,7 +9,6 @@ import pytest
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.step import leaves_structure
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.effects.attach import with_effect
 from estimator.rig.parameters import Normal
@@ -29,13 +28,13 @@ def with_place(off_sd: float, widened: float = 1.0) -> Fit:
 
 
 def test_right_priors_leave_nothing() -> None:
-    assert not leaves_structure(pull_of(plain_fit()))
-    assert not leaves_structure(pull_of(with_place(1.0)))
+    assert not pull_of(plain_fit()).is_probable
+    assert not pull_of(with_place(1.0)).is_probable
 
 
 def test_a_number_outside_its_prior_is_told_with_the_number() -> None:
     pull = pull_of(with_place(7.0))
-    assert leaves_structure(pull)
+    assert pull.is_probable
     assert pull.name == PLACE
     assert pull.widths == pytest.approx(7.0, abs=0.5)  # though the fit has gone only a part of that way
 

@@ -7,13 +7,7 @@ import torch
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.columns import Columns
-from estimator.diagnosis.hypotheses.search import search
-from estimator.diagnosis.hypotheses.step import leaves_structure
-from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.structure.relatives import unknown_beside
 from estimator.diagnosis.structure.scatter import scatter_of
-from estimator.diagnosis.verdict import Verdict, named_causes, verdict_of
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.sessions import plain_fit
@@ -49,26 +43,20 @@ def here_and_there(n: int) -> Tensor:
 
 def test_even_noise_leaves_nothing():
     n = len(plain_fit().observations)
-    assert not leaves_structure(scatter_of(with_more(torch.ones(n, dtype=torch.float64))))
+    assert not scatter_of(with_more(torch.ones(n, dtype=torch.float64))).is_probable
 
 
 def test_a_burst_and_growing_noise_are_noticed():
     n = len(plain_fit().observations)
     burst = scatter_of(with_more(in_a_burst(n)))
     growing = scatter_of(with_more(4.0 * torch.linspace(0.0, 1.0, n, dtype=torch.float64) ** 3))
-    assert leaves_structure(burst)
-    assert leaves_structure(growing)
+    assert burst.is_probable
+    assert growing.is_probable
     assert "time" in burst.along
 
 
-def test_outliers_stand_only_where_wild_readings_lie_anywhere():
+def test_readings_that_are_wild_anywhere_leave_nothing_beside_outliers_and_a_burst_does():
     n = len(plain_fit().observations)
     anywhere, burst = (with_more(widths, OUTLIERS) for widths in (here_and_there(n), in_a_burst(n)))
-    assert unknown_beside(anywhere, [OUTLIERS], [])[0].probability == pytest.approx(0.3, abs=0.1)
-    assert unknown_beside(burst, [OUTLIERS], [])[0].probability > 0.8
-
-
-def test_a_session_with_a_burst_is_unexplained():
-    n = len(plain_fit().observations)
-    found = search(Columns.at(with_more(in_a_burst(n)), Limits()), lambda words: None, Limits())
-    assert verdict_of(found, named_causes(found, found.added)) is Verdict.UNEXPLAINED
+    assert not scatter_of(anywhere).is_probable
+    assert scatter_of(burst).is_probable

@@ -11,9 +11,9 @@ from matplotlib.patches import Rectangle
 
 from estimator.reporting.plots import (
     Role,
+    error_budget,
     evidence_bars,
     explained_residual,
-    stepwise_residual,
     structure_bars,
 )
 from estimator.reporting.plots.style import BLUE, ORANGE
@@ -31,7 +31,7 @@ def labels(ax: Axes) -> list[str]:
 
 def test_best_hypothesis_stands_on_top_and_the_adopted_one_has_a_colour_of_its_own() -> None:
     ax = evidence_bars(EVIDENCE, "axis_gain", title="step 1")
-    assert labels(ax) == ["axis_gain", "cross_axis", "nothing wrong", "backlash", "a flexible curve"]
+    assert labels(ax) == ["axis_gain", "cross_axis", "nothing wrong", "backlash", "something unlisted"]
     assert ax.yaxis_inverted()
     widths = [bar.get_width() for bar in bars(ax)]
     assert widths[:3] == [31.2, 12.0, 0.0]
@@ -42,16 +42,18 @@ def test_best_hypothesis_stands_on_top_and_the_adopted_one_has_a_colour_of_its_o
     assert len({colours[0], colours[1], colours[4]}) == 3
 
 
-def test_names_stand_ins_and_what_is_left_are_groups_apart_that_a_legend_explains() -> None:
-    roles = {"axis_gain": Role.STAND_IN, "cross_axis": Role.NAMED}
-    ax = evidence_bars(EVIDENCE, "axis_gain", roles)
-    assert labels(ax) == ["cross_axis", "axis_gain", "nothing wrong", "backlash", "a flexible curve"]
+def test_names_alternatives_unsure_ones_and_what_is_left_are_groups_apart_that_a_legend_explains() -> None:
+    roles = {"axis_gain": Role.STAND_IN, "cross_axis": Role.NAMED, "iron_body": Role.ALTERNATIVE}
+    ax = evidence_bars(EVIDENCE | {"iron_body": 11.0}, "cross_axis", roles)
+    assert labels(ax) == [
+        *("cross_axis", "iron_body", "axis_gain", "nothing wrong", "backlash", "something unlisted")
+    ]
     rows = np.diff(ax.get_yticks())
-    assert rows.tolist() == [1.5, 1.5, 1.0, 1.5]
+    assert rows.tolist() == [1.5, 1.5, 1.5, 1.0, 1.5]
     (legend,) = ax.figure.legends
     assert [text.get_text() for text in legend.get_texts()] == [*Role, "within 20 to 1 of the best"]
-    taken = next(text for text in ax.texts if "taken here" in text.get_text())
-    assert taken.xy[1] == ax.get_yticks()[1]
+    stated = next(text for text in ax.texts if "stated" in text.get_text())
+    assert stated.xy[1] == ax.get_yticks()[0]
 
 
 def test_hopeless_hypotheses_are_cut_off_and_said_to_be(words: Callable[[Axes | Figure], str]) -> None:
@@ -63,7 +65,7 @@ def test_hopeless_hypotheses_are_cut_off_and_said_to_be(words: Callable[[Axes | 
 def test_nothing_and_the_unexplained_are_shown_however_far_behind() -> None:
     evidence = {f"cause{i}": 50.0 - i for i in range(30)} | {"nothing": 0.0, "unexplained": -2.0}
     names = labels(evidence_bars(evidence))
-    assert {"nothing wrong", "a flexible curve"} <= set(names)
+    assert {"nothing wrong", "something unlisted"} <= set(names)
     assert len(names) == 12
 
 
@@ -95,24 +97,29 @@ def test_structure_is_longer_the_surer_it_is_and_ends_at_the_smallest_shown() ->
     assert labels(ax) == ["time", "current"]
 
 
-def test_stepwise_residual_shows_what_remains_after_each_cause():
-    ax = stepwise_residual(
-        ["axis_gain[hall]", "mount_tilt[coil1]"], [40e-6, 25e-6, 20e-6], [31.4, 8.0], title="rig"
-    )
-    assert labels(ax) == ["rig as described", "+ axis_gain[hall]", "+ mount_tilt[coil1]"]
-    assert [bar.get_width() for bar in ax.patches] == pytest.approx([40.0, 25.0, 20.0])
-    annotations = [text.get_text().strip() for text in ax.texts]
-    assert annotations == ["40 µT", "25 µT, log evidence +31", "20 µT, log evidence +8"]
-    large = stepwise_residual(["iron_plate[room]"], [4.25e-3, 2.9e-3], [604.0])
-    assert [text.get_text().strip() for text in large.texts] == ["4.25 mT", "2.9 mT, log evidence +604"]
-    assert "mT" in large.get_xlabel()
+SHARES = {
+    "axis_gain": (0.71, (0.6, 0.8)),
+    "backlash": (0.1, (-0.05, 0.22)),
+    "left": (0.19, (0.1, 0.3)),
+}
+BUDGET_ROLES = [Role.NAMED, Role.STAND_IN, Role.LEFT]
 
 
-def test_stepwise_residual_ends_with_what_is_left_beyond_the_noise():
-    roles = [Role.NAMED, Role.STAND_IN]
-    ax = stepwise_residual(["axis_gain", "backlash"], [40e-6, 25e-6, 5e-6], [31.4, 8.0], roles, 3e-6)
-    assert labels(ax)[-1] == "left beyond the noise"
-    assert ax.patches[-1].get_width() == pytest.approx(4.0)
+def test_error_budget_shows_shares_in_per_cent_with_their_intervals() -> None:
+    ax = error_budget(SHARES, BUDGET_ROLES, title="rig")
+    assert labels(ax) == list(SHARES)
+    assert [bar.get_width() for bar in bars(ax)] == pytest.approx([71.0, 10.0, 19.0])
+    intervals = [line.get_xdata() for line in ax.lines if len(set(line.get_xdata())) == 2]
+    assert np.allclose(intervals, [[60.0, 80.0], [-5.0, 22.0], [10.0, 30.0]])
+    assert [text.get_text().strip() for text in ax.texts] == ["71 %", "10 %", "19 %"]
+    assert "%" in ax.get_xlabel()
+
+
+def test_an_error_budget_shows_all_of_its_intervals_and_explains_its_colours() -> None:
+    wide = SHARES | {"iron": (1.1, (0.7, 1.6))}
+    ax = error_budget(wide, [*BUDGET_ROLES, Role.NAMED])
+    low, high = ax.get_xlim()
+    assert low <= -5.0
+    assert high >= 160.0
     (legend,) = ax.figure.legends
-    shown = [Role.NAMED, Role.STAND_IN, Role.LEFT, "noise alone"]
-    assert [text.get_text() for text in legend.get_texts()] == shown
+    assert [text.get_text() for text in legend.get_texts()] == [Role.NAMED, Role.STAND_IN, Role.LEFT]

@@ -1,0 +1,175 @@
+"""The error budget: how much of what the rig as described misses each cause accounts for, on readings that no fit has seen.
+
+What a cause accounts for depends on what stands beside it. So causes are added one after another, in all orders where they are few and in
+some orders and their reverses where they are many, each time with all numbers fitted anew. The share of a cause is the mean of what it
+takes away (Shapley, Contributions to the Theory of Games 2, 307 (1953)), so shares add up to the whole. What depends on the order is
+shared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.effects.use import as_meant
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause, Rig
+
+MOST_IN_ALL_ORDERS, N_ORDERS = 3, 2  # causes; orders of more, each with its reverse
+N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
+Squares = Float[np.ndarray, " reading"]
+
+
+@dataclass(frozen=True)
+class Share:
+    """Part of the squared error of the rig as described, beyond the noise.
+
+    Attributes:
+        value: Of 1.
+        ci90: 90 % interval over the choice of the readings.
+    """
+
+    value: float
+    ci90: tuple[float, float]
+
+    def to_json(self) -> dict[str, Any]:
+        """This share in the form of `diagnosis.json`."""
+        return {"share": self.value, "ci90": list(self.ci90)}
+
+
+@dataclass(frozen=True)
+class Budget:
+    """Shares of the squared error on readings that no fit has seen.
+
+    Attributes:
+        n_readings: Their number.
+        misfit_T: What the rig as described misses beyond the noise, root mean square of the vector.
+        noise_T: Noise of the vector.
+        causes: Share of each cause and correction of the extended rig.
+        shared: What several of them account for alike.
+        left: What none of them accounts for.
+    """
+
+    n_readings: int
+    misfit_T: float
+    noise_T: float
+    causes: Mapping[Cause, Share]
+    shared: Share
+    left: Share
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of `budget` in `diagnosis.json`."""
+        return {
+            "readings": self.n_readings,
+            "misfit_T": self.misfit_T,
+            "noise_T": self.noise_T,
+            "causes": [{"name": c.name, "place": c.place, **s.to_json()} for c, s in self.causes.items()],
+            "shared": self.shared.to_json(),
+            "left": self.left.to_json(),
+        }
+
+
+def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget | None:
+    """The error budget; None where the rig as described misses these readings by no more than the noise leaves.
+
+    Args:
+        plain: Fit of the rig as described.
+        extended: With causes and corrections, fitted to the same readings.
+        unseen: Readings that neither has seen.
+        seed: Of the choice of readings for the intervals.
+    """
+    causes = [cause for cause in extended.rig.acting if cause not in plain.rig.acting]
+    if not causes or not len(unseen):
+        return None
+    nothing, everything = frozenset[Cause](), frozenset(causes)
+    squares = {nothing: _squares(plain, unseen), everything: _squares(extended, unseen)}
+    orders = _orders(len(causes), seed)
+    for order in orders:
+        for n in range(1, len(causes)):
+            some = frozenset(causes[i] for i in order[:n])
+            if some not in squares:
+                squares[some] = _squares(_fit_with(plain, extended, some), unseen)
+    noise = _noise(extended, unseen)
+    misfit = float((squares[nothing] - noise).mean())
+    if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):
+        return None
+    random = np.random.default_rng(seed)
+    n = len(noise)
+    chosen = [np.arange(n), *(random.integers(n, size=n) for _ in range(N_RESAMPLED))]
+    rows = np.array([_shares(squares, noise, causes, orders, rows) for rows in chosen])
+    low, high = np.quantile(rows[1:], (0.05, 0.95), axis=0)
+    shares = [Share(float(v), (float(a), float(b))) for v, a, b in zip(rows[0], low, high, strict=True)]
+    return Budget(
+        n,
+        misfit**0.5,
+        float(noise.mean()) ** 0.5,
+        dict(zip(causes, shares[:-2], strict=True)),
+        shares[-2],
+        shares[-1],
+    )
+
+
+def _orders(n: int, seed: int) -> list[tuple[int, ...]]:
+    """Orders in which so many causes are added: all, or some and their reverses."""
+    if n <= MOST_IN_ALL_ORDERS:
+        return list(permutations(range(n)))
+    random = np.random.default_rng(seed)
+    drawn = [tuple(random.permutation(n).tolist()) for _ in range(N_ORDERS)]
+    return [order for each in drawn for order in (each, each[::-1])]
+
+
+def _shares(
+    squares: Mapping[frozenset[Cause], Squares],
+    noise: Squares,
+    causes: Sequence[Cause],
+    orders: Sequence[Sequence[int]],
+    rows: np.ndarray,
+) -> list[float]:
+    """Shares of each cause, what they share, and what is left, of some readings."""
+    mean = {some: float(each[rows].mean()) for some, each in squares.items()}
+    before, after = mean[frozenset()], mean[frozenset(causes)]
+    misfit = max(before - float(noise[rows].mean()), 1e-300)
+    taken = np.zeros((len(orders), len(causes)))
+    for row, order in zip(taken, orders, strict=True):
+        present = frozenset[Cause]()
+        for i in order:
+            row[i] = (mean[present] - mean[present | {causes[i]}]) / misfit
+            present |= {causes[i]}
+    whole = (before - after) / misfit
+    return [*taken.mean(0).tolist(), whole - float(taken.min(0).sum()), 1.0 - whole]
+
+
+def _fit_with(plain: Fit, extended: Fit, causes: Collection[Cause]) -> Fit:
+    """The rig as described with some of the causes of the extended one, fitted to the same readings."""
+    rig: Rig = extended.rig
+    for cause in extended.rig.acting:
+        if cause not in plain.rig.acting and cause not in causes:
+            rig = rig.without_cause(cause)
+    rules = extended.posterior.model.rules
+    return fit_rig(rig, extended.observations, extended.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+
+
+def _squares(fit: Fit, unseen: Observations) -> Squares:
+    """Squared length of the error vector of each reading, in T^2."""
+    meant = as_meant(fit.rig, unseen)
+    with torch.no_grad():
+        predicted_T = fit.model_of(meant).predict(fit.values).expand(len(meant), 3)
+    squares: Squares = (meant.field_sensor_T - predicted_T).nan_to_num().square().sum(-1).numpy()
+    return squares
+
+
+def _noise(fit: Fit, unseen: Observations) -> Squares:
+    """Squared length of the error vector that the noise leaves, in T^2."""
+    with torch.no_grad():
+        by_sensor_T = fit.posterior.sigma_T(fit.vector)
+    n_measured = unseen.is_measured.sum(-1)
+    noise: Squares = (by_sensor_T[unseen.sensor].square() * n_measured).numpy()
+    return noise

@@ -1,0 +1,103 @@
+"""What corrects predictions without a name: the causes and departures that lead beside the stated causes, fitted in full.
+
+Of what a current has done in this session only that is taken which a single moment has, for a prediction is of a stated current.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from torch import Tensor
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
+from estimator.diagnosis.corrections.result import Correction, Part, extent_of
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer, Found
+from estimator.diagnosis.mixture.links import Link
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause, Rig
+
+
+def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Correction:
+    """The correction of the rig with the stated causes by what leads beside them.
+
+    Args:
+        answer: What the readings say.
+        extended: With the stated causes, fitted to the readings that were asked.
+        after: The same, fitted to the readings that count.
+        limits: Nothing is corrected when they are over.
+    """
+    if limits.is_over:
+        return Correction(extended, (), {}, limits.words, after, is_cut_short=True)
+    kinds = {kind.cause: kind for kind in kinds_of(extended)}
+    lacking = {kind.cause.label: kind.limit.words for kind in kinds.values() if kind.limit.words}
+    terms = _Terms(extended, extended.rig, dict(extended.values))
+    parts, of_session = list[Part](), list[Part]()
+    for entry in answer.beside:
+        part = _part(answer, entry, kinds.get(entry.first.cause))
+        if part is None:
+            terms = terms.with_cause(answer, entry.first.cause)
+        elif part.is_predicted or entry.first.link is not Link.CURRENT:
+            terms = terms.with_departure(answer, part, kinds[part.cause])
+            parts.append(part)
+        else:
+            of_session.append(part)
+    session = tuple(of_session)
+    if terms.rig is extended.rig:
+        refusal = "nothing beside the stated causes is sure enough to predict by"
+        return Correction(extended, (), lacking, refusal, after, of_session=session)
+    rules = extended.posterior.model.rules
+    fit = fit_rig(terms.rig, extended.observations, terms.start, rules)
+    final = fit
+    if after.observations is not extended.observations:
+        tolerance = 0.5 * len(fit.rig.free) * policy.CORRECTED_TO_SD**2
+        final = fit_rig(fit.rig, after.observations, fit.values, rules, tolerance=tolerance)
+    return Correction(fit, tuple(parts), lacking, "", final, of_session=session)
+
+
+def _part(answer: Answer, entry: Found, kind: CorrectionKind | None) -> Part | None:
+    """A departure that leads, as a correction has it; None for a listed cause."""
+    if entry.first.is_listed or kind is None:
+        return None
+    number = answer.item_of(entry.first.cause)
+    item = answer.asked.dictionary.items[number]
+    degree = max(degree for degree, key in kind.keys(kind.limit.degree) if key in item.keys)
+    predicted = kind.as_predicted(answer.plain.rig)
+    if predicted is not None and item.link is Link.CURRENT:
+        degree = min(degree, predicted.limit.degree)
+    is_predicted = predicted is not None and predicted.limit.degree >= degree
+    value = answer.beside_item(number).log_bayes_factor([item.cause])
+    n = len(kind.keys(degree))
+    extent = extent_of(item.start, degree, answer.plain)
+    return Part(item.cause, degree, n, value, entry.probability, extent, is_predicted)
+
+
+@dataclass(frozen=True)
+class _Terms:
+    """A rig with further causes and corrections, and where its fit starts."""
+
+    fit: Fit
+    rig: Rig
+    start: dict[str, Tensor | float]
+
+    def with_cause(self, answer: Answer, cause: Cause) -> _Terms:
+        """These terms with a listed cause."""
+        rig = with_effect(self.rig, cause, self.fit.observations, answer.shapes_of(cause))
+        return replace(self, rig=rig)
+
+    def with_departure(self, answer: Answer, part: Part, kind: CorrectionKind) -> _Terms:
+        """These terms with a correction, its amplitudes as wide as the departure that leads."""
+        number = answer.item_of(part.cause)
+        item = answer.asked.dictionary.items[number]
+        keys = {key for _, key in kind.keys(part.degree)}
+        widths = {k: w for k, w in zip(item.keys, item.widths, strict=True) if k in keys}
+        rig = kind.rig(self.fit, item.start or kind.starts[0], widths, of=self.rig)
+        sizes = answer.sizes_of(number)
+        amplitudes: dict[str, Tensor | float] = {
+            f"{part.cause.label}.{key}": float(size)
+            for key, size in zip(item.keys, sizes, strict=True)
+            if key in keys
+        }
+        return replace(self, rig=rig, start=self.start | amplitudes)

@@ -1,0 +1,125 @@
+"""Evidence of many items of a few columns each, in machine code: they are too many and too small for one call of a library each."""
+
+from __future__ import annotations
+
+from functools import partial
+from math import erfc, inf, log, pi, sqrt
+
+import numpy as np
+
+from estimator.field.kernel import machine_code
+
+RIDGE = 1e-10  # of the square of a column: what rounding leaves of those that the rig's numbers follow
+FAR = (
+    -30.0
+)  # standard deviations below which the normal distribution function is taken by its asymptotic form
+
+compiled = partial(machine_code, is_in_order=False)
+
+
+@compiled
+def _log_twice_below(x):  # type: ignore[no-untyped-def]
+    """Logarithm of twice the normal distribution function."""
+    if x > FAR:
+        return log(erfc(-x / sqrt(2.0)))
+    return log(2.0) - 0.5 * x * x - log(-x) - 0.5 * log(2.0 * pi)
+
+
+@compiled
+def _inner(gram, followed, precision, first, second):  # type: ignore[no-untyped-def]
+    """Inner product of two columns, less what the others follow of both."""
+    product = gram[first, second] * precision
+    for r in range(followed.shape[1]):
+        product -= followed[first, r] * followed[second, r]
+    return product
+
+
+@compiled
+def _log_bayes_factor(rest, own, widths, is_one_sided, factor, reached):  # type: ignore[no-untyped-def]
+    """Log Bayes factor of one item by the Cholesky factor of the precision of its coefficients, which is made row after row."""
+    value = 0.0
+    for a in range(len(widths)):
+        left = own[a] * widths[a]
+        for b in range(a):
+            entry = rest[a, b] * widths[a] * widths[b]
+            for r in range(b):
+                entry -= factor[a, r] * factor[b, r]
+            factor[a, b] = entry / factor[b, b]
+            left -= factor[a, b] * reached[b]
+        diagonal = rest[a, a] * widths[a] * widths[a]
+        pivot = diagonal + 1.0 + RIDGE * abs(diagonal)
+        for r in range(a):
+            pivot -= factor[a, r] * factor[a, r]
+        if not pivot > 0.0:
+            return -inf
+        factor[a, a] = sqrt(pivot)
+        reached[a] = left / factor[a, a]
+        value += 0.5 * reached[a] * reached[a] - log(factor[a, a])
+    if is_one_sided:  # what cannot be negative has twice the density on one side
+        value += _log_twice_below(reached[0])
+    return value
+
+
+@compiled
+def log_bayes_factors(  # type: ignore[no-untyped-def]
+    gram, followed, score, begin, columns, widths, shift, is_one_sided, is_like_before, precision, result
+):
+    """Log Bayes factor of each item beside some others.
+
+    Args:
+        gram: Inner products of all columns, in units of the fitted noise.
+        followed: By column, what the others follow of it along orthonormal directions.
+        score: By column, its inner product with what the others leave of the residual.
+        begin: First of the columns of each item, and last their number.
+        columns, widths: Of all items, one after the other: numbers of columns, and prior standard deviations.
+        shift: By item the column by which its start changes the predictions.
+        is_one_sided: By item, whether its only quantity cannot be negative.
+        is_like_before: By item, whether it has the columns and the start of the one before.
+        precision: Inverse square of the factor on the noise.
+        result: By item; overwritten.
+    """
+    most = 1
+    for i in range(len(shift)):
+        most = max(most, begin[i + 1] - begin[i])
+    rest, factor = np.empty((most, most)), np.empty((most, most))
+    own, reached = np.empty(most), np.empty(most)
+    started = 0.0
+    for i in range(len(shift)):
+        chosen = columns[begin[i] : begin[i + 1]]
+        if not is_like_before[i]:
+            for a in range(len(chosen)):
+                for b in range(a + 1):
+                    rest[a, b] = _inner(gram, followed, precision, chosen[a], chosen[b])
+                own[a] = score[chosen[a]] - _inner(gram, followed, precision, chosen[a], shift[i])
+            square = _inner(gram, followed, precision, shift[i], shift[i])
+            started = score[shift[i]] - 0.5 * square
+        own_widths = widths[begin[i] : begin[i + 1]]
+        result[i] = started + _log_bayes_factor(rest, own, own_widths, is_one_sided[i], factor, reached)
+
+
+@compiled
+def log_bayes_factors_of_choices(gram, score, prior_sd, begin, columns, factors, result):  # type: ignore[no-untyped-def]
+    """Log Bayes factor of some of the columns of each candidate alone, at some width.
+
+    Args:
+        gram: Inner products of the columns of each candidate.
+        score: Of each column with the residual.
+        prior_sd: Stated width of each column.
+        begin: First of the columns of each choice, and last their number.
+        columns: Of all choices, one after the other.
+        factors: On the stated widths, by choice.
+        result: By candidate and choice; overwritten.
+    """
+    most = gram.shape[1]
+    rest, factor = np.empty((most, most)), np.empty((most, most))
+    own, widths, reached = np.empty(most), np.empty(most), np.empty(most)
+    for i in range(len(gram)):
+        for choice in range(len(factors)):
+            chosen = columns[begin[choice] : begin[choice + 1]]
+            for a in range(len(chosen)):
+                for b in range(a + 1):
+                    rest[a, b] = gram[i, chosen[a], chosen[b]]
+                own[a] = score[i, chosen[a]]
+                widths[a] = prior_sd[i, chosen[a]] * factors[choice]
+            some = widths[: len(chosen)]
+            result[i, choice] = _log_bayes_factor(rest, own, some, False, factor, reached)

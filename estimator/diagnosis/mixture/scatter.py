@@ -1,0 +1,119 @@
+"""Causes that change only how readings scatter, asked beside what leads: until it is named, anything looks like scatter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.noise import noise_causes
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.answer import ALTERNATIVE, STATED, Answer, answer
+from estimator.diagnosis.progress import OnProgress, unwatched
+from estimator.diagnosis.verdict import Alternative, NamedCause
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause
+
+MOST_SCATTERING = 2  # causes of scatter, one after the other
+
+
+@dataclass(frozen=True)
+class BesideScatter:
+    """What the readings say, and the causes of scatter that the rig was given for it.
+
+    Attributes:
+        answer: With them.
+        scattering: How probable each is, if nothing acts that no list holds.
+    """
+
+    answer: Answer
+    scattering: tuple[NamedCause, ...]
+
+    @property
+    def stated(self) -> list[NamedCause]:
+        """The causes of scatter that are sure also beside what may be unlisted, which looks like scatter in half of all cases."""
+        sure = 1.0 - 0.5 * self.answer.p_unlisted
+        stated = [
+            replace(
+                cause,
+                probability=sure * cause.probability,
+                alternatives=tuple(replace(a, probability=sure * a.probability) for a in cause.alternatives),
+                p_not_in_library=1.0 - sure * (1.0 - cause.p_not_in_library),
+            )
+            for cause in self.scattering
+        ]
+        return [cause for cause in stated if 1.0 - cause.p_not_in_library >= STATED]
+
+
+def answer_beside_scatter(
+    plain: Fit,
+    limits: Limits,
+    seed: int,
+    tell: Callable[[str], None],
+    on_progress: OnProgress = unwatched,
+) -> BesideScatter:
+    """Ask the readings what is wrong; where they scatter otherwise than the rig says, again with what makes them.
+
+    Args:
+        plain: Fit of the rig as described.
+        limits: Causes that are asked, and the time.
+        seed: Of blocks, halves and draws.
+        tell: Called with a message for each cause of scatter.
+        on_progress: Called after each expansion and each half.
+    """
+    current = answer(plain, limits, seed, on_progress=on_progress)
+    scattering = list[NamedCause]()
+    while len(scattering) < MOST_SCATTERING and not (limits.is_over or current.is_full):
+        rows = sorted(noise_causes(current.leading_fit), key=lambda row: -row[1])
+        names = {item.cause.name for item in current.asked.dictionary.items if item.is_listed}
+        log_prior_odds = math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + len(rows))
+        if not rows or rows[0][1] + log_prior_odds < math.log(STATED / (1.0 - STATED)):
+            break
+        scattering.append(_named(rows, log_prior_odds))
+        cause, _, fitted = rows[0]
+        tell(f"readings scatter as {cause.label} would make them: asking again beside it")
+        current = answer(_with(plain, cause, fitted), limits, seed, on_progress=on_progress)
+        plain = current.plain
+    return BesideScatter(current, tuple(scattering))
+
+
+def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> NamedCause:
+    """The best cause of scatter, with those that explain it nearly as well."""
+    values = torch.tensor([value for _, value, _ in rows], dtype=torch.float64)
+    some = 1.0 / (1.0 + math.exp(-float(torch.logsumexp(values, 0)) - log_prior_odds))
+    shares = (some * torch.softmax(values, 0)).tolist()
+    others = tuple(
+        Alternative(cause, share, None)
+        for (cause, _, _), share in zip(rows[1:], shares[1:], strict=True)
+        if share > ALTERNATIVE
+    )
+    return NamedCause(rows[0][0], shares[0], others, rows[0][1], 1.0 - some)
+
+
+def _with(plain: Fit, cause: Cause, fitted: Fit) -> Fit:
+    """The rig as described with a cause of scatter, fitted to all that was read.
+
+    Args:
+        plain: Without it.
+        cause: The cause of scatter.
+        fitted: With it, to the readings without what else leads.
+    """
+    prefix = f"{cause.label}."
+    values = {name: float(v) for name, v in fitted.values.items() if name.startswith(prefix)}
+    fixed = {p.name: p.value for p in fitted.rig.parameters.values() if p.name.startswith(prefix)}
+    start = {name.removeprefix(prefix): value for name, value in (fixed | values).items()}
+    rig = with_effect(plain.rig, cause, plain.observations, start)
+    noises = {name: v for name, v in fitted.values.items() if name.endswith(".noise_T")}
+    rules = plain.posterior.model.rules
+    return fit_rig(
+        rig,
+        plain.observations,
+        plain.start_with(rig) | noises | values,
+        rules,
+        tolerance=policy.FINE_TOLERANCE,
+    )

@@ -1,0 +1,33 @@
+"""Evidence that something is wrong which shows otherwise than in the residual."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from estimator.diagnosis import policy
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Evidence against a fit.
+
+    Attributes:
+        log_bayes_factor: Of something wrong, against nothing.
+    """
+
+    log_bayes_factor: float
+
+    @property
+    def _log_odds(self) -> float:
+        return self.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
+
+    @property
+    def probability(self) -> float:
+        """Posterior probability of something wrong."""
+        return 1.0 / (1.0 + math.exp(-min(max(self._log_odds, -700.0), 700.0)))
+
+    @property
+    def is_probable(self) -> bool:
+        """Whether the posterior odds favour something wrong."""
+        return self._log_odds > policy.LEAST_LOG_ODDS_LEFT

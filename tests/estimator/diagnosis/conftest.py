@@ -1,0 +1,43 @@
+"""What small sessions say of themselves: with a source that no list holds, and with two causes."""
+
+from __future__ import annotations
+
+import pytest
+
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
+from tests.estimator.diagnosis.unknown_source import with_dipole
+
+
+@pytest.fixture(scope="session")
+def of_nothing(small_rig: Rig, small_session: Session) -> Answer:
+    """What readings say in which nothing is wrong."""
+    return answered(fit_of(small_rig, small_session.observations.calibration))
+
+
+@pytest.fixture(scope="session")
+def dipole(small_session: Session) -> Observations:
+    """Readings with an unknown dipole beside the coil."""
+    return with_dipole(small_session)
+
+
+@pytest.fixture(scope="session")
+def of_dipole(small_rig: Rig, dipole: Observations) -> Answer:
+    """What they say."""
+    return answered(fit_of(small_rig, dipole.calibration))
+
+
+@pytest.fixture(scope="session")
+def two_causes(small_rig: Rig, small_session: Session) -> Observations:
+    """Readings with a wrong gain of an axis and a zero that is off."""
+    gain = with_wrong(small_rig, small_session.observations, Cause("axis_gain", "hall"), {"x": 0.05})
+    return with_wrong(small_rig, gain, Cause("sensor_offset", "hall"), {"z_T": 100e-6})
+
+
+@pytest.fixture(scope="session")
+def of_two_causes(small_rig: Rig, two_causes: Observations) -> Answer:
+    """What they say."""
+    return answered(fit_of(small_rig, two_causes.calibration))

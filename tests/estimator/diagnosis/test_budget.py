@@ -1,0 +1,106 @@
+"""The error budget: shares of the squared error on readings that no fit has seen."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import pytest
+import torch
+
+from estimator.diagnosis.budget import Budget, _orders, budget
+from estimator.diagnosis.fitting import Fit
+from estimator.model.measurement_model import MeasurementModel
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of
+
+pytestmark = pytest.mark.whole
+
+GAIN, OFFSET = Cause("axis_gain", "hall"), Cause("sensor_offset", "hall")
+NOISE_T = 5e-6
+
+
+@pytest.fixture(scope="module")
+def made(small_rig: Rig, two_causes: Observations) -> tuple[Fit, Fit, Budget]:
+    plain = fit_of(small_rig, two_causes.calibration)
+    both = fit_of(small_rig, two_causes.calibration, GAIN, OFFSET)
+    found = budget(plain, both, two_causes.validation, seed=1)
+    assert found is not None
+    return plain, both, found
+
+
+def square_T2(fit: Fit, unseen: Observations) -> float:
+    """Mean squared length of the errors of a fit."""
+    with torch.no_grad():
+        errors_T = unseen.field_sensor_T - MeasurementModel.build(fit.rig, unseen).predict(fit.values)
+    return float(errors_T.square().sum(1).mean())
+
+
+def test_share_of_each_cause_is_its_mean_over_both_orders(made, small_rig, two_causes) -> None:
+    plain, both, found = made
+    unseen = two_causes.validation
+    none, gain, offset, all_of_them = (
+        square_T2(fit, unseen)
+        for fit in (
+            plain,
+            fit_of(small_rig, two_causes.calibration, GAIN),
+            fit_of(small_rig, two_causes.calibration, OFFSET),
+            both,
+        )
+    )
+    misfit = none - 3.0 * NOISE_T**2
+    expected = {
+        GAIN: 0.5 * (none - gain + offset - all_of_them) / misfit,
+        OFFSET: 0.5 * (none - offset + gain - all_of_them) / misfit,
+    }
+    assert found.misfit_T == pytest.approx(misfit**0.5, rel=1e-3)
+    assert found.noise_T == pytest.approx(3.0**0.5 * NOISE_T)
+    assert found.n_readings == len(unseen)
+    for cause, share in expected.items():
+        assert found.causes[cause].value == pytest.approx(share, abs=2e-3)
+    last = min(none - gain, offset - all_of_them) + min(none - offset, gain - all_of_them)
+    assert found.shared.value == pytest.approx((none - all_of_them - last) / misfit, abs=2e-3)
+
+
+def test_shares_and_what_is_left_make_the_whole(made) -> None:
+    found = made[2]
+    assert sum(share.value for share in found.causes.values()) + found.left.value == pytest.approx(1.0)
+    assert abs(found.left.value) < 0.1
+    for share in (*found.causes.values(), found.left):
+        low, high = share.ci90
+        assert low <= share.value <= high
+        assert high - low > 0.0
+    record = found.to_json()
+    assert [one["name"] for one in record["causes"]] == ["axis_gain", "sensor_offset"]
+    assert record["left"]["share"] == found.left.value
+
+
+def test_a_cause_that_is_not_there_has_no_share(small_rig: Rig, two_causes: Observations) -> None:
+    causes = (GAIN, OFFSET, Cause("current_gain", "coil1"))
+    plain, wider = (fit_of(small_rig, two_causes.calibration, *some) for some in ((), causes))
+    found = budget(plain, wider, two_causes.validation, seed=1)
+    assert found is not None
+    assert abs(found.causes[causes[2]].value) < 0.1
+
+
+def test_there_is_none_where_the_rig_as_described_misses_no_more_than_noise(
+    small_rig: Rig, small_session: Session
+) -> None:
+    readings = small_session.observations
+    plain, wider = (fit_of(small_rig, readings.calibration, *some) for some in ((), (GAIN,)))
+    assert budget(plain, wider, readings.validation, seed=1) is None
+    assert budget(plain, plain, readings.validation, seed=1) is None
+    assert budget(plain, wider, readings.rows(torch.arange(0)), seed=1) is None
+
+
+@pytest.mark.parametrize("n", [1, 3])
+def test_few_causes_are_added_in_all_orders(n: int) -> None:
+    assert sorted(_orders(n, 1)) == sorted(permutations(range(n)))
+
+
+def test_many_causes_are_added_in_some_orders_and_their_reverses() -> None:
+    orders = _orders(9, 1)
+    assert all(sorted(order) == list(range(9)) for order in orders)
+    assert all(order[::-1] in orders for order in orders)
+    assert _orders(9, 1) == orders
