@@ -28,6 +28,7 @@ class Products:
         vectors = torch.cat((dictionary.columns, torch.zeros_like(residual), residual), dim=1)
         always, n = dictionary.always, float(len(vectors))
         if weight is not None:
+            weight = weight.to(vectors)
             vectors, n = vectors * weight[:, None], float(weight.square().sum())
             always = Projector.of(always.jacobian * weight[:, None], dictionary.prior_precision)
         followed = always.basis.T @ vectors

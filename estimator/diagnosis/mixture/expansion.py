@@ -172,7 +172,7 @@ class Expansion:
             chosen: The items that lead.
             sizes: Coefficients of their columns, one item after the other.
         """
-        items = [dictionary.items[i] for i in chosen]
+        items, sizes = [dictionary.items[i] for i in chosen], sizes.to(self.residual)
         departed_T, start = torch.zeros_like(self.departed_T), dict[str, Tensor | float]()
         rig, first, log_prior = self.plain.rig, 0, dict[Cause, float]()
         left = self.residual.clone()

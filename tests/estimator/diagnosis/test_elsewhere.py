@@ -79,6 +79,19 @@ def test_items_on_another_device_say_the_same(plain: Fit) -> None:
         assert_alike(computed_on(far, weighed, plain), near)
 
 
+def test_the_fit_of_what_leads_there_is_that_of_the_processor(plain: Fit) -> None:
+    def moved(fit: Fit) -> Fit:
+        asked = ask(Expansion.of(fit), Limits(), 1, {})
+        sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
+        return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
+
+    near = moved(plain)
+    assert near.rig.effects == (GAIN,)
+    with far_device() as far:
+        there = computed_on(far, moved, plain)
+    assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)
+
+
 def test_items_do_not_depend_on_the_precision_of_new_tensors(plain: Fit) -> None:
     """torch makes tensors in a default precision, single where nobody says otherwise."""
     assert torch.get_default_dtype() is torch.float32
