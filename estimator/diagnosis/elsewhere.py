@@ -67,10 +67,13 @@ class _Move:
             readings = self.of(what.observations)
             return what if readings is what.observations else what.to(readings)
         if isinstance(what, tuple | list):
-            moved_each = map(self.of, what)
+            moved_each = [self.of(value) for value in what]
+            if all(there is here for there, here in zip(moved_each, what, strict=True)):
+                return what
             return what._make(moved_each) if hasattr(what, "_make") else type(what)(moved_each)
         if isinstance(what, dict):
-            return {key: self.of(value) for key, value in what.items()}
+            by_key = {key: self.of(value) for key, value in what.items()}
+            return what if all(by_key[key] is what[key] for key in what) else by_key
         if is_dataclass(what) and not isinstance(what, type):
             own = {each.name: getattr(what, each.name) for each in fields(what) if each.init}
             moved = {name: self.of(value) for name, value in own.items()}
