@@ -40,6 +40,7 @@ from estimator.rig.rig import Cause
 MOST_SIZES = 2
 MOST_OF_PRIOR = 0.95  # of a prior's sd: what is wider was hardly seen by the readings
 MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
+LEAST_SHARE = 0.005  # of the misfit, that is told as a percentage
 MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
 MOST_TENSIONS = 3  # that are listed one by one
 MOST_ALTERNATIVES = 4  # that the first sentence lists; the others stand in diagnosis.json
@@ -185,7 +186,9 @@ def _share(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
     if not known:
         return ""
     subject = "It accounts" if len(causes) == 1 else "They account"
-    return f" {subject} for {percent(sum(share.value for share in known))} of the misfit."
+    share = sum(share.value for share in known)
+    of_it = "none" if share < LEAST_SHARE else "all" if share > 1.0 - LEAST_SHARE else percent(share)
+    return f" {subject} for {of_it} of the misfit of unseen readings."
 
 
 def _beside(diagnosis: Diagnosis) -> str:

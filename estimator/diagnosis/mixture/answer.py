@@ -18,17 +18,16 @@ from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.links import Link
-from estimator.diagnosis.mixture.slots import Samples, Slots, Sweeps
+from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
 
 N_PAIRS = 3  # of complementary halves
-IN_HALVES = Sweeps(24, 6)
+IN_HALVES = Sweeps(16, 4)
 STATED = 0.9  # probability from which on a cause is stated
 ALTERNATIVE = 0.05  # share of a slot from which on something is an alternative to what is there
-LEAST_IN_HALVES = 1e-5  # largest probability of an item beside others, with all readings, from which on halves are asked about it
 ASKED = 0.2  # probability of a cause from which on a set is made about it
 
 
@@ -330,7 +329,12 @@ def _listed(possibilities: Iterable[Possibility]) -> float:
 
 
 def answer(
-    plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS, on_progress: OnProgress = unwatched
+    plain: Fit,
+    limits: Limits,
+    seed: int,
+    n_pairs: int = N_PAIRS,
+    on_progress: OnProgress = unwatched,
+    before: Asked | None = None,
 ) -> Answer:
     """Ask the readings of a fit what is wrong, all of them and halves of them.
 
@@ -340,10 +344,11 @@ def answer(
         seed: Of blocks, halves and draws.
         n_pairs: Of complementary halves.
         on_progress: Called after each expansion and each half.
+        before: What led when the same readings were asked with another noise.
     """
-    first, asked = climbed(plain, limits, seed, on_progress)
+    first, asked = climbed(plain, limits, seed, on_progress, before)
     pace = Pace("what leads, in halves of the readings", on_progress)
-    numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > LEAST_IN_HALVES]
+    numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > NEGLIGIBLE]
     few = asked.dictionary.restricted(numbers)
     readings = as_meant(plain.rig, plain.observations)
     block = blocks_of(readings, plain.rig, seed)

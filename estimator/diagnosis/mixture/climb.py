@@ -13,11 +13,11 @@ import torch
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.departures import departures
+from estimator.diagnosis.mixture.departures import Changes, departures
 from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import Expansion
-from estimator.diagnosis.mixture.items import Dictionary
+from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, present_items, starts_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
@@ -36,11 +36,13 @@ class Asked:
 
     Attributes:
         pool: Columns of every listed cause that the expansion lacks.
+        changes: Of the readings by departures.
     """
 
     expansion: Expansion
     pool: tuple[Candidate, ...]
     dictionary: Dictionary
+    changes: Changes
     slots: Slots
     samples: Samples
 
@@ -71,7 +73,8 @@ class Asked:
         if not rows:
             return self
         slots = Slots(self.slots.products, self.slots.noise, self.slots.n_slots, excluded=rows)
-        return replace(self, slots=slots, samples=slots.sample(CLIMBING, seed))
+        allowed = [i for i in self.leading if i not in rows]
+        return replace(self, slots=slots, samples=slots.sample(CLIMBING, seed, allowed))
 
     @property
     def is_fitted(self) -> bool:
@@ -96,7 +99,11 @@ class Asked:
 
 
 def climbed(
-    plain: Fit, limits: Limits, seed: int, on_progress: OnProgress = unwatched
+    plain: Fit,
+    limits: Limits,
+    seed: int,
+    on_progress: OnProgress = unwatched,
+    before: Asked | None = None,
 ) -> tuple[Asked, Asked]:
     """The readings, asked about the rig as described, and about the expansion at which the leading set of items is most probable.
 
@@ -105,16 +112,18 @@ def climbed(
         limits: Causes that are asked, and the time.
         seed: Of the draws.
         on_progress: Called after each expansion.
+        before: What led when the same readings were asked with another noise.
     """
     pace = Pace("what leads, in all readings", on_progress)
     pace.tell(0, MOST_EXPANSIONS)
-    first = ask(Expansion.of(plain), limits, seed, {})
+    first = ask(Expansion.of(plain), limits, seed, {}, before)
+    known = () if before is None else before.expansion.causes
     asked, excluded = [first], set[Cause]()
     seen, shapes = {frozenset[Cause]()}, dict[Cause, dict[str, float]]()
     for n in range(1, MOST_EXPANSIONS):
         pace.tell(n, MOST_EXPANSIONS)
         last = asked[-1]
-        items, chosen = last.dictionary.items, one_more_of_each_link(last, last.leading)
+        items, chosen = last.dictionary.items, one_more_of_each_link(last, last.leading, known)
         causes = frozenset(items[i].cause for i in chosen if items[i].is_listed)
         if causes in seen or limits.is_over:
             break
@@ -126,13 +135,19 @@ def climbed(
             excluded |= new  # what the linear model said of them does not hold
             asked[-1] = last.without(excluded, seed)
             continue
-        asked.append(ask(moved, limits, seed, shapes).without(excluded, seed))
+        asked.append(ask(moved, limits, seed, shapes, last).without(excluded, seed))
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
     best = max(asked, key=lambda at: at.log_density + (LIKED_BY if at.is_fitted else 0.0))
-    return first, replace(best, samples=best.slots.sample(SAMPLING, seed))
+    return first, replace(best, samples=best.slots.sample(SAMPLING, seed, best.leading))
 
 
-def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]) -> Asked:
+def ask(
+    expansion: Expansion,
+    limits: Limits,
+    seed: int,
+    shapes: Mapping[Cause, dict[str, float]],
+    before: Asked | None = None,
+) -> Asked:
     """What is wrong, by readings that are linear about an expansion.
 
     Args:
@@ -140,8 +155,11 @@ def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, 
         limits: Causes that are asked.
         seed: Of the draws.
         shapes: Those that earlier fits have found, by cause.
+        before: At the expansion before.
     """
     fit, alone = expansion.fit, expansion.alone
+    changes = Changes.about(alone) if before is None else before.changes.near(alone)
+    led = [] if before is None else [before.dictionary.items[i] for i in before.leading]
     pool = candidates(fit, causes_of(fit.rig, fit, limits))
     starts = starts_of(fit, pool)
     starts += [more for cause, of_cause in shapes.items() for more in again(fit, starts, cause, of_cause)]
@@ -149,21 +167,32 @@ def ask(expansion: Expansion, limits: Limits, seed: int, shapes: Mapping[Cause, 
     if expansion.causes:
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
-    entries = dictionary(expansion, listed, departures(alone, others))
+    entries = dictionary(expansion, listed, departures(changes, alone, others))
     slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))
-    return Asked(expansion, tuple(pool), entries, slots, slots.sample(CLIMBING, seed))
+    samples = slots.sample(CLIMBING, seed, _alike(entries.items, led))
+    return Asked(expansion, tuple(pool), entries, changes, slots, samples)
 
 
-def one_more_of_each_link(asked: Asked, model: Sequence[int]) -> list[int]:
+def _alike(items: Sequence[Item], led: Sequence[Item]) -> list[int]:
+    """Numbers of the items that are most like some of another expansion; none for what has no cause with the same quantities."""
+    result = list[int]()
+    for before in led:
+        same = [i for i, item in enumerate(items) if (item.cause, item.keys) == (before.cause, before.keys)]
+        if same:
+            result.append(min(same, key=lambda i: abs(math.log(items[i].widths[0] / before.widths[0]))))
+    return result
+
+
+def one_more_of_each_link(asked: Asked, model: Sequence[int], known: Collection[Cause] = ()) -> list[int]:
     """A set of items without causes that the expansion lacks, but for the clearest one at each link of the chain.
 
-    Causes at one link change each other's columns.
+    Causes at one link change each other's columns. Those that have led at another noise are known to stand beside each other.
     """
     items = asked.dictionary.items
     allowed, clearest = list[int](), dict[Link, tuple[float, int]]()
     for i in model:
         item = items[i]
-        if not item.is_listed or item.cause in asked.expansion.causes:
+        if not item.is_listed or item.cause in (*asked.expansion.causes, *known):
             allowed.append(i)
             continue
         rest = [j for j in model if j != i]

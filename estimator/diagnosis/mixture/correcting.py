@@ -15,6 +15,7 @@ from estimator.diagnosis.corrections.result import Correction, Part, extent_of
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer, Found
+from estimator.diagnosis.mixture.departures import EVERYWHERE
 from estimator.diagnosis.mixture.links import Link
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause, Rig
@@ -36,14 +37,19 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
     terms = _Terms(extended, extended.rig, dict(extended.values))
     parts, of_session = list[Part](), list[Part]()
     for entry in answer.beside:
-        part = _part(answer, entry, kinds.get(entry.first.cause))
-        if part is None:
+        if entry.first.is_listed:
             terms = terms.with_cause(answer, entry.first.cause)
-        elif part.is_predicted or entry.first.link is not Link.CURRENT:
-            terms = terms.with_departure(answer, part, kinds[part.cause])
-            parts.append(part)
-        else:
-            of_session.append(part)
+            continue
+        for at_place in _at_places(answer, answer.item_of(entry.first.cause)):
+            kind = kinds.get(at_place.cause)
+            if kind is None:
+                continue
+            part = _part(answer, entry, kind, at_place)
+            if part.is_predicted or entry.first.link is not Link.CURRENT:
+                terms = terms.with_departure(kind, part, at_place)
+                parts.append(part)
+            else:
+                of_session.append(part)
     session = tuple(of_session)
     if terms.rig is extended.rig:
         refusal = "nothing beside the stated causes is sure enough to predict by"
@@ -57,21 +63,50 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
     return Correction(fit, tuple(parts), lacking, "", final, of_session=session)
 
 
-def _part(answer: Answer, entry: Found, kind: CorrectionKind | None) -> Part | None:
-    """A departure that leads, as a correction has it; None for a listed cause."""
-    if entry.first.is_listed or kind is None:
-        return None
+@dataclass(frozen=True)
+class _AtPlace:
+    """A departure that leads, at one place.
+
+    Attributes:
+        start: What its terms are functions of; empty where one kind has a single start.
+        widths, sizes: Prior width and size of its amplitudes, by key.
+    """
+
+    cause: Cause
+    start: dict[str, float]
+    widths: dict[str, float]
+    sizes: dict[str, float]
+
+
+def _at_places(answer: Answer, number: int) -> list[_AtPlace]:
+    """A departure that leads, place by place."""
+    item, sizes = answer.asked.dictionary.items[number], answer.sizes_of(number).tolist()
+    if item.cause.place != EVERYWHERE:
+        return [
+            _AtPlace(
+                item.cause, item.start, *(dict(zip(item.keys, v, strict=True)) for v in (item.widths, sizes))
+            )
+        ]
+    result = dict[str, _AtPlace]()
+    for key, width, size in zip(item.keys, item.widths, sizes, strict=True):
+        place, _, own = key.rpartition(".")
+        at_place = result.setdefault(place, _AtPlace(Cause(item.cause.name, place), item.start, {}, {}))
+        at_place.widths[own], at_place.sizes[own] = width, size
+    return list(result.values())
+
+
+def _part(answer: Answer, entry: Found, kind: CorrectionKind, at_place: _AtPlace) -> Part:
+    """A departure at one place, as a correction has it."""
     number = answer.item_of(entry.first.cause)
-    item = answer.asked.dictionary.items[number]
-    degree = max(degree for degree, key in kind.keys(kind.limit.degree) if key in item.keys)
+    degree = max(degree for degree, key in kind.keys(kind.limit.degree) if key in at_place.widths)
     predicted = kind.as_predicted(answer.plain.rig)
-    if predicted is not None and item.link is Link.CURRENT:
+    if predicted is not None and entry.first.link is Link.CURRENT:
         degree = min(degree, predicted.limit.degree)
     is_predicted = predicted is not None and predicted.limit.degree >= degree
-    value = answer.beside_item(number).log_bayes_factor([item.cause])
+    value = answer.beside_item(number).log_bayes_factor([entry.first.cause])
     n = len(kind.keys(degree))
-    extent = extent_of(item.start, degree, answer.plain)
-    return Part(item.cause, degree, n, value, entry.probability, extent, is_predicted)
+    extent = extent_of(at_place.start, degree, answer.plain)
+    return Part(at_place.cause, degree, n, value, entry.probability, extent, is_predicted)
 
 
 @dataclass(frozen=True)
@@ -87,17 +122,12 @@ class _Terms:
         rig = with_effect(self.rig, cause, self.fit.observations, answer.shapes_of(cause))
         return replace(self, rig=rig)
 
-    def with_departure(self, answer: Answer, part: Part, kind: CorrectionKind) -> _Terms:
+    def with_departure(self, kind: CorrectionKind, part: Part, at_place: _AtPlace) -> _Terms:
         """These terms with a correction, its amplitudes as wide as the departure that leads."""
-        number = answer.item_of(part.cause)
-        item = answer.asked.dictionary.items[number]
         keys = {key for _, key in kind.keys(part.degree)}
-        widths = {k: w for k, w in zip(item.keys, item.widths, strict=True) if k in keys}
-        rig = kind.rig(self.fit, item.start or kind.starts[0], widths, of=self.rig)
-        sizes = answer.sizes_of(number)
+        widths = {key: width for key, width in at_place.widths.items() if key in keys}
+        rig = kind.rig(self.fit, at_place.start or kind.starts[0], widths, of=self.rig)
         amplitudes: dict[str, Tensor | float] = {
-            f"{part.cause.label}.{key}": float(size)
-            for key, size in zip(item.keys, sizes, strict=True)
-            if key in keys
+            f"{part.cause.label}.{key}": size for key, size in at_place.sizes.items() if key in keys
         }
         return replace(self, rig=rig, start=self.start | amplitudes)

@@ -15,11 +15,16 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.links import Link, link_of
+from estimator.effects.corrections.correction import Correction
+from estimator.rig.rig import Cause
 from estimator.side_by_side import each
 
 SAME = 1e-6  # of the square of columns: what is left of those that a listed cause has too
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
+MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and at all together
+NEAR = 0.1  # of the rms field, between predictions about which departures change the readings alike
+EVERYWHERE = "everywhere"  # place of a departure at all sensors, coils or movers
 
 
 @dataclass(frozen=True)
@@ -27,47 +32,113 @@ class Departure:
     """One kind of departure at one start, up to one degree.
 
     Attributes:
-        columns: Whitened, of all its degrees, at one scale.
-        n_columns: Of them, up to its degree.
+        cause: Its name, and the place or `EVERYWHERE`.
+        effect: What it is.
+        start: What its terms are functions of, where several are asked.
+        keys: Of its amplitudes; with the place before, where it acts at several.
+        blocks: By place, whitened columns of all its degrees, at one scale; the first ones are those of its keys.
         widths: Of each column, for an rms of 1 in units of the noise.
         log_prior: Within the departures, for each amplitude.
     """
 
-    kind: CorrectionKind
+    cause: Cause
+    effect: Correction
     start: dict[str, float]
     keys: tuple[str, ...]
-    columns: Float[Tensor, "component column"]
+    blocks: tuple[Float[Tensor, "component column"], ...]
     widths: tuple[float, ...]
     log_prior: float
 
 
-def departures(fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:
-    """All departures of a session at a fit, of each kind with many starts the most probable ones alone.
+@dataclass(frozen=True)
+class Changes:
+    """What each kind of departure changes in the readings about a fit.
+
+    Attributes:
+        fit: The fit.
+        kinds: All that a session may have.
+        columns: By kind, whitened changes per unit of each amplitude, at each start.
+    """
+
+    fit: Fit
+    kinds: tuple[CorrectionKind, ...]
+    columns: tuple[Float[Tensor, "start component amplitude"], ...]
+
+    @classmethod
+    def about(cls, fit: Fit) -> Changes:
+        """About a fit."""
+        kinds = tuple(
+            kind
+            for kind in kinds_of(fit)
+            if kind.limit.degree >= kind.effect.lowest
+            and not kind.effect.single  # one step of it is a listed cause, or one that readings cannot tell from a listed one
+        )
+        return cls(
+            fit, kinds, tuple(each(lambda kind: kind.columns(fit, kind.starts, _highest(kind)), kinds))
+        )
+
+    def near(self, fit: Fit) -> Changes:
+        """The same about another fit: these where the predictions of both are nearly the same."""
+        apart = (fit.predicted_T - self.fit.predicted_T).square().sum()
+        if float(apart) > NEAR**2 * float(self.fit.predicted_T.square().sum()):
+            return Changes.about(fit)
+        lighter = (fit.whitening_per_T / self.fit.whitening_per_T.clamp(min=1e-300))[:, None]
+        return Changes(fit, self.kinds, tuple(columns * lighter for columns in self.columns))
+
+
+def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:
+    """All departures of a session, of each kind with many starts the most probable ones alone.
 
     Args:
-        fit: The fit.
+        changes: Of the readings, about the fit.
+        fit: Whose residual is asked.
         listed: Listed causes. A departure that changes the readings as one of them does is that one.
     """
-    kinds = [
-        kind
-        for kind in kinds_of(fit)
-        if kind.limit.degree >= kind.effect.lowest
-        and not kind.effect.single  # one step of it is a listed cause, or one that readings cannot tell from a listed one
-    ]
+    kinds = changes.kinds
     by_link: dict[Link, set[str]] = {}
     places: dict[str, int] = {}
     for kind in kinds:
         by_link.setdefault(link_of(kind.effect), set()).add(kind.cause.name)
         places[kind.cause.name] = places.get(kind.cause.name, 0) + 1
     result, bases = [], _bases(listed)
-    for kind, made in zip(kinds, each(lambda kind: _of_kind(fit, kind), kinds), strict=True):
-        n = len(by_link) * len(by_link[link_of(kind.effect)]) * places[kind.cause.name]
+    for kind, of_kind in zip(kinds, changes.columns, strict=True):
+        n_places = places[kind.cause.name]
+        n = len(by_link) * len(by_link[link_of(kind.effect)]) * (n_places + (n_places > 1) * n_places)
         result += [
-            Departure(kind, start, keys, columns, widths, share - math.log(n * len(priors.AMPLITUDES)))
-            for start, keys, columns, widths, share in made
+            Departure(
+                kind.cause,
+                kind.effect,
+                start if len(kind.starts) > 1 else {},
+                keys,
+                (columns,),
+                widths,
+                share - math.log(n * len(priors.AMPLITUDES)),
+            )
+            for start, keys, columns, widths, share in _of_kind(fit, kind, of_kind)
             if not _is_listed(columns[:, : len(keys)] * columns.new_tensor(widths), bases)
         ]
-    return result
+    return [*result, *_everywhere(result, places)]
+
+
+def _everywhere(made: Sequence[Departure], n_places: Mapping[str, int]) -> list[Departure]:
+    """Departures at all places of their kind at once, each with amplitudes of its own: what probes of one make have in common."""
+    alike: dict[tuple[str, int], list[Departure]] = {}
+    for departure in made:
+        if not departure.start:
+            alike.setdefault((departure.cause.name, len(departure.keys)), []).append(departure)
+    return [
+        Departure(
+            Cause(name, EVERYWHERE),
+            some[0].effect,
+            {},
+            tuple(f"{member.cause.place}.{key}" for member in some for key in member.keys),
+            tuple(block for member in some for block in member.blocks),
+            tuple(width for member in some for width in member.widths),
+            some[0].log_prior + math.log(len(some)),
+        )
+        for (name, n_keys), some in alike.items()
+        if len(some) == n_places[name] > 1 and len(some) * n_keys <= MOST_EVERYWHERE
+    ]
 
 
 def _bases(listed: Sequence[Candidate]) -> dict[int, list[Tensor]]:
@@ -91,19 +162,25 @@ def _is_listed(columns: Float[Tensor, "component column"], bases: Mapping[int, S
 _Made = tuple[dict[str, float], tuple[str, ...], Tensor, tuple[float, ...], float]
 
 
-def _of_kind(fit: Fit, kind: CorrectionKind) -> list[_Made]:
+def _of_kind(
+    fit: Fit, kind: CorrectionKind, columns: Float[Tensor, "start component amplitude"]
+) -> list[_Made]:
     """Starts, keys, columns, widths and log prior of one kind."""
     if len(kind.starts) == 1:
-        columns = kind.columns(fit, kind.starts, kind.limit.degree)[0]
-        degrees = _asked(kind.effect.lowest, kind.limit.degree)
+        degrees, of_start = _asked(kind.effect.lowest, _highest(kind)), columns[0]
         share = -math.log(len(degrees))
-        return [_up_to(kind, kind.starts[0], columns, degree, share) for degree in degrees]
-    degree = kind.effect.lowest
-    columns = kind.columns(fit, kind.starts, degree)
+        return [_up_to(kind, kind.starts[0], of_start, degree, share) for degree in degrees]
     value = _best_evidence(fit, columns)
     chosen = value.topk(min(MOST_STARTS, len(value))).indices.tolist()
     share = -math.log(len(kind.starts))
-    return [_up_to(kind, kind.starts[i], columns[i], degree, share) for i in chosen]
+    return [_up_to(kind, kind.starts[i], columns[i], kind.effect.lowest, share) for i in chosen]
+
+
+def _highest(kind: CorrectionKind) -> int:
+    """Highest degree that is asked: where one frequency of many is to be found, the lowest."""
+    if len(kind.starts) > 1:
+        return kind.effect.lowest
+    return max(degree for degree, _ in kind.keys(kind.limit.degree)[:MOST_COLUMNS])
 
 
 def _up_to(

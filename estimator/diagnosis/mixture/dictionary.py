@@ -70,15 +70,16 @@ def _listed_item(one: Offered, stack: _Stack) -> Item:
 
 
 def _departure_items(one: Departure, stack: _Stack) -> list[Item]:
-    first = stack.number_of(one.columns)
+    first, n = [stack.number_of(block) for block in one.blocks], len(one.keys) // len(one.blocks)
+    columns = tuple(begin + i for begin in first for i in range(n))
     return [
         Item(
-            cause=one.kind.cause,
+            cause=one.cause,
             is_listed=False,
-            link=link_of(one.kind.effect),
-            start=one.start if len(one.kind.starts) > 1 else {},
+            link=link_of(one.effect),
+            start=one.start,
             keys=one.keys,
-            columns=tuple(range(first, first + len(one.keys))),
+            columns=columns,
             widths=tuple(amplitude * width for width in one.widths),
             shift=None,
             log_prior=math.log(priors.DEPARTURE) + one.log_prior,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.mixture.evidence_kernel import RIDGE, log_bayes_factors
-from estimator.diagnosis.mixture.items import Dictionary, Item
+from estimator.diagnosis.mixture.items import Dictionary, Item, renumbered
 from estimator.inference.positive_definite import lower_factor
 
 
@@ -33,19 +34,32 @@ class Products:
             always = Projector.of(always.jacobian * weight[:, None], dictionary.prior_precision)
         followed = always.basis.T @ vectors
         self.gram = (vectors.T @ vectors - followed.T @ followed).cpu().contiguous()
-        self.items = dictionary.items
         self.n = n - always.jacobian.shape[1]
+        self._lay_out(dictionary.items)
+
+    def among(self, numbers: Sequence[int]) -> Products:
+        """Inner products for some of the items alone, which are numbered anew."""
+        items, columns = renumbered(self.items, numbers)
+        rows = torch.tensor([*columns, self.empty, self.residual])
+        few = copy(self)
+        few.gram = self.gram[rows][:, rows].contiguous()
+        few._lay_out(items)
+        return few
+
+    def _lay_out(self, items: Sequence[Item]) -> None:
+        """Where the columns of each item are, as machine code reads it."""
+        self.items = tuple(items)
         self.empty, self.residual = len(self.gram) - 2, len(self.gram) - 1
-        self._begin = np.cumsum([0, *(len(item.columns) for item in self.items)])
-        self._columns = np.array([column for item in self.items for column in item.columns], dtype=np.int64)
-        self._widths = np.array([width for item in self.items for width in item.widths], dtype=float)
-        self._shifts = np.array([self._shift(item) for item in self.items], dtype=np.int64)
-        self._is_one_sided = np.array([item.is_one_sided for item in self.items], dtype=bool)
-        before = [None, *self.items][: len(self.items)]
+        self._begin = np.cumsum([0, *(len(item.columns) for item in items)])
+        self._columns = np.array([column for item in items for column in item.columns], dtype=np.int64)
+        self._widths = np.array([width for item in items for width in item.widths], dtype=float)
+        self._shifts = np.array([self._shift(item) for item in items], dtype=np.int64)
+        self._is_one_sided = np.array([item.is_one_sided for item in items], dtype=bool)
+        before = [None, *items][: len(items)]
         self._is_like_before = np.array(
             [
                 last is not None and (last.columns, last.shift) == (item.columns, item.shift)
-                for last, item in zip(before, self.items, strict=True)
+                for last, item in zip(before, items, strict=True)
             ],
             dtype=bool,
         )

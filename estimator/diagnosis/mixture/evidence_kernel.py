@@ -13,6 +13,7 @@ RIDGE = 1e-10  # of the square of a column: what rounding leaves of those that t
 FAR = (
     -30.0
 )  # standard deviations below which the normal distribution function is taken by its asymptotic form
+MANY = 16  # columns of an item from which on a library multiplies them
 
 compiled = partial(machine_code, is_in_order=False)
 
@@ -32,6 +33,22 @@ def _inner(gram, followed, precision, first, second):  # type: ignore[no-untyped
     for r in range(followed.shape[1]):
         product -= followed[first, r] * followed[second, r]
     return product
+
+
+@compiled
+def _fill(rest, gram, followed, precision, chosen):  # type: ignore[no-untyped-def]
+    """Inner products of the columns of one item, less what the others follow of them; only the lower triangle is read."""
+    n = len(chosen)
+    if n < MANY:
+        for a in range(n):
+            for b in range(a + 1):
+                rest[a, b] = _inner(gram, followed, precision, chosen[a], chosen[b])
+        return
+    own = followed[chosen]
+    taken = np.dot(own, own.T)
+    for a in range(n):
+        for b in range(a + 1):
+            rest[a, b] = gram[chosen[a], chosen[b]] * precision - taken[a, b]
 
 
 @compiled
@@ -87,9 +104,8 @@ def log_bayes_factors(  # type: ignore[no-untyped-def]
     for i in range(len(shift)):
         chosen = columns[begin[i] : begin[i + 1]]
         if not is_like_before[i]:
+            _fill(rest, gram, followed, precision, chosen)
             for a in range(len(chosen)):
-                for b in range(a + 1):
-                    rest[a, b] = _inner(gram, followed, precision, chosen[a], chosen[b])
                 own[a] = score[chosen[a]] - _inner(gram, followed, precision, chosen[a], shift[i])
             square = _inner(gram, followed, precision, shift[i], shift[i])
             started = score[shift[i]] - 0.5 * square

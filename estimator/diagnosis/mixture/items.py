@@ -69,19 +69,21 @@ class Dictionary:
     always: Projector
     prior_precision: Float[Tensor, "parameter parameter"]
 
-    def restricted(self, kept: Sequence[int]) -> Dictionary:
+    def restricted(self, numbers: Sequence[int]) -> Dictionary:
         """Some of the items, with the columns that these have."""
-        used = dict[int, int]()
-        for i in kept:
-            item = self.items[i]
-            for column in (*item.columns, *(() if item.shift is None else (item.shift,))):
-                used.setdefault(column, len(used))
-        items = tuple(
-            replace(
-                item,
-                columns=tuple(used[column] for column in item.columns),
-                shift=None if item.shift is None else used[item.shift],
-            )
-            for item in (self.items[i] for i in kept)
-        )
-        return replace(self, items=items, columns=self.columns[:, list(used)])
+        items, columns = renumbered(self.items, numbers)
+        return replace(self, items=items, columns=self.columns[:, columns])
+
+
+def renumbered(items: Sequence[Item], numbers: Sequence[int]) -> tuple[tuple[Item, ...], list[int]]:
+    """Some of the items, whose columns are numbered anew, and these columns by the numbers that they had."""
+    used = dict[int, int]()
+    for i in numbers:
+        for column in (*items[i].columns, *(() if items[i].shift is None else (items[i].shift,))):
+            used.setdefault(column, len(used))
+
+    def moved(item: Item) -> Item:
+        shift = None if item.shift is None else used[item.shift]
+        return replace(item, columns=tuple(used[column] for column in item.columns), shift=shift)
+
+    return tuple(moved(items[i]) for i in numbers), list(used)

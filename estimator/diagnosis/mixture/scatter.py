@@ -77,7 +77,8 @@ def answer_beside_scatter(
         scattering.append(_named(rows, log_prior_odds))
         cause, _, fitted = rows[0]
         tell(f"readings scatter as {cause.label} would make them: asking again beside it")
-        current = answer(_with(plain, cause, fitted), limits, seed, on_progress=on_progress)
+        plain = _with(plain, cause, fitted)
+        current = answer(plain, limits, seed, on_progress=on_progress, before=current.asked)
         plain = current.plain
     return BesideScatter(current, tuple(scattering))
 

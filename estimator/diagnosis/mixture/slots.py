@@ -26,8 +26,9 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.evidence import Products
 
-N_NOISES = 29
-LEAST_NOISE, MOST_NOISE = 0.2, 1.6  # of that of the fit
+N_NOISES = 46
+LEAST_NOISE, MOST_NOISE = 0.05, 1.6  # of that of the fit
+NEGLIGIBLE = 1e-5  # probability of an item beside others below which it is not drawn
 
 
 @dataclass(frozen=True)
@@ -185,35 +186,62 @@ class Slots:
         density = self.products.log_likelihood(chosen, self.grid) + self.log_prior_noise
         return torch.softmax(density, 0).numpy()
 
-    def climbed(self) -> tuple[list[int | None], int]:
-        """Slots filled one by one with what is most probable beside the others, and the most probable noise."""
-        slots: list[int | None] = [None] * self.n_slots
-        noise = int(self.noise_of([]).argmax())
+    def climbed(self, begin: Sequence[int] = ()) -> tuple[list[int | None], int]:
+        """Slots filled one by one with what is most probable beside the others, and the most probable noise.
+
+        Args:
+            begin: Items that the first slots hold at first.
+        """
+        slots: list[int | None] = [*begin[: self.n_slots], *[None] * max(self.n_slots - len(begin), 0)]
+        noise = int(self.noise_of([i for i in slots if i is not None]).argmax())
         for _ in range(self.n_slots):
             before = list(slots)
             for k in range(self.n_slots):
                 rest = [i for j, i in enumerate(slots) if j != k and i is not None]
                 best = int(self.conditional(rest, noise).argmax())
                 slots[k] = None if best == len(self.log_prior) else best
-                noise = int(self.noise_of([i for i in slots if i is not None]).argmax())
+            noise = int(self.noise_of([i for i in slots if i is not None]).argmax())
             if slots == before:
                 break
         return slots, noise
 
-    def sample(self, sweeps: Sweeps, seed: int, is_climbed: bool = True) -> Samples:
-        """Draw items slot by slot.
+    def sample(self, sweeps: Sweeps, seed: int, begin: Sequence[int] = ()) -> Samples:
+        """Draw items slot by slot, of those alone that were probable at some point of a climb.
 
         Args:
             sweeps: Over all slots.
             seed: Of the draws.
-            is_climbed: Begin where a climb ends; else without anything.
+            begin: Items where the climb begins.
+        """
+        climbed, noise = self.climbed(begin)
+        numbers = self._probable(climbed)
+        few = self._among(numbers)
+        slots = [None if i is None else numbers.index(i) for i in climbed]
+        return few.drawn(sweeps, seed, slots, noise).renumbered(numbers, len(self.log_prior))
+
+    def _probable(self, climbed: Sequence[int | None]) -> list[int]:
+        """Items that had more than `NEGLIGIBLE` beside some others."""
+        largest = np.max(list(self._known.values()), axis=0)[:-1]
+        largest[[i for i in climbed if i is not None]] = 1.0
+        return np.flatnonzero(largest > NEGLIGIBLE).tolist()
+
+    def _among(self, numbers: Sequence[int]) -> Slots:
+        """These slots, which can hold some of the items alone."""
+        few = Slots(self.products.among(numbers), self.noise, self.n_slots)
+        few.log_prior = self.log_prior[numbers]
+        return few
+
+    def drawn(self, sweeps: Sweeps, seed: int, begin: Sequence[int | None], noise: int) -> Samples:
+        """Draw items slot by slot, of all.
+
+        Args:
+            sweeps: Over all slots.
+            seed: Of the draws.
+            begin: What the slots hold at first.
+            noise: Number of the factor on the noise at first.
         """
         random = np.random.default_rng(seed)
-        slots: list[int | None] = [None] * self.n_slots
-        noise = int(self.noise_of([]).argmax())
-        if is_climbed:
-            slots, noise = self.climbed()
-        samples = Samples(len(self.log_prior))
+        slots, samples = list(begin), Samples(len(self.log_prior))
         for sweep in range(sweeps.n):
             for k in range(self.n_slots):
                 rest = [i for j, i in enumerate(slots) if j != k and i is not None]

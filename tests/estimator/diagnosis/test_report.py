@@ -453,7 +453,11 @@ def test_share_of_the_misfit_is_told_beside_a_name_and_drawn(diagnosis: Diagnosi
     share, left = Share(0.712, (0.65, 0.8)), Share(0.288, (0.2, 0.35))
     budget = Budget(9, 2e-4, 5e-6, {named.cause: share}, Share(0.0, (0.0, 0.0)), left)
     told = replace(diagnosis, fits=replace(diagnosis.fits, budget=budget))
-    assert headline(told)[0].endswith(" It accounts for 71 % of the misfit.")
+    assert headline(told)[0].endswith(" It accounts for 71 % of the misfit of unseen readings.")
+    for value, words in ((-0.08, "none"), (1.39, "all")):
+        of_value = replace(budget, causes={named.cause: Share(value, (value, value))})
+        sentence = headline(replace(diagnosis, fits=replace(diagnosis.fits, budget=of_value)))[0]
+        assert sentence.endswith(f" It accounts for {words} of the misfit of unseen readings.")
     assert told.to_json()["budget"] == budget.to_json()
     figure = next(p for p in pictures(told) if p.title == "Error budget")
     assert "200 µT rms" in figure.caption

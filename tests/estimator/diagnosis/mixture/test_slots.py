@@ -60,8 +60,20 @@ def test_draws_have_the_probabilities_of_a_sum_over_all_states():
 
 def test_draws_do_not_depend_on_where_they_begin():
     slots = Slots(Products(noisy()), KNOWN, n_slots=3)
-    climbed, empty = (slots.sample(MANY, 2, is_climbed).present for is_climbed in (True, False))
+    climbed = slots.sample(MANY, 2, begin=[1, 3]).present
+    empty = slots.drawn(MANY, 2, [None, None, None], noise=0).present
     assert climbed == pytest.approx(empty, abs=0.02)
+
+
+def test_items_that_a_climb_found_negligible_are_left_out_and_the_others_are_as_probable_as_among_all():
+    made = dictionary(
+        [item("clear", [0], width=20.0), *(item(f"faint{i}", [3], width=1e-6) for i in range(3))]
+    )
+    slots = Slots(Products(made), KNOWN, n_slots=2)
+    among_all = slots.drawn(MANY, 3, [None, None], noise=0).present
+    assert slots.sample(MANY, 3).present == pytest.approx(among_all, abs=0.02)
+    few = Products(made).among([2, 0])
+    assert few.beside([1], 1.0)[0] == pytest.approx(float(Products(made).beside([0], 1.0)[2]), rel=1e-9)
 
 
 def test_the_same_seed_gives_the_same_draws():
