@@ -11,7 +11,7 @@ from functools import cached_property
 import torch
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import Candidate, candidates, causes_of
+from estimator.diagnosis.hypotheses.candidates import Candidate, causes_of
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.departures import Changes, departures
 from estimator.diagnosis.mixture.dictionary import dictionary
@@ -36,7 +36,7 @@ class Asked:
 
     Attributes:
         pool: Columns of every listed cause that the expansion lacks.
-        changes: Of the readings by departures.
+        changes: Of the readings, about this expansion or one nearby.
     """
 
     expansion: Expansion
@@ -158,9 +158,11 @@ def ask(
         before: At the expansion before.
     """
     fit, alone = expansion.fit, expansion.alone
-    changes = Changes.about(alone) if before is None else before.changes.near(alone)
+    causes = causes_of(fit.rig, fit, limits)
+    changes = None if before is None or not before.changes.is_near(fit) else before.changes
+    changes = changes or Changes.about(fit, causes)
     led = [] if before is None else [before.dictionary.items[i] for i in before.leading]
-    pool = candidates(fit, causes_of(fit.rig, fit, limits))
+    pool = changes.pool_of(fit, causes)
     starts = starts_of(fit, pool)
     starts += [more for cause, of_cause in shapes.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts)

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.links import Link, link_of
 from estimator.effects.corrections.correction import Correction
@@ -23,7 +23,9 @@ SAME = 1e-6  # of the square of columns: what is left of those that a listed cau
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
 MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and at all together
-NEAR = 0.1  # of the rms field, between predictions about which departures change the readings alike
+NEAR = (
+    0.02  # of the rms field, between predictions about which causes and departures change the readings alike
+)
 EVERYWHERE = "everywhere"  # place of a departure at all sensors, coils or movers
 
 
@@ -52,45 +54,54 @@ class Departure:
 
 @dataclass(frozen=True)
 class Changes:
-    """What each kind of departure changes in the readings about a fit.
+    """What causes and departures change in the readings about a fit, also used about others with nearly the same predictions.
 
     Attributes:
         fit: The fit.
-        kinds: All that a session may have.
+        kinds: All kinds of departures that a session may have.
         columns: By kind, whitened changes per unit of each amplitude, at each start.
+        pool: Listed causes.
     """
 
     fit: Fit
     kinds: tuple[CorrectionKind, ...]
     columns: tuple[Float[Tensor, "start component amplitude"], ...]
+    pool: tuple[Candidate, ...]
 
     @classmethod
-    def about(cls, fit: Fit) -> Changes:
-        """About a fit."""
+    def about(cls, fit: Fit, causes: Sequence[Cause]) -> Changes:
+        """About a fit, of some listed causes."""
         kinds = tuple(
             kind
             for kind in kinds_of(fit)
             if kind.limit.degree >= kind.effect.lowest
             and not kind.effect.single  # one step of it is a listed cause, or one that readings cannot tell from a listed one
         )
-        return cls(
-            fit, kinds, tuple(each(lambda kind: kind.columns(fit, kind.starts, _highest(kind)), kinds))
-        )
+        columns = each(lambda kind: kind.columns(fit, kind.starts, _highest(kind)), kinds)
+        return cls(fit, kinds, tuple(columns), tuple(candidates(fit, list(causes))))
 
-    def near(self, fit: Fit) -> Changes:
-        """The same about another fit: these where the predictions of both are nearly the same."""
+    def is_near(self, fit: Fit) -> bool:
+        """Whether the predictions of a fit are nearly those of this one."""
         apart = (fit.predicted_T - self.fit.predicted_T).square().sum()
-        if float(apart) > NEAR**2 * float(self.fit.predicted_T.square().sum()):
-            return Changes.about(fit)
-        lighter = (fit.whitening_per_T / self.fit.whitening_per_T.clamp(min=1e-300))[:, None]
-        return Changes(fit, self.kinds, tuple(columns * lighter for columns in self.columns))
+        return float(apart) < NEAR**2 * float(self.fit.predicted_T.square().sum())
+
+    def lighter(self, fit: Fit) -> Float[Tensor, " component"]:
+        """Factor from what is whitened here to what a fit has whitened."""
+        return fit.whitening_per_T / self.fit.whitening_per_T.clamp(min=1e-300)
+
+    def pool_of(self, fit: Fit, causes: Sequence[Cause]) -> list[Candidate]:
+        """Columns of some listed causes about a fit nearby."""
+        known = {candidate.cause for candidate in self.pool}
+        lighter, wanted = self.lighter(fit), set(causes)
+        made = [candidate.weighed(lighter) for candidate in self.pool if candidate.cause in wanted]
+        return made + candidates(fit, [cause for cause in causes if cause not in known])
 
 
 def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:
     """All departures of a session, of each kind with many starts the most probable ones alone.
 
     Args:
-        changes: Of the readings, about the fit.
+        changes: Of the readings, about the fit or one nearby.
         fit: Whose residual is asked.
         listed: Listed causes. A departure that changes the readings as one of them does is that one.
     """
@@ -101,6 +112,7 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
         by_link.setdefault(link_of(kind.effect), set()).add(kind.cause.name)
         places[kind.cause.name] = places.get(kind.cause.name, 0) + 1
     result, bases = [], _bases(listed)
+    lighter = changes.lighter(fit)[:, None]
     for kind, of_kind in zip(kinds, changes.columns, strict=True):
         n_places = places[kind.cause.name]
         n = len(by_link) * len(by_link[link_of(kind.effect)]) * (n_places + (n_places > 1) * n_places)
@@ -114,7 +126,7 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
                 widths,
                 share - math.log(n * len(priors.AMPLITUDES)),
             )
-            for start, keys, columns, widths, share in _of_kind(fit, kind, of_kind)
+            for start, keys, columns, widths, share in _of_kind(fit, kind, of_kind * lighter)
             if not _is_listed(columns[:, : len(keys)] * columns.new_tensor(widths), bases)
         ]
     return [*result, *_everywhere(result, places)]
