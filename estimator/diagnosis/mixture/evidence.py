@@ -47,7 +47,7 @@ class Products:
         return few
 
     def _lay_out(self, items: Sequence[Item]) -> None:
-        """Where the columns of each item are, as machine code reads it."""
+        """Note where the columns of each item are, as machine code reads it."""
         self.items = tuple(items)
         self.empty, self.residual = len(self.gram) - 2, len(self.gram) - 1
         self._begin = np.cumsum([0, *(len(item.columns) for item in items)])
