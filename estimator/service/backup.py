@@ -27,7 +27,7 @@ from typing import Any
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
 from estimator.service.core import DATABASE, SESSIONS, UPLOADS
 from estimator.service.database import check_database, explained
-from estimator.store.files import UNFINISHED, sync
+from estimator.store.files import is_unfinished, sync
 from estimator.store.made import JOURNAL
 from estimator.store.session import is_growing
 
@@ -174,7 +174,7 @@ def _files(data: Path) -> Iterator[Path]:
         if part.is_symlink() or not part.is_dir() or part.name == UPLOADS:
             continue
         for folder in sorted(part.iterdir()):
-            if UNFINISHED.fullmatch(folder.name):
+            if is_unfinished(folder.name):
                 continue
             if part.name == SESSIONS and is_growing(folder):
                 yield folder / JOURNAL  # its arrays are being made, or are not there
