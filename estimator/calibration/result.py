@@ -294,9 +294,9 @@ class Calibration:
                     f"calibration must match its SHA-256; {folder / SUMMARY_FILE} was altered, or belongs to another posterior"
                 )
             arrays = {**tree["/constant_data"].arrays, **tree["/observed_data"].arrays}
-            rig = rig_from_state(json.loads(attributes["rig"]), f"rig inside {folder}")
+            rig = rig_from_state(json_object(attributes["rig"], folder), f"rig inside {folder}")
             admit_readings(arrays, rig, str(folder))
-            observations, best = observations_from(arrays, rig), json.loads(attributes["best"])
+            observations, best = observations_from(arrays, rig), json_object(attributes["best"], folder)
             draws, log_prob = tree["/posterior"].arrays, tree["/sample_stats"].arrays["lp"]
             _check_numbers(rig, best, draws, log_prob, folder)
             if any(not isinstance(summary[key], kind) for key, kind in SUMMARY_KEYS.items()):

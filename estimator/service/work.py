@@ -58,7 +58,7 @@ def run_job(folder: str, session: str) -> None:
             return
         if (path / STOP).exists():
             return
-        job = json.loads((path / JOB).read_text(encoding="utf-8"))
+        job = read_json(path / JOB, fault=CorruptStore)
         tell = _teller(path)
         try:
             result = {"state": "done", "fault": None, **WORK[job["kind"]](job, path, Path(session), tell)}

@@ -28,6 +28,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    JsonRoute,
     Key,
     Limit,
     Page,
@@ -46,7 +47,7 @@ from estimator.service.webhooks import announce_end
 from estimator.service.work import DIAGNOSIS, PANELS, report_file, result_file
 from estimator.store.session import load_session
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/jobs", tags=["jobs"])
 MOST_SESSIONS = 200  # of a batch
 PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
 """Content-Security-Policy of reports, which are one file with their style and pictures inside; nothing in them may run."""

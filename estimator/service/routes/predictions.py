@@ -21,10 +21,10 @@ from estimator.service.core import Core
 from estimator.service.predictions import BLOCK
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, Reader
+from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
 from estimator.service.routes.calibrations import calibration_of
 
-router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
 Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector = list[float | None]
 MOST_COORDINATES = 10_000  # of one axis

@@ -8,10 +8,10 @@ from sqlalchemy import select
 from estimator.service.ownership import OWN_JOB, OWN_SESSION
 from estimator.service.problems import not_found
 from estimator.service.removal import remove_job, remove_session
-from estimator.service.requests import CoreOf, Id, Writer, audited
+from estimator.service.requests import CoreOf, Id, JsonRoute, Writer, audited
 from estimator.service.schema import Job, SessionRow
 
-router = APIRouter(prefix="/v1")
+router = APIRouter(route_class=JsonRoute, prefix="/v1")
 
 
 @router.delete("/jobs/{job_id}", status_code=204, tags=["jobs"], dependencies=[OWN_JOB])

@@ -19,7 +19,7 @@ from estimator.service.database import now
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.schema import Job
-from estimator.service.work import STOP
+from estimator.service.work import RESULT, STOP
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for
 
@@ -269,3 +269,24 @@ def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(
     for thread in jobs._ending:
         thread.join(30)
     assert not workers.stopping.is_set()
+
+
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [(b"", "result.json must be JSON"), (b"[", "result.json must be JSON"), (None, "it ended with")],
+)
+def test_a_job_without_a_whole_result_fails_and_others_go_on(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, result: bytes | None, words: str
+) -> None:
+    client, workers = idle(workers=2), Workers()
+    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    jobs: Dispatcher = client.app.state.core.jobs
+    damaged, other = (add(client, session_id, "local").id for _ in range(2))
+    jobs._look(workers)
+    if result is not None:
+        (jobs.folder(damaged) / RESULT).write_bytes(result)
+    jobs._running[damaged].future.status = "finished"
+    jobs._look(workers)
+    state = client.get(f"/v1/jobs/{damaged}").json()
+    assert (state["state"], client.get(f"/v1/jobs/{other}").json()["state"]) == ("failed", "running")
+    assert state["fault"].startswith(f"job must end with a result; {words}")
