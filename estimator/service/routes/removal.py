@@ -33,7 +33,7 @@ def delete_session(request: Request, core: CoreOf, caller: Writer, session_id: I
         session = db.get(SessionRow, session_id)
         if session is None:
             raise not_found("session", session_id)
-        job_ids = remove_session(db, session)
+        job_ids = remove_session(db, session, caller)
         audited(db, request, caller, "session.delete", session_id)
     core.sessions.remove(session_id)
     core.fits.forget(lambda known: known == session_id)
