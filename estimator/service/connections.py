@@ -50,7 +50,7 @@ class Waiting(Protocol):
 
     @property
     def waits_since_s(self) -> float | None:
-        """As above."""
+        """Since when the service waits for the client."""
 
 
 class StrictLines(ReceiveBuffer):
