@@ -62,6 +62,7 @@ SIGNATURES = {
     "Calibration.field": "self, points_m, currents_A, motion",
     "Calibration.gradient": "self, points_m, currents_A, motion",
     "Calibration.field_interval": "self, points_m, currents_A, level, motion",
+    "Calibration.coils_alone": "self",
     "Calibration.summary": "self",
     "Calibration.save": "self, folder",
     "Calibration.load": "folder",
