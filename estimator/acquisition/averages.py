@@ -15,6 +15,7 @@ from torch import Tensor
 from drivers.protocols import FieldSensor, Reading, ReadingFlag, Vector
 from estimator.acquisition.pace import ANSWER_S, SETTLED_SIGMA, Pace
 from estimator.errors import InvalidInput
+from estimator.units import LARGEST
 
 FLOOR_T = 1e-9  # difference that is always allowed, for sensors whose readings do not scatter
 
@@ -93,7 +94,17 @@ def _add(sensor: FieldSensor, name: str, values: list[Reading[Vector]], n: int) 
 
 def _components_T(reading: Reading[Vector]) -> Vector:
     """Components of a reading, NaN if out of range; all three are NaN if the sensor does not say which one is."""
-    has_nan = any(math.isnan(value_T) for value_T in reading.value)
-    if ReadingFlag.OVER_RANGE in reading.flags and not has_nan:
+    x_T, y_T, z_T = map(measured, reading.value)
+    if ReadingFlag.OVER_RANGE in reading.flags and not any(map(math.isnan, (x_T, y_T, z_T))):
         return math.nan, math.nan, math.nan
-    return reading.value
+    return x_T, y_T, z_T
+
+
+def measured(value: float) -> float:
+    """A number that an instrument gave; NaN where it stands for none, such as 9.9e37 of SCPI (1999, section 7.2.1.5).
+
+    Examples:
+        >>> measured(0.002), measured(9.91e37)
+        (0.002, nan)
+    """
+    return value if abs(value) <= LARGEST else math.nan

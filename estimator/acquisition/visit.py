@@ -26,7 +26,7 @@ from drivers.protocols import (
     RobotArm,
     Thermometer,
 )
-from estimator.acquisition.averages import average
+from estimator.acquisition.averages import average, measured
 from estimator.acquisition.clocks import DeviceClock
 from estimator.acquisition.pace import ANSWER_S, Pace
 from estimator.frames import Transform, vector_from_rotation
@@ -115,7 +115,7 @@ class Visit:
             motion[mover.name] = reached[0].tolist()
         currents = {name: self._measured_current(name) for name in self._instruments.sources}
         temperature_C = {
-            name: thermometer.read_temperature_K(timeout_s=ANSWER_S).value - ICE_POINT_K
+            name: measured(thermometer.read_temperature_K(timeout_s=ANSWER_S).value) - ICE_POINT_K
             for name, thermometer in self._instruments.thermometers.items()
         }
         begin_s, self._begin_s = self._begin_s, time.monotonic()
@@ -159,7 +159,7 @@ class Visit:
             raise DeviceFault(
                 f"{name} must carry {requested_A:g} A; its supply has reached a limit and measures {reading.value:.4g} A"
             )
-        if ReadingFlag.STALE in reading.flags or math.isnan(reading.value):
+        if ReadingFlag.STALE in reading.flags or math.isnan(measured(reading.value)):
             raise DeviceFault(f"{name} must carry {requested_A:g} A; its supply gives no new measurement")
         return reading
 

@@ -14,11 +14,12 @@ from estimator.calibration.calibrate import versions
 from estimator.effects import effect_of
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
+from estimator.effects.everywhere import with_everywhere
 from estimator.errors import CoilcalError, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.hide import cause_of
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session, load_session
 
 PLAIN = "plain"
@@ -39,6 +40,7 @@ class Job:
         key: Hash of what decides the result: session, rig, hypothesis, seed, versions and the settings that decide a chain.
         settings: Hash of rig and settings; jobs that share it can be stacked.
         n_readings: Number of fitted readings.
+        as_described: Whether the rig is fitted without what no laboratory is without and it does not mention.
     """
 
     session: str
@@ -52,6 +54,7 @@ class Job:
     key: str = ""
     settings: str = ""
     n_readings: int = 0
+    as_described: bool = False
 
     @property
     def name(self) -> str:
@@ -73,6 +76,7 @@ def jobs_of(
     seed: int,
     settings: SamplerSettings | None = None,
     place: tuple[str, str] = ("cpu", "double"),
+    as_described: bool = False,
 ) -> tuple[list[Job], dict[str, str]]:
     """The jobs of one session, and the reasons against others: no reading for a coil, or no such hypothesis in its rig.
 
@@ -86,7 +90,7 @@ def jobs_of(
     jobs, refused = [], {}
     for coil in coils:
         for hypothesis in hypotheses:
-            job = Job(path, rig, coil, hypothesis, seed, *place, session.hash)
+            job = Job(path, rig, coil, hypothesis, seed, *place, session.hash, as_described=as_described)
             try:
                 jobs.append(_keyed(job, session, settings or SamplerSettings()))
             except CoilcalError as error:
@@ -98,14 +102,26 @@ def readings_and_rig(job: Job, session: Session) -> tuple[Session, Rig]:
     """The readings of a job, and the rig with the causes of its hypothesis free.
 
     Raises:
-        InvalidInput: The coil never carries current alone, or the hypothesis does not exist in this rig.
+        InvalidInput: The coil never carries current alone, or the hypothesis does not exist in this rig, or is in every hypothesis.
     """
     rig = job.rig or session.rig
     if job.coil is not None:
         session, rig = _one_coil(session, rig, job.coil)
+    in_all = () if job.as_described else with_everywhere(rig, session.observations.calibration).added
     for cause_text in _causes(job.hypothesis):
-        rig = _with_cause(rig, session.observations, cause_text)
+        rig = _with_cause(rig, session.observations, cause_text, in_all)
     return session, rig
+
+
+def rig_to_fit(job: Job, rig: Rig, observations: Observations) -> Rig:
+    """The rig of a job with what no laboratory is without, as `calibrate` adds it, unless it is fitted as described.
+
+    Args:
+        job: The job.
+        rig: Its rig with the causes of its hypothesis.
+        observations: The readings of the fit.
+    """
+    return rig if job.as_described else with_everywhere(rig, observations).rig
 
 
 def stacks(jobs: Sequence[Job], most_readings: int, most_jobs: int) -> Iterator[list[Job]]:
@@ -123,6 +139,7 @@ def _keyed(job: Job, session: Session, settings: SamplerSettings) -> Job:
     """The job with its key and settings hash."""
     job_session, rig = readings_and_rig(job, session)
     observations = job_session.observations.calibration
+    rig = rig_to_fit(job, rig, observations)
     chain = [settings.n_walkers, settings.check_every]  # its targets do not decide its steps
     decisive = [job.session_hash, rig.hash, job.coil, job.hypothesis, job.seed, versions(), chain]
     if (job.device, job.precision) != ("cpu", "double"):
@@ -139,8 +156,10 @@ def _causes(hypothesis: str) -> list[str]:
     return [] if hypothesis == PLAIN else hypothesis.split("+")
 
 
-def _with_cause(rig: Rig, observations: Observations, text: str) -> Rig:
+def _with_cause(rig: Rig, observations: Observations, text: str, in_all: Sequence[Cause]) -> Rig:
     cause = cause_of(text, rig)
+    if cause in in_all:
+        raise InvalidInput(f"hypothesis {text!r} is a part of all, unless rigs are fitted as described")
     if cause in rig.acting:
         raise InvalidInput(f"hypothesis {text!r} must not be in the rig already")
     shapes = effect_of(cause.name).starts(Circumstances(rig, observations), cause.place)[0]

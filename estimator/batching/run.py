@@ -59,6 +59,7 @@ def batch(
     scheduler: str | None = None,
     device: str = "cpu",
     precision: str = "double",
+    as_described: bool = False,
     tell: Callable[[int, int, str], None] | None = None,
 ) -> BatchResult:
     """Calibrate many sessions.
@@ -78,6 +79,7 @@ def batch(
         workers, scheduler: Number of processes on this computer, 0 for none but this one; or the address of a Dask scheduler.
         device: Where readings are predicted, such as `cuda`; the workers of a computer share it.
         precision: `double`, or `single` for predictions of readings; last steps of fits and all reports are in double precision.
+        as_described: Fit rigs as they are described, without a field of the room and a zero of each sensor where they mention none.
         tell: Called with the number of finished jobs, the number of all jobs, and what was done in words.
     Returns: The results, and the reasons of sessions that failed, which do not stop the others.
     Raises:
@@ -100,7 +102,7 @@ def batch(
         folder.mkdir(exist_ok=True)
         run = _Run(folder, connected, tell or (lambda done, total, words: None))
         described = run.describe(
-            paths, (described_rig, hypotheses, is_each_coil, seed, chosen, (device, precision))
+            paths, (described_rig, hypotheses, is_each_coil, seed, chosen, (device, precision), as_described)
         )
         described.sort(
             key=lambda job: (paths.index(job.session), job.coil or "", hypotheses.index(job.hypothesis))

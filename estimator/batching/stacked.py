@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from estimator.devices import device_named, precision_named
+from estimator.effects import effect_of
 from estimator.effects.circumstances import Circumstances
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
@@ -28,12 +29,13 @@ def settings_hash(rig: Rig, observations: Observations) -> str:
     """SHA-256 of everything that a prediction needs: sessions that share it can be stacked.
 
     It covers which components were measured but not their values, nor measured currents, which no prediction uses. Times and temperatures
-    count only if the rig has effects, which may depend on them.
+    count only if the rig has effects that may depend on them.
     """
     arrays = observation_arrays(observations)
     dimensions, _ = arrays.pop("field_sensor_T")
     arrays["is_measured"] = dimensions, observations.is_measured.numpy()
-    ignored = ("repeat", "current_measured_A", *(() if rig.acting else ("time_s", "temperature_")))
+    is_steady = all(effect_of(cause.name).is_everywhere for cause in rig.acting)
+    ignored = ("repeat", "current_measured_A", *(("time_s", "temperature_") if is_steady else ()))
     return digest(
         {name: array for name, array in arrays.items() if not name.startswith(ignored)}, {"rig": rig.hash}
     )

@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from estimator.batching.jobs import Job, jobs_of, readings_and_rig
+from estimator.batching.jobs import Job, jobs_of, readings_and_rig, rig_to_fit
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
 from estimator.calibration.result import CALIBRATION, SUMMARY_FILE
@@ -39,10 +39,11 @@ def describe(
     seed: int,
     settings: SamplerSettings,
     place: tuple[str, str],
+    as_described: bool,
 ) -> tuple[list[Job], dict[str, str]] | str:
     """The jobs of one session with the reasons against others, or the reason why there are none, in a sentence."""
     try:
-        return jobs_of(path, rig, hypotheses, is_each_coil, seed, settings, place)
+        return jobs_of(path, rig, hypotheses, is_each_coil, seed, settings, place, as_described)
     except CoilcalError as error:
         return str(error)
 
@@ -61,7 +62,8 @@ def fit(stack: list[Job], folder: str) -> dict[str, str]:
             check_readings(rig, session.observations, session.source)
             if job.precision != "double":
                 check_precision(rig, session.observations.calibration)
-            ready.append((job, session.observations, rig))
+            readings = session.observations
+            ready.append((job, readings, rig_to_fit(job, rig, readings.calibration)))
         except Exception as error:
             failed[job.name] = _words(error)
     for (job, observations, _), outcome in zip(ready, _fits(ready), strict=True):
@@ -120,6 +122,7 @@ def sampled(job: Job, folder: str, settings: SamplerSettings) -> str | None:
                     out=unfinished,
                     seed=job.seed,
                     settings=settings,
+                    as_described=job.as_described,
                     device=job.device,
                     precision=job.precision,
                 )

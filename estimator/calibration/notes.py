@@ -7,11 +7,14 @@ from typing import Any
 
 from estimator.effects import EFFECTS
 from estimator.effects.everywhere import WithEverywhere
+from estimator.effects.stages import RoomEffect
 from estimator.rig.rig import Cause
+
+POSE = "_from_"  # part of the names of a pose
 
 
 def notes(described: WithEverywhere) -> list[str]:
-    """Sentences on what no laboratory is without, and on gains that count as exact.
+    """Sentences on what no laboratory is without, on gains that count as exact, and on iron that the rig file says nothing of.
 
     Args:
         described: The rig that was fitted.
@@ -35,6 +38,12 @@ def notes(described: WithEverywhere) -> list[str]:
         sentences.append(
             "The rig file takes the gains of supply and sensor as exact: if one is 1 % off, so are the fields and the number of turns."
         )
+    of_coils = [p for coil in rig.wound for p in rig.parameters if p.startswith(f"{coil.name}.")]
+    is_fitted = any(rig.depends_on_data(p) for p in of_coils if POSE not in p)
+    if is_fitted and not any(map(_answers_coils, rig.effects)):
+        sentences.append(
+            "The rig file describes no iron: a steel plate or frame near a coil changes its turns and sizes, and may leave no misfit."
+        )
     return sentences
 
 
@@ -53,6 +62,12 @@ def told_by_data(
         for direction in undetermined
         if not all(name.startswith(own) for name in direction["shares"])
     ]
+
+
+def _answers_coils(cause: Cause) -> bool:
+    """Whether it is something in the room, such as iron, whose field is in proportion to that of the coils."""
+    effect = EFFECTS[cause.name]
+    return isinstance(effect, RoomEffect) and type(effect).response is not RoomEffect.response
 
 
 def _listed(causes: Iterable[Cause]) -> str:

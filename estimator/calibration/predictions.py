@@ -36,6 +36,7 @@ class Wanted:
     has_field: bool = True
     has_gradient: bool = False
     has_intervals: bool = True
+    is_of_coils_alone: bool = False
 
 
 def answers(
@@ -51,6 +52,8 @@ def answers(
     Raises:
         InvalidInput: As by these methods, for any of the questions.
     """
+    if wanted.is_of_coils_alone:
+        calibration = calibration.coils_alone()
     if not _can_be_joined(calibration, questions):
         return [answers(calibration, [question], wanted)[0] for question in questions]
     room = calibration.room(torch.cat([q.points_m for q in questions]), _motion(questions))

@@ -7,7 +7,7 @@ import json
 import math
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +17,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.devices import numpy_of
+from estimator.effects.stages import RoomEffect
+from estimator.effects.use import uses_of
 from estimator.errors import CorruptStore, InvalidInput, cut, quoted
 from estimator.export import formats
 from estimator.export.magnet import Magnet
@@ -152,6 +154,19 @@ class Calibration:
             lambda values: room.gradient_T_per_m(values, current_A), draws, len(points_m), 3
         )
         return self.ends(gradients, (len(points_m), 3, 3), level)
+
+    def coils_alone(self) -> Calibration:
+        """This calibration without what is there without current, such as the Earth's field, whose uncertainty a coil has no part in.
+
+        Where no sensor turned, the field of the room is known only together with the zeros of the sensors, so that intervals of both
+        together are far wider than those of the coils.
+        """
+        background = {use.cause for use in uses_of(self.rig, RoomEffect) if use.effect.is_background}
+        effects, corrections = (
+            tuple(cause for cause in acting if cause not in background)
+            for acting in (self.rig.effects, self.rig.corrections)
+        )
+        return replace(self, rig=replace(self.rig, effects=effects, corrections=corrections))
 
     def ends(
         self, values: Float[Tensor, "..."], shape: tuple[int, ...], level: float
@@ -294,9 +309,9 @@ class Calibration:
                     f"calibration must match its SHA-256; {folder / SUMMARY_FILE} was altered, or belongs to another posterior"
                 )
             arrays = {**tree["/constant_data"].arrays, **tree["/observed_data"].arrays}
-            rig = rig_from_state(json.loads(attributes["rig"]), f"rig inside {folder}")
+            rig = rig_from_state(json_object(attributes["rig"], folder), f"rig inside {folder}")
             admit_readings(arrays, rig, str(folder))
-            observations, best = observations_from(arrays, rig), json.loads(attributes["best"])
+            observations, best = observations_from(arrays, rig), json_object(attributes["best"], folder)
             draws, log_prob = tree["/posterior"].arrays, tree["/sample_stats"].arrays["lp"]
             _check_numbers(rig, best, draws, log_prob, folder)
             if any(not isinstance(summary[key], kind) for key, kind in SUMMARY_KEYS.items()):

@@ -11,6 +11,7 @@ from estimator.cli.command_line import command_of
 from estimator.cli.options import (
     MOST_PROCESSES,
     OutputPath,
+    as_described_option,
     ess_option,
     json_option,
     prediction_options,
@@ -54,6 +55,7 @@ from estimator.errors import InvalidInput
     show_default=True,
     help="Sample the posterior of the hypotheses with more than 5 % probability, or of none.",
 )
+@as_described_option
 @ess_option
 @click.option(
     "--workers",
@@ -75,6 +77,7 @@ def batch_command(
     hypotheses: tuple[str, ...],
     each_coil: bool,
     posterior: str,
+    as_described: bool,
     ess: float,
     workers: int | None,
     scheduler: str | None,
@@ -115,6 +118,7 @@ def batch_command(
         scheduler=scheduler,
         device=device,
         precision=precision,
+        as_described=as_described,
         tell=lambda done, total, words: tell_progress(
             f"{done} of {total}: {words}{time_left.words(done, total)}"
         ),

@@ -15,6 +15,7 @@ from estimator.cli.command_line import command_of
 from estimator.cli.options import (
     REFUSED_SINGLE,
     OutputPath,
+    as_described_option,
     ess_option,
     json_option,
     other_rig_option,
@@ -62,11 +63,7 @@ MOST_LISTED = 50  # amplitudes on the screen
     show_default=True,
     help="Treat free loop counts as whole numbers or as real numbers.",
 )
-@click.option(
-    "--as-described",
-    is_flag=True,
-    help="Fit the rig as its file describes it, without the room's field and the zero of the sensors where it does not mention them.",
-)
+@as_described_option
 @prediction_options("readings", REFUSED_SINGLE)
 @overwrite_option
 @json_option

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, printable, show
 from estimator.errors import Faults, InvalidInput
 
 if TYPE_CHECKING:
+    from estimator.readings.flags import Flag
     from estimator.rig.rig import Rig
     from estimator.store.session import Session
 
@@ -99,13 +101,14 @@ def _readings(
     if noted.noted or read is None:
         return [], {}, in_order(noted.noted)
     session, faults, warnings = read.session, list[InvalidInput](), list[str]()
+    flags = flags_of_digits(session.observations)
     if is_rig_right:
-        faults, warnings = _physical_faults(rig, session, str(path))
+        faults, warnings = _physical_faults(rig, session, flags, str(path))
     first, *rest = readings_lines(read.table)
     if read.proposal is not None:
         rest = [*proposal_lines(path, read)[1:], "  " + " ".join(read.proposal.remarks)]
     rest += [f"  {note}" for note in notes_of(read)]
-    sensors, flags = [sensor.name for sensor in rig.sensors], flags_of_digits(session.observations)
+    sensors = [sensor.name for sensor in rig.sensors]
     if flags:
         rest.append(f"  {told(flags, sensors)}")
     record = {"readings": readings_record(read.table), "flagged": [flag.to_json(sensors) for flag in flags]}
@@ -115,16 +118,16 @@ def _readings(
     return [f"{path}: {first}", *rest], record, faults
 
 
-def _physical_faults(rig: Rig, session: Session, source: str) -> tuple[list[InvalidInput], list[str]]:
+def _physical_faults(
+    rig: Rig, session: Session, flags: Sequence[Flag], source: str
+) -> tuple[list[InvalidInput], list[str]]:
     """What an import of the readings would refuse: too few, nothing measured, other units than they claim; and what it would warn of."""
     from estimator.cli.import_readings import with_validation
     from estimator.model.preflight import check_readings
     from estimator.model.unit_gate import check_units
-    from estimator.readings.digits import flags_of_digits
     from estimator.readings.flags import without_flagged
 
     faults, warnings = Faults(is_collected=True), list[str]()
-    flags = flags_of_digits(session.observations)
     check_readings(rig, session.observations, source, faults=faults)
     if not faults.noted:
         with faults.noting():

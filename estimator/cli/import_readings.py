@@ -109,12 +109,14 @@ def import_command(
     flags = flags_of_digits(session.observations)
     warnings = [] if read is None else notes_of(read)
     warnings += check_units(rig, without_flagged(session.observations, flags), source)
+    proposal = None if read is None else read.proposal
+    read = None  # the table of a million readings is not needed beside them
     session = with_validation(session, share, seed)
     check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
     session.save(out, overwrite)
     recipe = None
-    if read is not None and read.proposal is not None and form.map_path is None:
-        recipe = write_recipe(read.proposal, out)
+    if proposal is not None and form.map_path is None:
+        recipe = write_recipe(proposal, out)
     observations, sensors = session.observations, [sensor.name for sensor in rig.sensors]
     result = {
         "session": str(out),

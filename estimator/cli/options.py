@@ -43,6 +43,11 @@ ess_option = click.option(
     show_default=True,
     help="Effective sample size that every parameter must reach.",
 )
+as_described_option = click.option(
+    "--as-described",
+    is_flag=True,
+    help="Fit the rig as its file describes it, without the room's field and the zero of the sensors where it does not mention them.",
+)
 REFUSED_SINGLE = "; refused where single precision would be seen beside the noise"
 other_rig_option = click.option(
     "--rig",

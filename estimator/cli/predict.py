@@ -49,6 +49,11 @@ HEADER = (
 @click.option(
     "--level", type=float, default=0.9, show_default=True, help="Probability of the credible intervals."
 )
+@click.option(
+    "--coils-alone",
+    is_flag=True,
+    help="Leave out what is there without current, such as the Earth's field. It widens intervals where no sensor turned.",
+)
 @click.option("--out", type=OutputPath(), required=True, help="CSV file to write.")
 @prediction_options("points")
 @overwrite_option
@@ -59,6 +64,7 @@ def predict_command(
     currents: tuple[str, ...],
     motions: tuple[str, ...],
     level: float,
+    coils_alone: bool,
     out: Path,
     device: str,
     precision: str,
@@ -80,6 +86,8 @@ def predict_command(
     check_output(out, overwrite)
     there = {"device": device_named(device), "dtype": precision_named(precision)}
     calibration = Calibration.load(folder)
+    if coils_alone:
+        calibration = calibration.coils_alone()
     coordinates_m = grid_axes(axes)
     points_m = torch.from_numpy(
         np.stack(np.meshgrid(*coordinates_m.values(), indexing="ij"), axis=-1).reshape(-1, 3)

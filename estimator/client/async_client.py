@@ -64,10 +64,12 @@ class AsyncClient:
         seed: int = 0,
         settings: SamplerSettings | None = None,
         has_integer_counts: bool = True,
+        as_described: bool = False,
         on_progress: Tell | None = None,
     ) -> AsyncRemoteCalibration:
         """Calibrate a rig from a session, as `Client.calibrate` does."""
-        made = jobs.calibrate(session, rig, seed, settings, has_integer_counts, on_progress)
+        options = {"seed": seed, "has_integer_counts": has_integer_counts, "as_described": as_described}
+        made = jobs.calibrate(session, rig, options, settings, on_progress)
         return AsyncRemoteCalibration(*await self._connection.run(made), self._connection)
 
     async def diagnose(
@@ -77,6 +79,7 @@ class AsyncClient:
         *,
         seed: int = 0,
         has_posterior: bool = False,
+        has_corrections: bool = True,
         minutes: float | None = None,
         most_causes: int | None = None,
         most_readings: int | None = None,
@@ -84,6 +87,7 @@ class AsyncClient:
     ) -> RemoteDiagnosis[AsyncRemoteCalibration]:
         """Find what the simulation gets wrong, as `Client.diagnose` does."""
         options: dict[str, Any] = {"seed": seed, "has_posterior": has_posterior, "minutes": minutes}
+        options |= {"has_corrections": has_corrections}
         options |= {"most_causes": most_causes, "most_readings": most_readings}
         told, rig_text, made = await self._connection.run(jobs.diagnose(session, rig, options, on_progress))
         posterior = None if made is None else AsyncRemoteCalibration(*made, self._connection)
@@ -115,13 +119,14 @@ class AsyncClient:
         hypotheses: Sequence[str] = ("plain",),
         is_each_coil: bool = False,
         has_posterior: bool = True,
+        as_described: bool = False,
         seed: int = 0,
         settings: SamplerSettings | None = None,
         on_progress: Tell | None = None,
     ) -> dict[str, Any]:
         """Calibrate many sessions under several hypotheses, as `Client.batch` does."""
         options: dict[str, Any] = {"hypotheses": list(hypotheses), "is_each_coil": is_each_coil}
-        options |= {"has_posterior": has_posterior, "seed": seed}
+        options |= {"has_posterior": has_posterior, "as_described": as_described, "seed": seed}
         return await self._connection.run(jobs.batch(sessions, rig, options, settings, on_progress))
 
     async def registry(self, rig: Rig) -> AsyncRemoteRegistry:

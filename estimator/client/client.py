@@ -67,12 +67,13 @@ class Client:
         seed: int = 0,
         settings: SamplerSettings | None = None,
         has_integer_counts: bool = True,
+        as_described: bool = False,
         on_progress: Tell | None = None,
     ) -> RemoteCalibration:
         """Calibrate a rig from a session, as `estimator.calibrate` does.
 
         Args:
-            session, rig, seed, settings, has_integer_counts: As in `estimator.calibrate`.
+            session, rig, seed, settings, has_integer_counts, as_described: As in `estimator.calibrate`.
             on_progress: Called as the work proceeds, with `words` and numbers.
         Returns: The calibrated model, which stays at the service.
         Raises:
@@ -80,7 +81,8 @@ class Client:
             JobFailed: The readings cannot support a fit, or the job was cancelled.
             ServiceFault: The service cannot be reached.
         """
-        made = jobs.calibrate(session, rig, seed, settings, has_integer_counts, on_progress)
+        options = {"seed": seed, "has_integer_counts": has_integer_counts, "as_described": as_described}
+        made = jobs.calibrate(session, rig, options, settings, on_progress)
         return RemoteCalibration(*self._connection.run(made), self._connection)
 
     def diagnose(
@@ -90,6 +92,7 @@ class Client:
         *,
         seed: int = 0,
         has_posterior: bool = False,
+        has_corrections: bool = True,
         minutes: float | None = None,
         most_causes: int | None = None,
         most_readings: int | None = None,
@@ -98,13 +101,14 @@ class Client:
         """Find what the simulation gets wrong, as `estimator.diagnose` does.
 
         Args:
-            session, rig, seed, has_posterior, most_readings: As in `estimator.diagnose`.
+            session, rig, seed, has_posterior, has_corrections, most_readings: As in `estimator.diagnose`.
             minutes, most_causes: Its limits.
             on_progress: Called as the work proceeds, with `words` and numbers.
         Raises:
             InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
         """
         options: dict[str, Any] = {"seed": seed, "has_posterior": has_posterior, "minutes": minutes}
+        options |= {"has_corrections": has_corrections}
         options |= {"most_causes": most_causes, "most_readings": most_readings}
         told, rig_text, made = self._connection.run(jobs.diagnose(session, rig, options, on_progress))
         posterior = None if made is None else RemoteCalibration(*made, self._connection)
@@ -151,6 +155,7 @@ class Client:
         hypotheses: Sequence[str] = ("plain",),
         is_each_coil: bool = False,
         has_posterior: bool = True,
+        as_described: bool = False,
         seed: int = 0,
         settings: SamplerSettings | None = None,
         on_progress: Tell | None = None,
@@ -158,14 +163,14 @@ class Client:
         """Calibrate many sessions under several hypotheses, as `estimator.batch` does.
 
         Args:
-            sessions, hypotheses, is_each_coil, has_posterior: As in `estimator.batch`.
+            sessions, hypotheses, is_each_coil, has_posterior, as_described: As in `estimator.batch`.
             rig, seed, settings, on_progress: As in `calibrate`.
         Returns: `fits`, a row for each as in `summary.csv`, and `failed`, reasons by session.
         Raises:
             InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
         """
         options: dict[str, Any] = {"hypotheses": list(hypotheses), "is_each_coil": is_each_coil}
-        options |= {"has_posterior": has_posterior, "seed": seed}
+        options |= {"has_posterior": has_posterior, "as_described": as_described, "seed": seed}
         return self._connection.run(jobs.batch(sessions, rig, options, settings, on_progress))
 
     def registry(self, rig: Rig) -> RemoteRegistry:

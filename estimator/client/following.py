@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from estimator.client.errors import JobFailed
 from estimator.client.steps import Listen, Steps, Wait, send_json
+from estimator.json_files import json_of
 
 Tell = Callable[[Mapping[str, Any]], None]
 LOOK_EVERY_S = 1.0
@@ -67,4 +67,4 @@ class _Events:
         elif "data" in event:
             self._last_id = event.get("id", self._last_id)
             if self._tell is not None:
-                self._tell(json.loads(event["data"]))
+                self._tell(json_of(event["data"], "an event of the service"))

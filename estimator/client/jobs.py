@@ -21,13 +21,12 @@ Summary = tuple[str, dict[str, Any]]
 def calibrate(
     session: Session,
     rig: Rig | None,
-    seed: int,
+    options: Mapping[str, Any],
     settings: SamplerSettings | None,
-    has_integer_counts: bool,
     tell: Tell | None,
 ) -> Steps[Summary]:
     """Id and summary of the calibration that is made."""
-    body = {"seed": seed, "settings": _sampling(settings), "has_integer_counts": has_integer_counts}
+    body = {"settings": _sampling(settings), **options}
     result = yield from _of_session("calibrate", session, rig, body, tell)
     return str(result["calibration_id"]), result["result"]
 

@@ -367,7 +367,7 @@ def _next(diagnosis: Diagnosis) -> str:
             return "Measure again, with more readings, before you rely on the rig file as it is."
         hidden = hidden_words(diagnosis)
         if hidden:
-            return f"{hidden} Where none of these can be, use the rig file as it is."
+            return f"{hidden} Where nothing of that kind can be, use the rig file as it is."
         return "Nothing that these readings show asks for another rig file."
     if any(cause.may_be_unknown for cause in diagnosis.causes):
         return (

@@ -290,6 +290,8 @@ class Diagnosis:
                     "absorbed_by": list(visible.absorbed_by),
                     "hidden_sd": visible.hidden_sd,
                     "hidden_in": visible.hidden_in,
+                    "hidden_size": visible.hidden_size,
+                    "hidden_at": dict(visible.hidden_at),
                 }
                 for visible in left_open.visible
             },

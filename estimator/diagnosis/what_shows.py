@@ -10,12 +10,15 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.effects import EFFECTS
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL
+from estimator.readings.flags import COMPONENTS
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import displays, quantity_words, size_with_unit
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
 
 PLACE = ("x_m", "y_m", "z_m")  # keys of a place
+PLANE = ("axis", "distance_m")  # keys of a plane: the axis across it, and where it crosses that axis
+NOWHERE = "—"
 WHOLLY = 0.999  # share that a pose absorbs of what is another word for it
 LEAST_UNSEEN = 0.1  # share of usual sizes that stay unseen from which on one is told
 KINDS_TOLD = (Kind.ROOM, Kind.COIL, Kind.SENSOR, Kind.MOVER)
@@ -25,8 +28,8 @@ def hidden_words(diagnosis: Diagnosis) -> str:
     """What a session could not have shown though it would move numbers of the rig, in one sentence; empty where there is nothing.
 
     One cause each of the room, a coil, a sensor and a mover: the one that would move a number most, times the share of usual sizes that
-    stay unseen. A source that is built otherwise is none of them, for any number absorbs some of these. Nor is what a free pose says by
-    itself, such as a coil that sits elsewhere.
+    stay unseen where it does. A source that is built otherwise is none of them, for any number absorbs some of these. Nor is what a free
+    pose says by itself, such as a coil that sits elsewhere.
     """
     most: dict[Kind, Visible] = {}
     for visible in sorted(diagnosis.left_open.visible, key=lambda v: -v.hidden_sd * _share_unseen(v)):
@@ -35,20 +38,24 @@ def hidden_words(diagnosis: Diagnosis) -> str:
         is_usual = _share_unseen(visible) > LEAST_UNSEEN
         if is_usual and visible.hidden_sd > policy.LEAST_HIDDEN_SD and not (effect.is_structural or is_pose):
             most.setdefault(effect.kind, visible)
+    each = [_hidden(diagnosis, most[kind]) for kind in KINDS_TOLD if kind in most]
+    return f"These readings could not have shown, for example: {'; '.join(each)}." if each else ""
+
+
+def _hidden(diagnosis: Diagnosis, visible: Visible) -> str:
+    """A quantity, where and up to what size it stays unseen, and which number of the rig absorbs it."""
     display = displays([parameter.name for parameter in diagnosis.rig.free])
-    each = [
-        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {quantity_words(visible.key)} "
-        f"{size_with_unit(min(visible.size, visible.prior_sd), visible.unit)}, which {display[visible.hidden_in].words} absorbs by up to "
-        f"{visible.hidden_sd:.0f} of its standard deviations"
-        for visible in map(most.get, KINDS_TOLD)
-        if visible is not None
-    ]
-    return f"These readings could not have shown: {'; '.join(each)}." if each else ""
+    there = where(visible.hidden_at)
+    size = f"{quantity_words(visible.key)} {size_with_unit(visible.hidden_size, visible.unit)}"
+    return (
+        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {size}{'' if there == NOWHERE else f' {there}'}, which "
+        f"{display[visible.hidden_in].words} absorbs by up to {visible.hidden_sd:.0f} of its standard deviations"
+    )
 
 
 def _share_unseen(visible: Visible) -> float:
-    """Share of the sizes of a quantity, up to its prior's standard deviation, that stay unseen."""
-    return min(visible.size / visible.prior_sd, 1.0)
+    """Share of the sizes of a quantity, up to its prior's standard deviation, that stay unseen at the start that hides most."""
+    return visible.hidden_size / visible.prior_sd
 
 
 def visible_tables(diagnosis: Diagnosis) -> list[Table]:
@@ -88,17 +95,22 @@ def where(at: Mapping[str, float]) -> str:
     Examples:
         >>> where({"x_m": 0.01, "y_m": -0.02, "z_m": 0.0, "since_h": 0.5})
         'at (10, −20, 0) mm, from 1800 s on'
+        >>> where({"axis": 2.0, "distance_m": -0.041})
+        'at z = −41 mm'
         >>> where({"tau_h": 1.0})
         '—'
     """
     words = []
+    if all(key in at for key in PLANE):
+        axis, distance_m = (at[key] for key in PLANE)
+        words.append(f"at {COMPONENTS[int(axis)]} = {1e3 * distance_m:.0f} mm".replace("-", "−"))
     if all(key in at for key in PLACE):
         words.append(f"at ({', '.join(f'{1e3 * at[key]:.0f}' for key in PLACE)}) mm".replace("-", "−"))
     if SINCE in at:
         words.append(f"from {SECONDS_PER_HOUR * at[SINCE]:.0f} s on")
     if UNTIL in at:
         words.append(f"until {SECONDS_PER_HOUR * at[UNTIL]:.0f} s")
-    return ", ".join(words) or "—"
+    return ", ".join(words) or NOWHERE
 
 
 def absorbing(diagnosis: Diagnosis, quantities: Sequence[Visible]) -> str:

@@ -58,23 +58,25 @@ def check_readings(
     faults = faults or Faults()
     with faults.noting():
         _check_values(observations, where)
-    observations = observations.calibration
-    if len(observations) < 2:
+    is_fitted = ~observations.is_validation  # what follows copies no million of readings
+    n_fitted = int(is_fitted.sum())
+    if n_fitted < 2:
         with faults.noting():
-            _refuse_too_few(len(observations), where)
+            _refuse_too_few(n_fitted, where)
         return
-    n_components, n_free = int(observations.is_measured.sum()), len(rig.free)
+    is_measured = observations.is_measured & is_fitted[:, None]
+    n_components, n_free = int(is_measured.sum()), len(rig.free)
     if n_components < n_free:
         rule = f"readings must hold at least as many components as there are free parameters ({n_free})"
         faults.note(InvalidInput(f"{rule}; received {n_components} ({where})"))
-    if needs_current and (observations.current_A == 0.0).all():
+    if needs_current and (observations.current_A[is_fitted] == 0.0).all():
         faults.note(InvalidInput(f"at least one coil must carry current; all currents are 0 A ({where})"))
-    if (observations.field_sensor_T[observations.is_measured] == 0.0).all():
+    if (observations.field_sensor_T[is_measured] == 0.0).all():
         faults.note(InvalidInput(f"sensors must show a field; every component is 0 T ({where})"))
-    motions = [observations.motion[mover.name] for mover in rig.movers]
-    poses = torch.cat([observations.sensor[:, None].double(), *motions], dim=1)
-    if bool((poses == poses[0]).all()):
-        words = f"readings must be taken at several poses; all {len(observations)} share one ({where})"
+    first = int(is_fitted.nonzero()[0])
+    of_pose = [observations.sensor, *(observations.motion[mover.name] for mover in rig.movers)]
+    if all(bool((part[is_fitted] == part[first]).all()) for part in of_pose):
+        words = f"readings must be taken at several poses; all {n_fitted} share one ({where})"
         faults.note(InvalidInput(words))
 
 

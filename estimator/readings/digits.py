@@ -107,14 +107,14 @@ def _codes(values_T: Codes, step_T: float) -> Codes:
 
 
 def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Codes:
-    """Currents and poses of a sensor's readings, each over its range."""
-    columns = [
-        values.cpu().numpy()[own] for values in (observations.current_A, *observations.motion.values())
-    ]
-    settings: Codes = np.concatenate(columns, axis=1, dtype=np.float64)
-    ranges = np.ptp(settings, axis=0)
-    settings /= np.where(ranges > 0.0, ranges, 1.0)
-    return settings
+    """Currents and poses of a sensor's readings, each over its range, without those that never change."""
+    columns = []
+    for values in (observations.current_A, *observations.motion.values()):
+        for column in values.cpu().numpy().T:
+            mine = column[own].astype(np.float64)
+            if (wide := float(np.ptp(mine))) > 0.0:
+                columns.append(mine / wide)
+    return np.stack(columns or [np.zeros(len(own))], axis=1)
 
 
 def _spoilt(codes: Codes, steps_T: list[float], settings: Codes) -> Iterator[tuple[Reason, int, list[int]]]:
@@ -215,9 +215,13 @@ def _filled_in(codes: Codes) -> list[int]:
 def _stuck_bits(codes: Codes) -> Iterator[tuple[int, int]]:
     """Bits of a component that are the same in all readings though higher ones and lower ones change, with their values."""
     whole = codes[~np.isnan(codes)].astype(np.int64)
-    bit = 0
-    while len(np.unique(whole >> (bit + 1))) >= FEWEST_CODES:
-        values = (whole >> bit) & 1
-        if values.min() == values.max():
-            yield bit, int(values[0])
-        bit += 1
+    if not len(whole):
+        return
+    always_one, once_one = int(np.bitwise_and.reduce(whole)), int(np.bitwise_or.reduce(whole))
+    lowest, highest = int(whole.min()), int(whole.max())
+    for bit in range(63):
+        if (highest >> (bit + 1)) - (lowest >> (bit + 1)) < FEWEST_CODES - 1:
+            return  # there are fewer codes than these
+        is_one, may_be_one = always_one >> bit & 1, once_one >> bit & 1
+        if is_one == may_be_one and len(np.unique(whole >> (bit + 1))) >= FEWEST_CODES:
+            yield bit, is_one

@@ -48,10 +48,7 @@ def block_split(observations: Observations, share: float, seed: int) -> Bool[Ten
 
 def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.ndarray, " reading"]:
     """Block number of every reading: k-means of the distinct poses of each sensor, with 20 blocks, or up to 200 for many poses."""
-    features = [observations.sensor[:, None].double(), *(motion for motion in observations.motion.values())]
-    poses = numpy_of(torch.cat(features, dim=1))
-    spread = poses.std(axis=0)
-    distinct, pose_row = _distinct((poses - poses.mean(axis=0)) / np.where(spread > 0.0, spread, 1.0))
+    distinct, pose_row = _distinct(_features(observations))
     n_blocks = min(max(len(distinct) // POSES_PER_BLOCK, FEWEST_BLOCKS), MOST_BLOCKS, len(distinct))
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)  # one block fewer
@@ -65,13 +62,28 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
     return block
 
 
+def _features(observations: Observations) -> Float[np.ndarray, "reading column"]:
+    """What tells poses apart, each less its mean and over its spread."""
+    columns = [observations.sensor[:, None].double(), *observations.motion.values()]
+    features = [
+        (each - each.mean()) / each.std()
+        for part in columns
+        for each in numpy_of(part).T
+        if np.ptp(each) > 0.0
+    ]
+    return np.stack(features or [np.zeros(len(observations))], axis=1)
+
+
 def _distinct(
     poses: Float[np.ndarray, "reading column"],
 ) -> tuple[Float[np.ndarray, "pose column"], Int[np.ndarray, " reading"]]:
     """Different poses in lexical order, and the row of each reading's among them; as `np.unique`, which takes five times as long."""
     order = np.lexsort(poses.T[::-1])
-    is_new = np.ones(len(order), dtype=bool)
-    is_new[1:] = (poses[order[1:]] != poses[order[:-1]]).any(axis=1)
+    is_new = np.zeros(len(order), dtype=bool)
+    is_new[:1] = True
+    for column in poses.T:  # one by one, for there may be millions of poses
+        ordered = column[order]
+        is_new[1:] |= ordered[1:] != ordered[:-1]
     row = np.empty_like(order)
     row[order] = np.cumsum(is_new) - 1
     return poses[order[is_new]], row

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 
 from estimator.derivatives import jacobian_of
 from estimator.frames import rotation_from_vector
-from estimator.rig.parameters import LogNormal, Normal, Parameter, Uniform, normal_log_density
+from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Uniform, normal_log_density
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
@@ -280,13 +280,13 @@ class Coordinates:
         return [(parameter, is_log) for parameter, is_log in each if parameter.name not in together]
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
-        """Draws from the prior, as coordinates; loop counts are rounded to whole numbers."""
+        """Draws from the prior, as coordinates; loop counts are rounded to whole numbers that the prior allows, if there are any."""
         draws: dict[str, Tensor] = {}
         for parameter in self.parameters:
             assert parameter.prior is not None
             draw = parameter.prior.sample(rng, size)
             draws[parameter.name] = torch.as_tensor(
-                np.maximum(np.round(draw), 1.0) if parameter.is_count else draw
+                _whole(draw, parameter.prior) if parameter.is_count else draw
             )
         return self.vector(draws)
 
@@ -393,3 +393,14 @@ def _layers(coil: str, resolve: _Resolve) -> tuple[Tensor, Tensor]:
 def _sum(columns: Sequence[Tensor], terms: Sequence[tuple[int, float]]) -> Tensor:
     """Sum of some columns, each times its factor."""
     return torch.stack([factor * columns[i] for i, factor in terms]).sum(0)
+
+
+def _whole(draw: np.ndarray, prior: Prior) -> np.ndarray:
+    """Draws of a loop count, at least 1, rounded to whole numbers inside the bounds of its prior; as drawn where there is none.
+
+    Examples:
+        >>> _whole(np.array([3.4, 4.4]), Uniform(3.2, 4.5)), _whole(np.array([3.4]), Uniform(3.2, 3.8))
+        (array([4., 4.]), array([3.4]))
+    """
+    lowest, highest = np.ceil(max(prior.lower, 1.0)), np.floor(prior.upper)
+    return np.clip(np.round(draw), lowest, highest) if lowest <= highest else np.maximum(draw, 1.0)

@@ -11,6 +11,8 @@ import logging
 from dataclasses import asdict
 from pathlib import Path
 
+from estimator.errors import CorruptStore
+from estimator.json_files import read_json
 from estimator.recalibration.alerts import run_command
 from estimator.recalibration.registry import Entry
 from estimator.store.files import write_text
@@ -50,7 +52,10 @@ class Alerts:
         if not self._command:
             return
         for path in sorted(self._folder.glob("*.json")):
-            fault = run_command(self._command, json.loads(path.read_text(encoding="utf-8")))
+            try:
+                fault = run_command(self._command, read_json(path, fault=CorruptStore))
+            except CorruptStore as error:
+                fault = str(error)
             path.unlink()
             if fault is None:
                 log.info("alert", extra={"alert": path.stem})

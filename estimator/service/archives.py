@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import shutil
 import stat
 import zipfile
@@ -12,7 +11,8 @@ from collections.abc import Iterator, Sequence, Set
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
-from estimator.errors import CoilcalError
+from estimator.errors import CoilcalError, CorruptStore
+from estimator.json_files import read_json
 from estimator.service.problems import Problem
 from estimator.service.storage import shortage
 from estimator.store.admission import METADATA, admit
@@ -85,7 +85,7 @@ def check_length(n_readings: int, most_readings: int) -> None:
 def _n_claimed(folder: Path) -> int:
     """Readings of a session that was admitted, by its metadata; 0 where they do not say."""
     file = folder / TIMES / METADATA
-    shape = json.loads(file.read_text(encoding="utf-8")).get("shape") if file.is_file() else None
+    shape = read_json(file, fault=CorruptStore).get("shape") if file.is_file() else None
     return int(shape[0]) if shape else 0
 
 

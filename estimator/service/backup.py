@@ -25,9 +25,10 @@ from pathlib import Path
 from typing import Any
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, reason
+from estimator.json_files import json_object
 from estimator.service.core import DATABASE, SESSIONS, UPLOADS
 from estimator.service.database import check_database, explained
-from estimator.store.files import UNFINISHED, sync
+from estimator.store.files import is_unfinished, sync
 from estimator.store.made import JOURNAL
 from estimator.store.session import is_growing
 
@@ -174,7 +175,7 @@ def _files(data: Path) -> Iterator[Path]:
         if part.is_symlink() or not part.is_dir() or part.name == UPLOADS:
             continue
         for folder in sorted(part.iterdir()):
-            if UNFINISHED.fullmatch(folder.name):
+            if is_unfinished(folder.name):
                 continue
             if part.name == SESSIONS and is_growing(folder):
                 yield folder / JOURNAL  # its arrays are being made, or are not there
@@ -213,12 +214,15 @@ def _read(file: Path, folder: Path) -> tuple[dict[str, Any], int]:
     try:
         with tarfile.open(file, mode="r:") as archive:
             archive.extractall(folder, filter="data")
-        manifest = json.loads((folder / MANIFEST).read_text(encoding="utf-8"))
-        checksums = json.loads((folder / CHECKSUMS).read_text(encoding="utf-8"))
+        manifest, checksums = (
+            json_object((folder / name).read_bytes(), name, CorruptStore) for name in (MANIFEST, CHECKSUMS)
+        )
         kind = (manifest["kind"], manifest["schema_version"])
         is_whole = isinstance(manifest["created"], str) and f"{FOLDER}/{DATABASE}" in dict(checksums)
     except FileNotFoundError as error:
         raise CorruptStore(f"backup must be whole; {file} lacks {Path(str(error.filename)).name}") from error
+    except CorruptStore as error:
+        raise CorruptStore(f"backup must be readable; {file} is damaged: {error}") from error
     except UNREADABLE as error:
         raise CorruptStore(f"backup must be readable; {file} is damaged: {type(error).__name__}") from error
     if kind != (KIND, SCHEMA_VERSION) or not is_whole:

@@ -13,7 +13,8 @@ import ipaddress
 import re
 import resource
 from collections import Counter
-from typing import Any
+from collections.abc import Iterator
+from typing import Any, Protocol
 
 import h11
 from h11._receivebuffer import (
@@ -33,6 +34,23 @@ FILES = 4096  # that may be open at once: connections, journals, chunks
 LOOSE_LINE = re.compile(rb"(?<!\r)\n|\n[ \t]")
 # Seconds by which a connection counts as younger that has asked something before, or whose body is under way.
 BONUS_USED_S, BONUS_BEGUN_S = 5.0, 30.0
+
+
+class Waiting(Protocol):
+    """A connection whose client may owe something.
+
+    Attributes:
+        place: Of the client, as `place_of` has it.
+        waits_since_s: Since when the service waits for the client, on the loop's clock; None while it does not.
+        transport: What ends it.
+    """
+
+    place: str
+    transport: asyncio.Transport
+
+    @property
+    def waits_since_s(self) -> float | None:
+        """Since when the service waits for the client."""
 
 
 class StrictLines(ReceiveBuffer):
@@ -62,6 +80,7 @@ class PromptHttp(H11Protocol):
     _awaited: asyncio.TimerHandle | None = None
     _waits_since_s = 0.0
     place = ""  # of the client
+    waits_outside: Waiting | None = None  # what stood for it until its TLS handshake was over
     _has_asked = False
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -71,10 +90,11 @@ class PromptHttp(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """See asyncio."""
         super().connection_made(transport)
+        self.connections.discard(self.waits_outside)
         self.place = place_of(self.client[0] if self.client else "")
         self._await_head()
         if len(self.connections) > MOST_CONNECTIONS:
-            self._make_room()
+            make_room(self, self.connections)
 
     def data_received(self, data: bytes) -> None:
         """See asyncio."""
@@ -112,16 +132,22 @@ class PromptHttp(H11Protocol):
             self._awaited = None
             self._waits_since_s = self.loop.time()
 
-    def _make_room(self) -> None:
-        """Send away those who have kept the service waiting for longest, of the address with most of them."""
-        others = (other for other in self.connections if isinstance(other, PromptHttp) and other is not self)
-        waiting = [(other, since_s) for other in others if (since_s := other.waits_since_s) is not None]
-        n_of_place = Counter(other.place for other, _ in waiting)
-        most = max(n_of_place.values(), default=0)
-        crowd = [pair for pair in waiting if n_of_place[pair[0].place] == most]
-        for other, _ in heapq.nsmallest(ROOM, crowd, key=lambda pair: pair[1]):
-            self.connections.discard(other)  # now, and not when the loop comes to it
-            other.transport.abort()
+
+def make_room(new: Waiting, connections: set[Any]) -> None:
+    """Send away those who have kept the service waiting for longest, of the address with most of them.
+
+    Args:
+        new: A connection that stays.
+        connections: All of the service.
+    """
+    others: Iterator[Waiting] = (other for other in connections if other is not new)
+    waiting = [(other, since_s) for other in others if (since_s := other.waits_since_s) is not None]
+    n_of_place = Counter(other.place for other, _ in waiting)
+    most = max(n_of_place.values(), default=0)
+    crowd = [pair for pair in waiting if n_of_place[pair[0].place] == most]
+    for other, _ in heapq.nsmallest(ROOM, crowd, key=lambda pair: pair[1]):
+        connections.discard(other)  # now, and not when the loop comes to it
+        other.transport.abort()
 
 
 def place_of(address: str) -> str:

@@ -17,7 +17,8 @@ from typing import Any
 from distributed import Future
 
 from estimator.batching.engine import Cluster, cluster, outcome
-from estimator.errors import CoilcalError
+from estimator.errors import CoilcalError, CorruptStore
+from estimator.json_files import read_json
 from estimator.service.job_queue import FAILED, RUNNING, JobQueue
 from estimator.service.schema import Job
 from estimator.service.settings import Settings
@@ -200,10 +201,13 @@ class Dispatcher:
         if ending == "lost":
             self._queue.give_back(job_id)
             return
+        file = self.folder(job_id) / RESULT
         try:
-            result = json.loads((self.folder(job_id) / RESULT).read_text(encoding="utf-8"))
-        except FileNotFoundError:  # the work raised something that it does not explain
-            log.error("job failed", extra={"job": job_id, "fault": ending})
-            result = {"state": FAILED, "fault": f"job must end with a result; it ended with {ending}"}
+            result = read_json(file, fault=CorruptStore)
+        except CorruptStore as error:
+            # Without a file the work raised something that it does not explain.
+            words = str(error).replace(str(file), RESULT) if file.exists() else f"it ended with {ending}"
+            log.error("job failed", extra={"job": job_id, "fault": words})
+            result = {"state": FAILED, "fault": f"job must end with a result; {words}"}
         self._queue.end(job_id, result)
         log.info("job ended", extra={"job": job_id, "state": result["state"]})

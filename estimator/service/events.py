@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import asyncio
-import json
 from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from fastapi.sse import ServerSentEvent
 from starlette.concurrency import run_in_threadpool
 
+from estimator.errors import InvalidInput
+from estimator.json_files import json_object
 from estimator.service.core import Core
 from estimator.service.job_queue import ENDED
 from estimator.service.work import PROGRESS
@@ -65,8 +67,6 @@ class _Lines:
         for line in whole:
             self._end += len(line) + 1
             self._number += 1
-            try:
-                entries.append((self._number, dict(json.loads(line))))
-            except ValueError:
-                continue
+            with suppress(InvalidInput):
+                entries.append((self._number, json_object(line, self._path)))
         return entries

@@ -13,7 +13,7 @@ from importlib.resources import files
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from estimator.service.requests import with_etag
+from estimator.service.requests import JsonRoute, with_etag
 
 PAGE = "/"
 MEDIA_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
@@ -40,7 +40,7 @@ def page_files() -> dict[str, tuple[bytes, str]]:
 
 def page_router() -> APIRouter:
     """A route for each file."""
-    router = APIRouter(include_in_schema=False)
+    router = APIRouter(route_class=JsonRoute, include_in_schema=False)
     for path, (content, media_type) in page_files().items():
         router.add_api_route(path, _answering(content, media_type), response_class=Response)
     return router

@@ -161,8 +161,8 @@ def install(app: FastAPI, data: str, shortage: Callable[[BaseException], Problem
 
     @app.exception_handler(HTTPException)
     async def http(request: Request, error: HTTPException) -> Response:
-        if isinstance(error.__cause__, Problem):  # raised while FastAPI read the body
-            return answer_to(error.__cause__, id_of(request))
+        if isinstance(error.__cause__, CoilcalError):  # raised while FastAPI read the body
+            return await refused(request, error.__cause__)
         words = {404: "must be one that the service has", 405: "must be one that this path takes"}
         thing = {404: "path", 405: "method"}.get(error.status_code, "request")
         value = {404: request.url.path, 405: request.method}.get(error.status_code)

@@ -9,6 +9,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from estimator.errors import InvalidInput
+from estimator.json_files import json_object
 from estimator.rig.rig import Rig
 from estimator.service.problems import Problem, of_validation
 from estimator.store.admission import MOST_REPEATS
@@ -92,7 +94,9 @@ def readings_of(body: bytes, rig: Rig) -> list[Reading]:
 
 def _reading(line: bytes, place: str) -> Reading:
     try:
-        return Reading.model_validate_json(line)
+        return Reading.model_validate(json_object(line, place))
+    except InvalidInput as error:
+        raise Problem(422, place, str(error).removeprefix(f"{place} ")) from None
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)
         raise of_validation([{**first[0], "loc": ("body", *first[0]["loc"])}], place) from None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -20,8 +20,10 @@ from estimator.service.job_queue import ENDED
 from estimator.service.problems import Problem
 from estimator.service.schedules import RECALIBRATE
 from estimator.service.schema import CalibrationRow, Job, SessionRow
+from estimator.service.tokens import Caller, Scope
 
 LOOK_EVERY_S = 3600.0
+MOST_LISTED = 3  # jobs, and users, that a refusal names
 BATCH = "batch"
 log = logging.getLogger("coilcal.service")
 
@@ -40,12 +42,16 @@ def remove_job(db: Session, job: Job) -> None:
     _remove_rows(db, [job])
 
 
-def remove_session(db: Session, session: SessionRow) -> list[str]:
+def remove_session(db: Session, session: SessionRow, caller: Caller) -> list[str]:
     """Delete the row of a session with its judgements.
 
+    Args:
+        db: The database, for writing.
+        session: Its row.
+        caller: Who asks, and may cancel and delete jobs of their own.
     Returns: Ids of the jobs that are gone with it.
     Raises:
-        Problem: A job has worked with it, or works.
+        Problem: A job has worked with it, or works; it says whose, and what to do first.
     """
     jobs = list(db.scalars(select(Job).where(Job.session_id == session.id)))
     others = [job for job in jobs if job.kind != RECALIBRATE or job.state not in ENDED]
@@ -54,12 +60,27 @@ def remove_session(db: Session, session: SessionRow) -> list[str]:
         job for job in batches if job not in others and session.id in job.options.get("session_ids", ())
     ]
     if others:
-        raise Problem(
-            409, "session", "must have no jobs; delete them first", f"{len(others)} jobs", session.id
-        )
+        rule = f"must have no jobs; {_first_steps(others, caller)}"
+        listed = ", ".join(f"{job.kind} {job.id} of {job.user} ({job.state})" for job in others[:MOST_LISTED])
+        more = f" and {len(others) - MOST_LISTED} more" if len(others) > MOST_LISTED else ""
+        raise Problem(409, "session", rule, listed + more, session.id)
     _remove_rows(db, jobs)
     db.delete(session)
     return [job.id for job in jobs]
+
+
+def _first_steps(jobs: Sequence[Job], caller: Caller) -> str:
+    """What has to be done with jobs of a session before it can be deleted, and by whom."""
+    own = [job for job in jobs if caller.scope.includes(Scope.ADMIN) or job.user == caller.user]
+    others = sorted({job.user for job in jobs if job not in own})
+    whose, steps = "yours" if others else "them", []
+    if any(job.state not in ENDED for job in own):
+        steps.append(f"cancel {whose} unless ended (POST /v1/jobs/ID/cancel)")
+    if own:
+        steps.append(f"delete {whose} (DELETE /v1/jobs/ID)")
+    if others:
+        steps.append(f"ask {', '.join(others[:MOST_LISTED])} or an admin to delete the others")
+    return ", then ".join(steps)
 
 
 def _remove_rows(db: Session, jobs: Iterable[Job]) -> None:

@@ -8,11 +8,14 @@ from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
 from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request
+from fastapi.routing import APIRoute
 from pydantic import BaseModel, Field
 from sqlalchemy import Select, tuple_
 from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
+from estimator.json_files import json_of
 from estimator.service.core import Core
 from estimator.service.database import now
 from estimator.service.problems import Problem
@@ -108,6 +111,31 @@ def documented_body(media_type: str, description: str) -> dict[str, Any]:
         schema = {"type": "string", "format": "binary"}
     content = {media_type: {"schema": schema}}
     return {"requestBody": {"required": True, "description": description, "content": content}}
+
+
+class _JsonRequest(Request):
+    """A request whose JSON is read by the loader of all JSON."""
+
+    async def json(self) -> Any:
+        """The value of the body, read in a thread, since a long one takes seconds.
+
+        Raises:
+            InvalidInput: It is no JSON, or has a key twice, a number that is none, half a character or too many levels.
+        """
+        return await run_in_threadpool(json_of, await self.body(), "body")
+
+
+class JsonRoute(APIRoute):
+    """A route of the service; FastAPI's own takes JSON with a key twice, of which one value is lost."""
+
+    def get_route_handler(self) -> Callable[[Request], Coroutine[Any, Any, Response]]:
+        """See `APIRoute`."""
+        handler = super().get_route_handler()
+
+        async def handled(request: Request) -> Response:
+            return await handler(_JsonRequest(request.scope, request.receive))
+
+        return handled
 
 
 class Page(BaseModel, Generic[Item]):

@@ -13,11 +13,12 @@ from fastapi import FastAPI
 
 from estimator.errors import InvalidInput, reason
 from estimator.service.app import create_app
-from estimator.service.connections import MOST_BEFORE_REFUSAL, PromptHttp, allow_files
+from estimator.service.connections import MOST_BEFORE_REFUSAL, allow_files
 from estimator.service.core import DATABASE, Core
 from estimator.service.database import Database, now
 from estimator.service.logs import install_logs
 from estimator.service.settings import KEYS, Settings
+from estimator.service.tls import http_of
 from estimator.service.tokens import all_tokens
 
 GRACE_S = 10  # for answers that are under way when the service is told to end
@@ -32,7 +33,7 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
         tell: Called with the address, once requests to it are answered.
         opens: Show the page in this computer's browser.
     Raises:
-        InvalidInput: Tokens are needed and there are none, or the address or the data folder cannot be used.
+        InvalidInput: Tokens are needed and there are none, or the address, the data folder or the certificate cannot be used.
     """
     _check_tokens(settings)
     install_logs()
@@ -40,6 +41,7 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
     listener = _bound(settings)
     try:
         app = create_app(settings)
+        config = config_of(app, settings)
     except BaseException:
         listener.close()
         raise
@@ -47,7 +49,7 @@ def serve(settings: Settings, tell: Callable[[str], None], opens: bool = False) 
     tell(address)
     if opens:
         threading.Thread(target=webbrowser.open, args=(address,), daemon=True).start()
-    _Server(config_of(app, settings), app.state.core).run(sockets=[listener])
+    _Server(config, app.state.core).run(sockets=[listener])
 
 
 class _Server(uvicorn.Server):
@@ -67,7 +69,7 @@ def config_of(app: FastAPI, settings: Settings) -> uvicorn.Config:
     """How uvicorn serves the application."""
     return uvicorn.Config(
         app,
-        http=PromptHttp,
+        http=http_of(settings),  # type: ignore[arg-type]  # it only calls what it is given
         limit_concurrency=MOST_BEFORE_REFUSAL,
         log_config=None,
         access_log=False,
@@ -75,8 +77,6 @@ def config_of(app: FastAPI, settings: Settings) -> uvicorn.Config:
         proxy_headers=False,
         ws="none",
         timeout_graceful_shutdown=GRACE_S,
-        ssl_certfile=settings.tls_certificate or None,
-        ssl_keyfile=settings.tls_key or None,
     )
 
 
@@ -87,6 +87,7 @@ def plan_of(settings: Settings) -> dict[str, object]:
         InvalidInput: It would refuse to start.
     """
     _check_tokens(settings)
+    http_of(settings)
     return {
         "address": address_of(settings, settings.port),
         "tokens": f"needed; {_n_tokens(settings)} are valid" if settings.needs_tokens else "not needed",

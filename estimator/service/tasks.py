@@ -90,6 +90,7 @@ def batch_job(job: Mapping[str, Any], folder: Path, _: Path, tell: Tell) -> dict
         hypotheses=options["hypotheses"],
         is_each_coil=options["is_each_coil"],
         has_posterior=options["has_posterior"],
+        as_described=options.get("as_described", False),
         seed=options["seed"],
         settings=SamplerSettings(**options["settings"]),
         workers=0,
@@ -124,4 +125,7 @@ def rig_of(job: Mapping[str, Any]) -> Rig | None:
 
 def command_of(job: Mapping[str, Any], name: str) -> str:
     """The command that would do the same, for the page."""
-    return f"coilcal {name} SESSION --seed {job['options']['seed']}   (job {job['id']} of coilcal serve)"
+    options = job["options"]
+    flags = " --as-described" if options.get("as_described") else ""
+    flags += "" if options.get("has_corrections", True) else " --no-corrections"
+    return f"coilcal {name} SESSION --seed {options['seed']}{flags}   (job {job['id']} of coilcal serve)"

@@ -58,7 +58,7 @@ def run_job(folder: str, session: str) -> None:
             return
         if (path / STOP).exists():
             return
-        job = json.loads((path / JOB).read_text(encoding="utf-8"))
+        job = read_json(path / JOB, fault=CorruptStore)
         tell = _teller(path)
         try:
             result = {"state": "done", "fault": None, **WORK[job["kind"]](job, path, Path(session), tell)}
@@ -103,6 +103,7 @@ def _calibrate(job: Mapping[str, Any], folder: Path, session_path: Path, tell: T
             seed=options["seed"],
             settings=SamplerSettings(**options["settings"]),
             has_integer_counts=options["has_integer_counts"],
+            as_described=options.get("as_described", False),  # jobs of version 0.2 do not say it
             on_stage=on_stage,
         )
     tell("page", {})
@@ -144,6 +145,7 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
         out=out,
         seed=options["seed"],
         has_posterior=options["has_posterior"],
+        has_corrections=options.get("has_corrections", True),
         limits=Limits(**limits),
         **readings,
         on_stage=lambda words: tell(words, {}),

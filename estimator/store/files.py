@@ -11,6 +11,7 @@ import os
 import re
 import secrets
 import stat
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -18,7 +19,7 @@ from pathlib import Path
 from estimator.errors import DiskFull, InvalidInput, reason
 
 LONGEST_NAME = 200  # bytes of a name that its unfinished file repeats; file systems take 255
-UNFINISHED = re.compile(r"\..+\.[0-9a-f]{16}\.coilcal")
+UNFINISHED = re.compile(r"(\..+\.[0-9a-f]{16})([0-9a-f]{8})\.coilcal", re.DOTALL)
 KINDS = (
     (stat.S_ISLNK, "a link"),
     (stat.S_ISDIR, "a folder"),
@@ -90,8 +91,24 @@ def write_all(descriptor: int, content: bytes) -> None:
 
 
 def unfinished_name(name: str) -> str:
-    """A name beside a file or folder while it is written; hidden, new at each call."""
-    return f"{unfinished_prefix(name)}{secrets.token_hex(8)}.coilcal"
+    """A name beside a file or folder while it is written; hidden, new at each call, and known again by a checksum in it.
+
+    Examples:
+        >>> is_unfinished(unfinished_name("s.zarr")), is_unfinished(".s.zarr.0123456789abcdef01234567.coilcal")
+        (True, False)
+    """
+    begin = f"{unfinished_prefix(name)}{secrets.token_hex(8)}"
+    return f"{begin}{_checksum(begin)}.coilcal"
+
+
+def is_unfinished(name: str) -> bool:
+    """Whether `unfinished_name` has given a name: only what has such a name is deleted where nothing else says whose it is."""
+    parts = UNFINISHED.fullmatch(name)
+    return parts is not None and _checksum(parts[1]) == parts[2]
+
+
+def _checksum(begin: str) -> str:
+    return f"{zlib.crc32(os.fsencode(begin)):08x}"
 
 
 def unfinished_prefix(name: str) -> str:

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from typing import Any
 
+from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.state import rig_state
 from estimator.store.journal import Entry
 from estimator.tensors import Tensor, torch
+from estimator.units import LARGEST
 
 GROWING = "coilcal growing session"
 SCHEMA_VERSION = 1
@@ -63,8 +65,12 @@ class StopReadings:
     answer_s: Mapping[str, float] = field(default_factory=dict)
 
     def entry(self) -> Entry:
-        """Entry of the journal, with None for NaN."""
-        return {
+        """Entry of the journal, with None for NaN.
+
+        Raises:
+            InvalidInput: A number is beyond those that a session may hold.
+        """
+        entry = {
             **asdict(self),
             "field_T": {name: _nulls(field_T) for name, field_T in self.field_T.items()},
             "sd_T": {name: _nulls(sd_T) for name, sd_T in self.sd_T.items()},
@@ -72,6 +78,12 @@ class StopReadings:
                 zip(self.temperature_C, _nulls(list(self.temperature_C.values())), strict=True)
             ),
         }
+        for name, value in entry.items():
+            for number in _numbers_in(value):
+                if not abs(number) <= LARGEST:
+                    rule = f"{name} of a reading must hold numbers between {-LARGEST:g} and {LARGEST:g}"
+                    raise InvalidInput(f"{rule}; received {number:g}")
+        return entry
 
 
 def new_header(
@@ -181,6 +193,17 @@ def load_so_far(
         longest_s = max(longest_s, end_s - begin_s)
     add_pause(now_s)
     return intervals
+
+
+def _numbers_in(value: Any) -> Iterator[float]:
+    """All numbers of a part of an entry."""
+    if isinstance(value, Mapping):
+        value = list(value.values())
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        for part in value:
+            yield from _numbers_in(part)
+    elif isinstance(value, float | int):
+        yield value
 
 
 def _nulls(values: Numbers) -> list[float | None]:

@@ -137,7 +137,13 @@ class Journal:
         self.close()
 
     def _write(self, entries: Sequence[Mapping[str, Any]]) -> None:
-        lines = b"".join(_line(number, entry) for number, entry in enumerate(entries, start=self._n_lines))
+        try:
+            lines = b"".join(
+                _line(number, entry) for number, entry in enumerate(entries, start=self._n_lines)
+            )
+        except ValueError as error:  # of JSON, which has no infinity
+            rule = f"session must hold finite numbers; {self._path.parent} would hold another"
+            raise InvalidInput(rule) from error
         try:
             n_written = 0
             while n_written < len(lines):

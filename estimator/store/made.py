@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from estimator.errors import InvalidInput
-from estimator.store.files import UNFINISHED, kind_of
+from estimator.store.files import is_unfinished, kind_of
 
 MOST_NAMED = 3
 ZARR_PARTIAL = re.compile(r".+\.[0-9a-f]{32}\.partial")  # of zarr, while it replaces a chunk
@@ -84,7 +84,7 @@ class Made:
                 path = here / name
                 known = path.relative_to(folder).as_posix()
                 kind = kind_of(path)
-                if any(UNFINISHED.fullmatch(part) for part in Path(known).parts):
+                if any(map(is_unfinished, Path(known).parts)):
                     is_own = kind in ("a file", "a folder")
                 elif kind == "a folder":
                     is_own = any(path.iterdir()) or pattern.fullmatch(known + "/") is not None

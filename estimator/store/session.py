@@ -340,7 +340,7 @@ def digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], attributes:
     for name in sorted(arrays):
         dimensions, data = arrays[name]
         result.update(f"{name} {dimensions} {data.dtype.str} {data.shape}".encode())
-        result.update(np.ascontiguousarray(data).tobytes())
+        result.update(np.ascontiguousarray(data).reshape(-1).view(np.uint8).data)
     return result.hexdigest()
 
 

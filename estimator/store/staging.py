@@ -2,8 +2,8 @@
 
 Beside the output stands, while it is written, a hidden folder with a random name that only its user can enter:
 
-    .NAME.0123456789abcdef.coilcal/
-        coilcal          what this folder is, in a sentence; coilcal deletes no folder that lacks it
+    .NAME.0123456789abcdef53199928.coilcal/    16 random digits, and 8 that are their checksum: coilcal deletes no folder that lacks it
+        coilcal          what this folder is, in a sentence
         new/NAME         what is being written
         old/NAME         what it replaces, where the disk cannot exchange two names at once
 
@@ -25,7 +25,7 @@ from pathlib import Path
 
 from estimator.errors import InvalidInput
 from estimator.store.files import (
-    UNFINISHED,
+    is_unfinished,
     kind_of,
     real,
     sync,
@@ -294,7 +294,7 @@ def _stages(output: Path) -> list[Path]:
             for entry in entries
             if entry.name.startswith(prefix)
             and len(entry.name) == len(unfinished_name(output.name))
-            and UNFINISHED.fullmatch(entry.name)
+            and is_unfinished(entry.name)
         ]
     text = MARK_TEXT.format(name=output.name).encode()
     stages = []

@@ -17,7 +17,6 @@ from torch import Tensor
 
 from estimator.calibration.result import INTERVAL_DRAWS, Calibration
 from estimator.effects.base import Effect
-from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput, quoted
 from estimator.export import formats
@@ -95,19 +94,16 @@ class System:
         for calibration in {id(c): c for c in self.calibrations.values()}.values():
             coils = tuple(c for c in calibration.rig.coils if self.calibrations.get(c.name) is calibration)
             left_out = {coil.name for coil in calibration.rig.coils} - {coil.name for coil in coils}
-            acting = [cause for cause in calibration.rig.acting if cause.place not in left_out]
-            background = [
-                use.cause for use in uses_of(calibration.rig, RoomEffect) if use.effect.is_background
-            ]
-            if has_background:
-                acting = [cause for cause in acting if cause not in background]
+            alone = calibration.coils_alone()
+            rig = alone.rig if has_background else calibration.rig
             effects, corrections = (
-                tuple(cause for cause in all_ if cause in acting)
-                for all_ in (calibration.rig.effects, calibration.rig.corrections)
+                tuple(cause for cause in acting if cause.place not in left_out)
+                for acting in (rig.effects, rig.corrections)
             )
-            rig = replace(calibration.rig, coils=coils, effects=effects, corrections=corrections)
-            has_background = has_background or bool(background)
-            parts.append(replace(calibration, rig=rig))
+            parts.append(
+                replace(calibration, rig=replace(rig, coils=coils, effects=effects, corrections=corrections))
+            )
+            has_background = has_background or alone.rig.acting != calibration.rig.acting
         return tuple(parts)
 
     def currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -99,3 +100,14 @@ def test_what_version_0_2_wrote_has_no_seal(tmp_path: Path) -> None:
     path.write_text(sealed({"verdict": "named"}, indent=2).replace("named", "clean"), encoding="utf-8")
     with pytest.raises(CorruptStore, match=r"diagnosis.json must match its SHA-256; it was altered"):
         read_json(path, fault=CorruptStore)
+
+
+def test_no_other_loader_reads_json() -> None:
+    """But of text that the same process has just written, or read by this loader before."""
+    root = Path(__file__).parents[2] / "estimator"
+    others = {
+        path.relative_to(root).as_posix()
+        for path in root.rglob("*.py")
+        if re.search(r"\bjson\.loads?\(|model_validate_json\(", path.read_text(encoding="utf-8"))
+    }
+    assert others == {"json_files.py", "diagnosis/fit_journal.py", "service/tasks.py"}

@@ -34,6 +34,8 @@ class Visible:
         hidden_sd: How far it may move a number of the rig, in the number's standard deviations, and stay unseen: of all starts and sizes
             up to the visible one and to the prior's standard deviation.
         hidden_in: The number that it would move most.
+        hidden_size: The size at which it does, distance from the null.
+        hidden_at: Shapes of the start at which it does.
     """
 
     cause: Cause
@@ -46,11 +48,23 @@ class Visible:
     absorbed_by: tuple[str, ...] = ()
     hidden_sd: float = 0.0
     hidden_in: str = ""
+    hidden_size: float = 0.0
+    hidden_at: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def is_visible(self) -> bool:
         """Whether a plausible size would show."""
         return self.size < policy.PLAUSIBLE_SD * self.prior_sd
+
+    def hidden_like(self, other: Visible) -> Visible:
+        """This smallest size with what another start hides."""
+        return replace(
+            self,
+            hidden_sd=other.hidden_sd,
+            hidden_in=other.hidden_in,
+            hidden_size=other.hidden_size,
+            hidden_at=other.hidden_at,
+        )
 
 
 def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
@@ -77,7 +91,8 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
             size = policy.VISIBLE_SIGMA / n_sigma if n_sigma > 0.0 else math.inf
             prior_sd = float(candidate.prior_sd[i])
             most = int(moves.argmax()) if len(names) else 0
-            hidden_sd = min(size, prior_sd) * float(moves[most]) if len(names) else 0.0
+            unseen = min(size, prior_sd)
+            hidden_sd = unseen * float(moves[most]) if len(names) else 0.0
             known = best.get((candidate.cause, key))
             if known is None or size < known.size:
                 share = 1.0 - min(n_sigma / float(lengths[begin + i]), 1.0) ** 2
@@ -87,10 +102,15 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
                 here = Visible(
                     candidate.cause, key, candidate.units[i], size, prior_sd, candidate.shapes, share, by
                 )
-                hidden = (0.0, "") if known is None else (known.hidden_sd, known.hidden_in)
-                known = replace(here, hidden_sd=hidden[0], hidden_in=hidden[1])
+                known = here if known is None else here.hidden_like(known)
             if hidden_sd > known.hidden_sd:
-                known = replace(known, hidden_sd=hidden_sd, hidden_in=names[most])
+                known = replace(
+                    known,
+                    hidden_sd=hidden_sd,
+                    hidden_in=names[most],
+                    hidden_size=unseen,
+                    hidden_at=candidate.shapes,
+                )
             best[candidate.cause, key] = known
         begin += len(candidate.keys)
     return list(best.values())

@@ -80,7 +80,8 @@ export class NewJobView {
       <label>Hypotheses, separated by spaces <input name="hypotheses" value="plain" required aria-describedby="hypotheses" /></label>
       <p class="muted" id="hypotheses"><code>plain</code> is the rig as described; <code>axis_gain</code> frees a cause in addition, <code>axis_gain+sensor_offset</code> two.</p>
       <label><input type="checkbox" name="each" /> Calibrate each coil by itself</label>
-      <label><input type="checkbox" name="posterior" checked /> Sample the probable hypotheses</label>`;
+      <label><input type="checkbox" name="posterior" checked /> Sample the probable hypotheses</label>
+      <label><input type="checkbox" name="described" /> Fit rigs as described, without a field of the room and zeros of sensors that they do not mention</label>`;
   }
 
   design() {
@@ -116,6 +117,7 @@ export class NewJobView {
         hypotheses: listed(form.get("hypotheses")),
         is_each_coil: form.has("each"),
         has_posterior: form.has("posterior"),
+        as_described: form.has("described"),
         seed,
       };
     }

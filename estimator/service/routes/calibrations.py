@@ -15,11 +15,11 @@ from estimator.rig_files.write import rig_text
 from estimator.service.archives import zipped
 from estimator.service.core import Core
 from estimator.service.problems import not_found
-from estimator.service.requests import CoreOf, Cursor, Id, Limit, Page, Reader, page_of, with_etag
+from estimator.service.requests import CoreOf, Cursor, Id, JsonRoute, Limit, Page, Reader, page_of, with_etag
 from estimator.service.schema import CalibrationRow, Job
 from estimator.service.work import calibration_folder
 
-router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
 
 
 class CalibrationInfo(BaseModel):

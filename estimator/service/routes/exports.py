@@ -20,11 +20,11 @@ from estimator.export.request import Grid
 from estimator.service.core import Core
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, Reader
+from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
 from estimator.service.routes.calibrations import calibration_of
 from estimator.service.routes.predictions import MOST_COORDINATES
 
-router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
 BYTES = "application/octet-stream"
 FILE: dict[str, Any] = {
     "response_class": Response,

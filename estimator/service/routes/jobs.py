@@ -28,6 +28,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    JsonRoute,
     Key,
     Limit,
     Page,
@@ -46,7 +47,7 @@ from estimator.service.webhooks import announce_end
 from estimator.service.work import DIAGNOSIS, PANELS, report_file, result_file
 from estimator.store.session import load_session
 
-router = APIRouter(prefix="/v1/jobs", tags=["jobs"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/jobs", tags=["jobs"])
 MOST_SESSIONS = 200  # of a batch
 PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
 """Content-Security-Policy of reports, which are one file with their style and pictures inside; nothing in them may run."""
@@ -57,6 +58,12 @@ SessionId = Annotated[str, Field(pattern=ID, description="A closed session.")]
 RigId = Annotated[
     str | None,
     Field(pattern=ID, description="Another description of the session's rig; its own where left out."),
+]
+AsDescribed = Annotated[
+    bool,
+    Field(
+        description="Leave out a field of the room and a zero of each sensor that the rig does not mention."
+    ),
 ]
 Word = Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -88,12 +95,16 @@ class NewCalibration(NewJob):
 
     settings: Sampling = Sampling()
     has_integer_counts: Annotated[bool, Field(description="Treat free loop counts as whole numbers.")] = True
+    as_described: AsDescribed = False
 
 
 class NewDiagnosis(NewJob):
     """A diagnosis to make."""
 
     has_posterior: Annotated[bool, Field(description="Sample the posterior of the extended rig.")] = False
+    has_corrections: Annotated[
+        bool, Field(description="Correct predictions by what is left without a name.")
+    ] = True
     minutes: Annotated[
         float | None, Field(gt=0, le=1e5, allow_inf_nan=False, description="Time for the search.")
     ] = None
@@ -142,6 +153,7 @@ class NewBatch(BaseModel):
     ] = ["plain"]
     is_each_coil: Annotated[bool, Field(description="Calibrate each coil by itself.")] = False
     has_posterior: Annotated[bool, Field(description="Sample the probable hypotheses.")] = True
+    as_described: AsDescribed = False
     settings: Sampling = Sampling()
 
 
@@ -244,14 +256,17 @@ Submitted = Annotated[Submission, Depends()]
 @router.post("/calibrate", status_code=201, responses=KNOWN)
 def calibrate(submission: Submitted, body: NewCalibration) -> JobInfo:
     """Queue a calibration: point estimate, posterior, model."""
-    options = {"seed": body.seed, **body.model_dump(include={"settings", "has_integer_counts"})}
+    options = {
+        "seed": body.seed,
+        **body.model_dump(include={"settings", "has_integer_counts", "as_described"}),
+    }
     return submission.queue("calibrate", [body.session_id], body.rig_id, options)
 
 
 @router.post("/diagnose", status_code=201, responses=KNOWN)
 def diagnose(submission: Submitted, body: NewDiagnosis) -> JobInfo:
     """Queue a diagnosis: what the simulation gets wrong, named, and the rig extended by it."""
-    limits = {"has_posterior", "minutes", "most_causes", "most_readings"}
+    limits = {"has_posterior", "has_corrections", "minutes", "most_causes", "most_readings"}
     options = {"seed": body.seed, **body.model_dump(include=limits)}
     return submission.queue("diagnose", [body.session_id], body.rig_id, options)
 

@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from estimator.service.logins import begin_login, end_login
 from estimator.service.problems import Problem
-from estimator.service.requests import CoreOf, Reader, audited
+from estimator.service.requests import CoreOf, JsonRoute, Reader, audited
 from estimator.service.tokens import Scope, caller_of
 
-router = APIRouter(prefix="/v1", tags=["page"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1", tags=["page"])
 
 
 class Login(BaseModel):

@@ -12,11 +12,11 @@ from sqlalchemy import func, select
 
 from estimator.service.job_queue import QUEUED, RUNNING
 from estimator.service.problems import Problem
-from estimator.service.requests import Admin, CoreOf, Limit, Reader
+from estimator.service.requests import Admin, CoreOf, JsonRoute, Limit, Reader
 from estimator.service.schema import Audit, Job
 from estimator.service.tokens import Scope
 
-router = APIRouter()
+router = APIRouter(route_class=JsonRoute)
 Before = Annotated[
     int | None, Query(ge=1, le=2**53, description="`number` of the last entry of the page before.")
 ]

@@ -21,10 +21,10 @@ from estimator.service.core import Core
 from estimator.service.predictions import BLOCK
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, Reader
+from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
 from estimator.service.routes.calibrations import calibration_of
 
-router = APIRouter(prefix="/v1/calibrations", tags=["calibrations"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
 Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector = list[float | None]
 MOST_COORDINATES = 10_000  # of one axis
@@ -48,6 +48,9 @@ class Wish(BaseModel):
     has_intervals: Annotated[
         bool, Field(description="With credible intervals, from 400 evenly spaced draws of the posterior.")
     ] = True
+    is_of_coils_alone: Annotated[
+        bool, Field(description="Without what is there without current, such as the Earth's field.")
+    ] = False
 
 
 class PointsQuestion(Wish):
@@ -148,7 +151,7 @@ async def _blocks(
 ) -> AsyncIterator[tuple[Tensor, Mapping[str, Tensor]]]:
     """What is predicted at some points after others, so that other questions pass between."""
     folder = await run_in_threadpool(_checked_folder, core, calibration_id, wish)
-    wanted = predictions.Wanted(wish.has_field, wish.has_gradient, wish.has_intervals)
+    wanted = predictions.Wanted(wish.has_field, wish.has_gradient, wish.has_intervals, wish.is_of_coils_alone)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in wish.motion.items()}
     with core.predictor.admitted():
         for block in points_m.split(BLOCK):

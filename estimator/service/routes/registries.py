@@ -17,13 +17,24 @@ from estimator.service.core import Core
 from estimator.service.job_queue import RETRY_AFTER_S
 from estimator.service.ownership import OWN_REGISTRY
 from estimator.service.problems import Problem
-from estimator.service.requests import CoreOf, Cursor, Id, Item, Limit, Page, Reader, Writer, audited
+from estimator.service.requests import (
+    CoreOf,
+    Cursor,
+    Id,
+    Item,
+    JsonRoute,
+    Limit,
+    Page,
+    Reader,
+    Writer,
+    audited,
+)
 from estimator.service.routes.calibrations import Interval
 from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schedules import is_judgement_of
 from estimator.service.schema import CalibrationRow, Job
 
-router = APIRouter(prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
 Row = TypeVar("Row")
 
 

@@ -10,10 +10,10 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from estimator.recalibration.timeline import judged, summary_of, versions_in_use
-from estimator.service.requests import CoreOf, Id, Reader
+from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
 from estimator.service.routes.registries import registry_of
 
-router = APIRouter(prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
 MOST_SESSIONS = 500  # ten years of weekly ones
 Numbers = Annotated[list[float], Field(min_length=2, max_length=3)]
 

@@ -8,10 +8,10 @@ from sqlalchemy import select
 from estimator.service.ownership import OWN_JOB, OWN_SESSION
 from estimator.service.problems import not_found
 from estimator.service.removal import remove_job, remove_session
-from estimator.service.requests import CoreOf, Id, Writer, audited
+from estimator.service.requests import CoreOf, Id, JsonRoute, Writer, audited
 from estimator.service.schema import Job, SessionRow
 
-router = APIRouter(prefix="/v1")
+router = APIRouter(route_class=JsonRoute, prefix="/v1")
 
 
 @router.delete("/jobs/{job_id}", status_code=204, tags=["jobs"], dependencies=[OWN_JOB])
@@ -33,7 +33,7 @@ def delete_session(request: Request, core: CoreOf, caller: Writer, session_id: I
         session = db.get(SessionRow, session_id)
         if session is None:
             raise not_found("session", session_id)
-        job_ids = remove_session(db, session)
+        job_ids = remove_session(db, session, caller)
         audited(db, request, caller, "session.delete", session_id)
     core.sessions.remove(session_id)
     core.fits.forget(lambda known: known == session_id)

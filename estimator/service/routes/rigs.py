@@ -20,6 +20,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    JsonRoute,
     Limit,
     Page,
     Reader,
@@ -33,7 +34,7 @@ from estimator.service.requests import (
 from estimator.service.schema import RigVersion
 
 YAML = ("application/yaml", "application/x-yaml", "text/yaml")
-router = APIRouter(prefix="/v1/rigs", tags=["rigs"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/rigs", tags=["rigs"])
 Text = Annotated[bytes, Depends(raw_body(*YAML))]
 BODY = documented_body("application/yaml", "Text of a rig file.")
 

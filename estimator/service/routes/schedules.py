@@ -18,6 +18,7 @@ from estimator.service.requests import (
     CoreOf,
     Cursor,
     Id,
+    JsonRoute,
     Limit,
     Page,
     Reader,
@@ -30,7 +31,7 @@ from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schedules import next_run, trigger_of
 from estimator.service.schema import RigVersion, Schedule
 
-router = APIRouter(prefix="/v1/schedules", tags=["schedules"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/schedules", tags=["schedules"])
 MOST_SCHEDULES, MOST_OF_USER = 100, 50
 
 

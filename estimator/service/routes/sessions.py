@@ -30,6 +30,7 @@ from estimator.service.requests import (
     Cursor,
     Id,
     ImportRoom,
+    JsonRoute,
     Key,
     Limit,
     Page,
@@ -53,7 +54,7 @@ from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session, load_session
 
 OPEN, CLOSED = "open", "closed"
-router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/sessions", tags=["sessions"])
 RigId = Annotated[str, Query(pattern=ID, description="Version of the rig on which the readings were taken.")]
 Ndjson = Annotated[bytes, Depends(raw_body("application/x-ndjson", "application/jsonl"))]
 Csv = Annotated[bytes, Depends(raw_body("text/csv"))]

@@ -15,11 +15,11 @@ from sqlalchemy.orm import Session
 from estimator.service.database import new_id, now
 from estimator.service.post import LONGEST_URL, SECRET_PREFIX, check_url
 from estimator.service.problems import Problem, not_found
-from estimator.service.requests import Admin, CoreOf, Cursor, Id, Limit, Page, audited, page_of
+from estimator.service.requests import Admin, CoreOf, Cursor, Id, JsonRoute, Limit, Page, audited, page_of
 from estimator.service.schema import Delivery, Webhook
 from estimator.service.webhooks import TEST, message
 
-router = APIRouter(prefix="/v1/webhooks", tags=["webhooks"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/webhooks", tags=["webhooks"])
 MOST_WEBHOOKS = 20
 
 

@@ -7,10 +7,10 @@ from typing import Annotated
 from fastapi import APIRouter, Query
 
 from estimator.diagnosis.what_if import PossibleCause, WhatIf, possible_causes, what_if
-from estimator.service.requests import CoreOf, Id, Reader
+from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
 from estimator.service.routes.sessions import closed_row_of
 
-router = APIRouter(prefix="/v1/sessions", tags=["sessions"])
+router = APIRouter(route_class=JsonRoute, prefix="/v1/sessions", tags=["sessions"])
 Label = Annotated[str, Query(min_length=1, max_length=200, description="As `axis_gain[hall]`.")]
 
 

@@ -169,6 +169,49 @@ def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not
     assert len(load_session(folder).observations) == 1
 
 
+@pytest.mark.parametrize("value", [9.91e37, -9.9e37, 1e300, math.inf, math.nan])
+def test_a_number_that_stands_for_none_is_not_measured_and_the_session_opens_again(
+    tmp_path: Path, small_rig: Rig, stops: Observations, value: float
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices(Scripted((1e-3, value, 2e-3)))
+    answer = SimpleNamespace(value=value)
+    devices.thermometers = {"coil1": SimpleNamespace(read_temperature_K=lambda *, timeout_s: answer)}
+    with begun(folder, small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE)
+        sealed = seal(folder)
+    readings = load_session(folder).observations
+    assert load_session(folder).hash == sealed.hash
+    assert readings.is_measured.tolist() == [[True, False, True]] * len(stops)
+    assert bool(readings.temperature_C["coil1"].isnan().all())
+
+
+@pytest.mark.parametrize("value", [1.1e12, -1e300, math.inf])
+@pytest.mark.parametrize("part", ["supply", "arm"])
+def test_a_current_or_pose_that_no_session_may_hold_ends_the_run_without_current(
+    tmp_path: Path, small_rig: Rig, stops: Observations, value: float, part: str
+) -> None:
+    folder = tmp_path / "session.zarr"
+    devices = rig_of_devices()
+
+    def spoil(_: Progress) -> None:
+        if part == "supply":
+            devices.sources["coil1"].share = value
+        else:
+            devices.arms["arm1"].pose = replace(HOME, position_m=(value, 0.0, 0.0))
+            devices.arms["arm1"].move_to = lambda *_, **__: None
+
+    with (
+        begun(folder, small_rig, stops, devices) as journal,
+        pytest.raises(
+            (InvalidInput, DeviceFault), match="gives no new measurement|must hold numbers between"
+        ),
+    ):
+        acquire(stops, small_rig, devices, journal, PACE, spoil)
+    assert devices.sources["coil1"].told[-1] == ("off",)
+    assert len(load_session(folder).observations) == 1
+
+
 @pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
 def test_times_increase_even_if_the_clock_of_the_computer_is_set(
     tmp_path: Path, small_rig: Rig, stops: Observations, monkeypatch: pytest.MonkeyPatch, step_s: float

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import arviz
@@ -24,7 +25,7 @@ from estimator.readings.plan import Plan, load_plan
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
-from tests.estimator.conftest import SIDEWAYS, TWO_COILS
+from tests.estimator.conftest import RIG, SIDEWAYS, TWO_COILS
 
 HYPOTHESES = ("plain", "axis_gain")
 
@@ -84,6 +85,42 @@ def test_a_correction_of_the_rig_is_fitted_in_each_session(
     paths = [tmp_path / f"day{i}.zarr" for i in range(2)]
     table = batch(paths, out=tmp_path / "out", has_posterior=False, scheduler=address).table()
     assert table[SIDEWAYS].to_numpy() == pytest.approx(np.array(sizes_T_per_A), abs=1.5e-6)
+
+
+def test_what_no_laboratory_is_without_is_fitted_in_every_hypothesis_unless_as_described(
+    small_rig, small_plan, small_truth, address, tmp_path
+):
+    """As `coilcal calibrate` does, so that a fit and the posterior of its job are of one model; such sessions are stacked all the same."""
+    rig = rig_from_text(RIG + "effects:\n  background_field[room]: {x_T: 0, y_T: 0, z_T: -43.0e-6}\n")
+    plan = replace(small_plan, currents_A=({"coil1": 0.0}, {"coil1": 3.0}))
+    paths = [tmp_path / f"day{i}.zarr" for i in range(2)]
+    for i, path in enumerate(paths):
+        readings = simulate(rig, plan, small_truth, seed=i)
+        later = replace(readings, time_s=readings.time_s + 1000.0 * i)
+        Session(small_rig, later, f"day {i}").save(path)
+    jobs = [job for path in paths for job in jobs_of(str(path), None, ("plain",), False, 0)[0]]
+    assert len({job.settings for job in jobs}) == 1
+
+    def fitted_as(as_described: bool) -> BatchResult:
+        out = tmp_path / f"out{as_described}"
+        hypotheses = ("plain", "sensor_offset")
+        return batch(
+            paths,
+            out=out,
+            hypotheses=hypotheses,
+            has_posterior=False,
+            scheduler=address,
+            as_described=as_described,
+        )
+
+    besides, alone = fitted_as(False), fitted_as(True)
+    z_T = besides.table()[["background_field[room].z_T", "sensor_offset[hall].z_T"]].sum(axis=1)
+    assert z_T.to_numpy() == pytest.approx(-43e-6, abs=6e-6)
+    assert set(besides.table()["hypothesis"]) == {"plain"}
+    assert all("is a part of all" in why for why in besides.failed.values())
+    assert set(alone.table()["hypothesis"]) == {"plain", "sensor_offset"}
+    assert "background_field[room].z_T" not in alone.table()
+    assert not alone.failed
 
 
 def test_leaders_are_sampled_and_their_posterior_is_what_the_table_shows(sessions, address, tmp_path):

@@ -30,6 +30,7 @@ CAUSES = {
     "none": "",
     "currents": "effects:\n  neighbour_coil[coil1]: {share: 0.02}\n",
     "bodies": "effects:\n  robot_scale[arm]: {x: 0.01, y: 0.0, z: 0.0}\n",
+    "room": "effects:\n  background_field[room]: {x_T: 2.0e-5, y_T: 0, z_T: -4.0e-5}\n",
     "iron": "effects:\n  iron_body[room]: {volume_m3: 2.0e-6, x_m: 0.09, y_m: 0.05, z_m: 0.06}\n",
 }
 ALL = Wanted(has_gradient=True)
@@ -74,6 +75,14 @@ def test_together_is_as_one_by_one(cause: str) -> None:
         expected["gradient_lower_T_per_m"], expected["gradient_upper_T_per_m"] = ends
         # Iron asks for the coils' field elsewhere than at the points, by the finest rule of them all.
         assert_same(answer, expected, 1e-6 if cause == "iron" else 1e-10)
+
+
+def test_of_coils_alone_the_answer_has_no_part_of_the_room() -> None:
+    asked = [question(0, 3), question(1, 2)]
+    wanted = Wanted(has_gradient=True, is_of_coils_alone=True)
+    expected = answers(calibration_with("none"), asked, Wanted(has_gradient=True))
+    for answer, alone in zip(answers(calibration_with("room"), asked, wanted), expected, strict=True):
+        assert_same(answer, alone, 1e-10)
 
 
 def test_questions_in_one_pose_make_one_batch(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -14,6 +16,7 @@ from estimator.inference.ensemble import SamplerSettings
 from estimator.model.simulate import draw_truth, simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
+from estimator.rig.parameters import Normal
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
@@ -48,6 +51,27 @@ def test_the_field_is_that_of_the_readings_that_were_simulated(
     torch.testing.assert_close(field_T, readings.field_sensor_T, rtol=1e-5, atol=0.0)
     moved = model.field(torch.zeros(1, 3).double(), ON, {"arm1": readings.motion["arm1"][4]})
     torch.testing.assert_close(moved[0], readings.field_sensor_T[4], rtol=1e-5, atol=0.0)
+
+
+def test_of_coils_alone_the_field_and_its_interval_have_no_part_of_the_room(
+    small_rig: Rig, rig_text: str, points_m: Tensor
+) -> None:
+    """Where no sensor turned, the room's field is known as badly as the zeros of the sensors."""
+    room = "background_field[room]"
+    rig = rig_from_text(f"{rig_text}effects:\n  {room}: {{x_T: 0, y_T: 0, z_T: -43.0e-6}}\n")
+    rig = rig.with_parameters([replace(rig.parameters[f"{room}.z_T"], prior=Normal(0.0, 1e-4))])
+    both, plain = at(rig, {}), at(small_rig, {})
+    both.draws[f"{room}.z_T"][:] = -43e-6 + 50e-6 * np.array([-1.0, 0.0, 1.0])
+    alone = both.coils_alone()
+    torch.testing.assert_close(alone.field(points_m, ON), plain.field(points_m, ON))
+    assert both.field(points_m, {})[:, 2] == pytest.approx(-43e-6)
+    assert not alone.field(points_m, {}).any()
+    widths_T = [
+        float(torch.diff(torch.stack(model.field_interval(points_m, ON)), dim=0).amax())
+        for model in (both, alone)
+    ]
+    assert widths_T[0] > 80e-6
+    assert widths_T[1] < 1e-12
 
 
 def test_the_field_is_linear_in_the_current_and_zero_without(

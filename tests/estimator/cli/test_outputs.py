@@ -163,7 +163,7 @@ def write_command(source: Path, out: Path, how: str, overwrite: bool) -> None:
 
 
 NAMES = st.sampled_from(
-    ["out", "out.partial", "out.old", ".out.0123456789abcdef.coilcal", "out/result.json", "out/zarr.json", "out/note", "in", "in/out", "out/in"]
+    ["out", "out.partial", "out.old", ".out.0123456789abcdef01234567.coilcal", "out/result.json", "out/zarr.json", "out/note", "in", "in/out", "out/in"]
 )  # fmt: skip
 KINDS = st.sampled_from(["file", "folder", "link", "dangling", "loop", "pipe", "socket", "session"])
 

@@ -102,16 +102,20 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     first = headline(calm)[0]
     assert first.startswith("These readings show nothing wrong; they would have shown, for example, ")
     assert len(re.findall(r" from [\d.]+ \S", first)) == 3  # of the coil, the sensor and the mover
-    plate = Visible(Cause("iron_plate", "room"), "strength", "1", 0.9, 0.5, {}, 0.99, (COUNT,), 740.0, COUNT)
+    near = {"axis": 0.0, "distance_m": 0.035}
+    far = {"axis": 2.0, "distance_m": -0.19}
+    plate = Visible(
+        Cause("iron_plate", "room"), "strength", "1", 0.01, 0.5, near, 0.1, (), 740.0, COUNT, 0.5, far
+    )
     left_open = replace(calm.left_open, next_measurements=(), visible=(*calm.left_open.visible, plate))
     last = headline(replace(calm, left_open=left_open))[-1]
-    assert last.startswith("These readings could not have shown: ")
+    assert last.startswith("These readings could not have shown, for example: ")
     assert (
-        "(iron_plate[room]), up to strength 50 %, which axial loops absorbs by up to 740 of its standard deviations"
+        "(iron_plate[room]), up to strength 50 % at z = −190 mm, which axial loops absorbs by up to 740 of its standard deviations"
         in last
     )
     assert 2 <= last.count(", which ") <= 4  # of the room, a coil, a sensor and a mover one each
-    assert last.endswith("Where none of these can be, use the rig file as it is.")
+    assert last.endswith("Where nothing of that kind can be, use the rig file as it is.")
     nothing = replace(left_open, visible=())
     assert headline(replace(calm, left_open=nothing))[-1] == (
         "Nothing that these readings show asks for another rig file."

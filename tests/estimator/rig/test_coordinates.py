@@ -268,3 +268,26 @@ def test_slopes_of_values_are_those_of_the_whole_transform(text, integer_counts)
         rtol=1e-12,
         atol=1e-15,
     )
+
+
+@pytest.mark.parametrize(
+    ("prior", "whole"),
+    [
+        ("{uniform: {lower: 10.6, upper: 12.4}}", {11.0, 12.0}),
+        ("{normal: {mean: 12, sd: 1, lower: 11.4, upper: 12.4}}", {12.0}),
+        ("{normal: {mean: 1, sd: 2}}", None),
+        ("{uniform: {lower: 40.2, upper: 40.8}}", set()),
+    ],
+)
+@BOTH_KINDS
+def test_loop_counts_that_are_drawn_lie_inside_their_prior(rig_text, prior, whole, integer_counts):
+    text = rig_text.replace("{prior: {normal: {mean: 12, sd: 1, lower: 1}}}", f"{{prior: {prior}}}")
+    coordinates = Coordinates(rig_from_text(text), integer_counts)
+    vectors = prior_vectors(coordinates, 200)
+    assert torch.isfinite(coordinates.log_prior(vectors)).all()
+    counts = coordinates.values(vectors)["coil1.axial_loops"].round(decimals=9)
+    if whole is None:
+        assert (counts >= 1.0).all()
+        assert (counts == counts.round()).all()
+    elif whole:
+        assert set(counts.tolist()) == whole

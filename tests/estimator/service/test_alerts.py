@@ -56,6 +56,20 @@ def test_the_command_hears_of_what_waits_once_and_in_order(tmp_path: Path) -> No
     ]
 
 
+def test_what_is_damaged_is_logged_and_holds_up_no_other(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    for entry in (DRIFT, LATER):
+        leave_alert(tmp_path / ALERTS, "small", entry)
+    first, _ = sorted((tmp_path / ALERTS).iterdir())
+    first.write_text(first.read_text()[:30])
+    Alerts(command(tmp_path / "heard"), tmp_path / ALERTS).tick()
+    (heard,) = (json.loads(line) for line in (tmp_path / "heard").read_text().splitlines())
+    assert heard["conclusion"] == "rejected"
+    assert "must be JSON" in caplog.records[0].fault
+    assert not any((tmp_path / ALERTS).iterdir())
+
+
 def test_a_command_that_is_interrupted_runs_again_and_one_that_fails_is_logged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -25,6 +25,7 @@ from estimator.rig.rig import Rig
 from estimator.service.app import create_app
 from estimator.service.backup import backup, restore
 from estimator.service.settings import Settings
+from estimator.store.files import unfinished_name
 from estimator.store.session import Session
 from tests.estimator.service.conftest import (
     LONG,
@@ -96,7 +97,7 @@ def test_a_backup_of_a_service_that_takes_readings_holds_those_that_were_acknowl
     assert (data.stat().st_mode & 0o777, (tmp_path / "0.tar").stat().st_mode & 0o777) == (0o700, 0o600)
 
 
-BEGUN = ".a.zarr.0123456789abcdef.coilcal"  # what a kill left of a session that was being written
+BEGUN = unfinished_name("a.zarr")  # what a kill left of a session that was being written
 
 
 @pytest.fixture
@@ -107,7 +108,7 @@ def data(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tm
     folder = tmp_path / "data" / "sessions"
     (folder / BEGUN).mkdir()
     (folder / BEGUN / "journal.jsonl").write_bytes(b"x")
-    sealing = folder / f"{imported['id']}.zarr" / ".arrays.0123456789abcdef.coilcal"
+    sealing = folder / f"{imported['id']}.zarr" / unfinished_name("arrays")
     sealing.mkdir()
     job = tmp_path / "data" / "jobs" / "j"
     (job / "versions" / "0001").mkdir(parents=True)

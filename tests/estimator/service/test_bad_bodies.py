@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import time
 import zipfile
 from collections.abc import Callable
@@ -79,6 +80,24 @@ def test_no_json_is_refused(idle: Callable[..., TestClient], route: str) -> None
     assert client.get("/healthz").status_code == 200
 
 
+def test_no_route_takes_a_key_twice(idle: Callable[..., TestClient]) -> None:
+    """Whatever it asks for: of two values one would be lost without a word."""
+    client = idle()
+    schema = client.get("/v1/openapi.json").json()
+    routes = [
+        (method, path.format(**dict.fromkeys(re.findall(r"{(\w+)}", path), ID)))
+        for path, methods in schema["paths"].items()
+        for method, route in methods.items()
+        if "application/json" in route.get("requestBody", {}).get("content", {})
+    ]
+    assert len(routes) > 10
+    for method, path in routes:
+        body = b'{"a_key": 1, "a_key": 2}'
+        answer = client.request(method, path, content=body, headers={"Content-Type": "application/json"})
+        detail = refused(answer, time.monotonic())
+        assert detail == "body must be JSON; key 'a_key' is given twice", (method, path, detail)
+
+
 def test_odd_queries_are_refused_or_find_nothing(idle: Callable[..., TestClient]) -> None:
     client = idle()
     for query in QUERIES:
@@ -118,6 +137,8 @@ def reading_lines(good: bytes) -> dict[str, bytes]:
         "a time of many digits": good.replace(b'"time_s": 0.0', b'"time_s": ' + NINES),
         "an endless time": good.replace(b'"time_s": 0.0', b'"time_s": 1e999'),
         "no time": good.replace(b'"time_s": 0.0', b'"time_s": NaN'),
+        "a key twice": good.replace(b'"time_s": 0.0', b'"time_s": 0.0, "time_s": 1.0'),
+        "half a character": good[:-1] + b', "\\ud800": 1}',
         "a truth for a number": with_(time_s=True),
         "a number in words": with_(time_s="1"),
         "half a number": with_(sequence=0.5),

@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import resource
+import select
+import shutil
 import socket
+import ssl
+import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
 
 import httpx
 import pytest
 
-from estimator.service import connections
+from estimator.errors import InvalidInput
+from estimator.service import connections, tls
 from estimator.service.app import create_app
 from estimator.service.connections import allow_files
 from estimator.service.settings import Settings
+from estimator.service.tls import http_of
 from tests.estimator.service.conftest import listening
 
 CROWD = 1300
@@ -40,6 +47,30 @@ def port(tmp_path_factory: pytest.TempPathFactory) -> Iterator[int]:
     with listening(create_app(settings, has_workers=False), settings) as port:
         yield port
     resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
+@pytest.fixture(scope="module")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, str]:
+    """Files of a certificate of 127.0.0.1 and of its key."""
+    if shutil.which("openssl") is None:
+        pytest.skip("openssl is not installed")
+    made = [str(tmp_path_factory.mktemp("tls") / name) for name in ("cert.pem", "key.pem")]
+    call = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -days 2 -subj /CN=coilcal -addext subjectAltName=IP:127.0.0.1"
+    subprocess.run([*call.split(), "-out", made[0], "-keyout", made[1]], check=True, capture_output=True)
+    return made[0], made[1]
+
+
+@pytest.fixture(scope="module")
+def tls_port(
+    port: int,  # noqa: ARG001 - it allows files
+    certificate: tuple[str, str],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[int]:
+    cert, key = certificate
+    data = tmp_path_factory.mktemp("crowd") / "data"
+    settings = Settings(data=data, require_tokens=True, tls_certificate=cert, tls_key=key)
+    with listening(create_app(settings, has_workers=False), settings) as port_of_tls:
+        yield port_of_tls
 
 
 @contextmanager
@@ -82,6 +113,49 @@ def test_a_crowd_costs_no_other_address_its_connection(port: int) -> None:
         with crowd(port, b"", "127.0.0.2"):
             early.sendall(b"a\r\nConnection: close\r\n\r\n")
             assert early.recv(65536).startswith(b"HTTP/1.1 200 ")
+
+
+@pytest.mark.flaky
+@pytest.mark.parametrize("said", [b"", b"\x16\x03\x01"], ids=["nothing", "half a hello"])
+def test_handshakes_that_do_not_come_take_no_more_places_than_requests(
+    tls_port: int, certificate: tuple[str, str], said: bytes
+) -> None:
+    url, trusted = f"https://127.0.0.1:{tls_port}", ssl.create_default_context(cafile=certificate[0])
+    with crowd(tls_port, said, "127.0.0.1") as lines:
+        times_s = []
+        for _ in range(3):
+            with httpx.Client(base_url=url, timeout=30, verify=trusted) as client:
+                times_s.append(took_s(client))
+        poll = select.poll()
+        for line in lines:
+            poll.register(line, select.POLLIN)
+        ended = poll.poll(1000)
+    assert max(times_s[1:]) < SOON_S, times_s
+    assert len(ended) >= CROWD - connections.MOST_CONNECTIONS
+
+
+def test_a_handshake_must_end_in_time_and_a_lost_one_leaves_nothing(
+    tls_port: int, certificate: tuple[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tls, "MOST_HEAD_S", 0.5)
+    trusted = ssl.create_default_context(cafile=certificate[0])
+    with socket.create_connection(("127.0.0.1", tls_port), timeout=10) as line:
+        assert line.recv(100) == b""
+    with httpx.Client(base_url=f"https://127.0.0.1:{tls_port}", verify=trusted) as client:
+        took_s(client)
+        took_s(client)
+
+
+@pytest.mark.parametrize("files", [("cert.pem", "missing.pem"), ("key.pem", "key.pem")])
+def test_a_certificate_that_cannot_be_used_is_one_sentence(
+    certificate: tuple[str, str], files: tuple[str, str], tmp_path: Path
+) -> None:
+    cert, key = (str(Path(certificate[0]).with_name(name)) for name in files)
+    settings = Settings(data=tmp_path / "data", tls_certificate=cert, tls_key=key)
+    with pytest.raises(
+        InvalidInput, match=r"tls_certificate and tls_key must be PEM files .* received .*pem: \S"
+    ):
+        http_of(settings)
 
 
 def test_a_body_that_was_answered_already_is_not_waited_for(

@@ -9,19 +9,28 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from sqlalchemy import select
 from starlette.testclient import TestClient
 
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
+from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.service import dispatcher as dispatcher_module
 from estimator.service.database import now
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.schema import Job
-from estimator.service.work import STOP
+from estimator.service.tasks import command_of
+from estimator.service.work import RESULT, STOP, WORK
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for
+
+WHAT_WORKS = {
+    "calibrate": "estimator.calibration.calibrate.calibrate",
+    "batch": "estimator.batching.batch",
+    "diagnose": "estimator.diagnosis.diagnose.diagnose",
+}
 
 
 @pytest.fixture(scope="module")
@@ -269,3 +278,64 @@ def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(
     for thread in jobs._ending:
         thread.join(30)
     assert not workers.stopping.is_set()
+
+
+@pytest.mark.parametrize(
+    ("result", "words"),
+    [(b"", "result.json must be JSON"), (b"[", "result.json must be JSON"), (None, "it ended with")],
+)
+def test_a_job_without_a_whole_result_fails_and_others_go_on(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, result: bytes | None, words: str
+) -> None:
+    client, workers = idle(workers=2), Workers()
+    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    jobs: Dispatcher = client.app.state.core.jobs
+    damaged, other = (add(client, session_id, "local").id for _ in range(2))
+    jobs._look(workers)
+    if result is not None:
+        (jobs.folder(damaged) / RESULT).write_bytes(result)
+    jobs._running[damaged].future.status = "finished"
+    jobs._look(workers)
+    state = client.get(f"/v1/jobs/{damaged}").json()
+    assert (state["state"], client.get(f"/v1/jobs/{other}").json()["state"]) == ("failed", "running")
+    assert state["fault"].startswith(f"job must end with a result; {words}")
+
+
+@pytest.mark.parametrize(
+    ("kind", "options", "words"),
+    [
+        ("calibrate", {"as_described": True}, "--as-described"),
+        ("batch", {"as_described": True}, "--as-described"),
+        ("diagnose", {"has_corrections": False}, "--no-corrections"),
+    ],
+)
+def test_a_job_does_as_the_command_does_with_the_same_option(
+    idle: Callable[..., TestClient],
+    rig_text: str,
+    readings_csv: bytes,
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    options: dict[str, bool],
+    words: str,
+) -> None:
+    client, heard = idle(), dict[str, Any]()
+
+    def listen(*_: object, **given: Any) -> None:
+        heard.update(given)
+        raise InvalidInput("heard")
+
+    monkeypatch.setattr(WHAT_WORKS[kind], listen)
+    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    which = {"session_ids": [session_id]} if kind == "batch" else {"session_id": session_id}
+    for given in ({}, options):
+        job_id = client.post(f"/v1/jobs/{kind}", json={**which, **given}).json()["id"]
+        core = client.app.state.core
+        with core.database.reading() as db:
+            row = db.scalar(select(Job).where(Job.id == job_id))
+        path = core.sessions.path(session_id)
+        job = {"id": job_id, "options": row.options, "rig": None, "sessions": [str(path)]}
+        with pytest.raises(InvalidInput, match="heard"):
+            WORK[kind](job, core.jobs.folder(job_id), path, lambda *_: None)
+        ((name, value),) = options.items()
+        assert heard[name] is (value if given else not value)
+        assert (words in command_of(job, kind)) is bool(given)

@@ -54,7 +54,8 @@ def test_a_job_goes_with_its_calibration_and_its_folder_then_its_session(
     session_id = import_csv(client, upload_rig(client, rig_text), readings_csv)["id"]
     job_id = asked(client, "calibrate", session_id)
     assert "must have ended" in refusal(client.delete(f"/v1/jobs/{job_id}"), 409)["rule"]
-    assert "delete them first" in refusal(client.delete(f"/v1/sessions/{session_id}"), 409)["rule"]
+    told = refusal(client.delete(f"/v1/sessions/{session_id}"), 409)
+    assert told["value"] == f"calibrate {job_id} of local (queued)"
     folder = ended(core, job_id, LONG_AGO)
     assert client.get("/v1/calibrations").json()["items"]
     loaded: list[Path] = []
@@ -83,7 +84,7 @@ def test_a_session_of_a_batch_stays_and_a_judgement_goes_with_its_session(
     judgement = asked(client, "recalibrate", second)
     folder = ended(core, judgement, LONG_AGO)
     assert "goes with the session" in refusal(client.delete(f"/v1/jobs/{judgement}"), 409)["rule"]
-    assert "1 jobs" in refusal(client.delete(f"/v1/sessions/{second}"), 409)["detail"]
+    assert f"batch {batch} of local" in refusal(client.delete(f"/v1/sessions/{second}"), 409)["detail"]
     ended(core, batch, LONG_AGO)
     assert client.delete(f"/v1/jobs/{batch}").status_code == 204
     assert client.delete(f"/v1/sessions/{second}").status_code == 204
@@ -114,6 +115,36 @@ def test_what_belongs_to_others_stays(
     job_id = asked(client, "calibrate", session_id)
     for path in (f"/v1/jobs/{job_id}", f"/v1/sessions/{session_id}"):
         assert "one's own" in refusal(client.delete(path, headers=bert), 403)["rule"]
+
+
+def test_what_holds_a_session_is_told_with_its_user_and_what_ends_it(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> None:
+    client = idle(require_tokens=True)
+    anne, bert = (bearer(client, user) for user in ("anne", "bert"))
+    client.headers.update(anne)
+    path = f"/v1/sessions/{import_csv(client, upload_rig(client, rig_text), readings_csv)['id']}"
+    session_id = path.rpartition("/")[2]
+    own = asked(client, "calibrate", session_id)
+    client.headers.update(bert)
+    others = asked(client, "diagnose", session_id)
+    client.headers.update(anne)
+    told = refusal(client.delete(path), 409)
+    assert told["value"] == f"calibrate {own} of anne (queued), diagnose {others} of bert (queued)"
+    assert told["rule"] == (
+        "must have no jobs; cancel yours unless ended (POST /v1/jobs/ID/cancel), then delete yours (DELETE /v1/jobs/ID), "
+        "then ask bert or an admin to delete the others"
+    )
+    assert client.post(f"/v1/jobs/{own}/cancel").status_code == 200
+    assert client.delete(f"/v1/jobs/{own}").status_code == 204
+    assert refusal(client.delete(path), 409)["rule"] == (
+        "must have no jobs; ask bert or an admin to delete the others"
+    )
+    admin = bearer(client, "root", "admin")
+    assert "cancel them unless ended" in refusal(client.delete(path, headers=admin), 409)["rule"]
+    assert client.post(f"/v1/jobs/{others}/cancel", headers=admin).status_code == 200
+    assert client.delete(f"/v1/jobs/{others}", headers=admin).status_code == 204
+    assert client.delete(path).status_code == 204
 
 
 def test_old_jobs_are_removed_by_themselves_where_the_settings_say_so(

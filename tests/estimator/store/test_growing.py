@@ -9,6 +9,7 @@ import os
 import random
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -192,6 +193,36 @@ def test_a_disk_that_fills_up_while_a_session_is_sealed_leaves_the_journal(
     assert is_growing(folder)
     assert len(load_session(folder).observations) == 3
     assert seal(folder).hash == load_session(folder).hash
+
+
+@pytest.mark.parametrize("number", [math.inf, -math.inf, 1e300, -1.1e12])
+@pytest.mark.parametrize(
+    "key", ["time_s", "current_A", "motion", "field_T", "measured_A", "temperature_C", "sd_T"]
+)
+def test_a_number_that_would_not_open_again_is_no_entry(key: str, number: float) -> None:
+    shapes = {"time_s": number, "current_A": [number], "motion": {"arm1": [number] * 6}}
+    spoilt = shapes.get(key, {"hall": [number] * 3} if key.endswith("_T") else {"hall": number})
+    with pytest.raises(InvalidInput, match=f"{key} of a reading must hold numbers between"):
+        replace(stop(1), **{key: spoilt}).entry()
+
+
+def test_a_journal_that_cannot_begin_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither on a full disk, which takes a part of the header, nor with a pose of an arm that is infinite."""
+
+    def full(descriptor: int, data: bytes, offset: int) -> int:
+        if offset:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        return os.write(descriptor, data[:20])
+
+    folder = tmp_path / "new" / "session.zarr"
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "pwrite", full)
+        with pytest.raises(InvalidInput, match=r"session.zarr is not: No space left on device"):
+            Journal.create(folder, {"kind": "test"})
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(InvalidInput, match="session must hold finite numbers"):
+        Journal.create(folder, {"references": {"arm1": [math.inf]}})
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:

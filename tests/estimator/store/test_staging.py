@@ -218,6 +218,10 @@ def test_nothing_of_others_is_followed_opened_or_replaced(tmp_path: Path) -> Non
     (tmp_path / ".notes.0123456789abcdef.coilcal").mkdir()
     (tmp_path / ".notes.0123456789abcdef.coilcal" / "file").write_text("precious")
     (tmp_path / ".notes.0123456789abcdee.coilcal").symlink_to("notes.old")
+    empty, begun = (tmp_path / f".notes.0123456789abcdef0123456{digit}.coilcal" for digit in "78")
+    empty.mkdir()
+    begun.mkdir()
+    (begun / "coilcal").touch()
     before = names(tmp_path)
     write_notes(tmp_path / "notes")
     write_notes(tmp_path / "notes", True)
@@ -225,6 +229,7 @@ def test_nothing_of_others_is_followed_opened_or_replaced(tmp_path: Path) -> Non
     assert (tmp_path / "precious").read_text() == "precious"
     assert (tmp_path / ".notes.0123456789abcdef.coilcal" / "file").read_text() == "precious"
     assert names(tmp_path / "notes.old") == ["file"]
+    assert names(begun) == ["coilcal"]
 
 
 @pytest.mark.parametrize("kind", ["link", "dangling link", "pipe", "folder", "other file"])

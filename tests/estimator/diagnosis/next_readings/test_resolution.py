@@ -297,9 +297,8 @@ def test_what_a_cause_hides_in_is_where_a_fit_without_it_goes(cause, key, share)
     assert bool(visible.absorbed_by) is (visible.share_absorbed > policy.MUCH_ABSORBED)
     null = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
     null = next(quantity.null for quantity in null if quantity.key == key)
-    size = min(visible.size, visible.prior_sd)
     wrong = with_effect(fit.rig, cause, fit.observations, {}, is_free=False).with_values(
-        {**at(fit.rig, 40.0), f"{cause.label}.{key}": null + size}
+        {**at(fit.rig, 40.0), f"{cause.label}.{key}": null + visible.hidden_size}
     )
     model = MeasurementModel.unruled(wrong, fit.observations).with_rules(fit.posterior.model.rules)
     values = {name: torch.tensor(v, dtype=torch.float64) for name, v in wrong.nominal_values().items()}
