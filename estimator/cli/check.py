@@ -117,11 +117,11 @@ def _readings(
 
 def _physical_faults(rig: Rig, session: Session, source: str) -> tuple[list[InvalidInput], list[str]]:
     """What an import of the readings would refuse: too few, nothing measured, other units than they claim; and what it would warn of."""
-    from estimator.cli.import_readings import with_validation
     from estimator.model.preflight import check_readings
     from estimator.model.unit_gate import check_units
     from estimator.readings.digits import flags_of_digits
     from estimator.readings.flags import without_flagged
+    from estimator.store.importers.checked import with_validation
 
     faults, warnings = Faults(is_collected=True), list[str]()
     flags = flags_of_digits(session.observations)

@@ -130,6 +130,10 @@ class Session:
         }
         arrays = observation_arrays(self.observations)
         admit_readings({name: data for name, (_, data) in arrays.items()}, self.rig, self.source)
+        if (
+            self.observations.line is not None
+        ):  # says where readings stood, not what they are: no part of their hash
+            arrays["line"] = ("reading",), self.observations.line.numpy()
         _provenance(attributes, path)
         group = zarr.open_group(path, mode="w", zarr_format=3)
         for name, (dimensions, data) in arrays.items():
@@ -263,9 +267,9 @@ def _is_own(folder: Path) -> bool:
 
 
 ARRAYS = (
-    "time_s|sensor_index|current_A|field_sensor_T|is_validation|repeat|current_measured_A|segment"
+    "time_s|sensor_index|current_A|field_sensor_T|is_validation|repeat|current_measured_A|segment|line"
     "|motion_[^/]+|temperature_[^/]+_C"
-)  # of `observation_arrays`
+)  # of `observation_arrays`, and the lines of a file
 SESSION = Made("a session", rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json", (GROUP, JOURNAL), _is_own)
 
 
@@ -331,6 +335,7 @@ def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observation
         },
         current_measured_A=tensors.get("current_measured_A"),
         recorded_segment=tensors.get("segment"),
+        line=tensors.get("line"),
     )
 
 
