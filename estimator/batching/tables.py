@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -22,7 +22,7 @@ class Imported(NamedTuple):
     """
 
     paths: list[str]
-    failed: Mapping[str, str]
+    failed: dict[str, str]
 
 
 def sessions_of(

@@ -93,7 +93,8 @@ def batch_command(
 ) -> None:
     """Calibrate many sessions in parallel.
 
-    A SESSION may be a table of readings, too, as `coilcal import` reads it; --rig then names its rig. The work is spread over all processors or over a cluster. Run the command again to continue or to add sessions.
+    A SESSION may be a table of readings, too, as `coilcal import` reads it; --rig then names its rig. The work is spread over all
+    processors or over a cluster. Run the command again to continue or to add sessions.
 
     Exit code 2 if a session failed; the others are calibrated nevertheless.
     """
