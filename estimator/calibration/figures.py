@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import partial
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,18 +35,52 @@ def pictures(calibration: Calibration) -> list[Picture]:
     return [*_fit_figures(calibration, title), *_posterior_figures(calibration, title)]
 
 
-def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
-    observations = calibration.observations.calibration
-    best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
+class Fitted(NamedTuple):
+    """The readings of a fit beside the calibrated model.
+
+    Attributes:
+        model: Of these readings.
+        best: Values of the rig.
+        measured_T, predicted_T: Components of each reading, NaN where they were not measured.
+        sigma_T: Noise, of all or of each component.
+    """
+
+    model: MeasurementModel
+    best: dict[str, torch.Tensor]
+    measured_T: np.ndarray
+    predicted_T: np.ndarray
+    sigma_T: float | np.ndarray
+
+    @property
+    def residual_T(self) -> np.ndarray:
+        """What the model misses."""
+        missed_T: np.ndarray = self.measured_T - self.predicted_T
+        return missed_T
+
+
+def fitted(calibration: Calibration) -> Fitted:
+    """The readings of a calibration beside its model."""
+    observations, best = calibration.observations.calibration, calibration.best_values()
     model = MeasurementModel.build(calibration.rig, observations)
-    measured_T = observations.field_sensor_T.numpy()
-    predicted_T = model.predict(best).numpy()
-    residual_T = measured_T - predicted_T
-    sensor = observations.sensor.numpy()
     by_sensor_T = np.array([calibration.best[f"{s.name}.noise_T"] for s in calibration.rig.sensors])
-    sigma_T = (
-        float(by_sensor_T[0]) if len(by_sensor_T) == 1 else by_sensor_T[sensor][:, None].repeat(3, axis=1)
-    )
+    each_T = by_sensor_T[observations.sensor.numpy()][:, None].repeat(3, axis=1)
+    sigma_T = float(by_sensor_T[0]) if len(by_sensor_T) == 1 else each_T
+    return Fitted(model, best, observations.field_sensor_T.numpy(), model.predict(best).numpy(), sigma_T)
+
+
+def field_picture(calibration: Calibration, coil: str) -> Picture | None:
+    """The field of a coil in the plane through its axis, with its uncertainty; None where it carried no current."""
+    fit = fitted(calibration)
+    for own, positions_m, winding in _sensor_positions(calibration, fit.model, fit.best):
+        if own.name == coil:
+            return next(_plane(calibration, own, positions_m, fit.best, winding, calibration.rig.name))
+    return None
+
+
+def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
+    fit = fitted(calibration)
+    model, best, measured_T, predicted_T, sigma_T = fit
+    residual_T, sensor = fit.residual_T, calibration.observations.calibration.sensor.numpy()
 
     yield Picture(
         "Predicted against measured",
@@ -56,14 +92,14 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
         "If the model is complete the histogram follows the normal curve.",
         partial(plots.residual_histogram, residual_T, sigma_T, title=title),
     )
-    if len(by_sensor_T) > 1:
+    if len(calibration.rig.sensors) > 1:
         names = [s.name for s in calibration.rig.sensors]
         yield Picture(
             "Residuals by sensor",
             "A sensor or component that stands out has a fault; if the noise was fitted, the components of a sensor average to 1.",
             partial(plots.residual_by_sensor, residual_T, sensor, names, sigma_T, title=title),
         )
-    for coil, positions_m, winding in _sensor_positions(calibration, model, best):
+    for coil, positions_m, winding in islice(_sensor_positions(calibration, model, best), MOST_COILS):
         yield from _maps(coil, positions_m, winding, measured_T, predicted_T, sigma_T, title)
         yield from _plane(calibration, coil, positions_m, best, winding, title)
 
@@ -174,7 +210,7 @@ def _sensor_positions(
     calibration: Calibration, model: MeasurementModel, best: Mapping[str, torch.Tensor]
 ) -> Iterator[tuple[AnyCoil, np.ndarray, Winding | None]]:
     """Position of the sensor in the frame of each coil that carried current, reading by reading; NaN while the coil was off."""
-    for coil in calibration.rig.coils[:MOST_COILS]:
+    for coil in calibration.rig.coils:
         rows = model.powered[coil.name]
         if not len(rows):
             continue

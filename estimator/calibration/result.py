@@ -22,6 +22,7 @@ from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
 from estimator.given_files import MOST_RESULT_BYTES, read_given
+from estimator.glance import Glance, Shown
 from estimator.json_files import json_object
 from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.points import given_motion, given_points
@@ -39,6 +40,8 @@ from estimator.units import LARGEST
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SCHEMA_VERSION = 1
 POSTERIOR_STORE, SUMMARY_FILE, CHAIN_STORE, REPORT = (
@@ -64,8 +67,8 @@ DOUBLE = torch.empty(0, dtype=torch.float64)
 Kind = TypeVar("Kind")  # of points: answers are of the same
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Shown):
     """The result of a calibration.
 
     Attributes:
@@ -234,6 +237,38 @@ class Calibration:
     def summary(self) -> Mapping[str, Any]:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
         return self.summary_json
+
+    def glance(self) -> Glance:
+        """What is shown of it: how good it is, its parameters, and what the data taught."""
+        from estimator.calibration.shown import calibration_glance
+
+        return calibration_glance(self)
+
+    def plot_field(self, coil: str | None = None) -> Figure:
+        """Field of one ampere in the plane through a coil's axis, and its uncertainty (`plots.field_plane`).
+
+        Args:
+            coil: Its name; the first where left out.
+        Raises:
+            InvalidInput: The rig has no such coil, or it never carried current.
+        Examples:
+            >>> calibration.plot_field().savefig("field.png")  # doctest: +SKIP
+        """
+        from estimator.calibration.shown import plot_field
+
+        return plot_field(self, coil)
+
+    def plot_residuals(self, ax: Axes | None = None) -> Axes:
+        """Residuals of the fit over the noise beside the normal density (`plots.residual_histogram`)."""
+        from estimator.calibration.shown import plot_residuals
+
+        return plot_residuals(self, ax)
+
+    def plot_parameters(self, ax: Axes | None = None) -> Axes:
+        """Prior and posterior of every free parameter: what the data taught (`plots.interval_summary`)."""
+        from estimator.calibration.shown import plot_parameters
+
+        return plot_parameters(self, ax)
 
     def magnet(self) -> Magnet:
         """What exports write: the coils."""

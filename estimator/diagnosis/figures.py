@@ -28,7 +28,7 @@ MOST_IN_TITLE = 3
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a caption that says what to look for."""
-    parts = (_maps, _budget, _explained, _corrected, _structure, _ranking)
+    parts = (_maps, budget_pictures, _explained, _corrected, _structure, _ranking)
     return part_by_part(parts, diagnosis)
 
 
@@ -62,7 +62,8 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
             yield Picture(f"Residual around {name}", words, figure)
 
 
-def _budget(diagnosis: Diagnosis) -> Iterator[Picture]:
+def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
+    """The error budget, where there is one."""
     budget = diagnosis.fits.budget
     if budget is None:
         return

@@ -10,14 +10,15 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from estimator.errors import InvalidInput, quoted
+from estimator.rig.first import MOUNT_SD_RAD, PLACE_SD_M, RELATIVE_SD, ROOM_SD_T, TILT_SD_RAD, ZERO_SD_T
 from estimator.rig_files.read import NAME, SCHEMA_VERSION
 
-PLACE_SD_MM = 3.0  # of a place that was measured with a ruler
-TILT_SD_DEG = 2.0  # of a mount that was set by eye
-MOUNT_SD_DEG = 0.6  # between the axes of a stage and what is screwed to it
-RELATIVE_SD = 0.05  # of a radius that was measured with a caliper over tape and varnish
+PLACE_SD_MM, TILT_SD_DEG, MOUNT_SD_DEG = (
+    1e3 * PLACE_SD_M,
+    math.degrees(TILT_SD_RAD),
+    math.degrees(MOUNT_SD_RAD),
+)
 NEAREST_SDS = 4.0  # of place and tilt, between a sensor and the front face of the winding
-ROOM_SD_T = ZERO_SD_T = 50e-6  # of a component of the Earth's field, and of the zero of a Hall sensor
 N_POSES, N_JUDGED = 40, 12
 
 
