@@ -82,7 +82,7 @@ class PlaneDifference:
 
     @property
     def relative(self) -> float:
-        """That over the root mean square of the field."""
+        """Rms of the difference over the rms of the field."""
         return self.rms_T_per_A / float(np.sqrt(np.nanmean(self.field_T_per_A**2)))
 
     @property

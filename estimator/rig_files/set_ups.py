@@ -83,12 +83,12 @@ class Wound:
 
     @property
     def thickness_mm(self) -> float:
-        """Of the layers, at most."""
+        """Thickness of the layers, at most."""
         return 2.0 * self.wire_radius_mm * self.radial_loops * (1.0 + 2.0 * RELATIVE_SD)
 
     @property
     def length_mm(self) -> float:
-        """Of the winding."""
+        """Length of the winding."""
         return 2.0 * self.wire_radius_mm * self.axial_loops
 
     def check_bore(self, key: str, inner_mm: float) -> None:
