@@ -73,7 +73,7 @@ def field_picture(calibration: Calibration, coil: str) -> Picture | None:
     fit = fitted(calibration)
     for own, positions_m, winding in _sensor_positions(calibration, fit.model, fit.best):
         if own.name == coil:
-            return next(_plane(calibration, own, positions_m, fit.best, winding, calibration.rig.name))
+            return _plane(_coil_plane(calibration, own, positions_m, fit.best, winding), calibration.rig.name)
     return None
 
 
@@ -101,7 +101,7 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
         )
     for coil, positions_m, winding in islice(_sensor_positions(calibration, model, best), MOST_COILS):
         yield from _maps(coil, positions_m, winding, measured_T, predicted_T, sigma_T, title)
-        yield from _plane(calibration, coil, positions_m, best, winding, title)
+        yield _plane(_coil_plane(calibration, coil, positions_m, best, winding), title)
 
 
 def _maps(
@@ -221,17 +221,45 @@ def _sensor_positions(
         yield coil, everywhere[model.pose_row.numpy()], winding
 
 
-def _plane(
+class CoilPlane(NamedTuple):
+    """Field of one ampere in the plane y = 0 of a coil's frame.
+
+    Attributes:
+        coil: Its name.
+        x_m, z_m: Coordinates, evenly spaced.
+        field_T_per_A: Vectors in the coil's frame, by z and x.
+        relative: Half-width of the 90 % interval of the size of the field, over the size.
+        positions_m: Places of the sensor.
+        winding: Of the coil; None where it is not known.
+    """
+
+    coil: str
+    x_m: np.ndarray
+    z_m: np.ndarray
+    field_T_per_A: np.ndarray
+    relative: np.ndarray
+    positions_m: np.ndarray
+    winding: Winding | None
+
+
+def coil_planes(calibration: Calibration, n_points: int = PLANE_POINTS) -> Iterator[CoilPlane]:
+    """The field of each coil that carried current, of the first few where there are many."""
+    fit = fitted(calibration)
+    for coil, positions_m, winding in islice(_sensor_positions(calibration, fit.model, fit.best), MOST_COILS):
+        yield _coil_plane(calibration, coil, positions_m, fit.best, winding, n_points)
+
+
+def _coil_plane(
     calibration: Calibration,
     coil: AnyCoil,
     positions_m: np.ndarray,
     best: Mapping[str, torch.Tensor],
     winding: Winding | None,
-    title: str,
-) -> Iterator[Picture]:
-    """Field of one ampere in the XZ plane of the coil, with the relative half-width of its 90 % interval.
+    n_points: int = PLANE_POINTS,
+) -> CoilPlane:
+    """The field around a coil, as far as its readings reach.
 
-    The plane reaches as far as the readings, but at most twice as high as wide: beyond that the field is a dipole's and panels get thin.
+    The plane is at most twice as high as wide: beyond that the field is a dipole's and panels get thin.
     """
     reach = 1.2 * np.nanmax(np.abs(positions_m[:, :2]))
     if winding is None:
@@ -242,22 +270,28 @@ def _plane(
         reach = max(reach, 1.2 * radius_m)
         low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
         high = max(0.5 * radius_m, min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
-    x_m, z_m = np.linspace(-reach, reach, PLANE_POINTS), np.linspace(low, high, PLANE_POINTS)
+    x_m, z_m = np.linspace(-reach, reach, n_points), np.linspace(low, high, n_points)
     grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
-    points_m = torch.from_numpy(grid.reshape(-1, 3))
-    field, half_width = _field_in_coil_frame(calibration, coil, best, points_m)
-    shape = (PLANE_POINTS, PLANE_POINTS)
-    yield Picture(
-        f"Field of {coil.name}",
+    field, half_width = _field_in_coil_frame(calibration, coil, best, torch.from_numpy(grid.reshape(-1, 3)))
+    shape = (n_points, n_points)
+    return CoilPlane(
+        coil.name, x_m, z_m, field.reshape(*shape, 3), half_width.reshape(shape), positions_m, winding
+    )
+
+
+def _plane(plane: CoilPlane, title: str) -> Picture:
+    """The plane as a picture."""
+    return Picture(
+        f"Field of {plane.coil}",
         "Field per ampere in the plane through the axis, and its uncertainty: the model is known best where readings were taken.",
         partial(
             plots.field_plane,
-            x_m,
-            z_m,
-            field.reshape(*shape, 3),
-            half_width.reshape(shape),
-            winding,
-            readings_m=positions_m,
+            plane.x_m,
+            plane.z_m,
+            plane.field_T_per_A,
+            plane.relative,
+            plane.winding,
+            readings_m=plane.positions_m,
             title=title,
         ),
     )
