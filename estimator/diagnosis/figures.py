@@ -10,6 +10,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
@@ -143,6 +144,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
             [test.p_value for test in tests],
             [after[name].p_value for name in names],
             title=diagnosis.rig.name,
+            floor=1.0 / (policy.N_NOISE_DRAWS + 1),
         ),
     )
     if not tests:
