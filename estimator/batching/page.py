@@ -36,7 +36,7 @@ def overview(result: BatchResult, command: str) -> str:
         subtitle=str(result.folder.parent),
         verdict=_verdict(result, table, best, names),
         warnings=_warnings(result, table),
-        tables=_tables(table, best, names),
+        tables=_tables(table, best, names) if len(table) else [],
         figures=[_picture(result, best, names)] if len(best) and names else [],
         provenance={
             "command": command,

@@ -16,6 +16,7 @@ import numpy as np
 from estimator.batching.engine import Runner, ThisProcess, cluster
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
+from estimator.batching.tables import sessions_of
 from estimator.batching.work import (
     CALIBRATION_FOLDER,
     RESULT_FILE,
@@ -30,13 +31,14 @@ from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
 from estimator.store.files import kind_of
+from estimator.store.importers.forms.recipe import read_recipe
 from estimator.store.made import Made
 from estimator.store.staging import only_writer
 
 # A larger stack is slower than two smaller ones, because it no longer fits the processor's cache.
 STACK_READINGS, STACK_JOBS = 8000 // (1 + policy.MORE_STARTS), 64
 LEADS_ABOVE = 0.05  # probability of a hypothesis above which its posterior is sampled
-JOBS = "jobs"
+JOBS, SESSIONS = "jobs", "sessions"
 MADE = Made(
     "a batch",
     "",  # nothing replaces one
@@ -50,6 +52,7 @@ def batch(
     *,
     out: Path | str,
     rig: Path | str | None = None,
+    columns: Path | str | None = None,
     hypotheses: Sequence[str] = (PLAIN,),
     is_each_coil: bool = False,
     has_posterior: bool = True,
@@ -68,9 +71,11 @@ def batch(
     are fitted together on the batch axis. Then emcee samples the hypotheses with a probability above 5 % among those of their session.
 
     Args:
-        sessions: Folders written by coilcal import, simulate or acquire. Workers on other computers must see them, and `out`, too.
+        sessions: Folders written by coilcal import, simulate or acquire, or tables of readings, which are imported into `out` first.
+            Workers on other computers must see them, and `out`, too.
         out: Folder for the results, with one folder for each job. Jobs that are finished there are skipped.
-        rig: Another description of the rig of all sessions.
+        rig: Another description of the rig of all sessions, and the rig of tables.
+        columns: File that says how columns of tables are read, as coilcal import writes it; readings CSV need none.
         hypotheses: `plain` for the rig as described, or causes that are free in addition, joined by +: `axis_gain+sensor_offset`.
         is_each_coil: Calibrate each coil by itself, from the readings in which it alone carries current.
         has_posterior: Sample the leading hypotheses.
@@ -93,6 +98,7 @@ def batch(
     MADE.check_open(Path(out))
     folder = Path(out).absolute() / JOBS
     described_rig = load_rig(rig) if rig else None
+    recipe = None if columns is None else read_recipe(Path(columns))
     hypotheses, chosen = tuple(dict.fromkeys(hypotheses)), settings or SamplerSettings()
     paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
     with (
@@ -101,6 +107,7 @@ def batch(
     ):
         folder.mkdir(exist_ok=True)
         run = _Run(folder, connected, tell or (lambda done, total, words: None))
+        paths, run.failed = sessions_of(paths, folder.parent / SESSIONS, described_rig, recipe, seed)
         described = run.describe(
             paths, (described_rig, hypotheses, is_each_coil, seed, chosen, (device, precision), as_described)
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -155,7 +155,8 @@ def _result(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
     for role, part in (("calibration", observations.calibration), ("validation", observations.validation)):
         rmse[role] = _vector_rms_T(fit, part) if len(part) else None
     return {
-        **asdict(job),
+        **asdict(replace(job, rig=None)),  # a rig has limits that JSON has no number for
+        "rig": None if job.rig is None else job.rig.hash,
         "parameters": parameters,
         "log_evidence": fit.log_evidence,
         "is_converged": bool(fit.optimum.is_converged[0]),

@@ -120,7 +120,7 @@ def calibrate(
     fingerprint = _fingerprint(session, rig, settings, has_integer_counts, computed)
     backend = _unfinished_chain(folder, fingerprint, overwrite)
     observations = as_meant(rig, session.observations).calibration
-    check_units(rig, observations, session.source)
+    warnings = check_units(rig, as_meant(rig, session.observations), session.source)
     MeasurementModel.build(rig, session.observations)  # refuses sensors inside a winding, in validation too
     if folder is not None:
         _make_folder(folder)
@@ -172,7 +172,7 @@ def calibrate(
     summary_json = {
         **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence")),
         "fitted_besides": [cause.label for cause in besides.added],
-        "notes": notes(besides),
+        "notes": [*warnings, *notes(besides)],
         "is_converged": samples.is_converged,
         "has_integer_counts": lattice.coordinates.n_counts > 0,
         "sampling": _sampling(samples),

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from functools import partial
+from itertools import islice
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -33,18 +35,52 @@ def pictures(calibration: Calibration) -> list[Picture]:
     return [*_fit_figures(calibration, title), *_posterior_figures(calibration, title)]
 
 
-def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
-    observations = calibration.observations.calibration
-    best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
+class Fitted(NamedTuple):
+    """The readings of a fit beside the calibrated model.
+
+    Attributes:
+        model: Of these readings.
+        best: Values of the rig.
+        measured_T, predicted_T: Components of each reading, NaN where they were not measured.
+        sigma_T: Noise, of all or of each component.
+    """
+
+    model: MeasurementModel
+    best: dict[str, torch.Tensor]
+    measured_T: np.ndarray
+    predicted_T: np.ndarray
+    sigma_T: float | np.ndarray
+
+    @property
+    def residual_T(self) -> np.ndarray:
+        """What the model misses."""
+        missed_T: np.ndarray = self.measured_T - self.predicted_T
+        return missed_T
+
+
+def fitted(calibration: Calibration) -> Fitted:
+    """The readings of a calibration beside its model."""
+    observations, best = calibration.observations.calibration, calibration.best_values()
     model = MeasurementModel.build(calibration.rig, observations)
-    measured_T = observations.field_sensor_T.numpy()
-    predicted_T = model.predict(best).numpy()
-    residual_T = measured_T - predicted_T
-    sensor = observations.sensor.numpy()
     by_sensor_T = np.array([calibration.best[f"{s.name}.noise_T"] for s in calibration.rig.sensors])
-    sigma_T = (
-        float(by_sensor_T[0]) if len(by_sensor_T) == 1 else by_sensor_T[sensor][:, None].repeat(3, axis=1)
-    )
+    each_T = by_sensor_T[observations.sensor.numpy()][:, None].repeat(3, axis=1)
+    sigma_T = float(by_sensor_T[0]) if len(by_sensor_T) == 1 else each_T
+    return Fitted(model, best, observations.field_sensor_T.numpy(), model.predict(best).numpy(), sigma_T)
+
+
+def field_picture(calibration: Calibration, coil: str) -> Picture | None:
+    """The field of a coil in the plane through its axis, with its uncertainty; None where it carried no current."""
+    fit = fitted(calibration)
+    for own, positions_m, winding in _sensor_positions(calibration, fit.model, fit.best):
+        if own.name == coil:
+            return _plane(_coil_plane(calibration, own, positions_m, fit.best, winding), calibration.rig.name)
+    return None
+
+
+def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
+    fit = fitted(calibration)
+    model, best, measured_T, predicted_T, sigma_T = fit
+    residual_T, sensor = fit.residual_T, calibration.observations.calibration.sensor.numpy()
 
     yield Picture(
         "Predicted against measured",
@@ -56,16 +92,16 @@ def _fit_figures(calibration: Calibration, title: str) -> Iterator[Picture]:
         "If the model is complete the histogram follows the normal curve.",
         partial(plots.residual_histogram, residual_T, sigma_T, title=title),
     )
-    if len(by_sensor_T) > 1:
+    if len(calibration.rig.sensors) > 1:
         names = [s.name for s in calibration.rig.sensors]
         yield Picture(
             "Residuals by sensor",
             "A sensor or component that stands out has a fault; if the noise was fitted, the components of a sensor average to 1.",
             partial(plots.residual_by_sensor, residual_T, sensor, names, sigma_T, title=title),
         )
-    for coil, positions_m, winding in _sensor_positions(calibration, model, best):
+    for coil, positions_m, winding in islice(_sensor_positions(calibration, model, best), MOST_COILS):
         yield from _maps(coil, positions_m, winding, measured_T, predicted_T, sigma_T, title)
-        yield from _plane(calibration, coil, positions_m, best, winding, title)
+        yield _plane(_coil_plane(calibration, coil, positions_m, best, winding), title)
 
 
 def _maps(
@@ -174,7 +210,7 @@ def _sensor_positions(
     calibration: Calibration, model: MeasurementModel, best: Mapping[str, torch.Tensor]
 ) -> Iterator[tuple[AnyCoil, np.ndarray, Winding | None]]:
     """Position of the sensor in the frame of each coil that carried current, reading by reading; NaN while the coil was off."""
-    for coil in calibration.rig.coils[:MOST_COILS]:
+    for coil in calibration.rig.coils:
         rows = model.powered[coil.name]
         if not len(rows):
             continue
@@ -185,17 +221,45 @@ def _sensor_positions(
         yield coil, everywhere[model.pose_row.numpy()], winding
 
 
-def _plane(
+class CoilPlane(NamedTuple):
+    """Field of one ampere in the plane y = 0 of a coil's frame.
+
+    Attributes:
+        coil: Its name.
+        x_m, z_m: Coordinates, evenly spaced.
+        field_T_per_A: Vectors in the coil's frame, by z and x.
+        relative: Half-width of the 90 % interval of the size of the field, over the size.
+        positions_m: Places of the sensor.
+        winding: Of the coil; None where it is not known.
+    """
+
+    coil: str
+    x_m: np.ndarray
+    z_m: np.ndarray
+    field_T_per_A: np.ndarray
+    relative: np.ndarray
+    positions_m: np.ndarray
+    winding: Winding | None
+
+
+def coil_planes(calibration: Calibration, n_points: int = PLANE_POINTS) -> Iterator[CoilPlane]:
+    """The field of each coil that carried current, of the first few where there are many."""
+    fit = fitted(calibration)
+    for coil, positions_m, winding in islice(_sensor_positions(calibration, fit.model, fit.best), MOST_COILS):
+        yield _coil_plane(calibration, coil, positions_m, fit.best, winding, n_points)
+
+
+def _coil_plane(
     calibration: Calibration,
     coil: AnyCoil,
     positions_m: np.ndarray,
     best: Mapping[str, torch.Tensor],
     winding: Winding | None,
-    title: str,
-) -> Iterator[Picture]:
-    """Field of one ampere in the XZ plane of the coil, with the relative half-width of its 90 % interval.
+    n_points: int = PLANE_POINTS,
+) -> CoilPlane:
+    """The field around a coil, as far as its readings reach.
 
-    The plane reaches as far as the readings, but at most twice as high as wide: beyond that the field is a dipole's and panels get thin.
+    The plane is at most twice as high as wide: beyond that the field is a dipole's and panels get thin.
     """
     reach = 1.2 * np.nanmax(np.abs(positions_m[:, :2]))
     if winding is None:
@@ -206,22 +270,28 @@ def _plane(
         reach = max(reach, 1.2 * radius_m)
         low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
         high = max(0.5 * radius_m, min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
-    x_m, z_m = np.linspace(-reach, reach, PLANE_POINTS), np.linspace(low, high, PLANE_POINTS)
+    x_m, z_m = np.linspace(-reach, reach, n_points), np.linspace(low, high, n_points)
     grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
-    points_m = torch.from_numpy(grid.reshape(-1, 3))
-    field, half_width = _field_in_coil_frame(calibration, coil, best, points_m)
-    shape = (PLANE_POINTS, PLANE_POINTS)
-    yield Picture(
-        f"Field of {coil.name}",
+    field, half_width = _field_in_coil_frame(calibration, coil, best, torch.from_numpy(grid.reshape(-1, 3)))
+    shape = (n_points, n_points)
+    return CoilPlane(
+        coil.name, x_m, z_m, field.reshape(*shape, 3), half_width.reshape(shape), positions_m, winding
+    )
+
+
+def _plane(plane: CoilPlane, title: str) -> Picture:
+    """The plane as a picture."""
+    return Picture(
+        f"Field of {plane.coil}",
         "Field per ampere in the plane through the axis, and its uncertainty: the model is known best where readings were taken.",
         partial(
             plots.field_plane,
-            x_m,
-            z_m,
-            field.reshape(*shape, 3),
-            half_width.reshape(shape),
-            winding,
-            readings_m=positions_m,
+            plane.x_m,
+            plane.z_m,
+            plane.field_T_per_A,
+            plane.relative,
+            plane.winding,
+            readings_m=plane.positions_m,
             title=title,
         ),
     )

@@ -10,6 +10,7 @@ import numpy as np
 from estimator.calibration.figures import pictures
 from estimator.calibration.notes import told_by_data
 from estimator.calibration.quality import noise_rms_T
+from estimator.calibration.residual_groups import residual_groups
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays, percent, probability, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
@@ -30,8 +31,8 @@ def calibration_report(calibration: Calibration, command: str) -> str:
     page = ReportPage(
         title=f"Calibration of {calibration.rig.name}",
         subtitle=f"{summary['session_source']}; readings recorded {summary['session_created']}",
-        verdict=_verdict(calibration),
-        warnings=_warnings(summary),
+        verdict=verdict_sentences(calibration),
+        warnings=warning_sentences(summary),
         tables=_tables(calibration),
         figures=pictures(calibration),
         provenance={
@@ -46,7 +47,8 @@ def calibration_report(calibration: Calibration, command: str) -> str:
     return render_report(page)
 
 
-def _verdict(calibration: Calibration) -> list[str]:
+def verdict_sentences(calibration: Calibration) -> list[str]:
+    """How good a calibration is, in sentences, the most important first."""
     summary, observations = calibration.summary(), calibration.observations
     role = "validation" if summary["rmse"]["validation"] else "calibration"
     error, nominal = summary["rmse"][role], summary["rmse_nominal"][role]
@@ -104,7 +106,8 @@ def undetermined_sentence(words: str, data_over_prior_sd: float) -> str:
     return f"These readings say less about {words} than the prior does: its interval is mostly the prior's."
 
 
-def _warnings(summary: Mapping[str, Any]) -> list[str]:
+def warning_sentences(summary: Mapping[str, Any]) -> list[str]:
+    """What a reader of a calibration must not overlook."""
     warnings = []
     if not summary["is_converged"]:
         warnings.append(f"Sampling did not converge: {_sampling(summary)}. The intervals are provisional.")
@@ -179,6 +182,7 @@ def _tables(calibration: Calibration) -> list[Table]:
         ]
         tables.append(Table("Loop counts", ["coil", "axial", "radial", "probability"], counts))
     tables.append(_error_table(summary))
+    tables.append(_group_table(calibration))
     if len(calibration.rig.sensors) > 1:
         tables.append(_sensor_table(summary))
     return tables
@@ -254,6 +258,22 @@ def _error_table(summary: Mapping[str, Any]) -> Table:
         "mean angle",
     ]
     return Table("Errors", header, rows, "The paper's metric is half the vector rms.")
+
+
+def _group_table(calibration: Calibration) -> Table:
+    rows = [
+        [
+            group.by,
+            group.name,
+            str(group.n_readings),
+            f"{group.rms_sigma:.2f}",
+            *("—" if np.isnan(mean) else f"{mean:+.2f}".replace("-", "−") for mean in group.mean_sigma),
+        ]
+        for group in residual_groups(calibration)
+    ]
+    header = ["by", "group", "readings", "rms", "mean x", "mean y", "mean z"]
+    caption = "In units of the noise: about 1, and means about 0, where the model holds. What stands out says where to look."
+    return Table("Residuals by current, axis, height and sensor", header, rows, caption)
 
 
 def _sensor_table(summary: Mapping[str, Any]) -> Table:

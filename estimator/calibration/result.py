@@ -9,7 +9,7 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
 import torch
@@ -24,8 +24,10 @@ from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
 from estimator.given_files import MOST_RESULT_BYTES, read_given
+from estimator.glance import Glance, Shown
 from estimator.json_files import json_object
 from estimator.model.room_field import RoomField, some_at_a_time
+from estimator.points import given_motion, given_points
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import MotionKind, Rig
@@ -40,6 +42,8 @@ from estimator.units import LARGEST
 
 if TYPE_CHECKING:
     import xarray as xr
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 SCHEMA_VERSION = 1
 POSTERIOR_STORE, SUMMARY_FILE, CHAIN_STORE, REPORT = (
@@ -62,10 +66,11 @@ SUMMARY_KEYS: Mapping[str, type] = {
 """What pages read of a summary; one that is older than its seal may have been altered unnoticed."""
 INTERVAL_DRAWS = 400
 DOUBLE = torch.empty(0, dtype=torch.float64)
+Kind = TypeVar("Kind")  # of points: answers are of the same
 
 
-@dataclass(frozen=True)
-class Calibration:
+@dataclass(frozen=True, repr=False)
+class Calibration(Shown):
     """The result of a calibration.
 
     Attributes:
@@ -85,42 +90,47 @@ class Calibration:
     summary_json: Mapping[str, Any]
 
     def field(
-        self,
-        points_m: Float[Tensor, "point 3"],
-        currents_A: Mapping[str, float],
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
-    ) -> Float[Tensor, "point 3"]:
+        self, points_m: Kind, currents_A: Mapping[str, float], motion: Mapping[str, Any] | None = None
+    ) -> Kind:
         """Flux density of the calibrated model in the world frame, in tesla.
 
         Args:
-            points_m: Points in the world frame; the prediction is made on their device and in their precision.
+            points_m: Points in the world frame, x, y, z last: one or many, as a list, a NumPy array, a tensor or an `xarray.DataArray`. The
+                prediction is made on the device and in the precision of a tensor.
             currents_A: Current of each coil by name; coils that are not named are off.
             motion: The six numbers of each mover's columns. A mover that reports displacements defaults to zero, its reference
                 configuration; any other mover that carries a coil must be named.
-        Returns: Bx, By, Bz; NaN at points inside a winding.
+        Returns: Bx, By, Bz in the kind that was given; NaN at points inside a winding.
         Raises:
             InvalidInput: An unknown coil or mover, a mover without its motion, or a number that is not finite or beyond `LARGEST`.
+        Examples:
+            >>> calibration.field([0.0, 0.0, 0.05], {"coil1": 2.0})  # doctest: +SKIP
+            [1.2e-05, -3.0e-06, 0.00214]
         """
-        room = self.room(points_m, motion)
-        return room.field_T(self.best_values(points_m), self.currents(currents_A, points_m))
+        given = given_points(points_m)
+        room = self.room(given.points_m, motion)
+        field_T = room.field_T(self.best_values(given.points_m), self.currents(currents_A, given.points_m))
+        return cast(Kind, given.answer(field_T, "magnetic flux density", "T"))
 
     def gradient(
-        self,
-        points_m: Float[Tensor, "point 3"],
-        currents_A: Mapping[str, float],
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
-    ) -> Float[Tensor, "point 3 3"]:
-        """dB_i / dx_j of the calibrated model in the world frame, in T/m; symmetric and traceless, as in any source-free region."""
-        room = self.room(points_m, motion)
-        return room.gradient_T_per_m(self.best_values(points_m), self.currents(currents_A, points_m))
+        self, points_m: Kind, currents_A: Mapping[str, float], motion: Mapping[str, Any] | None = None
+    ) -> Kind:
+        """dB_i / dx_j of the calibrated model in the world frame, in T/m, with two more axes; arguments as in `field`.
+
+        It is symmetric and traceless, as in any source-free region.
+        """
+        given = given_points(points_m)
+        room = self.room(given.points_m, motion)
+        values, current_A = self.best_values(given.points_m), self.currents(currents_A, given.points_m)
+        return cast(Kind, given.answer(room.gradient_T_per_m(values, current_A), "field gradient", "T/m"))
 
     def field_interval(
         self,
-        points_m: Float[Tensor, "point 3"],
+        points_m: Kind,
         currents_A: Mapping[str, float],
         level: float = 0.9,
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
-    ) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3"]]:
+        motion: Mapping[str, Any] | None = None,
+    ) -> tuple[Kind, Kind]:
         """Credible interval of each field component, from the uncertainty that data and priors leave in the model.
 
         Args:
@@ -131,29 +141,43 @@ class Calibration:
         Raises:
             InvalidInput: Level outside (0, 1), or as in `field`.
         """
-        _check_level(level)
-        room = self.room(points_m, motion)
-        current_A = self.currents(currents_A, points_m)
-        draws = self.draw_values(INTERVAL_DRAWS, points_m)
-        fields = some_at_a_time(lambda values: room.field_T(values, current_A), draws, len(points_m), 2)
-        return self.ends(fields, (len(points_m), 3), level)
+        return self._interval(points_m, currents_A, level, motion, is_gradient=False)
 
     def gradient_interval(
         self,
-        points_m: Float[Tensor, "point 3"],
+        points_m: Kind,
         currents_A: Mapping[str, float],
         level: float = 0.9,
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
-    ) -> tuple[Float[Tensor, "point 3 3"], Float[Tensor, "point 3 3"]]:
+        motion: Mapping[str, Any] | None = None,
+    ) -> tuple[Kind, Kind]:
         """Credible interval of each dB_i / dx_j, in T/m; as `field_interval`."""
+        return self._interval(points_m, currents_A, level, motion, is_gradient=True)
+
+    def _interval(
+        self,
+        points: Kind,
+        currents_A: Mapping[str, float],
+        level: float,
+        motion: Mapping[str, Any] | None,
+        is_gradient: bool,
+    ) -> tuple[Kind, Kind]:
         _check_level(level)
-        room = self.room(points_m, motion)
-        current_A = self.currents(currents_A, points_m)
-        draws = self.draw_values(INTERVAL_DRAWS, points_m)
-        gradients = some_at_a_time(
-            lambda values: room.gradient_T_per_m(values, current_A), draws, len(points_m), 3
+        given = given_points(points)
+        points_m = given.points_m
+        room, current_A = self.room(points_m, motion), self.currents(currents_A, points_m)
+        predict = room.gradient_T_per_m if is_gradient else room.field_T
+        draws, shape = self.draw_values(INTERVAL_DRAWS, points_m), (3, 3) if is_gradient else (3,)
+        values = some_at_a_time(lambda drawn: predict(drawn, current_A), draws, len(points_m), 1 + len(shape))
+        name, unit = ("field gradient", "T/m") if is_gradient else ("magnetic flux density", "T")
+        ends = self.ends(values, (len(points_m), *shape), level)
+        lower, upper = (
+            cast(
+                Kind,
+                given.answer(end, f"{which} end of the {100.0 * level:g} % interval of the {name}", unit),
+            )
+            for which, end in zip(("lower", "upper"), ends, strict=True)
         )
-        return self.ends(gradients, (len(points_m), 3, 3), level)
+        return lower, upper
 
     def coils_alone(self) -> Calibration:
         """This calibration without what is there without current, such as the Earth's field, whose uncertainty a coil has no part in.
@@ -180,9 +204,7 @@ class Calibration:
         lower, upper = torch.from_numpy(ends).to(values)
         return lower, upper
 
-    def room(
-        self, points_m: Float[Tensor, "point 3"], motion: Mapping[str, Float[Tensor, "... 6"]] | None
-    ) -> RoomField:
+    def room(self, points_m: Float[Tensor, "point 3"], motion: Mapping[str, Any] | None) -> RoomField:
         """The coils with each mover in one pose, or in one pose per point, ready for any values of the rig and any currents.
 
         Args:
@@ -191,12 +213,12 @@ class Calibration:
         Raises:
             InvalidInput: As in `field`.
         """
-        motion = {name: rows.to(points_m) for name, rows in (motion or {}).items()}
+        motion = given_motion(motion, points_m)
         carriers = {coil.carried_by for coil in self.rig.coils}
         for mover in self.rig.movers:
             if mover.name in motion:
                 numbers = motion[mover.name]
-                if numbers.shape[-1] != 6 or not bool((numbers.abs() <= LARGEST).all()):
+                if numbers.shape[-1:] != (6,) or not bool((numbers.abs() <= LARGEST).all()):
                     received = cut(str(numbers.tolist()), 200)
                     raise InvalidInput(
                         f"motion of {mover.name} must be six numbers between {-LARGEST:g} and {LARGEST:g}; received {received}"
@@ -230,6 +252,38 @@ class Calibration:
     def summary(self) -> Mapping[str, Any]:
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
         return self.summary_json
+
+    def glance(self) -> Glance:
+        """What is shown of it: how good it is, its parameters, and what the data taught."""
+        from estimator.calibration.shown import calibration_glance
+
+        return calibration_glance(self)
+
+    def plot_field(self, coil: str | None = None) -> Figure:
+        """Field of one ampere in the plane through a coil's axis, and its uncertainty (`plots.field_plane`).
+
+        Args:
+            coil: Its name; the first where left out.
+        Raises:
+            InvalidInput: The rig has no such coil, or it never carried current.
+        Examples:
+            >>> calibration.plot_field().savefig("field.png")  # doctest: +SKIP
+        """
+        from estimator.calibration.shown import plot_field
+
+        return plot_field(self, coil)
+
+    def plot_residuals(self, ax: Axes | None = None) -> Axes:
+        """Residuals of the fit over the noise beside the normal density (`plots.residual_histogram`)."""
+        from estimator.calibration.shown import plot_residuals
+
+        return plot_residuals(self, ax)
+
+    def plot_parameters(self, ax: Axes | None = None) -> Axes:
+        """Prior and posterior of every free parameter: what the data taught (`plots.interval_summary`)."""
+        from estimator.calibration.shown import plot_parameters
+
+        return plot_parameters(self, ax)
 
     def magnet(self) -> Magnet:
         """What exports write: the coils."""
@@ -357,6 +411,11 @@ class Calibration:
     def currents(self, currents_A: Mapping[str, float], like: Tensor = DOUBLE) -> Float[Tensor, " coil"]:
         """Currents in the order of the rig's coils; those that are not named are off. `like` as in `best_values`."""
         names = [coil.name for coil in self.rig.coils]
+        if not isinstance(cast(object, currents_A), Mapping):
+            example = {names[0]: 2.0}
+            raise InvalidInput(
+                f"currents must be given by coil, such as {example}; received {quoted(currents_A)}"
+            )
         for name in currents_A:
             if name not in names:
                 raise InvalidInput(

@@ -32,7 +32,14 @@ from estimator.errors import InvalidInput
 @click.option(
     "--rig",
     type=click.Path(path_type=Path),
-    help="Rig file to use for all sessions instead of the rig stored in each.",
+    help="Rig file to use for all sessions instead of the rig stored in each; needed for tables of readings.",
+)
+@click.option(
+    "--map",
+    "columns",
+    metavar="FILE",
+    type=click.Path(path_type=Path),
+    help="How the columns of tables are read, as an import has written it (columns.yaml).",
 )
 @click.option(
     "--hypothesis",
@@ -74,6 +81,7 @@ def batch_command(
     sessions: tuple[Path, ...],
     out: Path,
     rig: Path | None,
+    columns: Path | None,
     hypotheses: tuple[str, ...],
     each_coil: bool,
     posterior: str,
@@ -88,7 +96,8 @@ def batch_command(
 ) -> None:
     """Calibrate many sessions in parallel.
 
-    The work is spread over all processors or over a cluster. Run the command again to continue or to add sessions.
+    A SESSION may be a table of readings, too, as `coilcal import` reads it; --rig then names its rig. The work is spread over all
+    processors or over a cluster. Run the command again to continue or to add sessions.
 
     Exit code 2 if a session failed; the others are calibrated nevertheless.
     """
@@ -109,6 +118,7 @@ def batch_command(
         sessions,
         out=out,
         rig=rig,
+        columns=columns,
         hypotheses=hypotheses,
         is_each_coil=each_coil,
         has_posterior=posterior == "leaders",

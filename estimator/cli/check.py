@@ -122,10 +122,10 @@ def _physical_faults(
     rig: Rig, session: Session, flags: Sequence[Flag], source: str
 ) -> tuple[list[InvalidInput], list[str]]:
     """What an import of the readings would refuse: too few, nothing measured, other units than they claim; and what it would warn of."""
-    from estimator.cli.import_readings import with_validation
     from estimator.model.preflight import check_readings
     from estimator.model.unit_gate import check_units
     from estimator.readings.flags import without_flagged
+    from estimator.store.importers.checked import with_validation
 
     faults, warnings = Faults(is_collected=True), list[str]()
     check_readings(rig, session.observations, source, faults=faults)

@@ -1,9 +1,10 @@
-"""`coilcal compare`: a field map of a simulation as a rival of the coil model."""
+"""`coilcal compare`: two calibrations side by side, or a field map of a simulation as a rival of the coil model."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -13,16 +14,19 @@ from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
 
 PAGE, RESULT = "comparison.html", "comparison.json"
+Compared = tuple[dict[str, Any], list[str], str]  # as a record, as lines, and as a page
 
 
 @click.command("compare", cls=CoilcalCommand)
-@click.argument("path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
-    "--map",
-    "map_path",
-    type=click.Path(path_type=Path),
+@click.argument(
+    "paths",
+    metavar="CALIBRATION CALIBRATION | SESSION",
+    nargs=-1,
     required=True,
-    help="Field map (CSV, COMSOL's too) on a full grid.",
+    type=click.Path(path_type=Path),
+)
+@click.option(
+    "--map", "map_path", type=click.Path(path_type=Path), help="Field map (CSV, COMSOL's too) on a full grid."
 )
 @click.option(
     "--coil", metavar="NAME", help="Coil that the map describes; may be left out where there is one."
@@ -45,8 +49,8 @@ PAGE, RESULT = "comparison.html", "comparison.json"
 @overwrite_option
 @json_option
 def compare_command(
-    path: Path,
-    map_path: Path,
+    paths: tuple[Path, ...],
+    map_path: Path | None,
     coil: str | None,
     map_current_A: float,
     out: Path,
@@ -54,25 +58,67 @@ def compare_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Say whether a field map, the coil model or neither explains SESSION, and where.
+    """Put two calibrations side by side, or say whether a field map, the coil model or neither explains SESSION, and where.
 
-    The map is in the frame of the coil: its origin on the front face, z away from the coil.
+    Of two calibrations: their numbers, and the difference of their fields in the plane through the axis of each coil. With --map: the map
+    is in the frame of the coil, its origin on the front face, z away from the coil.
     """
+    from estimator.store.staging import check_output, only_writer, write_output
+
+    for name in (PAGE, RESULT):
+        check_output(out / name, overwrite)
+    command = command_of(click.get_current_context())
+    if map_path is None:
+        result, lines, page = _calibrations(paths, command)
+    else:
+        result, lines, page = _map(paths, map_path, map_current_A, coil, seed, command)
+    with only_writer(out):
+        write_output(out / PAGE, page, overwrite)
+        write_output(out / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n", overwrite)
+    show(result, "\n".join([*lines, f"report: {out / PAGE}"]), as_json)
+
+
+def _calibrations(paths: tuple[Path, ...], command: str) -> Compared:
+    from estimator.calibration.result import Calibration
+    from estimator.comparison.calibrations import (
+        number_table,
+        sentences,
+        side_by_side,
+        side_by_side_report,
+    )
+
+    if len(paths) != 2:
+        raise InvalidInput(
+            f"two calibrations are compared, or a session with the --map of a simulation; received {len(paths)} without --map"
+        )
+    first, second = (Calibration.load(path) for path in paths)
+    compared = side_by_side(first, second, (str(paths[0]), str(paths[1])))
+    table = number_table(compared)
+    rows = [list(table.header), *(list(row) for row in table.rows)]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(table.header))]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
+    return compared.to_json(), [*sentences(compared), "", *lines], side_by_side_report(compared, command)
+
+
+def _map(
+    paths: tuple[Path, ...],
+    map_path: Path,
+    map_current_A: float,
+    coil: str | None,
+    seed: int,
+    command: str,
+) -> Compared:
     from estimator.comparison.compare import compare
     from estimator.comparison.map_files import read_map
     from estimator.comparison.report import comparison_report, sentences
     from estimator.store.session import load_session
-    from estimator.store.staging import check_output, only_writer, write_output
 
+    if len(paths) != 1:
+        raise InvalidInput(f"--map is compared on one session; received {len(paths)}")
     if map_current_A == 0.0:
         raise InvalidInput("--map-current must not be 0: a map without current says nothing of the coil")
-    for name in (PAGE, RESULT):
-        check_output(out / name, overwrite)
-    session = load_session(path)
+    session = load_session(paths[0])
     comparison = compare(session, read_map(map_path, map_current_A), coil, seed=seed)
-    result = comparison.to_json()
-    command = command_of(click.get_current_context())
-    with only_writer(out):
-        write_output(out / PAGE, comparison_report(comparison, session.source, command), overwrite)
-        write_output(out / RESULT, json.dumps(result, indent=2, allow_nan=False) + "\n", overwrite)
-    show(result, "\n".join([*sentences(comparison), f"report: {out / PAGE}"]), as_json)
+    return comparison.to_json(), sentences(comparison), comparison_report(comparison, session.source, command)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from estimator.store.importers.forms.understand import Understood
     from estimator.store.session import Session
 
-VALIDATION_SHARE = 0.2
+VALIDATION_SHARE = 0.2  # `estimator.store.importers.checked`, which needs torch
 
 
 @click.command("import", cls=CoilcalCommand)
@@ -66,15 +66,11 @@ def import_command(
     paths: tuple[Path, ...],
     rig_path: Path,
     out: Path,
-    kind: str,
-    currents: tuple[str, ...],
-    share: float,
-    recorded_at: str | None,
     form: FormOptions,
     yes: bool,
-    seed: int,
     overwrite: bool,
     as_json: bool,
+    **how: Any,
 ) -> None:
     """Import FILES with readings into a session.
 
@@ -83,41 +79,65 @@ def import_command(
     repositories.
     """
     from estimator.cli.proposal import write_recipe
-    from estimator.model.preflight import check_readings
-    from estimator.model.unit_gate import check_units
-    from estimator.readings.digits import flags_of_digits
-    from estimator.readings.flags import told, without_flagged
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.recorded import moment
     from estimator.store.session import SESSION
     from estimator.store.staging import check_output
 
     check_output(out, overwrite, SESSION)
+    recorded_at = how["recorded_at"]
     created = None if recorded_at is None else moment(recorded_at, "--recorded-at")
-    rig = load_rig(rig_path)
-    named_A = named_number(currents, "--current")
-    read = (
-        _understood(paths, rig, form.with_currents(rig, named_A), yes, not as_json)
-        if kind == "readings"
-        else None
-    )
-    session = IMPORTERS[kind](paths, rig, named_A) if read is None else read.session
+    session, read = _read(paths, load_rig(rig_path), how["kind"], how["currents"], form, yes, not as_json)
     if created is not None:
         session = replace(session, created=created)
-    source = ", ".join(str(path) for path in paths)
-    check_readings(rig, session.observations, source)
-    flags = flags_of_digits(session.observations)
-    warnings = [] if read is None else notes_of(read)
-    warnings += check_units(rig, without_flagged(session.observations, flags), source)
+    notes = [] if read is None else notes_of(read)
     proposal = None if read is None else read.proposal
     read = None  # the table of a million readings is not needed beside them
-    session = with_validation(session, share, seed)
-    check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
-    session.save(out, overwrite)
-    recipe = None
+    result, lines = _saved(paths, session, notes, out, overwrite, how["share"], how["seed"])
     if proposal is not None and form.map_path is None:
         recipe = write_recipe(proposal, out)
-    observations, sensors = session.observations, [sensor.name for sensor in rig.sensors]
+        result["columns"] = str(recipe)
+        lines.insert(
+            1,
+            f"How its columns were read stands in {recipe}; the next file needs no question with --map {recipe}",
+        )
+    show(result, "\n".join(lines), as_json)
+
+
+def _read(
+    paths: tuple[Path, ...],
+    rig: Rig,
+    kind: str,
+    currents: tuple[str, ...],
+    form: FormOptions,
+    yes: bool,
+    is_asked: bool,
+) -> tuple[Session, Understood | None]:
+    """The session that files hold, and what was understood of a table of readings."""
+    named_A = named_number(currents, "--current")
+    if kind != "readings":
+        return IMPORTERS[kind](paths, rig, named_A), None
+    read = _understood(paths, rig, form.with_currents(rig, named_A), yes, is_asked)
+    return read.session, read
+
+
+def _saved(
+    paths: tuple[Path, ...],
+    session: Session,
+    notes: list[str],
+    out: Path,
+    overwrite: bool,
+    share: float,
+    seed: int,
+) -> tuple[dict[str, Any], list[str]]:
+    """Check and write a session; what was written, as a record and as lines."""
+    from estimator.readings.flags import told
+    from estimator.store.importers.checked import checked
+
+    session, flags, warnings = checked(session, share, seed, ", ".join(str(path) for path in paths))
+    session.save(out, overwrite)
+    warnings = [*notes, *warnings]
+    observations, sensors = session.observations, [sensor.name for sensor in session.rig.sensors]
     result = {
         "session": str(out),
         "readings": len(observations),
@@ -126,14 +146,14 @@ def import_command(
         "session_hash": session.hash,
         "flagged": [flag.to_json(sensors) for flag in flags],
         "warnings": warnings,
-        "columns": None if recipe is None else str(recipe),
+        "columns": None,
     }
-    text = f"{result['readings']} readings ({result['validation']} of them for validation) written to {out}"
-    if recipe is not None:
-        text += f"\nHow its columns were read stands in {recipe}; the next file needs no question with --map {recipe}"
+    lines = [
+        f"{result['readings']} readings ({result['validation']} of them for validation) written to {out}"
+    ]
     if flags:
-        text += f"\n{told(flags, sensors)} Put the record right where you can."
-    show(result, "\n".join([text, *warnings]), as_json)
+        lines.append(f"{told(flags, sensors)} Put the record right where you can.")
+    return result, [*lines, *warnings]
 
 
 def _understood(paths: tuple[Path, ...], rig: Rig, recipe: Recipe, yes: bool, is_asked: bool) -> Understood:
@@ -156,13 +176,3 @@ def notes_of(read: Understood) -> list[str]:
     observations = read.session.observations
     told = told_of_clock(observations.time_s.numpy(), observations.sensor.numpy(), read.table.lines)
     return [*read.table.notes, *([told] if told else [])]
-
-
-def with_validation(session: Session, share: float = VALIDATION_SHARE, seed: int = 0) -> Session:
-    """The session with a share of its readings marked for validation, unless the files marked some."""
-    from estimator.readings.split import block_split
-
-    observations = session.observations
-    if observations.is_validation.any():
-        return session
-    return replace(session, observations=observations.with_validation(block_split(observations, share, seed)))

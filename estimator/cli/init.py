@@ -11,40 +11,75 @@ import click
 
 from estimator.cli.options import OutputPath, json_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, show
+from estimator.errors import InvalidInput
 
-QUESTIONS: dict[str, tuple[type | tuple[str, ...], Any, str]] = {
-    "name": (str, "my rig", "Name of the rig"),
-    "moved": (("coil", "sensor"), "coil", "What the robot or stage carries; the other one stands still"),
+KINDS = {
+    "stage": "one coil and one sensor, a stage carries one of them",
+    "arm": "the same with an arm that reports poses",
+    "helmholtz": "two coils whose currents flow alike, a stage maps their middle",
+    "maxwell": "two coils whose currents oppose each other, a stage maps their middle",
+    "cage": "three pairs of square coils, a stage maps their middle",
+    "array": "several fixed sensors, a stage carries a coil before them",
+    "solenoid": "a long coil, a mapper carries a sensor through it",
+}
+ONE_COIL = (
+    "name", "moved", "motion", "radius_mm", "wire_radius_mm", "axial_loops", "radial_loops", "distance_mm", "reach_mm", "noise_uT",
+    "largest_A", "earth",
+)  # fmt: skip
+WOUND = ("wire_radius_mm", "axial_loops", "radial_loops", "reach_mm", "noise_uT", "largest_A", "earth")
+ASKED: dict[str, tuple[str, ...]] = {
+    "stage": ONE_COIL,
+    "arm": ONE_COIL,
+    "helmholtz": ("name", "radius_mm", *WOUND),
+    "maxwell": ("name", "radius_mm", *WOUND),
+    "cage": ("name", "side_mm", *WOUND),
+    "array": ("name", "n_sensors", "spacing_mm", *ONE_COIL[3:]),
+    "solenoid": ("name", "radius_mm", *WOUND),
+}
+QUESTIONS: dict[str, tuple[type | tuple[str, ...], str]] = {
+    "name": (str, "Name of the rig"),
+    "moved": (("coil", "sensor"), "What the robot or stage carries; the other one stands still"),
     "motion": (
         ("displacement", "pose"),
-        "displacement",
         "What its readings say: how far it went since a reference position, or its position and rotation",
     ),
-    "radius_mm": (float, 48.0, "Outer radius of the coil in mm, over the insulation"),
-    "wire_radius_mm": (float, 0.46, "Radius of the wire in mm, insulation included"),
-    "axial_loops": (float, 45.0, "Turns along the axis"),
-    "radial_loops": (float, 22.0, "Layers of turns"),
+    "radius_mm": (float, "Outer radius of the coil in mm, over the insulation"),
+    "side_mm": (float, "Inner side of the largest pair in mm"),
+    "n_sensors": (int, "Sensors of the array"),
+    "spacing_mm": (float, "Distance of neighbouring sensors in mm"),
+    "wire_radius_mm": (float, "Radius of the wire in mm, insulation included"),
+    "axial_loops": (float, "Turns along the axis"),
+    "radial_loops": (float, "Layers of turns"),
     "distance_mm": (
         float,
-        40.0,
         "Distance in mm, along the axis, of the sensor from the front face of the coil where they are nearest",
     ),
-    "reach_mm": (float, 40.0, "How far the robot or stage goes to each side, and away, in mm"),
-    "noise_uT": (float, 20.0, "Scatter of one reading of the sensor in uT"),
-    "largest_A": (float, 3.0, "Largest current in A"),
-}  # of `estimator.rig_files.starter.Starter`, which needs torch; a test holds both together
+    "reach_mm": (float, "How far the robot or stage goes to each side, and away, in mm"),
+    "noise_uT": (float, "Scatter of one reading of the sensor in uT"),
+    "largest_A": (float, "Largest current in A"),
+    "earth": (
+        ("included", "subtracted"),
+        "The Earth's field, 25 to 65 uT: is it in the readings, or was it subtracted",
+    ),
+}
 
 
 def _options(command: Callable[..., Any]) -> Callable[..., Any]:
     """One option for each question."""
-    for key, (kind, default, words) in reversed(QUESTIONS.items()):
+    for key, (kind, words) in reversed(QUESTIONS.items()):
         command = click.option(
             f"--{key.replace('_', '-').lower()}",
             key,
             type=click.Choice(list(kind)) if isinstance(kind, tuple) else kind,
-            help=f"{words}.  [default: {default}]",
+            help=f"{words}.",
         )(command)
-    return command
+    return click.option(
+        "--kind",
+        type=click.Choice(list(KINDS)),
+        help="Set-up to begin with: "
+        + "; ".join(f"{kind}: {words}" for kind, words in KINDS.items())
+        + ".  [default: stage]",
+    )(command)
 
 
 @click.command("init", cls=CoilcalCommand)
@@ -53,54 +88,85 @@ def _options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--yes", "is_quiet", is_flag=True, help="Ask nothing: take the defaults of what is not given.")
 @overwrite_option
 @json_option
-def init_command(folder: Path, is_quiet: bool, overwrite: bool, as_json: bool, **given: Any) -> None:
-    """Write rig.yaml and plan.yaml into FOLDER, commented, for one coil, one sensor and what moves.
+def init_command(
+    folder: Path, kind: str | None, is_quiet: bool, overwrite: bool, as_json: bool, **given: Any
+) -> None:
+    """Write rig.yaml and plan.yaml into FOLDER, commented, for a common set-up.
 
-    What no option gives is asked for; where nobody can answer, as in a script, the default counts.
+    What no option gives is asked for; where nobody can answer, as in a script, the default counts. An answer that is refused is asked
+    again, and all others stay.
     """
     from estimator.cli.understood import plan_record
     from estimator.readings.plan import plan_from_text
     from estimator.rig_files.read import rig_from_text
-    from estimator.rig_files.starter import (
-        Motion,
-        Moved,
-        Starter,
-        check_name,
-        starter_plan_text,
-        starter_rig_text,
-    )
     from estimator.store.staging import check_output, only_writer, write_output
 
     rig_path, plan_path = folder / "rig.yaml", folder / "plan.yaml"
     for path in (rig_path, plan_path):
         check_output(path, overwrite)
-    answers = {key: _answer(key, given[key], is_quiet or as_json) for key in QUESTIONS}
-    named = {
-        "name": check_name(answers["name"]),
-        "moved": Moved(answers["moved"]),
-        "motion": Motion(answers["motion"]),
-    }
-    starter = Starter(**{**answers, **named})
-    rig_text, plan_text = starter_rig_text(starter), starter_plan_text(starter)
+    is_asked = not (is_quiet or as_json) and can_ask()
+    kind = kind or (_asked_kind() if is_asked else "stage")
+    given = {key: value for key, value in given.items() if value is not None}
+    for key in given:
+        if key not in ASKED[kind]:
+            raise InvalidInput(f"--{key.replace('_', '-').lower()} is no answer for --kind {kind}")
+    rig_text, plan_text = _texts(kind, given, is_asked)
     rig = rig_from_text(rig_text, str(rig_path))
     plan = plan_from_text(plan_text, rig, str(plan_path))
     with only_writer(folder):
         write_output(rig_path, rig_text, overwrite)
         write_output(plan_path, plan_text, overwrite)
     n_readings = plan_record(plan, rig)["readings"]
-    result = {"rig": str(rig_path), "plan": str(plan_path), "readings": n_readings, "free": len(rig.free)}
+    result = {
+        "kind": kind,
+        "rig": str(rig_path),
+        "plan": str(plan_path),
+        "readings": n_readings,
+        "free": len(rig.free),
+    }
     show(result, _text(folder, rig_path, plan_path, n_readings, len(rig.free)), as_json)
 
 
-def _answer(key: str, given: Any, is_quiet: bool) -> Any:
-    """What an option gave, the user answers, or the default."""
-    kind, default, words = QUESTIONS[key]
-    if given is not None:
-        return given
-    if is_quiet or not can_ask():
-        return default
+def _asked_kind() -> str:
+    for kind, words in KINDS.items():
+        click.echo(f"  {kind:10} {words}", err=True)
+    answer: str = click.prompt("Set-up", default="stage", type=click.Choice(list(KINDS)), err=True)
+    return answer
+
+
+def _texts(kind: str, given: dict[str, Any], is_asked: bool) -> tuple[str, str]:
+    """Rig file and plan; at a terminal an answer that is refused is asked again."""
+    from estimator.rig_files.set_ups import Kind, defaults_of, texts_of
+    from estimator.rig_files.starter import check_answer
+
+    answers, defaults, open_keys = dict(given), defaults_of(Kind(kind)), list(ASKED[kind])
+    if not is_asked:
+        return texts_of(Kind(kind), answers)
+    while True:
+        for key in (key for key in open_keys if key not in answers):
+            answers[key] = _answer(key, defaults[key], check_answer)
+        try:
+            return texts_of(Kind(kind), answers)
+        except InvalidInput as refusal:
+            key = str(refusal).partition(" ")[0]
+            if key not in answers:
+                raise
+            click.echo(f"  {refusal}", err=True)
+            defaults[key] = answers.pop(key)
+
+
+def _answer(key: str, default: Any, check: Callable[[str, Any], None]) -> Any:
+    """What the user answers; asked again until it is possible."""
+    kind, words = QUESTIONS[key]
     choices = click.Choice(list(kind)) if isinstance(kind, tuple) else kind
-    return click.prompt(words, default=default, type=choices, err=True)
+    while True:
+        answer = click.prompt(words, default=default, type=choices, err=True)
+        try:
+            check(key, answer)
+        except InvalidInput as refusal:
+            click.echo(f"  {refusal}", err=True)
+        else:
+            return answer
 
 
 def can_ask() -> bool:

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from matplotlib.figure import Figure
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
@@ -28,7 +29,7 @@ MOST_IN_TITLE = 3
 
 def pictures(diagnosis: Diagnosis) -> list[Picture]:
     """The figures of the report, each with a title and a caption that says what to look for."""
-    parts = (_maps, _budget, _explained, _corrected, _structure, _ranking)
+    parts = (_maps, budget_pictures, _explained, _corrected, _structure, _ranking)
     return part_by_part(parts, diagnosis)
 
 
@@ -62,7 +63,8 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
             yield Picture(f"Residual around {name}", words, figure)
 
 
-def _budget(diagnosis: Diagnosis) -> Iterator[Picture]:
+def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
+    """The error budget, where there is one."""
     budget = diagnosis.fits.budget
     if budget is None:
         return
@@ -142,6 +144,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
             [test.p_value for test in tests],
             [after[name].p_value for name in names],
             title=diagnosis.rig.name,
+            floor=1.0 / (policy.N_NOISE_DRAWS + 1),
         ),
     )
     if not tests:

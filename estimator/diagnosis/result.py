@@ -22,6 +22,7 @@ from estimator.diagnosis.mixture.comparison import Comparison, Hypothesis
 from estimator.diagnosis.next_readings.expected_evidence import Proposal
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.outlying import Outlier
+from estimator.diagnosis.presented import Presented
 from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
 from estimator.diagnosis.structure.pull import Pull
 from estimator.diagnosis.structure.scatter import Scatter
@@ -141,8 +142,8 @@ class LeftOpen:
     widening: Widening | None = None
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+@dataclass(frozen=True, repr=False)
+class Diagnosis(Presented):
     """The result of a diagnosis.
 
     Attributes:

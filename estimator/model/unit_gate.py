@@ -89,7 +89,7 @@ def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
             f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: "
             f"{_likely(given.ratio)} ({where})"
         )
-    return _warnings(given, chosen, where)
+    return _warnings(given, observations, chosen, where)
 
 
 def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, where: str) -> None:
@@ -126,13 +126,16 @@ def _likely(ratio: float) -> str:
     return "check units, currents and the nominal pose"
 
 
-def _warnings(given: Agreement, chosen: Int[Tensor, " reading"], where: str) -> list[str]:
+def _warnings(
+    given: Agreement, compared: Observations, chosen: Int[Tensor, " reading"], where: str
+) -> list[str]:
     told = []
     if given.far:
-        numbers = [str(int(chosen[reading]) + 1) for reading in given.far]
-        listed = ", ".join(numbers[:3]) + (f" and {len(numbers) - 3} more" if len(numbers) > 3 else "")
+        numbers, unit = (chosen + 1, "Reading") if compared.line is None else (compared.line, "Line")
+        far = [str(int(numbers[reading])) for reading in given.far]
+        listed = ", ".join(far[:3]) + (f" and {len(far) - 3} more" if len(far) > 3 else "")
         told.append(
-            f"{'Reading' if len(numbers) == 1 else 'Readings'} {listed}: far from all others beside the rig's nominal model ({where})."
+            f"{unit if len(far) == 1 else f'{unit}s'} {listed}: far from all others beside the rig's nominal model ({where})."
         )
     if not given.is_plausible:
         told.append(

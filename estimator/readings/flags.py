@@ -40,6 +40,7 @@ class Flag:
         component: Index of the component that is concerned; None where all three are.
         readings: Numbers of the readings in the session, from 0.
         stretches: First and last of each run of them, in the order in which the sensor was read.
+        lines: Lines of the file that these readings were imported from; empty where there is none.
     """
 
     reason: Reason
@@ -48,6 +49,7 @@ class Flag:
     component: int | None
     readings: tuple[int, ...]
     stretches: tuple[tuple[int, int], ...]
+    lines: tuple[int, ...] = ()
 
     @classmethod
     def of(
@@ -70,7 +72,9 @@ class Flag:
         place = {reading: number for number, reading in enumerate(own)}
         runs = runs_of(sorted(place[reading] for reading in readings))
         stretches = tuple((own[run[0]], own[run[-1]]) for run in runs)
-        return cls(reason, words, sensor, component, tuple(sorted(readings)), stretches)
+        numbers = tuple(sorted(readings))
+        lines = () if observations.line is None else tuple(observations.line[list(numbers)].tolist())
+        return cls(reason, words, sensor, component, numbers, stretches, lines)
 
     @property
     def is_everywhere(self) -> bool:
@@ -78,22 +82,29 @@ class Flag:
         return self.reason is Reason.STUCK_BIT
 
     def where(self) -> str:
-        """The readings, counted from 1, as stretches.
+        """The readings as stretches: by line where they were imported from a file, else counted from 1.
 
         Examples:
             >>> Flag(Reason.HELD, "", 0, 2, (4, 5, 6, 9), ((4, 6), (9, 9))).where()
             'readings 5 to 7 and 10'
             >>> Flag(Reason.HELD, "", 0, 2, tuple(range(0, 12, 2)), tuple((i, i) for i in range(0, 12, 2))).where()
             '6 readings between 1 and 11'
+            >>> Flag(Reason.HELD, "", 0, 2, (4, 5, 6), ((4, 6),), (7, 8, 10)).where()
+            'lines 7 to 10'
         """
+        number = dict(
+            zip(self.readings, self.lines or (reading + 1 for reading in self.readings), strict=True)
+        )
+        unit = "line" if self.lines else "reading"
         if len(self.stretches) > MOST_STRETCHES:
-            return f"{len(self.readings)} readings between {self.readings[0] + 1} and {self.readings[-1] + 1}"
+            between = f"{number[self.readings[0]]} and {number[self.readings[-1]]}"
+            return f"{len(self.readings)} readings between {'lines ' if self.lines else ''}{between}"
         shown = [
-            f"{first + 1}" if first == last else f"{first + 1} to {last + 1}"
+            f"{number[first]}" if first == last else f"{number[first]} to {number[last]}"
             for first, last in self.stretches
         ]
         listed = " and ".join(part for part in (", ".join(shown[:-1]), shown[-1]) if part)
-        return f"{'reading' if len(self.readings) == 1 else 'readings'} {listed}"
+        return f"{unit if len(self.readings) == 1 else f'{unit}s'} {listed}"
 
     def subject(self, sensors: Sequence[str]) -> str:
         """The fields that are concerned, such as `z of hall`."""
@@ -113,13 +124,14 @@ class Flag:
         return f"{self.subject(sensors)} {self.words}, in {'all its readings' if self.is_everywhere else self.where()}"
 
     def to_json(self, sensors: Sequence[str]) -> dict[str, Any]:
-        """The flag in the form of JSON; readings are counted from 1."""
+        """The flag in the form of JSON; readings are counted from 1, lines are those of the file."""
         return {
             "reason": str(self.reason),
             "words": self.words,
             "sensor": sensors[self.sensor],
             "component": None if self.component is None else COMPONENTS[self.component],
             "readings": [reading + 1 for reading in self.readings],
+            "lines": list(self.lines),
         }
 
 

@@ -34,6 +34,7 @@ class Observations:
         rows_late: Rows by which fields had been written down late, as `realigned` has undone it.
         late_since_h: Time since the session began from which on they were.
         as_recorded: These readings before that; None where nothing was undone.
+        line: Line of the file from which each reading was imported; None where there is no such file.
     """
 
     time_s: Float[Tensor, " reading"]
@@ -51,6 +52,7 @@ class Observations:
     rows_late: int = 0
     late_since_h: float = 0.0
     as_recorded: Observations | None = field(default=None, repr=False)
+    line: Int[Tensor, " reading"] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return self.time_s.shape[0]
@@ -102,6 +104,7 @@ class Observations:
             self.rows_late,
             self.late_since_h,
             moved(self.as_recorded),
+            self.line,
         )
 
     def rows(self, index: Bool[Tensor, " reading"] | Int[Tensor, " rows"]) -> Observations:
@@ -146,6 +149,7 @@ class Observations:
             self.rows_late,
             self.late_since_h,
             None if self.as_recorded is None else self.as_recorded.rows(index),
+            None if self.line is None else self.line[index.to(self.line.device)],
         )
 
     def realigned(self, rows_late: int, since_h: float = 0.0) -> Observations:

@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from html import escape
 from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
@@ -97,6 +98,17 @@ class Picture:
         palette = image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         palette.save(file, format="png")
         return base64.b64encode(file.getvalue()).decode("ascii")
+
+
+def picture_html(title: str, plot: Figure | Callable[[], Figure | Axes]) -> str:
+    """A figure as an image of HTML, for a notebook.
+
+    Args:
+        title: Read out where the image is not seen.
+        plot: The figure, or what draws it.
+    """
+    picture = Picture(title, "", plot)
+    return f'<img alt="{escape(title)}" width="{picture.width_px}" src="data:image/png;base64,{picture.png_base64}"/>'
 
 
 @dataclass(frozen=True)

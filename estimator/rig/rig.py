@@ -16,6 +16,7 @@ from itertools import pairwise
 from typing import Any
 
 from estimator.errors import InvalidInput, closest
+from estimator.glance import Glance, Shown
 from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
 from estimator.rig.charged_box import (
     MULTIPOLE_DEGREE,
@@ -273,8 +274,8 @@ class Cause:
         return f"{self.name}[{self.place}]"
 
 
-@dataclass(frozen=True)
-class Rig:
+@dataclass(frozen=True, repr=False)
+class Rig(Shown):
     """A laboratory as the model sees it.
 
     Attributes:
@@ -294,6 +295,51 @@ class Rig:
     effects: tuple[Cause, ...] = ()
     devices: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     corrections: tuple[Cause, ...] = ()
+
+    @classmethod
+    def coil(
+        cls,
+        radius_m: float,
+        axial_loops: float,
+        radial_loops: float = 1.0,
+        *,
+        wire_radius_m: float,
+        distance_m: float = 0.04,
+        noise_T: float = 20e-6,
+        moves: str = "sensor",
+        name: str = "my rig",
+    ) -> Rig:
+        """A first rig without a file: one round coil, one three-axis sensor, and a stage that carries one of them.
+
+        Its bodies are `coil1`, `hall` and `stage`; the columns of a table are `coil1_current_A`, `stage_x_m`, `stage_y_m`, `stage_z_m` (how
+        far the stage went) and `Bx_T`, `By_T`, `Bz_T`, in other units too. All that a ruler and a maker's note leave open is free, and so
+        are the Earth's field and the zero of the sensor. `coilcal init` writes the same as a file, with more of a choice.
+
+        Args:
+            radius_m: Outer radius of the winding.
+            axial_loops, radial_loops: Turns along the axis, and layers.
+            wire_radius_m: Half the distance of neighbouring turns.
+            distance_m: From the front face of the winding to the sensor, along the axis, where the stage is at zero.
+            noise_T: Scatter of one component of one reading.
+            moves: What the stage carries, `sensor` or `coil`.
+            name: Shown in titles.
+        Raises:
+            InvalidInput: A number is impossible.
+        Examples:
+            >>> Rig.coil(0.05, 30, 12, wire_radius_m=0.0004).coils[0].name
+            'coil1'
+        """
+        from estimator.rig.first import rig_of_coil
+
+        return rig_of_coil(
+            radius_m, axial_loops, radial_loops, wire_radius_m, distance_m, noise_T, moves, name
+        )
+
+    def glance(self) -> Glance:
+        """What is shown of it: its bodies and free numbers."""
+        from estimator.rig.shown import rig_glance
+
+        return rig_glance(self)
 
     @property
     def free(self) -> tuple[Parameter, ...]:

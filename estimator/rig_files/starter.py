@@ -1,23 +1,26 @@
 """The first rig file and plan of a new set-up: one coil, one sensor, one mover, with comments that say what each number is.
 
-Every free number has a prior as wide as a ruler and a maker's note leave it; the comments say when to free another.
+Other set-ups (`set_ups`) are made of the same parts. Every free number has a prior as wide as a ruler and a maker's note leave it; the
+comments say when to free another.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 from enum import StrEnum
 
 from estimator.errors import InvalidInput, quoted
+from estimator.rig.first import MOUNT_SD_RAD, PLACE_SD_M, RELATIVE_SD, ROOM_SD_T, TILT_SD_RAD, ZERO_SD_T
 from estimator.rig_files.read import NAME, SCHEMA_VERSION
 
-PLACE_SD_MM = 3.0  # of a place that was measured with a ruler
-TILT_SD_DEG = 2.0  # of a mount that was set by eye
-MOUNT_SD_DEG = 0.6  # between the axes of a stage and what is screwed to it
-RELATIVE_SD = 0.05  # of a radius that was measured with a caliper over tape and varnish
+PLACE_SD_MM, TILT_SD_DEG, MOUNT_SD_DEG = (
+    1e3 * PLACE_SD_M,
+    math.degrees(TILT_SD_RAD),
+    math.degrees(MOUNT_SD_RAD),
+)
 NEAREST_SDS = 4.0  # of place and tilt, between a sensor and the front face of the winding
-ROOM_SD_T = ZERO_SD_T = 50e-6  # of a component of the Earth's field, and of the zero of a Hall sensor
 N_POSES, N_JUDGED = 40, 12
 
 
@@ -35,6 +38,13 @@ class Motion(StrEnum):
     POSE = "pose"
 
 
+class Earth(StrEnum):
+    """What readings hold of the Earth's field."""
+
+    INCLUDED = "included"
+    SUBTRACTED = "subtracted"
+
+
 @dataclass(frozen=True)
 class Starter:
     """What is asked of the user, in the units of rig files.
@@ -50,6 +60,7 @@ class Starter:
         reach_mm: How far the mover goes to each side, and away.
         noise_uT: Scatter of one component of one reading.
         largest_A: Largest current.
+        earth: Whether readings contain the Earth's field.
     """
 
     name: str = "my rig"
@@ -63,16 +74,11 @@ class Starter:
     reach_mm: float = 40.0
     noise_uT: float = 20.0
     largest_A: float = 3.0
+    earth: Earth = Earth.INCLUDED
 
     def __post_init__(self) -> None:
-        for key in ("radius_mm", "wire_radius_mm", "distance_mm", "reach_mm", "noise_uT", "largest_A"):
-            if not 0.0 < getattr(self, key) < 1e6:
-                raise InvalidInput(f"{key} must be > 0 and below 1000000; received {getattr(self, key):g}")
-        for key in ("axial_loops", "radial_loops"):
-            if not 1.0 <= getattr(self, key) < 1e4:
-                raise InvalidInput(
-                    f"{key} must be at least 1 and below 10000; received {getattr(self, key):g}"
-                )
+        for field in fields(self):
+            check_answer(field.name, getattr(self, field.name))
         thickness_mm = 2.0 * self.wire_radius_mm * self.radial_loops * (1.0 + 2.0 * RELATIVE_SD)
         if thickness_mm >= self.radius_mm * (1.0 - 2.0 * RELATIVE_SD):
             rule = f"must exceed {thickness_mm / (1.0 - 2.0 * RELATIVE_SD):.4g}, the thickness of its layers and some room"
@@ -99,15 +105,7 @@ def starter_rig_text(starter: Starter) -> str:
         f"{still}    world_from_sensor: {{}}\n" if is_coil_moved else _moved_pose(s, "sensor", s.distance_mm)
     )
     return f"""\
-# A rig file says what is known of a set-up before any reading is looked at. Start here, then read docs/how-to/write-a-rig-file.md.
-#
-# A key ends in its unit: lengths in m, cm, mm or um, angles in rad, mrad or deg, fields in T, mT, uT, nT or G.
-# A plain number is exact, and no fit moves it:        radius_mm: 48
-# A number with a prior is free, and a fit finds it:   radius_mm: {{prior: {{normal: {{mean: 48, sd: 3}}}}}}
-# "sd" is how far off the number may well be; "lower" and "upper" may be added as bounds.
-schema_version: {SCHEMA_VERSION}
-name: "{s.name}"
-
+{head(s.name)}
 movers:                      # robots and stages; readings have six columns of each
   arm1:
 {_motion_lines(s)}
@@ -115,12 +113,12 @@ coils:
   coil1:
 {"    carried_by: arm1          # leave this out for a coil that stands still" + chr(10) if is_coil_moved else ""}\
     # Outer radius, over the insulation; a length, must be given. Free it unless you measured it far better than you need it.
-    radius_mm: {_normal(s.radius_mm, RELATIVE_SD * s.radius_mm)}
+    radius_mm: {normal(s.radius_mm, RELATIVE_SD * s.radius_mm)}
     # Half the distance of neighbouring turns, insulation included; a length. Free it: windings are never quite tight.
-    wire_radius_mm: {_normal(s.wire_radius_mm, RELATIVE_SD * s.wire_radius_mm)}
+    wire_radius_mm: {normal(s.wire_radius_mm, RELATIVE_SD * s.wire_radius_mm)}
     # Turns along the axis, and layers; pure numbers, must be given. Write plain numbers if you counted them.
-    axial_loops: {_normal(s.axial_loops, max(1.0, RELATIVE_SD * s.axial_loops), lower=1.0)}
-    radial_loops: {_normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1.0)}
+    axial_loops: {normal(s.axial_loops, max(1.0, RELATIVE_SD * s.axial_loops), lower=1.0)}
+    radial_loops: {normal(s.radial_loops, max(0.5, RELATIVE_SD * s.radial_loops), lower=1.0)}
     # axial_pitch_mm, radial_pitch_mm: distance of turns and of layers; where left out, twice the wire radius.
     # current_gain: delivered over commanded current, 1 where left out. Free it only as narrowly as your ammeter is good:
     #   more current looks like more turns, and like more gain of the sensor below.
@@ -128,19 +126,63 @@ coils:
 sensors:
   hall:
 {"" if is_coil_moved else "    carried_by: arm1          # leave this out for a sensor that stands still" + chr(10)}\
-    # Scatter of one component of one reading; a field, must be given. Free it unless you measured it.
-    noise_uT: {{prior: {{log_normal: {{median: {s.noise_uT:g}, relative_sd: 0.5}}}}}}
-    # Shown over true field, 1 where left out: a probe is good to a per cent, unless it was calibrated better.
-    gain: {{prior: {{normal: {{mean: 1, sd: 0.01}}}}}}
+{SENSOR_COMMENT}
+    noise_uT: {noise(s.noise_uT)}
+{GAIN}
 {sensor}
+{effects(("hall",), s.earth)}"""
+
+
+SENSOR_COMMENT = (
+    "    # Scatter of one component of one reading; a field, must be given. Free it unless you measured it."
+)
+GAIN = """\
+    # Shown over true field, 1 where left out: a probe is good to a per cent, unless it was calibrated better.
+    gain: {prior: {normal: {mean: 1, sd: 0.01}}}"""
+
+
+def head(name: str) -> str:
+    """The first lines of a rig file: what one is, and its name."""
+    return f"""\
+# A rig file says what is known of a set-up before any reading is looked at. 'coilcal schema rig' prints all keys that it may have.
+#
+# A key ends in its unit: lengths in m, cm, mm or um, angles in rad, mrad or deg, fields in T, mT, uT, nT or G.
+# A plain number is exact, and no fit moves it:        radius_mm: 48
+# A number with a prior is free, and a fit finds it:   radius_mm: {{prior: {{normal: {{mean: 48, sd: 3}}}}}}
+# "sd" is how far off the number may well be; "lower" and "upper" may be added as bounds.
+schema_version: {SCHEMA_VERSION}
+name: "{name}"
+"""
+
+
+def effects(sensors: Sequence[str], earth: Earth) -> str:
+    """The last lines of a rig file: what is there besides coils and sensors.
+
+    Args:
+        sensors: Their names.
+        earth: Whether readings contain the Earth's field.
+    """
+    field = (
+        f"  # The Earth's field is 25 to 65 uT. Narrow the priors to what you know of it.\n  background_field[room]: {_three(ROOM_SD_T)}\n"
+        if earth is Earth.INCLUDED
+        else "  # The Earth's field was subtracted from the readings.\n"
+    )
+    zeros = "".join(
+        f"  sensor_offset[{name}]: {_three(ZERO_SD_T)}   # what the sensor shows in no field\n"
+        for name in sensors
+    )
+    return f"""\
 effects:                     # what is there besides, one entry cause[place] each; 'coilcal explain' lists all causes
-  # The Earth's field is 25 to 65 uT. Narrow the priors to what you know; delete both where readings have it subtracted.
-  background_field[room]: {_three(ROOM_SD_T)}
-  sensor_offset[hall]: {_three(ZERO_SD_T)}   # what the sensor shows in no field
-  # Others that you know of, or that 'coilcal diagnose' finds, such as axis_gain[hall]: {{x: 0.01, y: 0, z: 0}}
+{field}{zeros}\
+  # Others that you know of, or that 'coilcal diagnose' finds, such as axis_gain[{sensors[0]}]: {{x: 0.01, y: 0, z: 0}}
 #
 # devices: how to reach the instruments, for 'coilcal acquire'; 'coilcal rig-simulator' writes an example.
 """
+
+
+def noise(noise_uT: float) -> str:
+    """The scatter of a reading, with its prior."""
+    return f"{{prior: {{log_normal: {{median: {noise_uT:g}, relative_sd: 0.5}}}}}}"
 
 
 def starter_plan_text(starter: Starter) -> str:
@@ -193,7 +235,7 @@ def _motion_lines(s: Starter) -> str:
     # "UR3", "UR5e" and others (joint angles).
     motion: pose
     world_from_base:         # where the base stands in the room; 0 where left out. Free it: nobody knows it to a millimetre.
-{_place(6, "xyz", (0.0, 0.0, 0.0))}"""
+{place(6, "xyz", (0.0, 0.0, 0.0))}"""
 
 
 def _moved_pose(s: Starter, kind: str, z_mm: float) -> str:
@@ -203,25 +245,27 @@ def _moved_pose(s: Starter, kind: str, z_mm: float) -> str:
     # How it is mounted on the flange: x, y, z, rotation vector rx, ry, rz, then small turns tilt_x, tilt_y, spin; 0 where left out.
     # Its place is not free here, for that of the base is, and only their sum shows.
     flange_from_{kind}:
-{_tilts(TILT_SD_DEG, kind == "sensor")}"""
+{tilts(TILT_SD_DEG, kind == "sensor")}"""
     return f"""\
     # Where it is at zero displacement: x, y, z, rotation vector rx, ry, rz, then small turns tilt_x, tilt_y, spin; 0 where left out.
     # Free the places and tilts of one body only. Never free this spin: a coil is round.
     world_from_{kind}0:
-{_place(6, "xyz", (0.0, 0.0, z_mm))}{_tilts(TILT_SD_DEG)}\
+{place(6, "xyz", (0.0, 0.0, z_mm))}{tilts(TILT_SD_DEG)}\
     # How it is turned on what carries it, against the axes of the displacements.
     flange_from_{kind}:
-{_tilts(MOUNT_SD_DEG, kind == "sensor")}"""
+{tilts(MOUNT_SD_DEG, kind == "sensor")}"""
 
 
-def _place(indent: int, axes: str, values_mm: tuple[float, ...]) -> str:
-    lines = (f"{axis}_mm: {_normal(value, PLACE_SD_MM)}" for axis, value in zip(axes, values_mm, strict=True))
+def place(indent: int, axes: str, values_mm: tuple[float, ...]) -> str:
+    """Places with a prior, as lines of a pose."""
+    lines = (f"{axis}_mm: {normal(value, PLACE_SD_MM)}" for axis, value in zip(axes, values_mm, strict=True))
     return "".join(f"{' ' * indent}{line}\n" for line in lines)
 
 
-def _tilts(sd_deg: float, spins: bool = False) -> str:
+def tilts(sd_deg: float, spins: bool = False) -> str:
+    """Small turns with a prior, as lines of a pose."""
     angles = ("tilt_x", "tilt_y", *(["spin"] if spins else []))
-    return "".join(f"      {angle}_deg: {_normal(0.0, sd_deg)}\n" for angle in angles)
+    return "".join(f"      {angle}_deg: {normal(0.0, sd_deg)}\n" for angle in angles)
 
 
 def _three(sd_T: float) -> str:
@@ -230,9 +274,30 @@ def _three(sd_T: float) -> str:
     return "{" + ", ".join(f"{axis}_T: {{prior: {{normal: {{mean: 0, sd: {sd}}}}}}}" for axis in "xyz") + "}"
 
 
-def _normal(mean: float, sd: float, lower: float | None = None) -> str:
+def normal(mean: float, sd: float, lower: float | None = None) -> str:
+    """A number with a normal prior."""
     bound = "" if lower is None else f", lower: {lower:g}"
     return f"{{prior: {{normal: {{mean: {mean:g}, sd: {sd:.3g}{bound}}}}}}}"
+
+
+def check_answer(key: str, value: object) -> None:
+    """Refuse an answer that no set-up can have, whatever the others are.
+
+    Raises:
+        InvalidInput: A length, a field or a current is not positive, or there is no whole turn.
+    Examples:
+        >>> check_answer("radial_loops", 0.0)
+        Traceback (most recent call last):
+        estimator.errors.InvalidInput: radial_loops must be at least 1 and below 10000; received 0
+    """
+    if key == "name":
+        check_name(str(value))
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return
+    if key.endswith("_loops") and not 1.0 <= value < 1e4:
+        raise InvalidInput(f"{key} must be at least 1 and below 10000; received {value:g}")
+    if not 0.0 < value < 1e6:
+        raise InvalidInput(f"{key} must be > 0 and below 1000000; received {value:g}")
 
 
 def check_name(name: str) -> str:

@@ -53,6 +53,8 @@ class News:
         diagnosis: The latest running diagnosis; None before the first.
         fault: Why no estimate can follow.
         has_ended: Whether nothing follows.
+        silent_s: Time since the newest readings arrived; None before the first.
+        pace_s: Usual time from one reading to the next; None before the third.
     """
 
     n_appended: int
@@ -68,3 +70,5 @@ class News:
     diagnosis: Verdict | None
     fault: str | None
     has_ended: bool
+    silent_s: float | None = None
+    pace_s: float | None = None

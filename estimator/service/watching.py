@@ -6,11 +6,13 @@ Watchers are told of the present state and never queue up: who is slow gets more
 from __future__ import annotations
 
 import asyncio
+import statistics
 import threading
 import time
 from collections import Counter
-from collections.abc import AsyncGenerator, Callable, Iterator
+from collections.abc import AsyncGenerator, Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from itertools import pairwise
 from pathlib import Path
 
 from estimator.errors import CoilcalError
@@ -27,6 +29,7 @@ from estimator.service.running_diagnosis import RunningDiagnosis
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
 from estimator.store.journal import Entry
+from estimator.store.made import JOURNAL
 from estimator.store.session import Session
 
 LOOK_EVERY_S = 1.0  # for the end of the session, and whether anybody watches still
@@ -36,6 +39,7 @@ REDRAWN_AT = 1.25  # growth of a session after which the residuals of all its re
 MOST_PLACES = 2_000  # that are shown, the last ones
 HISTORY_STEP = 1.01  # growth of a session between two entries of its history
 RETRY_AFTER_S = 60
+PACED, FEWEST_PACED = 50, 3  # readings that tell how often they come
 
 
 class Watched:
@@ -48,7 +52,7 @@ class Watched:
     """
 
     def __init__(self, path: Path) -> None:
-        self._follower = Follower(path)
+        self._follower, self._journal = Follower(path), path / JOURNAL
         self._rig = self._follower.rig
         self._stream, self._spare = Stream(self._rig), SpareTime()
         self._entries: list[Entry] = []
@@ -147,8 +151,18 @@ class Watched:
                 diagnosis=self._verdict,
                 fault=self._fault,
                 has_ended=self._has_ended,
+                silent_s=self._silent_s(),
+                pace_s=_pace_s(self._entries),
             )
             return self._drawing, len(self._entries), news
+
+    def _silent_s(self) -> float | None:
+        """Time since the journal was last written, however long ago somebody began to watch."""
+        if not self._entries:
+            return None
+        with suppress(OSError):
+            return max(0.0, time.time() - self._journal.stat().st_mtime)
+        return None
 
     def _run(self) -> None:
         try:
@@ -245,6 +259,12 @@ class Watched:
         for loop, event in watchers:
             with suppress(RuntimeError):  # the loop has ended
                 loop.call_soon_threadsafe(event.set)
+
+
+def _pace_s(entries: Sequence[Entry]) -> float | None:
+    """Usual time from one reading to the next; None where there are too few to tell."""
+    times_s = [float(entry["time_s"]) for entry in entries[-PACED:]]
+    return statistics.median(b - a for a, b in pairwise(times_s)) if len(times_s) >= FEWEST_PACED else None
 
 
 class Watching:

@@ -86,7 +86,11 @@ def admit_readings(stored: Mapping[str, np.ndarray], rig: Rig, file: str) -> Non
     }
     shapes |= {f"motion_{mover.name}": ((n, 6), "float64") for mover in rig.movers}
     shapes |= {name: ((n,), "float64") for name in stored if name.startswith("temperature_")}
-    optional = {"current_measured_A": shapes["current_A"], "segment": shapes["repeat"]}
+    optional = {
+        "current_measured_A": shapes["current_A"],
+        "segment": shapes["repeat"],
+        "line": shapes["repeat"],
+    }
     shapes |= {name: rule for name, rule in optional.items() if name in stored}
     for name, (shape, kind) in shapes.items():
         if name not in stored:
@@ -100,6 +104,7 @@ def admit_readings(stored: Mapping[str, np.ndarray], rig: Rig, file: str) -> Non
             "sensor_index": (0, len(rig.sensors) - 1),
             "repeat": (0, MOST_REPEATS),
             "segment": (-1, MOST_REPEATS),
+            "line": (0, MOST_REPEATS),
         }.get(name, (-LARGEST, LARGEST))
         beyond = array[(array < lowest) | (array > highest)]
         if beyond.size:

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
+from estimator.glance import Glance, Shown
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Mover, Rig
 from estimator.rig_files.devices import without_devices
@@ -52,8 +53,8 @@ class StoredRig:
         return cls(rig_from_state(state, file), state)
 
 
-@dataclass(frozen=True)
-class Session:
+@dataclass(frozen=True, repr=False)
+class Session(Shown):
     """Readings with the rig on which they were taken.
 
     Attributes:
@@ -71,6 +72,51 @@ class Session:
     created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
     truth: Mapping[str, float] = field(default_factory=dict)
     stored_rig: StoredRig | None = field(default=None, repr=False, compare=False)
+
+    @classmethod
+    def from_dataframe(
+        cls,
+        frame: Any,
+        rig: Rig,
+        *,
+        columns: Mapping[str, str] | None = None,
+        constants: Mapping[str, float] | None = None,
+        validation: float = 0.2,
+        seed: int = 0,
+        source: str = "data frame",
+    ) -> Session:
+        """Readings of a data frame of pandas or polars, read and checked as `coilcal import` does.
+
+        Args:
+            frame: A row for each reading, with names of columns as in a file, such as `Bx [mT]`; a mapping of columns will do.
+            rig: The rig of the readings.
+            columns: What a column is, where its name does not tell: `{"Probe 1": "Bx_mT"}`; "-" leaves one out.
+            constants: Columns that the frame lacks, the same in all rows: `{"coil1_current_A": 3.0}`.
+            validation: Share of the readings kept out of the fit.
+            seed: Decides which.
+            source: Origin of the readings, for messages and reports.
+        Raises:
+            InvalidInput: A column is missing or cannot be read, or the readings cannot be fitted.
+        Examples:
+            >>> rig = Rig.coil(0.05, 30, 12, wire_radius_m=0.0004)
+            >>> places = {f"stage_{axis}_mm": np.linspace(0, 20, 8) for axis in "xyz"}
+            >>> fields = {f"B{axis} [mT]": np.linspace(1, 3, 8) for axis in "xyz"}
+            >>> frame = {**places, **fields}  # or a pandas.DataFrame
+            >>> session = Session.from_dataframe(frame, rig, constants={"coil1_current_A": 1.0}, validation=0)
+            >>> len(session.observations)
+            8
+        """
+        from estimator.store.importers.checked import checked
+        from estimator.store.importers.forms.frames import session_of_frame
+
+        session = session_of_frame(frame, rig, dict(columns or {}), dict(constants or {}), source)
+        return checked(session, validation, seed).session
+
+    def glance(self) -> Glance:
+        """What is shown of it: what was measured, where, and how large it is."""
+        from estimator.store.shown import session_glance
+
+        return session_glance(self)
 
     @property
     def hash(self) -> str:
@@ -130,6 +176,10 @@ class Session:
         }
         arrays = observation_arrays(self.observations)
         admit_readings({name: data for name, (_, data) in arrays.items()}, self.rig, self.source)
+        if (
+            self.observations.line is not None
+        ):  # says where readings stood, not what they are: no part of their hash
+            arrays["line"] = ("reading",), self.observations.line.numpy()
         _provenance(attributes, path)
         group = zarr.open_group(path, mode="w", zarr_format=3)
         for name, (dimensions, data) in arrays.items():
@@ -263,9 +313,9 @@ def _is_own(folder: Path) -> bool:
 
 
 ARRAYS = (
-    "time_s|sensor_index|current_A|field_sensor_T|is_validation|repeat|current_measured_A|segment"
+    "time_s|sensor_index|current_A|field_sensor_T|is_validation|repeat|current_measured_A|segment|line"
     "|motion_[^/]+|temperature_[^/]+_C"
-)  # of `observation_arrays`
+)  # of `observation_arrays`, and the lines of a file
 SESSION = Made("a session", rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json", (GROUP, JOURNAL), _is_own)
 
 
@@ -331,6 +381,7 @@ def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observation
         },
         current_measured_A=tensors.get("current_measured_A"),
         recorded_segment=tensors.get("segment"),
+        line=tensors.get("line"),
     )
 
 

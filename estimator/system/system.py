@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -23,6 +24,7 @@ from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
 from estimator.model.room_field import RoomField
+from estimator.points import given_points
 from estimator.rig.coordinates import Values
 from estimator.system.actuation import (
     bounded_currents,
@@ -119,17 +121,17 @@ class System:
                 )
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in self.coils], dtype=torch.float64)
 
-    def at(self, points_m: Float[Tensor, "point 3"], motion: Motion | None = None) -> SystemField:
+    def at(self, points_m: Any, motion: Mapping[str, Any] | None = None) -> SystemField:
         """The system with its movers in given poses; results can be differentiated in points and motion.
 
         Args:
-            points_m: Points in the world frame.
+            points_m: Points in the world frame, as `Calibration.field` takes them. Answers of `SystemField` are tensors.
             motion: Joint values or displacement of each mover: six numbers, or six per point. A mover that reports displacements defaults
                 to zero.
         Raises:
             InvalidInput: An unknown mover, or a mover that carries a coil and has no motion.
         """
-        motion = motion or {}
+        points_m, motion = given_points(points_m).points_m, motion or {}
         mover_names = {mover.name for part in self.parts for mover in part.rig.movers}
         for name in motion:
             if name not in mover_names:

@@ -51,7 +51,7 @@ NAMES = [
 SIGNATURES = {
     "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, as_described, device, precision, on_stage",
     "recalibrate": "rig, inbox, registry, seed, settings, again, on_entry, on_waiting, watcher",
-    "batch": "sessions, out, rig, hypotheses, is_each_coil, has_posterior, seed, settings, workers, scheduler, device, precision, as_described, tell",
+    "batch": "sessions, out, rig, columns, hypotheses, is_each_coil, has_posterior, seed, settings, workers, scheduler, device, precision, as_described, tell",
     "roll_back": "registry, version",
     "simulate": "rig, plan, truth, seed, hidden, n_segments",
     "draw_truth": "rig, seed",

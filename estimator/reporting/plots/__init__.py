@@ -4,6 +4,7 @@ Every function draws into the given Axes, or into a new figure, and returns it. 
 """
 
 from estimator.reporting.plots.corner import corner
+from estimator.reporting.plots.difference import difference_plane
 from estimator.reporting.plots.error_maps import (
     angular_deviation_map,
     before_and_after_map,
@@ -36,6 +37,7 @@ __all__ = [
     "angular_deviation_map",
     "before_and_after_map",
     "corner",
+    "difference_plane",
     "error_budget",
     "evidence_bars",
     "explained_residual",

@@ -6,6 +6,7 @@ would suggest values in between.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -31,6 +32,11 @@ from estimator.reporting.plots.style import (
 )
 
 BINS = 36
+LABEL_SIZE, POINTS_PER_INCH = 9, 72
+LETTER, PANEL_SHARE = (
+    0.62,
+    0.75,
+)  # width of a letter over its size; of the cell that a panel fills, ticks aside
 SMOOTHING_BINS = 1.2
 DRAWN_QUANTILES = (0.002, 0.998)
 SMALLEST_PROBABILITY = 0.002  # of a count that is drawn
@@ -67,8 +73,8 @@ def corner(
                 _diagonal(ax, column)
             else:
                 _pair(ax, column, row)
-                _y_axis(ax, row, has_labels=j == 0)
-            _x_axis(ax, column, has_labels=i == n - 1)
+                _y_axis(ax, row, _wrapped(row.display.label, size / n) if j == 0 else "")
+            _x_axis(ax, column, _wrapped(column.display.label, size / n) if i == n - 1 else "")
     fig.align_labels()
     handles: list[Patch | Line2D] = [Patch(color=INSIDE_68, label="68 %")]
     handles.append(Patch(color=INSIDE_95, label="95 %"))
@@ -178,21 +184,27 @@ def _dash(colour: str) -> str:
     return ":" if colour == POINT else "-"
 
 
-def _x_axis(ax: Axes, column: _Column, has_labels: bool) -> None:
+def _wrapped(label: str, cell_in: float) -> str:
+    """A label in lines no longer than a panel, so that it does not reach into the label beside it."""
+    most = max(6, int(PANEL_SHARE * cell_in * POINTS_PER_INCH / (LETTER * LABEL_SIZE)))
+    return "\n".join(textwrap.wrap(label, most))
+
+
+def _x_axis(ax: Axes, column: _Column, label: str) -> None:
     ax.set_xlim(column.low, column.high)
     ax.xaxis.set_major_locator(MaxNLocator(3, integer=column.is_count))
-    if has_labels:
-        ax.set_xlabel(column.display.label)
+    if label:
+        ax.set_xlabel(label, fontsize=LABEL_SIZE)
         ax.tick_params(axis="x", rotation=45, labelsize=8)
     else:
         ax.tick_params(labelbottom=False)
 
 
-def _y_axis(ax: Axes, row: _Column, has_labels: bool) -> None:
+def _y_axis(ax: Axes, row: _Column, label: str) -> None:
     ax.set_ylim(row.low, row.high)
     ax.yaxis.set_major_locator(MaxNLocator(3, integer=row.is_count))
-    if has_labels:
-        ax.set_ylabel(row.display.label)
+    if label:
+        ax.set_ylabel(label, fontsize=LABEL_SIZE)
         ax.tick_params(axis="y", labelsize=8)
     else:
         ax.tick_params(labelleft=False)

@@ -31,6 +31,7 @@ from estimator.reporting.plots.style import (
 
 MOST_BARS = 10
 LEAST_P = 1e-4
+ROUNDING = 1e-9
 CLEAR = 3.0  # log Bayes factor, about 20 to 1
 BINS = 12
 
@@ -217,6 +218,7 @@ def structure_bars(
     before: Sequence[float],
     after: Sequence[float],
     title: str = "",
+    floor: float = LEAST_P,
 ) -> Figure:
     """Significance of the residual's structure along each covariate, before and after causes were added.
 
@@ -224,20 +226,32 @@ def structure_bars(
         names: Names of the covariates.
         before, after: p-value of each, corrected for testing all of them.
         title: Rig and date.
+        floor: Smallest p-value that the test can tell; at it there is no length to draw, so an arrow says that it is smaller.
     """
-    fig = figure(6.8, 1.2 + 0.3 * len(names), title)
+    fig = figure(6.8, 1.8 + 0.3 * len(names), title)
     ax = fig.add_subplot()
     row = np.arange(len(names))
     for shift, values, colour, label in ((-0.2, before, ORANGE, "before"), (0.2, after, BLUE, "after")):
-        height = -np.log10(np.maximum(np.asarray(values), LEAST_P))
-        ax.barh(row + shift, height, height=0.38, color=colour, label=label)
+        p_values = np.asarray(values, dtype=float)
+        is_least = p_values <= floor * (1.0 + ROUNDING)
+        ax.barh(
+            row + shift,
+            np.where(is_least, 0.0, -np.log10(np.maximum(p_values, floor))),
+            height=0.38,
+            color=colour,
+            label=label,
+        )
+        if is_least.any():
+            told = f"{label}: p ≤ {floor:.1g}, the least that the test can tell"
+            at = np.full(is_least.sum(), -np.log10(floor))
+            ax.plot(at, (row + shift)[is_least], ">", color=colour, ms=7, label=told)
     ax.axvspan(0.0, -np.log10(0.05), color=PALE, zorder=0, lw=0, label="consistent with noise (p > 0.05)")
     ax.set_yticks(row, [plain(name) for name in names])
     ax.invert_yaxis()
     ticks = np.arange(0, 5)
     ax.set_xticks(ticks, ["1", "0.1", "0.01", "0.001", "0.0001"])
     ax.set_xlabel("p-value, corrected for testing all covariates (smaller to the right)")
-    ax.legend(fontsize=8, loc="lower right")
+    fig.legend(fontsize=8, loc="outside lower center", ncols=2)  # no corner of the panel is free for certain
     return fig
 
 

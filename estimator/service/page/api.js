@@ -9,7 +9,7 @@ export class Problem extends Error {
 
 export const login = new EventTarget();
 
-export async function ask(method, path, { body, type, headers } = {}) {
+export async function ask(method, path, { body, type, headers, isFile } = {}) {
   const answer = await fetch(path, {
     method,
     body: type ? body : body === undefined ? undefined : JSON.stringify(body),
@@ -19,6 +19,10 @@ export async function ask(method, path, { body, type, headers } = {}) {
     throw new Problem(0, "The service cannot be reached.");
   });
   if (answer.ok) {
+    if (isFile) {
+      const name = answer.headers.get("content-disposition")?.match(/filename="([^"]+)"/)?.[1];
+      return { content: await answer.blob(), name };
+    }
     const kind = answer.headers.get("content-type") ?? "";
     return answer.status === 204 ? null : kind.includes("json") ? answer.json() : answer.text();
   }

@@ -87,6 +87,71 @@ export function pairs(name, rows, label, width = fitting(900)) {
   </svg>`;
 }
 
+// Values with intervals beside that of a prior; rows are {label, middle, low, high, note}.
+export function intervals(name, rows, label, width = fitting(900)) {
+  const isNarrow = width < 560;
+  const [left, right, top, row] = isNarrow ? [10, 10, 4, 36] : [210, 170, 6, 26];
+  const bottom = top + row * rows.length;
+  const domain = [Math.min(-PRIOR_90, ...rows.map((r) => r.low)), Math.max(PRIOR_90, ...rows.map((r) => r.high))];
+  const x = scale(domain, [left, width - right]);
+  return svg`<svg class="chart" viewBox="0 0 ${width} ${bottom + 42}" role="img" aria-label=${name}>
+    ${xAxis(x, domain, bottom, top, label, (left + width - right) / 2)}
+    ${rows.map((r, i) => {
+      const y = top + row * i + (isNarrow ? 26 : 13);
+      return svg`<g><title>${r.label}: ${r.note}</title>
+        <text class=${isNarrow ? "" : "end"} x=${isNarrow ? left : left - 8} y=${isNarrow ? y - 11 : y + 4}>${r.label}</text>
+        <path class="interval prior" d="M${x(-PRIOR_90)} ${y}H${x(PRIOR_90)}" />
+        <path class="interval after" d="M${x(r.low)} ${y}H${x(r.high)}" /><circle class="dot after" cx=${x(r.middle)} cy=${y} r="4" />
+        <text class="small ${isNarrow ? "end" : ""}" x=${isNarrow ? width - right : width - right + 12} y=${y + (isNarrow ? -11 : 4)}>${r.note}</text></g>`;
+    })}
+    <path class="zero" d="M${x(0)} ${top}V${bottom}" />
+  </svg>`;
+}
+
+const PRIOR_90 = 1.645; // standard deviations
+const SHADES = 9; // of a map, from pale to dark
+
+// A map of values in rows from below; null where there is none.
+export function heat(name, xs, ys, rows, { xLabel, yLabel, label, log = false, width = fitting(540) }) {
+  const [left, right, top] = [58, 74, 8];
+  const ratio = Math.min(1.3, Math.max(0.45, (ys.at(-1) - ys[0]) / (xs.at(-1) - xs[0])));
+  const height = top + (width - left - right) * ratio + 42;
+  const bottom = height - 42;
+  const known = rows.flat().filter((v) => v !== null && (!log || v > 0)).sort((a, b) => a - b);
+  if (!known.length) return svg`<svg class="chart" viewBox="0 0 ${width} 40" role="img" aria-label=${name}></svg>`;
+  const map = log ? Math.log10 : (v) => v;
+  const [low, high] = [log ? map(known[Math.floor(0.01 * known.length)]) : 0, map(known[Math.floor(0.99 * (known.length - 1))])];
+  const shade = (v) => Math.max(0, Math.min(SHADES - 1, Math.floor(((map(v) - low) / (high - low || 1)) * SHADES)));
+  const x = scale([xs[0], xs.at(-1)], [left, width - right]);
+  const y = scale([ys[0], ys.at(-1)], [bottom, top]);
+  const [dx, dy] = [(width - right - left) / (xs.length - 1), (bottom - top) / (ys.length - 1)];
+  const cells = Array.from({ length: SHADES }, () => []);
+  const clamp = (v, from, to) => Math.max(from, Math.min(to, v));
+  rows.forEach((row, i) =>
+    row.forEach((v, j) => {
+      if (v === null) return;
+      const [x0, x1] = [x(xs[j]) - dx / 2, x(xs[j]) + dx / 2 + 0.4].map((a) => clamp(a, left, width - right));
+      const [y0, y1] = [y(ys[i]) - dy / 2, y(ys[i]) + dy / 2 + 0.4].map((a) => clamp(a, top, bottom));
+      cells[shade(v)].push(`M${x0.toFixed(1)} ${y0.toFixed(1)}H${x1.toFixed(1)}V${y1.toFixed(1)}H${x0.toFixed(1)}Z`);
+    }),
+  );
+  const step = (bottom - top) / SHADES;
+  const told = (k) => {
+    const value = low + ((high - low) * k) / SHADES;
+    return number(Number((log ? 10 ** value : value).toPrecision(2)));
+  };
+  return svg`<svg class="chart" viewBox="0 0 ${width} ${height}" role="img" aria-label=${name}>
+    <rect class="nothing" x=${left} y=${top} width=${width - left - right} height=${bottom - top} />
+    ${cells.map((paths, k) => (paths.length ? svg`<path class="shade s${k}" d=${paths.join("")} />` : null))}
+    ${xAxis(x, [xs[0], xs.at(-1)], bottom, bottom, xLabel, (left + width - right) / 2)}
+    ${ticks(ys[0], ys.at(-1)).map((t) => svg`<text class="end" x=${left - 6} y=${y(t) + 4}>${number(t)}</text>`)}
+    <text class="middle label" transform="translate(13 ${(top + bottom) / 2}) rotate(-90)">${yLabel}</text>
+    ${cells.map((_, k) => svg`<rect class="shade s${k}" x=${width - right + 10} y=${bottom - (k + 1) * step} width="14" height=${step + 0.4} />`)}
+    ${[0, 3, 6, 9].map((k) => svg`<text class="small" x=${width - right + 28} y=${clamp(bottom - k * step + 4, top + 9, bottom)}>${told(k)}</text>`)}
+    <text class="small label middle" transform="translate(${width - 4} ${(top + bottom) / 2}) rotate(-90)">${label}</text>
+  </svg>`;
+}
+
 // Lines over a common axis; series are {label, kind, points: [[x, y], ...]}; `log` makes the y axis logarithmic.
 export function lines(name, series, { xLabel, yLabel, log = false, mark = null, dots = false, width = fitting(540), height = 320 }) {
   const [left, right, top] = [58, dots ? 14 : 96, 10];

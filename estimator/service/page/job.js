@@ -2,10 +2,10 @@
 
 import { html } from "./vendor/lit-html.js";
 import { get } from "./api.js";
+import { Calibration } from "./calibration.js";
 import { Diagnosis } from "./diagnosis.js";
 import { conclusion, fits, proposal } from "./found.js";
 import { cancelButton } from "./jobs.js";
-import { intervalTable } from "./rigs.js";
 import { jobName, short, when } from "./words.js";
 
 export class JobView {
@@ -50,6 +50,10 @@ export class JobView {
       const panels = await get(`/v1/jobs/${this.id}/panels`);
       this.diagnosis = new Diagnosis(this.update, this.job, this.result, panels);
     }
+    if (this.job.kind === "calibrate") {
+      const panels = await get(`/v1/calibrations/${this.result.calibration_id}/panels`);
+      this.calibration = new Calibration(this.update, this.job, this.result, panels);
+    }
     if (this.job.kind === "recalibrate") {
       this.rigId = this.job.rig_id ?? (await get(`/v1/sessions/${this.job.session_id}`)).rig_id;
     }
@@ -58,7 +62,7 @@ export class JobView {
 
   template() {
     if (this.job === null) return html`<p class="waiting">Loading</p>`;
-    if (this.diagnosis) return this.diagnosis.template();
+    if (this.diagnosis ?? this.calibration) return (this.diagnosis ?? this.calibration).template();
     return html`<h1>${jobName(this.job.kind)} ${short(this.id)}</h1>
       <p>
         <span class="state ${this.job.state}">${this.job.state}</span> asked for by ${this.job.user},
@@ -85,10 +89,6 @@ export class JobView {
     if (this.job.kind === "design") return proposal(result);
     if (this.job.kind === "recalibrate") return html`${conclusion(result, this.rigId)} ${report}`;
     if (this.job.kind === "batch") return html`${fits(result)} ${report}`;
-    return html`<section class="card">
-      <h2>${result.quality.verdict}</h2>
-      ${result.is_converged === false ? html`<p class="warn">The chain has not converged.</p>` : null}
-      ${intervalTable(result)} ${report}
-    </section>`;
+    return html`<p class="waiting">Loading</p>`;
   }
 }

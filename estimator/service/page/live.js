@@ -5,10 +5,11 @@ import { get } from "./api.js";
 import { lines } from "./chart.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, ringsAround, space, Viewpoint } from "./space.js";
-import { breakable, minus, rounded, short, shownIn, size } from "./words.js";
+import { breakable, fixed, minus, rounded, short, shownIn, size } from "./words.js";
 
 const STRONG_SIGMA = 3;
 const MOST_LINES = 6;
+const [LEAST_SILENCE_S, SILENT_PACES, LOOK_EVERY_MS] = [30, 10, 5000];
 
 export class LiveView {
   state = null;
@@ -30,6 +31,7 @@ export class LiveView {
       this.close();
       this.take(event);
     });
+    this.looking = setInterval(this.update, LOOK_EVERY_MS); // readings that stay away make no event
     this.events.onerror = () => {
       this.isLost = true;
       this.update();
@@ -37,12 +39,14 @@ export class LiveView {
   }
 
   close() {
+    clearInterval(this.looking);
     this.events?.close();
   }
 
   take(event) {
     const news = JSON.parse(event.data);
     this.isLost = false;
+    this.heardAt = performance.now();
     this.places = news.is_redrawn ? news.places : [...this.places, ...news.places];
     this.history = news.is_redrawn ? news.history : [...this.history, ...news.history];
     this.state = news;
@@ -69,7 +73,8 @@ export class LiveView {
         ${tile("Running diagnosis", ...verdict(state))}
         ${tile("Alarms", state.alarms.length || "none", state.alarms.at(-1) ?? "")}
       </dl>
-      <div role="status" class="alarms">${state.alarms.map((words) => html`<p class="warn card">${words}</p>`)}</div>
+      <div role="status" class="alarms">${alarms(state.alarms)}</div>
+      ${silence(state, this.heardAt)}
       ${this.places.length ? html`<div class="figures two even">${this.map()} ${this.widths()}</div>` : null}
       ${this.places.length ? html`<div class="figures two even">${this.residuals()} ${this.table(state)}</div>` : null}
       ${state.devices.length ? this.devices(state.devices) : null}`;
@@ -158,15 +163,32 @@ export class LiveView {
   }
 }
 
+// Alarms in one line; all of them where somebody asks.
+function alarms(all) {
+  if (!all.length) return null;
+  if (all.length === 1) return html`<p class="warn card">${all[0]}</p>`;
+  return html`<details class="warn card"><summary>${all.length} alarms; the last: ${all.at(-1)}</summary><ol>${all.map((words) => html`<li>${words}</li>`)}</ol></details>`;
+}
+
+// That readings have stopped to come, where they came often before.
+function silence({ silent_s: silent, pace_s: pace, has_ended: hasEnded }, heardAt) {
+  if (hasEnded || silent === null || pace === null) return null;
+  const passed = silent + (performance.now() - heardAt) / 1000;
+  if (passed < Math.max(LEAST_SILENCE_S, SILENT_PACES * pace)) return null;
+  const told = passed < 120 ? `${Math.round(passed)} seconds` : `${Math.round(passed / 60)} minutes`;
+  return html`<p class="fault" role="alert">No reading for ${told}; before, one came every ${pace.toPrecision(2)} s. The measuring process has ended or hangs: look at
+    its terminal. The same command goes on where it stopped; close the session if nothing is to follow.</p>`;
+}
+
 const shortName = (name) => name.split(".").at(-1).replace(/_(m|rad|T|A)$/, "").replaceAll("_", " ");
 
 const DEVICES = { sensor: "sensor", mover: "mover", supply: "supply of", thermometer: "thermometer of" };
 
 // What a device showed last, with the current that was asked for.
 function shown({ values, unit, commanded_A: commanded }) {
-  const millimetres = (v) => `${minus((1e3 * v).toFixed(2))} mm`;
-  const degrees = (v) => `${minus(((180 * v) / Math.PI).toFixed(2))}°`;
-  const digits = { T: (v) => size(v, "T", 4), m: millimetres, rad: degrees, A: (v) => `${minus(v.toPrecision(5))} A`, "°C": (v) => `${minus(v.toFixed(1))} °C` }[unit];
+  const millimetres = (v) => `${fixed(1e3 * v, 2)} mm`;
+  const degrees = (v) => `${fixed((180 * v) / Math.PI, 2)}°`;
+  const digits = { T: (v) => size(v, "T", 4), m: millimetres, rad: degrees, A: (v) => (Math.abs(v) < 1e-9 ? "0 A" : `${minus(v.toPrecision(5))} A`), "°C": (v) => `${fixed(v, 1)} °C` }[unit];
   const told = values.map((v, i) => html`${i ? ", " : ""}<span class="nobr">${v === null ? "out of range" : digits(v)}</span>`);
   return commanded === null ? told : html`${told} of <span class="nobr">${minus(String(commanded))} A</span>`;
 }

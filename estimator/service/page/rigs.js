@@ -1,7 +1,7 @@
 // Rigs: their versions, and what the newest calibration of each knows, with intervals and age.
 
 import { html } from "./vendor/lit-html.js";
-import { all, ask, get } from "./api.js";
+import { all, ask, get, Problem } from "./api.js";
 import { age, breakable, rounded, short, shownIn, when } from "./words.js";
 
 export class RigsView {
@@ -41,7 +41,15 @@ export class RigsView {
     const send = async (event) => {
       event.preventDefault();
       const file = event.target.elements.file.files[0];
-      await ask("POST", "/v1/rigs", { body: await file.text(), type: "application/yaml" });
+      this.fault = null;
+      try {
+        await ask("POST", "/v1/rigs", { body: await file.text(), type: "application/yaml" });
+      } catch (error) {
+        if (!(error instanceof Problem) || error.status === 401) throw error;
+        this.fault = error.message; // beside the form, so that what was chosen stays
+        this.update();
+        return;
+      }
       event.target.reset();
       await this.load();
       this.update();
@@ -49,6 +57,7 @@ export class RigsView {
     return html`<form class="card row" @submit=${send}>
       <label>Rig file <input name="file" type="file" accept=".yaml,.yml" required /></label>
       <button>Upload</button>
+      ${this.fault ? html`<p class="fault" role="alert">${this.fault}</p>` : null}
     </form>`;
   }
 }

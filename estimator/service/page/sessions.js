@@ -1,7 +1,7 @@
 // Sessions: what was measured, and what to do with it.
 
 import { html } from "./vendor/lit-html.js";
-import { all, ask, post } from "./api.js";
+import { all, ask, post, Problem } from "./api.js";
 import { age, short } from "./words.js";
 
 export class SessionsView {
@@ -68,21 +68,32 @@ export class SessionsView {
   upload() {
     const send = async (event) => {
       event.preventDefault();
-      const { rig, file } = event.target.elements;
+      const { rig, file, accept } = event.target.elements;
       const isZip = file.files[0].name.endsWith(".zip");
-      const path = `/v1/sessions/import-${isZip ? "zip" : "csv"}?rig_id=${rig.value}`;
-      await ask("POST", path, { body: file.files[0], type: isZip ? "application/zip" : "text/csv" });
+      const accepted = !isZip && accept.checked ? "&accept=true" : "";
+      const path = `/v1/sessions/import-${isZip ? "zip" : "csv"}?rig_id=${rig.value}${accepted}`;
+      this.fault = null;
+      try {
+        await ask("POST", path, { body: file.files[0], type: isZip ? "application/zip" : "text/csv" });
+      } catch (error) {
+        if (!(error instanceof Problem) || error.status === 401) throw error;
+        this.fault = error.message; // beside the form, so that what was chosen stays
+        this.update();
+        return;
+      }
       event.target.reset();
       await this.load();
     };
     return html`<form class="card row" @submit=${send}>
       <label>Readings (CSV, or a zipped session)
-        <input name="file" type="file" accept=".csv,.zip" required /></label>
+        <input name="file" type="file" accept=".csv,.txt,.dat,.tsv,.zip" required /></label>
       <label>of the rig
         <select name="rig">
           ${this.rigs.map((rig) => html`<option value=${rig.id}>${rig.name} (${short(rig.id)})</option>`)}
         </select></label>
+      <label><input name="accept" type="checkbox" /> Accept what is understood of a table that is no readings CSV</label>
       <button>Upload</button>
+      ${this.fault ? html`<p class="fault" role="alert">${this.fault}</p>` : null}
     </form>`;
   }
 }

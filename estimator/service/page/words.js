@@ -3,6 +3,7 @@
 import { html } from "./vendor/lit-html.js";
 
 const SHOWN = { m: [1e3, "mm"], rad: [1e3, "mrad"], T: [1e6, "µT"], A: [1, "A"], s: [1, "s"], 1: [1, ""] };
+const NOTHING = 1e-13; // in SI; what is left of a calculation that gives zero
 const PREFIXES = [
   [1, ""],
   [1e-3, "m"],
@@ -22,14 +23,18 @@ export function rounded(value, sd) {
   if (!Number.isFinite(value)) return "not known";
   if (!(sd > 0)) return minus(Number(value.toPrecision(6)).toString());
   const digits = Math.max(0, 1 - Math.floor(Math.log10(Number(sd.toPrecision(2)))));
-  return minus(value.toFixed(Math.min(digits, 12)));
+  return fixed(value, Math.min(digits, 12));
 }
+
+// A number with so many decimals; what rounds to zero is zero without a sign.
+export const fixed = (value, decimals) => minus((Math.round(value * 10 ** decimals) / 10 ** decimals + 0).toFixed(decimals));
 
 export const minus = (text) => text.replace("-", "−");
 
 // A size in the unit of its order, as `12 µT`.
 export function size(value, unit, digits = 2) {
   const head = unit.split("/")[0];
+  if (Math.abs(value) < NOTHING) return unit === "1" ? "0" : `0 ${unit}`;
   if (!["T", "m", "rad", "A"].includes(head)) {
     return unit === "1" && Math.abs(value) < 1 && value !== 0
       ? `${minus(Number((100 * value).toPrecision(digits)).toString())} %`

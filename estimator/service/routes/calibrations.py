@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -10,7 +12,9 @@ from pydantic import BaseModel, Field
 from sqlalchemy import select
 from starlette.responses import JSONResponse, Response
 
+from estimator.calibration.panels import CalibrationPanels, calibration_panels
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.code_version import code_version
 from estimator.rig_files.write import rig_text
 from estimator.service.archives import zipped
 from estimator.service.core import Core
@@ -111,6 +115,21 @@ def get_intervals(request: Request, core: CoreOf, caller: Reader, calibration_id
     content = {"parameters": summary["parameters"], "best": dict(calibration.best)}
     intervals = Intervals.model_validate({**content, "is_converged": summary["is_converged"]})
     return with_etag(request, calibration_id, lambda: JSONResponse(intervals.model_dump()))
+
+
+@router.get(
+    "/{calibration_id}/panels",
+    response_model=CalibrationPanels,
+    responses={304: {"description": "They have not changed."}},
+)
+def get_panels(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+    """What the page shows of a calibration, as numbers: fields, what the data taught, residuals."""
+    calibration = calibration_of(core, calibration_id)[2]
+    return with_etag(
+        request,
+        f"{calibration_id}-panels-{version('coilcal')}-{code_version()}",
+        lambda: JSONResponse(asdict(calibration_panels(calibration))),
+    )
 
 
 @router.get(

@@ -169,6 +169,7 @@ def _session(table: Table, rig: Rig, clock: Clock) -> Session:
         _whole(table, "repeat") if "repeat" in table else zeros,
         {b: table.numbers(f"{b}_temperature") for b in bodies if f"{b}_temperature" in table},
         recorded_segment=segment,
+        line=torch.from_numpy(table.lines.astype(np.int64)),
     )
     named = "".join(f"; segment {number} is {label}" for label, number in labels.items())
     session = Session(rig, observations, f"readings CSV {table.path.name}{named}")

@@ -147,6 +147,13 @@ def test_the_summary_is_json_without_nan(small_calibration: Calibration) -> None
     assert (count["sd"], count["ess_bulk"], count["rhat"]) == (pytest.approx(0.0, abs=1e-15), None, None)
 
 
+def test_readings_that_do_not_fit_the_nominal_rig_are_told(small_session: Session, tiny: Rig) -> None:
+    observations = small_session.observations
+    reversed_A = replace(observations, current_A=-observations.current_A)
+    calibration = calibrate(replace(small_session, observations=reversed_A), tiny, settings=QUICK)
+    assert any("point against the rig's nominal model" in note for note in calibration.summary()["notes"])
+
+
 def test_validation_readings_do_not_touch_the_fit_and_may_be_absent(
     small_session: Session, tiny: Rig, tiny_calibration: Calibration
 ) -> None:

@@ -15,7 +15,8 @@ from distributed import LocalCluster
 
 from estimator.cli.batch import batch_command
 from estimator.cli.main import main
-from estimator.store.session import Session
+from estimator.store.importers.readings_csv import write_readings_csv
+from estimator.store.session import Session, load_session
 
 
 def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, tmp_path: Path):
@@ -74,3 +75,39 @@ def test_without_dask_one_sentence_says_what_to_install(monkeypatch: pytest.Monk
         "coilcal batch needs dask: install coilcal with its extra, pip install 'coilcal[batch]'"
         in result.stderr
     )
+
+
+def test_a_table_is_imported_with_its_recipe_and_calibrated(
+    small_session: Session, rig_text: str, tmp_path: Path
+) -> None:
+    small, rig = tmp_path / "small.csv", tmp_path / "rig.yaml"
+    rig.write_text(rig_text, encoding="utf-8")
+    write_readings_csv(small_session, small)
+    other = small.read_text(encoding="utf-8").replace("t_s,", "Zeit,").replace(",", ";").replace(".", ",")
+    (tmp_path / "other.csv").write_text(other, encoding="utf-8")
+    (tmp_path / "broken.csv").write_text("hello\n", encoding="utf-8")
+    names = [column for column in other.splitlines()[0].split(";") if column != "Zeit"]
+    recipe = {"schema_version": 1, "columns": {"Zeit": "t_s", **{name: name for name in names}}}
+    (tmp_path / "columns.yaml").write_text(
+        json.dumps({**recipe, "separator": "semicolons", "decimal": "comma"})
+    )
+
+    def failed(*options: str) -> dict[str, str]:
+        tables = [str(tmp_path / f"{name}.csv") for name in ("small", "other", "broken")]
+        shared = ["--out", str(tmp_path / "out"), "--posterior", "none", "--json", "--workers", "1"]
+        result = CliRunner().invoke(main, ["batch", *tables, *shared, *options])
+        assert result.exit_code == 2
+        found = json.loads(result.stdout)
+        return {Path(path).name: fault for path, fault in found["failed"].items()} | {"fits": found["fits"]}
+
+    nothing = failed()
+    assert nothing["fits"] == 0
+    assert all("name it with --rig" in nothing[f"{name}.csv"] for name in ("small", "other", "broken"))
+    without = failed("--rig", str(rig))
+    assert without["fits"] == 1
+    assert "--map must say how its columns are read" in without["other.csv"]
+    given = failed("--rig", str(rig), "--map", str(tmp_path / "columns.yaml"))
+    assert set(given) == {"broken.csv", "small.csv", "fits"}
+    stored = load_session(tmp_path / "out/sessions/other.zarr")
+    assert stored.observations.is_validation.any()
+    assert stored.observations.line is not None

@@ -220,7 +220,7 @@ def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(
         rows[row] = ",".join(cells)
     path, rig = tmp_path / "readings.csv", workspace / "rig.yaml"
     path.write_text("\n".join([header, *rows]), encoding="utf-8")
-    words = "Readings are not as they were measured: hall holds the fields of earlier readings, in readings 19 to 24."
+    words = "Readings are not as they were measured: hall holds the fields of earlier readings, in lines 20 to 25."
     checked = run("check", rig, path)
     assert (checked.exit_code, checked.stdout.splitlines()[-1]) == (
         0,
@@ -247,5 +247,5 @@ def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(
     (flag,) = told["flagged"]
     assert (flag["reason"], flag["component"]) == ("held", None)
     assert flag["readings"] == list(range(12, 21))
-    words = "repeats the reading before to the last digit while place or current change, in readings 12 to 20"
+    words = "repeats the reading before to the last digit while place or current change, in lines 13 to 21"
     assert words in run("check", workspace / "rig.yaml", path).stdout

@@ -5,30 +5,119 @@ from __future__ import annotations
 import itertools
 import json
 from collections.abc import Callable
-from dataclasses import fields
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 from click.testing import CliRunner, Result
 
 from estimator.cli import init
-from estimator.cli.init import QUESTIONS
+from estimator.cli.init import ASKED, KINDS, QUESTIONS
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
+from estimator.model.room_field import RoomField
 from estimator.model.simulate import draw_truth, simulate
 from estimator.readings.plan import plan_from_text
 from estimator.rig_files.read import load_rig, rig_from_text
-from estimator.rig_files.starter import Motion, Moved, Starter, starter_plan_text, starter_rig_text
+from estimator.rig_files.set_ups import Kind, defaults_of, texts_of
+from estimator.rig_files.starter import (
+    Earth,
+    Motion,
+    Moved,
+    Starter,
+    starter_plan_text,
+    starter_rig_text,
+)
 
 Run = Callable[..., Result]
 
 
-def test_each_question_is_a_field_of_the_starter_with_its_default() -> None:
-    assert {key: default for key, (_, default, _) in QUESTIONS.items()} == {
-        field.name: field.default for field in fields(Starter)
-    }
-    assert list(QUESTIONS["moved"][0]) == list(Moved)
-    assert list(QUESTIONS["motion"][0]) == list(Motion)
+@pytest.mark.parametrize("kind", Kind)
+def test_each_question_is_a_field_of_its_set_up(kind: Kind) -> None:
+    defaults = defaults_of(kind)
+    assert set(ASKED[kind]) <= set(defaults)
+    assert set(defaults) - set(ASKED[kind]) <= {"is_opposed", "moved", "motion"}
+    for key in ASKED[kind]:
+        choices = QUESTIONS[key][0]
+        assert (
+            defaults[key] in choices
+            if isinstance(choices, tuple)
+            else choices(defaults[key]) == defaults[key]
+        )
+    assert list(KINDS) == list(Kind)
+    assert [list(QUESTIONS[key][0]) for key in ("moved", "motion", "earth")] == [
+        list(words) for words in (Moved, Motion, Earth)
+    ]
+
+
+@pytest.mark.parametrize("kind", Kind)
+def test_each_set_up_can_be_simulated_and_keeps_sensors_out_of_windings(kind: Kind) -> None:
+    rig_text, plan_text = texts_of(kind, {"earth": "subtracted"})
+    rig = rig_from_text(rig_text)
+    plan = plan_from_text(plan_text, rig)
+    for seed in range(3):
+        readings = simulate(rig, plan, draw_truth(rig, seed), seed)
+        assert readings.is_validation.any()
+        assert float(readings.field_sensor_T.abs().max()) > 1e-4
+    assert not any("background" in name for name in rig.parameters)
+    assert "background_field[room].x_T" in rig_from_text(texts_of(kind, {})[0]).parameters
+
+
+def test_a_pair_and_a_cage_are_flat_in_the_middle_and_a_maxwell_pair_is_steep() -> None:
+    def along_T(kind: Kind, currents_A: dict[str, float], axis: int) -> np.ndarray:
+        rig = rig_from_text(texts_of(kind, {})[0])
+        points_m = torch.zeros(5, 3, dtype=torch.float64)
+        points_m[:, axis] = torch.linspace(-0.02, 0.02, 5)
+        values = {n: torch.tensor(v, dtype=torch.float64) for n, v in rig.nominal_values().items()}
+        room = RoomField(rig, values, points_m)
+        current_A = torch.tensor([currents_A.get(coil.name, 0.0) for coil in rig.coils], dtype=torch.float64)
+        return room.field_T(values, current_A)[:, axis].numpy()
+
+    flat = [along_T(Kind.HELMHOLTZ, {"coil1": 1.0, "coil2": 1.0}, 2)]
+    flat += [along_T(Kind.CAGE, {f"{name}1": 1.0, f"{name}2": 1.0}, axis) for axis, name in enumerate("xyz")]
+    for field_T in flat:
+        assert np.ptp(field_T) < 2e-3 * field_T.mean() > 0.0
+    steep_T = along_T(Kind.MAXWELL, {"coil1": 1.0, "coil2": -1.0}, 2)
+    assert abs(steep_T[2]) < 1e-9
+    np.testing.assert_allclose(np.diff(steep_T), np.diff(steep_T).mean(), rtol=2e-3)
+
+
+def test_an_answer_that_is_refused_is_asked_again_and_the_others_stay(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(init, "can_ask", lambda: True)
+    # The wire is refused at once; that the radius leaves no bore and that the stage goes too far shows at the end.
+    answers = [
+        "helmholtz",
+        "our pair",
+        "20",
+        "-1",
+        "0.4",
+        "12",
+        "9",
+        "100",
+        "",
+        "",
+        "subtracted",
+        "120",
+        "30",
+    ]
+    result = CliRunner().invoke(main, ["init", str(tmp_path)], input="\n".join(answers) + "\n")
+    assert result.exit_code == 0, result.stderr
+    assert "wire_radius_mm must be > 0 and below 1000000; received -1" in result.stderr
+    assert "radius_mm must leave a bore in which a sensor can be moved" in result.stderr
+    assert "reach_mm must be at most" in result.stderr
+    rig = load_rig(tmp_path / "rig.yaml")
+    values = rig.nominal_values()
+    assert (rig.name, values["coil1.axial_loops"], values["coil2.radial_loops"]) == ("our pair", 12.0, 9.0)
+
+
+def test_an_option_of_another_set_up_is_refused(run: Run, tmp_path: Path) -> None:
+    result = run("init", tmp_path / "new", "--kind", "cage", "--radius-mm", 30)
+    assert (result.exit_code, "--radius-mm is no answer for --kind cage" in result.stderr) == (2, True)
+    made = run("init", tmp_path / "new", "--kind", "array", "--n-sensors", 5, "--json")
+    assert len(load_rig(json.loads(made.stdout)["rig"]).sensors) == 5
 
 
 @pytest.mark.parametrize(("moved", "motion"), list(itertools.product(Moved, Motion)))
@@ -78,7 +167,14 @@ def test_whoever_sits_at_a_terminal_is_asked_for_the_rest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(init, "can_ask", lambda: True)
-    answers = ["bench", "sensor", "shift", "pose", *[""] * (len(QUESTIONS) - 4)]  # "shift" is asked again
+    answers = [
+        "",
+        "bench",
+        "sensor",
+        "shift",
+        "pose",
+        *[""] * (len(ASKED["stage"]) - 4),
+    ]  # "shift" is asked again
     arguments = ["init", str(tmp_path), "--radius-mm", "30"]
     result = CliRunner().invoke(main, arguments, input="\n".join(answers) + "\n")
     assert result.exit_code == 0

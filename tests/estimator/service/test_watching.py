@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import re
 import threading
 import time
@@ -21,6 +22,7 @@ from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
 from estimator.service.devices import Device, updated
 from estimator.service.watching import REDRAWN_AT, News, Watched
+from estimator.store.made import JOURNAL
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
 
@@ -102,6 +104,21 @@ def test_each_batch_gives_the_estimate_of_all_readings_so_far(
     assert len(widths) >= 4
     assert widths[-1] < 0.5 * widths[0]
     assert sum(one.is_redrawn for one in told) < len(told) * REDRAWN_AT
+
+
+def test_news_say_how_often_readings_came_and_for_how_long_none_has(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    acts = {0: lambda: append(client, session_id, lines_of(small_session, small_rig, 0, 12))}
+    told = watched(client, session_id, acts, 12)
+    assert (told[0].silent_s, told[0].pace_s) == (None, None)
+    assert told[-1].pace_s == 1.0
+    journal = core_of(client).sessions.path(session_id) / JOURNAL
+    long_ago_s = journal.stat().st_mtime - 100.0
+    os.utime(journal, (long_ago_s, long_ago_s))
+    later = watched(client, session_id, {}, 12)[-1]
+    assert later.silent_s is not None
+    assert later.silent_s >= 100.0
 
 
 def test_without_new_readings_the_estimate_becomes_that_of_the_batch_fit(

@@ -94,13 +94,30 @@ def understood(
             table, session = session_of(table, rig, recipe.clock)
             return Understood(session, table, None)
     source = _text(path, recipe) if kind == "text" else _grid(path, kind, recipe)
-    layout = source.layout
+    return _understood(source, rig, recipe, faults or Faults())
+
+
+def understood_block(block: Block, rig: Rig, recipe: Recipe) -> Understood:
+    """Read rows that stand in no file, their header first and their cells parted by `CELL_SEPARATOR`.
+
+    Raises:
+        InvalidInput: As in `understood`.
+    """
+    layout = layout_of(_lines(block.texts, block.numbers), (CELL_SEPARATOR,), ".")
+    if layout is None:
+        raise InvalidInput(f"{block.path} must have names of columns and rows of numbers; it has none")
+    lines = tuple(_lines(block.texts, block.numbers))
+    return _understood(Source(block.path, layout, "", "", lines, block, ()), rig, recipe, Faults())
+
+
+def _understood(source: Source, rig: Rig, recipe: Recipe, faults: Faults) -> Understood:
+    path, layout = source.path, source.layout
     if layout.width > MOST_COLUMNS:
         words = f"a file must have at most {MOST_COLUMNS} columns; received {layout.width}"
         raise InvalidInput(f"{words} ({path}, line {layout.first_line})", Place(str(path), layout.first_line))
     if layout.header is None:
         raise _no_header(path, layout, rig)
-    faults, place = faults or Faults(), Place(str(path), layout.header_line)
+    place = Place(str(path), layout.header_line)
     assignment = assigned_columns(
         layout.header, layout.units, source.sample_rows(), rig, recipe, place, faults
     )

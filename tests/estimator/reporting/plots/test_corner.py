@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.contour import ContourSet
 from matplotlib.figure import Figure
 from matplotlib.path import Path
@@ -109,3 +110,28 @@ def test_a_count_that_is_certain_can_be_drawn(words: Callable[[Axes | Figure], s
 def test_twelve_parameters_can_be_drawn(words: Callable[[Axes | Figure], str]) -> None:
     rng = np.random.default_rng(0)
     words(corner({f"coil1.length{i}_m": rng.normal(size=200) for i in range(12)}))
+
+
+def test_labels_do_not_overlap_and_none_is_cut_off(draws: dict[str, np.ndarray]) -> None:
+    names = [
+        f"coil{i}.{pose}.tilt_{axis}_rad"
+        for i in (1, 2)
+        for pose in ("world_from_coil0", "flange_from_coil")
+        for axis in "xy"
+    ]
+    names += [f"coil{i}.wire_radius_m" for i in (1, 2)] + [
+        "background_field[room].x_T",
+        "sensor_offset[hall].x_T",
+    ]
+    for n in (2, 3, 6, 12):
+        fig = corner(dict.fromkeys(names[:n], draws["coil1.radius_m"]), title="rig")
+        canvas = FigureCanvasAgg(fig)
+        canvas.draw()
+        for axis in ("xaxis", "yaxis"):
+            labels = [getattr(ax, axis).label for ax in fig.axes if getattr(ax, axis).label.get_text()]
+            assert len(labels) == (n if axis == "xaxis" else n - 1)
+            boxes = [label.get_window_extent(canvas.get_renderer()) for label in labels]
+            for number, box in enumerate(boxes):
+                assert fig.bbox.x0 <= box.x0 < box.x1 <= fig.bbox.x1, (n, axis, labels[number].get_text())
+                assert fig.bbox.y0 <= box.y0 < box.y1 <= fig.bbox.y1, (n, axis, labels[number].get_text())
+                assert not any(box.overlaps(other) for other in boxes[number + 1 :]), (n, axis)

@@ -89,12 +89,21 @@ def test_missing_components_are_left_out_of_the_picture() -> None:
     ]
 
 
-def test_structure_is_longer_the_surer_it_is_and_ends_at_the_smallest_shown() -> None:
-    figure = structure_bars(["time", "current"], [1e-9, 0.5], [0.3, 1.0])
+def test_structure_is_longer_the_surer_it_is_and_an_arrow_where_no_smaller_p_value_can_be_told() -> None:
+    floor = 1.0 / 2001.0
+    figure = structure_bars(["time", "current", "x"], [floor, 0.5, 1e-9], [0.3, 1.0, 0.002], floor=floor)
     (ax,) = figure.axes
     lengths = [bar.get_width() for bar in bars(ax)]
-    assert lengths == pytest.approx([4.0, -np.log10(0.5), -np.log10(0.3), 0.0])
-    assert labels(ax) == ["time", "current"]
+    before, after = [0.0, -np.log10(0.5), 0.0], [-np.log10(0.3), 0.0, -np.log10(0.002)]
+    assert lengths == pytest.approx([*before, *after])
+    (arrows,) = ax.lines
+    assert arrows.get_xdata() == pytest.approx([-np.log10(floor)] * 2)
+    assert arrows.get_ydata() == pytest.approx([-0.2, 1.8])
+    assert labels(ax) == ["time", "current", "x"]
+    (legend,) = figure.legends
+    assert "before: p ≤ 0.0005, the least that the test can tell" in [
+        text.get_text() for text in legend.texts
+    ]
 
 
 SHARES = {

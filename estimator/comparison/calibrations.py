@@ -1,0 +1,297 @@
+"""Two calibrations side by side: their numbers, and the difference of their fields in the plane through each coil's axis."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from estimator.calibration.result import Calibration
+from estimator.errors import InvalidInput
+from estimator.field.winding import Winding
+from estimator.model.bodies import winding_of
+from estimator.model.measurement_model import MeasurementModel
+from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
+from estimator.reporting import plots
+from estimator.reporting.numbers import displays, size_with_unit, with_sd
+from estimator.reporting.page import Picture, ReportPage, Table, render_report
+from estimator.rig.rig import AnyCoil, Coil
+
+PLANE_POINTS, PLANE_DRAWS = 41, 100
+REACH = 1.1  # times the farthest reading
+ROUNDING = 1e-9  # of a number that has no standard deviation
+FAR_SD = 3.0  # standard deviations from which two numbers are said to differ
+
+
+@dataclass(frozen=True)
+class NumberPair:
+    """One number in two calibrations.
+
+    Attributes:
+        name: Of the parameter.
+        first, second: Medians.
+        first_sd, second_sd: Standard deviations.
+    """
+
+    name: str
+    first: float
+    first_sd: float
+    second: float
+    second_sd: float
+
+    @property
+    def distance_sd(self) -> float:
+        """Difference over the standard deviation of independent results; 0 where both are exact and equal."""
+        sd = math.hypot(self.first_sd, self.second_sd)
+        difference = abs(self.second - self.first)
+        return difference / sd if sd > 0.0 else (0.0 if difference == 0.0 else math.inf)
+
+
+@dataclass(frozen=True)
+class PlaneDifference:
+    """Difference of the fields of one coil, for one ampere, in the plane y = 0 of its frame in the first calibration.
+
+    Attributes:
+        coil: Its name.
+        x_m, z_m: Coordinates of the plane.
+        size_T_per_A: Length of the difference; NaN inside a winding of either.
+        field_T_per_A: Length of the field of the first.
+        sds: Difference over its standard deviation, by draws of both.
+        winding: Of the coil in the first.
+    """
+
+    coil: str
+    x_m: np.ndarray
+    z_m: np.ndarray
+    size_T_per_A: np.ndarray
+    field_T_per_A: np.ndarray
+    sds: np.ndarray
+    winding: Winding | None
+
+    @property
+    def rms_T_per_A(self) -> float:
+        """Root mean square of the difference over the plane."""
+        return float(np.sqrt(np.nanmean(self.size_T_per_A**2)))
+
+    @property
+    def relative(self) -> float:
+        """Rms of the difference over the rms of the field."""
+        return self.rms_T_per_A / float(np.sqrt(np.nanmean(self.field_T_per_A**2)))
+
+    @property
+    def median_sds(self) -> float:
+        """Median over the plane of the difference in standard deviations; about 1 where both agree."""
+        return float(np.nanmedian(self.sds))
+
+
+@dataclass(frozen=True)
+class SideBySide:
+    """Two calibrations of one set-up.
+
+    Attributes:
+        names: What they are called.
+        calibrations: The two.
+        numbers: Parameters that both have.
+        only: Parameters that only one of them has, first and second.
+        planes: Differences of the fields.
+        is_same_session: Whether they were made from the same readings, so that they are not independent.
+    """
+
+    names: tuple[str, str]
+    calibrations: tuple[Calibration, Calibration]
+    numbers: tuple[NumberPair, ...]
+    only: tuple[tuple[str, ...], tuple[str, ...]]
+    planes: tuple[PlaneDifference, ...]
+    is_same_session: bool
+
+    def to_json(self) -> dict[str, Any]:
+        """Content of `comparison.json`."""
+        return {
+            "calibrations": list(self.names),
+            "verdicts": [_verdict(calibration) for calibration in self.calibrations],
+            "is_same_session": self.is_same_session,
+            "numbers": [
+                asdict(pair) | {"distance_sd": pair.distance_sd if math.isfinite(pair.distance_sd) else None}
+                for pair in self.numbers
+            ],
+            "only_in_first": list(self.only[0]),
+            "only_in_second": list(self.only[1]),
+            "fields": [
+                {
+                    "coil": plane.coil,
+                    "rms_T_per_A": plane.rms_T_per_A,
+                    "relative": plane.relative,
+                    "largest_T_per_A": float(np.nanmax(plane.size_T_per_A)),
+                    "median_sds": plane.median_sds,
+                }
+                for plane in self.planes
+            ],
+        }
+
+
+def side_by_side(first: Calibration, second: Calibration, names: tuple[str, str]) -> SideBySide:
+    """Compare two calibrations.
+
+    Args:
+        first, second: Of set-ups with a coil in common, in the same world frame.
+        names: What they are called, such as their folders.
+    Raises:
+        InvalidInput: They have no coil in common.
+    """
+    own, others = (dict(calibration.summary()["parameters"]) for calibration in (first, second))
+    numbers = tuple(
+        NumberPair(name, own[name]["median"], own[name]["sd"], others[name]["median"], others[name]["sd"])
+        for name in own
+        if name in others
+    )
+    shared = [coil for coil in first.rig.coils if coil.name in {each.name for each in second.rig.coils}]
+    if not shared:
+        received = " and ".join(", ".join(c.name for c in each.rig.coils) for each in (first, second))
+        raise InvalidInput(f"calibrations must have a coil in common; received {received}")
+    hashes = {calibration.summary()["session_hash"] for calibration in (first, second)}
+    only = (tuple(n for n in own if n not in others), tuple(n for n in others if n not in own))
+    planes = tuple(plane for coil in shared if (plane := _plane(first, second, coil)) is not None)
+    return SideBySide(names, (first, second), numbers, only, planes, len(hashes) == 1)
+
+
+def _plane(first: Calibration, second: Calibration, coil: AnyCoil) -> PlaneDifference | None:
+    """The plane reaches as far as the readings of the first; None where the coil carried no current in it."""
+    best, rig = first.best_values(), first.rig
+    model = MeasurementModel.build(rig, first.observations)
+    rows = model.powered[coil.name]
+    if not len(rows):
+        return None
+    points, _ = model.sensor_in_coil(coil, rows, best)
+    winding = winding_of(rig, coil, best) if isinstance(coil, Coil) else None
+    across = REACH * float(points[:, :2].abs().max())
+    low, high = float(points[:, 2].min()), float(points[:, 2].max())
+    if winding is not None:
+        across = max(across, REACH * float(winding.radius_m))
+        low, high = min(low, -REACH * float(winding.length_m)), max(high, 0.5 * float(winding.radius_m))
+    x_m, z_m = np.linspace(-across, across, PLANE_POINTS), np.linspace(low, high, PLANE_POINTS)
+    grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
+    world_from_coil = at_one_moment(rig).world_from_body(coil, "coil", torch.arange(1), best)
+    points_m = world_from_coil.apply(torch.from_numpy(grid.reshape(-1, 3)))
+    (of_first, sd_first), (of_second, sd_second) = (
+        _per_ampere(calibration, coil.name, points_m) for calibration in (first, second)
+    )
+    difference = of_second - of_first
+    sd = torch.hypot(sd_first, sd_second)
+    shape = (PLANE_POINTS, PLANE_POINTS)
+    size, field = difference.norm(dim=1), of_first.norm(dim=1)
+    sds = size / sd.norm(dim=1).clamp(min=1e-18)
+    size_T, field_T, in_sds = (values.reshape(shape).numpy() for values in (size, field, sds))
+    return PlaneDifference(coil.name, x_m, z_m, size_T, field_T, in_sds, winding)
+
+
+def _per_ampere(
+    calibration: Calibration, coil: str, points_m: Float[Tensor, "point 3"]
+) -> tuple[Float[Tensor, "point 3"], Float[Tensor, "point 3"]]:
+    """Field of one ampere beyond that of none, and its standard deviation."""
+    room = RoomField(calibration.rig, calibration.best_values(), points_m)
+    on_A, off_A = calibration.currents({coil: 1.0}), calibration.currents({})
+
+    def field_T(values: Mapping[str, Tensor]) -> Tensor:
+        return room.field_T(values, on_A) - room.field_T(values, off_A)
+
+    drawn = some_at_a_time(field_T, calibration.draw_values(PLANE_DRAWS), len(points_m), 2)
+    sd = drawn.std(dim=0) if drawn.ndim > 2 and len(drawn) > 1 else torch.zeros_like(points_m)
+    return field_T(calibration.best_values()), sd
+
+
+def _verdict(calibration: Calibration) -> str | None:
+    quality = calibration.summary().get("quality")
+    return None if quality is None else str(quality["verdict"])
+
+
+def sentences(compared: SideBySide) -> list[str]:
+    """What differs, in words, the most important first."""
+    told = []
+    for plane in compared.planes:
+        told.append(
+            f"The fields of {plane.coil} differ by {size_with_unit(plane.rms_T_per_A, 'T', 3)}/A rms where readings were taken "
+            f"({100.0 * plane.relative:.2g} % of the field), {plane.median_sds:.2g} standard deviations at half of the points."
+        )
+    far = sorted((p for p in compared.numbers if p.distance_sd > FAR_SD), key=lambda p: -p.distance_sd)
+    if far:
+        listed = ", ".join(f"{p.name} ({p.distance_sd:.3g})" for p in far[:5])
+        more = f" and {len(far) - 5} more" if len(far) > 5 else ""
+        told.append(f"Numbers that differ by more than {FAR_SD:g} standard deviations: {listed}{more}.")
+    else:
+        told.append(f"No number differs by more than {FAR_SD:g} standard deviations.")
+    if compared.is_same_session:
+        told.append(
+            "Both come from the same readings: they are not independent, so standard deviations are too wide."
+        )
+    return told
+
+
+def number_table(compared: SideBySide) -> Table:
+    """The numbers of both, those that differ most first."""
+    ordered = sorted(compared.numbers, key=lambda pair: -pair.distance_sd)
+    shown = displays([pair.name for pair in ordered])
+    rows = []
+    for pair in ordered:
+        display = shown[pair.name]
+        cells = (
+            with_sd(value * display.factor, sd * display.factor)
+            if sd > ROUNDING * abs(value)
+            else f"{value * display.factor:.6g}"
+            for value, sd in ((pair.first, pair.first_sd), (pair.second, pair.second_sd))
+        )
+        distance = f"{pair.distance_sd:.2f}" if math.isfinite(pair.distance_sd) else "—"
+        rows.append([pair.name, *cells, display.unit or "1", distance])
+    header = ["parameter", "first", "second", "unit", "difference / sd"]
+    return Table("Numbers", header, rows, f"First: {compared.names[0]}. Second: {compared.names[1]}.")
+
+
+def _error_table(compared: SideBySide) -> Table:
+    rows = []
+    for name, calibration in zip(compared.names, compared.calibrations, strict=True):
+        summary = calibration.summary()
+        errors: Sequence[Any] = [summary["rmse"][role] for role in ("calibration", "validation")]
+        cells = ["—" if error is None else f"{1e6 * error['vector_T']:.4g} µT" for error in errors]
+        rows.append([name, _verdict(calibration) or "—", summary["session_created"][:10], *cells])
+    return Table("Errors", ["calibration", "verdict", "recorded", "of the fit", "of validation"], rows)
+
+
+def side_by_side_report(compared: SideBySide, command: str) -> str:
+    """HTML of two calibrations side by side, self-contained."""
+    caption = "In the plane through the axis; right: about 1 where both agree, far above it where they contradict each other."
+    figures = [
+        Picture(
+            f"Difference of the fields of {plane.coil}",
+            caption,
+            partial(
+                plots.difference_plane,
+                plane.x_m,
+                plane.z_m,
+                plane.size_T_per_A,
+                plane.sds,
+                plane.winding,
+                plane.coil,
+            ),
+        )
+        for plane in compared.planes
+    ]
+    only = [
+        f"Only in the {which}: {', '.join(names)}."
+        for which, names in zip(("first", "second"), compared.only, strict=True)
+        if names
+    ]
+    page = ReportPage(
+        title=f"{compared.names[0]} and {compared.names[1]}",
+        subtitle=f"two calibrations of {compared.calibrations[0].rig.name}",
+        verdict=[*sentences(compared), *only],
+        tables=[number_table(compared), _error_table(compared)],
+        figures=figures,
+        provenance={"command": command},
+    )
+    return render_report(page)

@@ -1,0 +1,201 @@
+// A calibration as its report tells it: how good it is, fields and their uncertainty, what the data taught, residuals; and predictions.
+
+import { html } from "./vendor/lit-html.js";
+import { ask, download, post, Problem } from "./api.js";
+import { heat, intervals, lines } from "./chart.js";
+import { figure } from "./figure.js";
+import { intervalTable } from "./rigs.js";
+import { minus, percent, short, size } from "./words.js";
+
+const FORMATS = [["json", "JSON"], ["cpp", "C++"], ["matlab", "MATLAB"], ["magpylib", "magpylib"], ["arviz", "ArviZ"]];
+const STRONG_SIGMA = 3;
+
+export class Calibration {
+  plane = 0;
+  predicted = null;
+
+  constructor(update, job, { calibration_id: id, result }, panels) {
+    Object.assign(this, { update, job, id, summary: result, panels });
+  }
+
+  template() {
+    const [sentence, ...rest] = this.panels.headline;
+    return html`<section class="hero card ${this.panels.verdict ?? ""}">
+        <p class="over">Calibration of ${this.summary.rig_name ?? "a rig"} · job ${short(this.job.id)}</p>
+        <h1 id="verdict">${sentence}</h1>
+        ${this.tiles()} ${rest.map((words) => html`<p>${words}</p>`)} ${this.actions()}
+      </section>
+      ${this.warnings()}
+      ${this.fields()} ${this.numbers()} ${this.residuals()} ${this.predict()}`;
+  }
+
+  // Each by itself where they are few, else in one line that opens.
+  warnings() {
+    const { warnings } = this.panels;
+    if (warnings.length <= 2) return warnings.map((words) => html`<p class="warn card" role="note">${words}</p>`);
+    return html`<details class="warn card"><summary>${warnings.length} things that these readings leave open; the first: ${warnings[0]}</summary>
+      <ol>${warnings.map((words) => html`<li>${words}</li>`)}</ol></details>`;
+  }
+
+  tiles() {
+    const { rmse, rmse_nominal: nominal, coverage90, parameters, loop_counts: counts } = this.summary;
+    const role = rmse.validation ? "validation" : "calibration";
+    const unseen = role === "validation" ? "on unseen readings" : "on the readings of the fit";
+    return html`<dl class="tiles">
+      ${tile("Error, rms", size(rmse[role].vector_T, "T", 3), unseen)}
+      ${tile("Before the fit", size(nominal[role].vector_T, "T", 3), `${(100 * nominal[role].relative).toPrecision(2)} % of the field`)}
+      ${tile("In 90 % intervals", `${Math.round(100 * coverage90[role])} %`, "of the components; 90 % is right")}
+      ${tile("Parameters", Object.keys(parameters).length, counts.length ? `${counts[0].coil}: ${counts[0].axial} × ${counts[0].radial} loops, ${percent(counts[0].probability)}` : "")}
+    </dl>`;
+  }
+
+  actions() {
+    return html`<div class="actions">
+      <a class="button" href="/v1/jobs/${this.job.id}/report" target="_blank" rel="noopener">Full report</a>
+      ${FORMATS.map(([to, words]) => html`<button aria-label="Export as ${words}" @click=${() => this.export_(to)}>${words}</button>`)}
+      <a class="button" href="/v1/calibrations/${this.id}/calibration.zip" download>Folder as zip</a>
+      ${this.fault ? html`<p class="fault" role="alert">${this.fault}</p>` : null}
+    </div>`;
+  }
+
+  async export_(to) {
+    this.fault = null;
+    try {
+      const { content, name } = await ask("POST", `/v1/calibrations/${this.id}/export`, { body: { to }, isFile: true });
+      download(name ?? `calibration.${to}`, content);
+    } catch (error) {
+      this.tell(error);
+    }
+    this.update();
+  }
+
+  // What an action could not do, said beside it.
+  tell(error) {
+    if (!(error instanceof Problem) || error.status === 401) throw error;
+    this.fault = error.message;
+  }
+
+  fields() {
+    const { planes } = this.panels;
+    const plane = planes[this.plane];
+    if (!plane) return null;
+    const across = plane.x_m.map((v) => 1e3 * v);
+    const up = plane.z_m.map((v) => 1e3 * v);
+    const table = (rows, name) => () => [
+      ["x_m", "z_m", name],
+      ...plane.z_m.flatMap((z, i) => plane.x_m.map((x, j) => [x, z, rows[i][j] ?? ""])),
+    ];
+    const scaled = (rows, factor) => rows.map((row) => row.map((v) => (v === null ? null : factor * v)));
+    const axes = { xLabel: "x (mm)", yLabel: "z (mm)" };
+    return html`<section aria-labelledby="field">
+      <h2 id="field">Field of ${plane.coil} for one ampere, and how well it is known</h2>
+      ${planes.length > 1
+        ? html`<label>Coil <select @change=${(e) => { this.plane = Number(e.target.value); this.update(); }}>
+            ${planes.map((one, i) => html`<option value=${i}>${one.coil}</option>`)}</select></label>`
+        : null}
+      <div class="figures two even">
+        ${figure("field", "Field", "In the plane through the axis, on a logarithmic scale.",
+          heat("Size of the field", across, up, scaled(plane.size_T_per_A, 1e3), { ...axes, label: "|B| (mT/A)", log: true }), table(plane.size_T_per_A, "B_T_per_A"))}
+        ${figure("uncertainty", "Uncertainty", "Half-width of the 90 % credible interval: the model is known best where readings were taken.",
+          heat("Relative uncertainty of the field", across, up, scaled(plane.relative, 100), { ...axes, label: "% of |B|" }), table(plane.relative, "relative"))}
+      </div>
+    </section>`;
+  }
+
+  numbers() {
+    const { taught } = this.panels;
+    const { loop_counts: counts } = this.summary;
+    const rows = taught.map((one) => ({
+      label: one.words, middle: one.middle, low: one.low, high: one.high,
+      note: `${minus(one.middle.toFixed(2))} (${minus(one.low.toFixed(2))} to ${minus(one.high.toFixed(2))})`,
+    }));
+    return html`<section aria-labelledby="taught">
+      <h2 id="taught">What the data taught</h2>
+      <p class="lead">Posterior of each free number in standard deviations of its prior: the shorter the line, the more the readings told.</p>
+      ${rows.length
+        ? figure("taught", "Posterior beside the prior", "Grey: the prior's 90 %. Blue: median and 90 % interval.",
+            intervals("Posterior beside the prior", rows, "prior standard deviations from its centre"),
+            () => [["parameter", "median", "low", "high"], ...taught.map((one) => [one.name, one.middle, one.low, one.high])])
+        : null}
+      <div class="card">${intervalTable(this.summary)}</div>
+      ${counts.length
+        ? html`<div class="card scroll" tabindex="0" role="region" aria-label="Loop counts"><h3>Loop counts</h3><table>
+            <thead><tr><th>coil</th><th class="num">axial</th><th class="num">radial</th><th class="num">probability</th></tr></thead>
+            <tbody>${counts.slice(0, 10).map((one) => html`<tr><th scope="row">${one.coil}</th><td class="num">${one.axial}</td>
+              <td class="num">${one.radial}</td><td class="num">${one.probability.toFixed(3)}</td></tr>`)}</tbody></table></div>`
+        : null}
+    </section>`;
+  }
+
+  residuals() {
+    const { rms_sigma: rms, groups } = this.panels;
+    const points = rms.map((value, i) => [i + 1, value]).filter(([, value]) => value !== null);
+    const mean = (value) => (value === null ? "–" : minus((Math.round(100 * value) / 100 + 0).toFixed(2)));
+    return html`<section aria-labelledby="residuals">
+      <h2 id="residuals">What the fit leaves</h2>
+      <div class="figures two">
+        ${figure("residuals", "Residual of each reading", "Root mean square of its components in units of the noise; about 1 where the model holds.",
+          lines("Residuals", [{ label: "", kind: "c0", points }], { xLabel: "reading", yLabel: "σ", mark: 1, dots: true }),
+          () => [["number", "rms_sigma"], ...points])}
+        <div class="card scroll" tabindex="0" role="region" aria-label="Residuals by group"><h3>By current, axis, height and sensor</h3><table>
+          <thead><tr><th>group</th><th class="num">readings</th><th class="num">rms (σ)</th><th class="num">mean x, y, z (σ)</th></tr></thead>
+          <tbody>${groups.map((one) => html`<tr><th scope="row">${one.by}: ${one.name}</th><td class="num">${one.n_readings}</td>
+            <td class="num">${one.rms_sigma > STRONG_SIGMA ? html`<strong class="warn">${one.rms_sigma.toFixed(2)}</strong>` : one.rms_sigma.toFixed(2)}</td>
+            <td class="num long">${one.mean_sigma.map(mean).join(", ")}</td></tr>`)}</tbody></table></div>
+      </div>
+    </section>`;
+  }
+
+  predict() {
+    const { coils, movers } = this.panels;
+    return html`<section aria-labelledby="predict">
+      <h2 id="predict">Predict a point</h2>
+      <form class="card form" @submit=${(event) => this.send(event)}>
+        <p class="fields">${["x", "y", "z"].map((axis) => html`<label>${axis} (mm) <input name="point" type="number" step="any" value="0" required /></label>`)}</p>
+        <p class="fields">${coils.map((coil, i) => html`<label>current of ${coil} (A) <input name="current" type="number" step="any" value=${i ? 0 : 1} required /></label>`)}</p>
+        ${Object.entries(movers).map(([mover, columns]) => html`<label>${mover} <input name="motion" class="wide" value="0 0 0 0 0 0"
+            aria-describedby="motion-${mover}" required /></label><p class="muted" id="motion-${mover}">${columns.join(", ")}; six numbers in SI.</p>`)}
+        ${this.predictFault ? html`<p class="fault" role="alert">${this.predictFault}</p>` : null}
+        <button class="main">Predict</button>
+        <div role="status">${this.predicted ? this.answer() : null}</div>
+      </form>
+    </section>`;
+  }
+
+  async send(event) {
+    event.preventDefault();
+    const form = new FormData(event.target);
+    const { coils, movers } = this.panels;
+    const currents = form.getAll("current").map(Number);
+    const motions = form.getAll("motion").map((text) => text.trim().split(/[\s,;]+/).map(Number));
+    const body = {
+      points_m: [form.getAll("point").map((v) => Number(v) / 1e3)],
+      currents_A: Object.fromEntries(coils.map((coil, i) => [coil, currents[i]])),
+      motion: Object.fromEntries(Object.keys(movers).map((mover, i) => [mover, motions[i]])),
+      has_gradient: true,
+    };
+    [this.predictFault, this.predicted] = [null, null];
+    try {
+      this.predicted = await post(`/v1/calibrations/${this.id}/predict`, body);
+    } catch (error) {
+      if (!(error instanceof Problem) || error.status === 401) throw error;
+      this.predictFault = error.message; // beside the form, so that what was filled in stays
+    }
+    this.update();
+  }
+
+  answer() {
+    const told = this.predicted;
+    if (told.field_T[0][0] === null) return html`<p>This point is inside a winding.</p>`;
+    const rows = ["x", "y", "z"].map((axis, i) => [`B${axis}`, told.field_T[0][i], told.field_lower_T[0][i], told.field_upper_T[0][i]]);
+    const total = Math.hypot(...told.field_T[0]);
+    return html`<div class="scroll" tabindex="0" role="region" aria-label="Prediction"><table>
+        <thead><tr><th>component</th><th class="num">field</th><th class="num">90 % interval</th></tr></thead>
+        <tbody>${rows.map(([name, value, low, high]) => html`<tr><th scope="row">${name}</th><td class="num">${size(value, "T", 5)}</td>
+          <td class="num">${size(low, "T", 5)} to ${size(high, "T", 5)}</td></tr>`)}
+          <tr><th scope="row">|B|</th><td class="num">${size(total, "T", 5)}</td><td class="num">–</td></tr></tbody></table></div>`;
+  }
+}
+
+const tile = (name, value, more) =>
+  html`<div class="tile"><dt>${name}</dt><dd>${value}</dd>${more ? html`<dd class="muted">${more}</dd>` : null}</div>`;

@@ -1,0 +1,87 @@
+"""What the page and the report show of a calibration: fields, what the data taught, and residuals by group."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.calibration.figures import fitted
+from estimator.calibration.panels import CalibrationPanels, calibration_panels
+from estimator.calibration.report import calibration_report
+from estimator.calibration.residual_groups import residual_groups
+from estimator.calibration.result import Calibration
+
+
+@pytest.fixture(scope="module")
+def panels(small_calibration: Calibration) -> CalibrationPanels:
+    return calibration_panels(small_calibration)
+
+
+def test_panels_are_json_and_hold_what_the_report_says(
+    panels: CalibrationPanels, small_calibration: Calibration
+) -> None:
+    json.dumps(asdict(panels), allow_nan=False)
+    assert panels.headline[0].startswith(f"{panels.verdict}:".capitalize())
+    assert [one.name for one in panels.taught] == [p.name for p in small_calibration.rig.free]
+    assert len({one.words for one in panels.taught}) == len(panels.taught)
+    assert len(panels.rms_sigma) == len(small_calibration.observations.calibration)
+    assert (panels.coils, list(panels.movers)) == (["coil1"], ["arm1"])
+
+
+def test_what_the_data_taught_is_the_posterior_in_widths_of_the_prior(
+    panels: CalibrationPanels, small_calibration: Calibration
+) -> None:
+    (radius,) = [one for one in panels.taught if one.name == "coil1.radius_m"]
+    prior = small_calibration.rig.parameters["coil1.radius_m"].prior
+    numbers = small_calibration.summary()["parameters"]["coil1.radius_m"]
+    assert prior is not None
+    assert radius.middle * prior.sd + prior.centre == pytest.approx(numbers["median"], rel=1e-6)
+    assert [radius.low * prior.sd + prior.centre, radius.high * prior.sd + prior.centre] == pytest.approx(
+        numbers["ci90"], rel=1e-6
+    )
+
+
+def test_a_plane_holds_the_field_of_one_ampere(
+    panels: CalibrationPanels, small_calibration: Calibration
+) -> None:
+    (plane,) = panels.planes
+    column = int(np.argmin(np.abs(plane.x_m)))
+    row = int(np.argmax(plane.z_m))
+    rig = small_calibration.rig
+    z_m = small_calibration.best["coil1.world_from_coil0.z_m"] + plane.z_m[row]
+    field_T = small_calibration.field([plane.x_m[column], 0.0, z_m], {"coil1": 1.0}, {"arm1": [0.0] * 6})
+    off_T = small_calibration.field([plane.x_m[column], 0.0, z_m], {}, {"arm1": [0.0] * 6})
+    expected_T = float(np.linalg.norm(np.subtract(field_T, off_T)))
+    assert rig.coils[0].name == plane.coil
+    assert plane.size_T_per_A[row][column] == pytest.approx(expected_T, rel=1e-6)
+    assert all(value is None or value > 0.0 for values in plane.relative for value in values)
+
+
+def test_groups_say_where_a_residual_is(small_calibration: Calibration) -> None:
+    fit = fitted(small_calibration)
+    o = small_calibration.observations
+    changed_T, current_A = o.field_sensor_T.clone(), o.current_A.clone()
+    half = torch.arange(len(o)) % 2 == 0
+    current_A[half] = 0.0
+    changed_T[half] = 0.0
+    changed_T[half, 1] = 5.0 * float(fit.sigma_T)
+    changed_T[half, 2] = torch.nan
+    changed = replace(
+        small_calibration, observations=replace(o, current_A=current_A, field_sensor_T=changed_T)
+    )
+    groups = {(group.by, group.name): group for group in residual_groups(changed)}
+    off = groups["current of coil1", "0 A"]
+    assert off.n_readings == int((half & ~o.is_validation).sum())
+    assert off.mean_sigma[:2] == pytest.approx((0.0, 5.0), abs=1e-6)
+    assert np.isnan(off.mean_sigma[2])
+    assert off.rms_sigma == pytest.approx(5.0 / np.sqrt(2.0))
+    assert groups["current of coil1", "3 A"].rms_sigma < 2.0
+    assert groups["component", "By"].rms_sigma > 3.0 > groups["component", "Bx"].rms_sigma
+    heights = [group for (by, _), group in groups.items() if by == "height over coil1"]
+    assert heights  # of readings with current alone, those with few left out
+    assert sum(group.n_readings for group in heights) <= groups["current of coil1", "3 A"].n_readings
+    assert "Residuals by current, axis, height and sensor" in calibration_report(changed, "")

@@ -1,0 +1,35 @@
+"""A diagnosis in a terminal and a notebook, and its figures one by one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from estimator.diagnosis.diagnose import diagnose
+from estimator.errors import InvalidInput
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import with_wrong
+
+pytestmark = pytest.mark.whole
+
+
+def test_a_diagnosis_is_shown_in_ten_lines_and_plots(small_rig: Rig, small_session: Session) -> None:
+    flawed = with_wrong(small_rig, small_session.observations, Cause("sensor_offset", "hall"), {"x_T": 2e-4})
+    diagnosis = diagnose(replace(small_session, observations=flawed), seed=1)
+    lines = repr(diagnosis).splitlines()
+    assert lines[0].startswith("Diagnosis of 'small', ")
+    assert len(lines) <= 10
+    assert any("µT" in line for line in lines[1:])
+    html = diagnosis._repr_html_()
+    assert html.count("<table>") == html.count("<img ") == 1
+    assert isinstance(diagnosis.plot_residuals(), Axes)
+    assert isinstance(diagnosis.plot_residuals(extended=False), Axes)
+    assert isinstance(diagnosis.plot_budget(), Figure)
+    without = replace(diagnosis, fits=replace(diagnosis.fits, budget=None))
+    with pytest.raises(InvalidInput, match="a budget needs causes"):
+        without.plot_budget()
+    assert without._repr_html_().count("<img ") == 1

@@ -1,0 +1,112 @@
+"""Points in the kinds that users have, and answers in the same; what cannot be points is refused with what to pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import xarray as xr
+
+from estimator.calibration.result import Calibration
+from estimator.errors import InvalidInput
+from estimator.points import given_points
+from estimator.system.system import System
+
+ROWS = [[0.0, 0.0, 0.05], [0.01, 0.0, 0.06]]
+ON = {"coil1": 2.0}
+STILL = {"arm1": [0.0] * 6}
+
+
+@pytest.fixture(scope="module")
+def expected_T(small_calibration: Calibration) -> np.ndarray:
+    points_m = torch.tensor(ROWS, dtype=torch.float64)
+    return small_calibration.field(points_m, ON, STILL).numpy()
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [list, np.asarray, torch.tensor, lambda rows: tuple(map(tuple, rows)), np.float32],
+    ids=["list", "array", "tensor", "tuple", "single"],
+)
+def test_answers_are_of_the_kind_that_was_given(
+    kind: Any, small_calibration: Calibration, expected_T: np.ndarray
+) -> None:
+    many, alone = kind(ROWS), kind(ROWS)[1]
+    for points, rows in ((many, expected_T), (alone, expected_T[1])):
+        field_T = small_calibration.field(points, ON, STILL)
+        assert type(field_T) is type(points)
+        np.testing.assert_allclose(np.asarray(field_T), rows, rtol=1e-5)
+        gradient = small_calibration.gradient(points, ON, STILL)
+        assert np.shape(gradient) == (*rows.shape, 3)
+        lower, upper = small_calibration.field_interval(points, ON, motion=STILL)
+        assert type(lower) is type(points)
+        assert (np.asarray(lower) <= np.asarray(upper)).all()
+        assert np.shape(small_calibration.gradient_interval(points, ON, motion=STILL)[1]) == np.shape(
+            gradient
+        )
+
+
+def test_tensors_keep_their_precision_and_their_derivatives(small_calibration: Calibration) -> None:
+    point_m = torch.tensor(ROWS[0], dtype=torch.float64, requires_grad=True)
+    field_T = small_calibration.field(point_m, ON, STILL)
+    (slope,) = torch.autograd.grad(field_T[2], point_m)
+    np.testing.assert_allclose(
+        slope.numpy(), np.asarray(small_calibration.gradient(ROWS[0], ON, STILL))[2], rtol=1e-6, atol=1e-9
+    )
+    assert small_calibration.field(torch.tensor(ROWS), ON, STILL).dtype is torch.float32
+
+
+def test_labelled_points_are_answered_with_labels_and_units(
+    small_calibration: Calibration, expected_T: np.ndarray
+) -> None:
+    rows = xr.DataArray(
+        np.array(ROWS).T, dims=("axis", "stop"), coords={"axis": ["x", "y", "z"], "stop": [7, 8]}
+    )
+    field_T = small_calibration.field(rows, ON, STILL)
+    assert field_T.dims == ("stop", "component")
+    assert (field_T.attrs["units"], list(field_T.component.values)) == ("T", ["x", "y", "z"])
+    np.testing.assert_array_equal(field_T.sel(component="z", stop=8), expected_T[1, 2])
+    gradient = small_calibration.gradient(rows.isel(stop=0), ON, STILL)
+    assert (gradient.dims, gradient.attrs["units"]) == (("component", "direction"), "T/m")
+    unnamed = small_calibration.field(xr.DataArray(np.array(ROWS), dims=("i", "j")), ON, STILL)
+    assert unnamed.dims == ("i", "component")
+
+
+def test_a_system_takes_the_same_points(small_calibration: Calibration, expected_T: np.ndarray) -> None:
+    system = System.of(small_calibration)
+    here = system.at(ROWS, STILL)
+    np.testing.assert_allclose(here.field_T(system.currents(ON)).numpy(), expected_T)
+
+
+@pytest.mark.parametrize(
+    ("points", "words"),
+    [
+        (3.0, "three coordinates each, such as"),
+        ([[1.0, 2.0]], "received shape (1, 2)"),
+        ("here", "points must be numbers, such as [0.0, 0.0, 0.05]"),
+        ([[0, 0, 1], [0, 1]], "points must be numbers"),
+        (xr.DataArray(np.zeros((3, 3)), dims=("a", "b")), "one dimension with the coordinates x, y, z"),
+        (xr.DataArray(np.zeros(4), dims="a"), "received dimensions {'a': 4}"),
+    ],
+)
+def test_what_cannot_be_points_is_refused_with_what_to_pass(points: Any, words: str) -> None:
+    with pytest.raises(InvalidInput) as refusal:
+        given_points(points)
+    assert words in str(refusal.value)
+
+
+@pytest.mark.whole  # with checks of types these calls end earlier
+def test_currents_and_motions_of_another_kind_are_refused_with_what_to_pass(
+    small_calibration: Calibration,
+) -> None:
+    for currents, motion, words in (
+        (2.0, None, "currents must be given by coil, such as {'coil1': 2.0}; received 2.0"),
+        (ON, [0.0] * 6, "motion must be given by mover, such as {'arm1': [0, 0, 0.01, 0, 0, 0]}"),
+        (ON, {"arm1": "home"}, "motion of arm1 must be six numbers, such as"),
+        (ON, {"arm1": 0.0}, "motion of arm1 must be six numbers"),
+    ):
+        with pytest.raises(InvalidInput) as refusal:
+            small_calibration.field(ROWS, currents, motion)  # type: ignore[arg-type]
+        assert words in str(refusal.value)
