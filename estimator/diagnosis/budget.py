@@ -19,6 +19,7 @@ from jaxtyping import Float
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.mixture.departures import EVERYWHERE
 from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
@@ -53,7 +54,7 @@ class Budget:
         n_readings: Their number.
         misfit_T: What the rig as described misses beyond the noise, root mean square of the vector.
         noise_T: Noise of the vector.
-        causes: Share of each cause and correction of the extended rig.
+        causes: Share of each cause of the extended rig, and of each kind of correction at all its places.
         shared: What several of them account for alike.
         left: What none of them accounts for.
     """
@@ -86,7 +87,8 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
         unseen: Readings that neither has seen.
         seed: Of the choice of readings for the intervals.
     """
-    causes = [cause for cause in extended.rig.acting if cause not in plain.rig.acting]
+    groups = _groups(plain, extended)
+    causes = list(groups)
     if not causes or not len(unseen):
         return None
     nothing, everything = frozenset[Cause](), frozenset(causes)
@@ -96,7 +98,8 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
         for n in range(1, len(causes)):
             some = frozenset(causes[i] for i in order[:n])
             if some not in squares:
-                squares[some] = _squares(_fit_with(plain, extended, some), unseen)
+                acting = [cause for group in some for cause in groups[group]]
+                squares[some] = _squares(_fit_with(plain, extended, acting), unseen)
     noise = _noise(extended, unseen)
     misfit = float((squares[nothing] - noise).mean())
     if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):
@@ -115,6 +118,21 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
         shares[-2],
         shares[-1],
     )
+
+
+def _groups(plain: Fit, extended: Fit) -> dict[Cause, list[Cause]]:
+    """What has a share of its own: each cause, and each kind of correction at all its places."""
+    groups: dict[Cause, list[Cause]] = {}
+    for cause in extended.rig.acting:
+        if cause in plain.rig.acting:
+            continue
+        is_correction = cause in extended.rig.corrections
+        group = next((group for group in groups if is_correction and group.name == cause.name), cause)
+        groups.setdefault(group, []).append(cause)
+    return {
+        Cause(group.name, EVERYWHERE) if len(causes) > 1 else group: causes
+        for group, causes in groups.items()
+    }
 
 
 def _orders(n: int, seed: int) -> list[tuple[int, ...]]:

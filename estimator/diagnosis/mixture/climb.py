@@ -19,7 +19,7 @@ from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.links import Link
-from estimator.diagnosis.mixture.listed import Offered, again, offered, present_items, starts_of
+from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.rig.parameters import LogNormal
@@ -164,8 +164,12 @@ def ask(
     led = [] if before is None else [before.dictionary.items[i] for i in before.leading]
     pool = changes.pool_of(fit, causes)
     starts = starts_of(fit, pool)
-    starts += [more for cause, of_cause in shapes.items() for more in again(fit, starts, cause, of_cause)]
-    listed = offered(alone, starts)
+    is_near = before is not None and changes is before.changes
+    known = dict(shapes)
+    if before is not None and is_near:
+        known = {**places_in(fit, before.dictionary.items), **shapes}
+    starts += [more for cause, of_cause in known.items() for more in again(fit, starts, cause, of_cause)]
+    listed = offered(alone, starts, is_near)
     if expansion.causes:
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())

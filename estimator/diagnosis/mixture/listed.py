@@ -17,6 +17,7 @@ from estimator.diagnosis.hypotheses.instants import instants_in, starts_nearer
 from estimator.diagnosis.hypotheses.screening import products_of
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.evidence_kernel import log_bayes_factors_of_choices
+from estimator.diagnosis.mixture.items import Item
 from estimator.effects import EFFECTS
 from estimator.effects.base import Quantity
 from estimator.effects.circumstances import UNTIL
@@ -86,12 +87,13 @@ def _is_seen(fit: Fit, candidate: Candidate) -> bool:
     return float(reached) > LEAST_SEEN or not candidate.is_at_null
 
 
-def offered(fit: Fit, starts: Sequence[Start]) -> list[Offered]:
+def offered(fit: Fit, starts: Sequence[Start], are_places_known: bool = False) -> list[Offered]:
     """The items of each cause that are not far less probable than its best one, at instants between readings and places between starts.
 
     Args:
         fit: Whose residual is asked.
         starts: Of all causes, at coarse instants.
+        are_places_known: The best places are among the starts.
     """
     weighed = _weighed(fit, starts)
     finer = list[Start]()
@@ -99,7 +101,7 @@ def offered(fit: Fit, starts: Sequence[Start]) -> list[Offered]:
         best = max(by_item, key=lambda of_start: of_start.best)
         if best.best > WORTH_A_FINER_START:
             finer += _at_finer_instants(fit, best)
-            finer += _at_nearer_places(fit, best)
+            finer += [] if are_places_known else _at_nearer_places(fit, best)
     for cause, by_item in _weighed(fit, finer).items():
         weighed[cause] += by_item
     return [item for by_item in weighed.values() for item in _most_probable(by_item)]
@@ -108,6 +110,12 @@ def offered(fit: Fit, starts: Sequence[Start]) -> list[Offered]:
 def present_items(starts: Sequence[Start]) -> list[Offered]:
     """The items of causes that a fit has."""
     return [item for start in starts for item in _items(start)]
+
+
+def places_in(fit: Fit, items: Sequence[Item]) -> dict[Cause, dict[str, float]]:
+    """The most probable place of each listed cause that has one, by items that were offered."""
+    best = {item.cause: item.start for item in reversed(items) if item.is_listed}
+    return {cause: start for cause, start in best.items() if _places(fit, cause)}
 
 
 def again(fit: Fit, starts: Sequence[Start], cause: Cause, shapes: dict[str, float]) -> list[Start]:

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from estimator.diagnosis.budget import _groups
 from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
@@ -62,7 +63,9 @@ def test_it_is_corrected_sensor_by_sensor(asked: Asked):
     plain = asked.expansion.plain
     correction = corrected(by_hand, plain, plain, Limits())
     assert {part.cause.place for part in correction.parts} == set(SENSORS)
-    assert {cause.place for cause in correction.final.rig.corrections} == set(SENSORS)
+    corrections = correction.final.rig.corrections
+    assert {cause.place for cause in corrections} == set(SENSORS)
+    assert _groups(plain, correction.final) == {COMMON: list(corrections)}  # one share of the error budget
 
 
 def test_columns_of_a_fit_nearby_are_reused_and_those_of_a_far_one_made_anew(asked: Asked):
