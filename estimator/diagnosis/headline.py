@@ -196,23 +196,29 @@ def _beside(diagnosis: Diagnosis) -> str:
     answer = diagnosis.findings.answer
     if not diagnosis.verdict.leaves_something:
         return ""
+    listed = [entry for entry in answer.beside if entry.first.is_listed]
     if answer.is_full:
         links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
         where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
-        listed = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
-        most = f" Most probable, but not stated: {'; '.join(listed[:MOST_OF_MANY])}." if listed else ""
+        some = "; ".join(_words_of(diagnosis, entry) for entry in listed[:MOST_OF_MANY])
+        most = f" Most probable, but not stated: {some}." if listed else ""
         return f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell apart.{most}{where}"
     unlisted = [_words_of(diagnosis, entry) for entry in answer.beside if not entry.first.is_listed]
-    faint = [_words_of(diagnosis, entry) for entry in answer.beside if entry.first.is_listed]
+    faint = [_words_of(diagnosis, entry) for entry in listed if entry.first_listed not in answer.refused]
+    refused = [_words_of(diagnosis, entry) for entry in listed if entry.first_listed in answer.refused]
     sentences = []
     if unlisted:
         sentences.append(f"What is left is best described so: {'; '.join(unlisted)}.")
-    elif diagnosis.causes and not faint:
+    elif diagnosis.causes and not listed:
         links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
         where = f"It is in {links[0]}." if links else "The readings do not tell where it sits."
         sentences.append(f"Something else is left that no listed cause explains. {where}")
     if faint:
         sentences.append(f"Not sure enough to be stated: {'; '.join(faint)}.")
+    if refused:
+        sentences.append(
+            f"Probable where readings count as linear, but not borne out by a full fit: {'; '.join(refused)}."
+        )
     return " ".join(sentences)
 
 

@@ -22,6 +22,7 @@ from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
+from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 
 N_PAIRS = 3  # of complementary halves
@@ -201,16 +202,21 @@ class Answer:
         )
 
     def borne_out(self) -> Answer:
-        """This answer without statements that full fits do not bear out: with each cause the evidence must be clearly higher."""
+        """This answer without statements that full fits do not bear out: with each cause the evidence must be clearly higher.
+
+        They are fits to the readings without the departures that lead, which would hide what a cause changes beside them.
+        """
         stated = [entry.first_listed for entry in self.stated]
         if not stated:
             return self
-        rises = {}
-        for cause in stated:
-            others = [other for other in stated if other != cause]
-            rises[cause] = self.fit_with(stated).log_evidence - self.fit_with(others).log_evidence
+        fit = self._beside_departures(stated)
+        rises = {
+            cause: fit.log_evidence
+            - self._beside_departures([other for other in stated if other != cause]).log_evidence
+            for cause in stated
+        }
         least = min(rises, key=rises.__getitem__)
-        if rises[least] > policy.CLEAR_LOG_EVIDENCE and self.fit_with(stated).still_has(least):
+        if rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least):
             return self
         return replace(self, refused=self.refused | {least}).borne_out()
 
@@ -256,15 +262,23 @@ class Answer:
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
         """The rig as described with some listed causes, fitted to the readings that were asked."""
         key = frozenset(causes)
-        if key not in self.fits:
-            plain, rig = self.plain, self.plain.rig
-            if not key:
-                return plain
-            for cause in causes:
-                rig = with_effect(rig, cause, plain.observations, self.shapes_of(cause))
-            start = self.asked.expansion.fit.values
-            self.fits[key] = fit_rig(rig, plain.observations, start, plain.posterior.model.rules)
-        return self.fits[key]
+        if key and key not in self.fits:
+            self.fits[key] = self._fit_with(causes, self.plain.observations)
+        return self.fits[key] if key else self.plain
+
+    def _beside_departures(self, causes: Sequence[Cause]) -> Fit:
+        """The same, fitted to the readings without the departures that lead."""
+        fit = self.asked.expansion.fit
+        if fit.observations is self.plain.observations:
+            return self.fit_with(causes)
+        return self._fit_with(causes, fit.observations)
+
+    def _fit_with(self, causes: Sequence[Cause], readings: Observations) -> Fit:
+        plain, rig = self.plain, self.plain.rig
+        for cause in causes:
+            rig = with_effect(rig, cause, plain.observations, self.shapes_of(cause))
+        start = self.asked.expansion.fit.values
+        return fit_rig(rig, readings, start, plain.posterior.model.rules)
 
     def item_of(self, cause: Cause) -> int:
         """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""
