@@ -14,7 +14,7 @@ import re
 import resource
 from collections import Counter
 from collections.abc import Iterator
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import h11
 from h11._receivebuffer import (
@@ -36,6 +36,7 @@ LOOSE_LINE = re.compile(rb"(?<!\r)\n|\n[ \t]")
 BONUS_USED_S, BONUS_BEGUN_S = 5.0, 30.0
 
 
+@runtime_checkable
 class Waiting(Protocol):
     """A connection whose client may owe something.
 
