@@ -75,7 +75,7 @@ def show_workers(rig: Rig, sessions: list[Observations], numbers: list[int]) -> 
 
 def throughput(workers: Cluster, paths: list[str], n: int, out: Path) -> tuple[float, float]:
     """Processor seconds per fit in a worker, and in the client with its scheduler."""
-    arguments = ("", ("plain",), False, 0)
+    arguments = (None, ("plain",), False, 0)
     warm = jobs_of(paths[0], *arguments)[0]
     (out / "warm").mkdir()
     workers.run({i: (fit, (warm, str(out / "warm"))) for i in range(n)}, lambda name, result: None)

@@ -155,10 +155,20 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 @pytest.fixture
 def idle(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
     """Makes services in this process that leave jobs in the queue, with settings of one's own."""
+    yield from _idle(tmp_path)
+
+
+@pytest.fixture(scope="module")
+def idle_for_all(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., TestClient]]:
+    """As `idle`, for tests of a module that leave a service as it was: a new one takes longer than what they ask."""
+    yield from _idle(tmp_path_factory.mktemp("idle"))
+
+
+def _idle(folder: Path) -> Iterator[Callable[..., TestClient]]:
     clients: list[TestClient] = []
 
     def make(**settings: Any) -> TestClient:
-        app = create_app(Settings(data=tmp_path / "data", **settings), has_workers=False)
+        app = create_app(Settings(data=folder / "data", **settings), has_workers=False)
         client = TestClient(app, base_url="http://127.0.0.1:8765", raise_server_exceptions=False)
         clients.append(client)
         return client.__enter__()

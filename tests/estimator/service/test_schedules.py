@@ -62,6 +62,13 @@ def rig_id(client: TestClient, rig_text: str) -> str:
     return upload_rig(client, rig_text)
 
 
+@pytest.fixture(scope="module")
+def refusing(idle_for_all: Callable[..., TestClient], rig_text: str) -> tuple[TestClient, str]:
+    """A service that no test of this module changes, and a rig in it."""
+    client = idle_for_all()
+    return client, upload_rig(client, rig_text)
+
+
 def made(client: TestClient, rig_id: str, **more: Any) -> dict[str, Any]:
     answer = client.post("/v1/schedules", json={"rig_id": rig_id, **(more or {"every_s": 3600})})
     assert answer.status_code == 201, answer.text
@@ -88,8 +95,9 @@ def made(client: TestClient, rig_id: str, **more: Any) -> dict[str, Any]:
     ],
 )
 def test_what_is_no_schedule_is_refused(
-    client: TestClient, rig_id: str, body: dict[str, Any], thing: str
+    refusing: tuple[TestClient, str], body: dict[str, Any], thing: str
 ) -> None:
+    client, rig_id = refusing
     begin_s = time.monotonic()
     assert refusal(client.post("/v1/schedules", json={"rig_id": rig_id, **body}), 422)["thing"] == thing
     assert time.monotonic() - begin_s < 10

@@ -26,10 +26,20 @@ from tests.estimator.service.conftest import (
     upload_rig,
 )
 
+LIMITS = {"most_readings": 36, "most_open_sessions": 3, "most_body_MB": 1.0, "most_unpacked_MB": 0.2}
+
 
 @pytest.fixture
 def client(idle: Callable[..., TestClient]) -> TestClient:
-    return idle(most_readings=36, most_open_sessions=3, most_body_MB=1.0, most_unpacked_MB=0.2)
+    return idle(**LIMITS)
+
+
+@pytest.fixture(scope="module")
+def refusing(idle_for_all: Callable[..., TestClient], rig_text: str) -> tuple[TestClient, str, str]:
+    """A service that no test of this module changes, a rig in it and an open session of it."""
+    client = idle_for_all(**LIMITS)
+    rig_id = upload_rig(client, rig_text)
+    return client, rig_id, begin_session(client, rig_id)
 
 
 @pytest.fixture
@@ -175,13 +185,13 @@ def test_a_gap_another_reading_and_too_many_are_refused(
     ],
 )
 def test_a_reading_that_is_none_of_the_rig_is_refused_with_its_line(
-    client: TestClient,
-    session_id: str,
+    refusing: tuple[TestClient, str, str],
     small_session: Session,
     small_rig: Rig,
     change: dict[str, Any],
     thing: str,
 ) -> None:
+    client, _, session_id = refusing
     good, next_good = lines_of(small_session, small_rig, 0, 2).splitlines(keepends=True)
     bad = json.dumps({**json.loads(next_good), **change}).encode()
     problem = refusal(append(client, session_id, good + bad), 422)
@@ -288,14 +298,15 @@ def zip_of(files: dict[str, bytes], mode: int = 0, method: int = zipfile.ZIP_DEF
     ],
 )
 def test_an_archive_that_is_no_session_is_refused_and_leaves_nothing(
-    client: TestClient, rig_id: str, body: bytes, status: int, words: str
+    refusing: tuple[TestClient, str, str], body: bytes, status: int, words: str
 ) -> None:
+    client, rig_id, session_id = refusing
     problem = refusal(send_zip(client, rig_id, body), status)
     assert words in problem["detail"]
     data = client.app.state.core.data
     assert str(data) not in problem["detail"]
     assert not list(client.app.state.core.uploads.iterdir())
-    assert not list(data.glob("sessions/*"))
+    assert [path.stem for path in data.glob("sessions/*")] == [session_id]
     assert not (data.parent / "outside").exists()
 
 

@@ -20,6 +20,7 @@ CHANGES = (
     "os.link",
     "os.symlink",
 )
+DEVICE = re.compile(r"/dev/(?!shm/)")  # in /dev/shm stand files of tests
 KILLED = 9
 ASIDE = re.compile(r"\.coilcal/new/[^/]+/.")  # where a whole store is written
 
@@ -31,7 +32,7 @@ def is_change(event: str, arguments: tuple[Any, ...]) -> bool:
         return (
             isinstance(flags, int)
             and bool(flags & (os.O_WRONLY | os.O_RDWR))
-            and "/dev/" not in str(arguments[0])
+            and not DEVICE.match(str(arguments[0]))
         )
     return event in CHANGES
 
