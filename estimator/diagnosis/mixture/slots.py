@@ -221,7 +221,8 @@ class Slots:
 
     def _probable(self, climbed: Sequence[int | None]) -> list[int]:
         """Items that had more than `NEGLIGIBLE` beside some others."""
-        largest = np.max(list(self._known.values()), axis=0)[:-1]
+        none = np.zeros(len(self.log_prior) + 1)
+        largest = np.max([none, *self._known.values()], axis=0)[:-1]
         largest[[i for i in climbed if i is not None]] = 1.0
         return np.flatnonzero(largest > NEGLIGIBLE).tolist()
 
