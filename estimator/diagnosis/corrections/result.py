@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -42,10 +42,6 @@ class Part:
     probability: float
     extent: str
     is_predicted: bool
-
-    def words(self, label: Callable[[Cause], str]) -> str:
-        """Name and extent."""
-        return f"{label(self.cause)} {self.extent}"
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `parts` in `diagnosis.json`."""
@@ -94,8 +90,8 @@ class Correction:
         if not self.is_taken:
             corrected = f"Nothing is corrected: {self.refusal}."
         else:
-            of_field = "; ".join(part.words(label) for part in self.parts if part.is_predicted)
-            of_readings = "; ".join(part.words(label) for part in self.parts if not part.is_predicted)
+            of_field = told_together([part for part in self.parts if part.is_predicted], label)
+            of_readings = told_together([part for part in self.parts if not part.is_predicted], label)
             by = of_field or ("" if of_readings else "causes that are not sure enough to be stated")
             corrected = " ".join(
                 sentence
@@ -108,7 +104,7 @@ class Correction:
             )
         if not self.of_session:
             return corrected
-        looks = "; ".join(part.words(label) for part in self.of_session)
+        looks = told_together(self.of_session, label)
         return f"What is left looks like {looks}; no prediction has that, so none is corrected by it. {corrected}"
 
     def judged_by(self, gain: Improvement) -> Correction:
@@ -133,6 +129,18 @@ class Correction:
                 "elpd_se": self.gain.elpd_se,
             },
         }
+
+
+def told_together(parts: Sequence[Part], label: Callable[[Cause], str]) -> str:
+    """Names and extents, those of one kind at several places together."""
+    alike: dict[tuple[str, str], list[Cause]] = {}
+    for part in parts:
+        alike.setdefault((part.cause.name, part.extent), []).append(part.cause)
+    result = []
+    for (name, extent), causes in alike.items():
+        places = ", ".join(cause.place for cause in causes)
+        result.append(f"{label(causes[0]) if len(causes) == 1 else f'{name}[{places}]'} {extent}")
+    return "; ".join(result)
 
 
 def extent_of(start: Mapping[str, float], degree: int, fit: Fit) -> str:

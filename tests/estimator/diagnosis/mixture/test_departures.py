@@ -63,6 +63,7 @@ def test_it_is_corrected_sensor_by_sensor(asked: Asked):
     plain = asked.expansion.plain
     correction = corrected(by_hand, plain, plain, Limits())
     assert {part.cause.place for part in correction.parts} == set(SENSORS)
+    assert f"sensor_response[{', '.join(SENSORS)}] to degree " in correction.words(lambda cause: cause.label)
     corrections = correction.final.rig.corrections
     assert {cause.place for cause in corrections} == set(SENSORS)
     assert _groups(plain, correction.final) == {COMMON: list(corrections)}  # one share of the error budget
