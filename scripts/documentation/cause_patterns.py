@@ -139,6 +139,8 @@ SIZES: dict[str, dict[str, float]] = {
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
     "position_unit": {"x_factor": 10.0},
     "range_clipping": {"limit_T": 0.006},
+    "current_limit": {"limit_A": 2.0},
+    "field_frame": {"axes": 2.0},
     "rotation_convention": {"convention": 1.0},
     "rows_shifted": {"rows": 1.0},
     "rows_shifted_since": {"rows": 1.0, "since_h": HALF_WAY_H},
