@@ -169,3 +169,13 @@ def test_axes_of_the_record_are_asked_where_the_sensor_has_turned_and_a_base_of_
     assert effect.places(rig_from_text(still)) == ()
     with pytest.raises(InvalidInput, match="axes must be 0, 1 or 2"):
         rig_from_text(RIG + effects_text({"field_frame[probe]": {"axes": 1.5}}))
+
+
+def test_axes_of_the_record_in_a_batch_are_those_one_by_one():
+    effect, rig = EFFECTS["field_frame"], rig_from_text(RIG.replace("movers: {mapper: {motion: pose}}", BASE))
+    circumstances = Circumstances(rig, readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD))
+    field_T, axes = torch.from_numpy(FIELD_T), torch.arange(3.0, dtype=torch.float64)
+    together = effect.apply(field_T, {"axes": axes}, circumstances, "probe")
+    for each, recorded_T in zip(axes, together, strict=True):
+        torch.testing.assert_close(effect.apply(field_T, {"axes": each}, circumstances, "probe"), recorded_T)
+    torch.testing.assert_close(together[0], field_T)
