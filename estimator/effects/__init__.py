@@ -25,6 +25,7 @@ from estimator.effects.causes.record import (
     SensorsExchanged,
     UnitError,
 )
+from estimator.effects.causes.record_frame import FieldFrame
 from estimator.effects.causes.record_since import (
     AxesSwappedSince,
     CoilsExchangedSince,
@@ -86,6 +87,7 @@ from estimator.effects.causes.supply import (
     CurrentCompression,
     CurrentDeadBand,
     CurrentGain,
+    CurrentLimit,
     CurrentOffset,
     CurrentRange,
     CurrentRemanence,
@@ -160,6 +162,7 @@ EFFECTS: dict[str, Effect] = {
         CurrentDeadBand(),
         CurrentAsymmetry(),
         CurrentCompression(),
+        CurrentLimit(),
         CurrentRange(),
         CurrentStep(),
         CurrentSpell(),
@@ -234,6 +237,7 @@ EFFECTS: dict[str, Effect] = {
         RangeClipping(),
         AxesSwapped(),
         AxesSwappedSince(),
+        FieldFrame(),
         SensorLag(),
         ChannelCrosstalk(),
         SensorsExchanged(),

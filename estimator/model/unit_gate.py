@@ -26,6 +26,8 @@ SAME_PATTERN = 0.7  # correlation above which two patterns are one but for a sca
 GOOD_PATTERN = 0.9  # correlation above which nothing is said
 FAR = 10.0  # times the median misfit from which a reading counts as wild
 MOST_FAR = 0.1  # share of the readings that may be wild; where more are, the pattern is another one
+NEARLY_ALONG = 0.8  # cosine between measured and predicted field
+LEAST_OF_A_SIGN = 0.1  # share of the readings from which a sign is no slip of single rows
 LARGEST_TURN_RAD = 2 * np.pi  # of a rotation vector or a joint in radians
 FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
 
@@ -39,12 +41,20 @@ class Agreement:
         share_beyond: Share of readings whose own ratio is implausible to the same side.
         correlation: Of the patterns, without the readings that are far off.
         far: Numbers of the readings that are far off; empty where there are many.
+        along, against: Shares of the readings whose field points nearly along, and nearly against, the predicted one.
     """
 
     ratio: float
     share_beyond: float
     correlation: float
     far: tuple[int, ...]
+    along: float = 1.0
+    against: float = 0.0
+
+    @property
+    def is_of_both_signs(self) -> bool:
+        """Whether fields agree but for a sign that changes from reading to reading."""
+        return min(self.along, self.against) > LEAST_OF_A_SIGN and self.along + self.against > SHARE_OF_ALL
 
     @property
     def is_plausible(self) -> bool:
@@ -141,6 +151,12 @@ def _warnings(
         told.append(
             f"Fields are {given.ratio:.3g} times those of the rig's nominal model, in another pattern ({where})."
         )
+    elif given.is_of_both_signs:
+        unsigned = "" if bool((compared.current_A < 0.0).any()) else ", and no current is negative"
+        told.append(
+            f"Fields point against the rig's nominal model in {100.0 * given.against:.0f} % of the readings and along it in the others"
+            f"{unsigned}: currents may be recorded without their sign; give them their signs in the file ({where})."
+        )
     elif given.correlation < -SAME_PATTERN:
         told.append(
             f"Fields point against the rig's nominal model: a current or an axis may be reversed ({where})."
@@ -194,7 +210,9 @@ def _compared(
     nominal_T, shown_T = predicted_T[~is_far].flatten(), measured_T[~is_far].flatten()
     correlation = float((nominal_T * shown_T).sum() / (nominal_T.norm() * shown_T.norm()))
     far = tuple(readings[is_far].tolist())
-    return Agreement(ratio, float(beyond.double().mean()), correlation, far)
+    cosine = ((predicted_T * measured_T).sum(dim=1) / (size_T * measured_T.norm(dim=1)))[is_strong]
+    along, against = ((sign * cosine > NEARLY_ALONG).double().mean() for sign in (1.0, -1.0))
+    return Agreement(ratio, float(beyond.double().mean()), correlation, far, float(along), float(against))
 
 
 def _scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> Observations:

@@ -23,7 +23,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import perfect_readings, simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import Cause, MotionKind, Rig
 from estimator.rig_files.read import rig_from_text
 
 NOISE_T = 20e-6
@@ -121,6 +121,23 @@ sensors:
       {x_mm: &place {prior: {normal: {mean: 0, sd: 3}}}, y_mm: *place, z_mm: {prior: {normal: {mean: 40, sd: 3}}},
       tilt_x_deg: &turn {prior: {normal: {mean: 0, sd: 2}}}, tilt_y_deg: *turn}
 """
+TURNED_SENSOR = """
+schema_version: 1
+name: a coil that stands still, and a sensor that a stage carries and turns
+movers:
+  stage:
+    motion: pose
+    world_from_base:
+      {x_mm: &place {prior: {normal: {mean: 0, sd: 3}}}, y_mm: *place, z_mm: {prior: {normal: {mean: 40, sd: 3}}}}
+coils:
+  coil1:
+    radius_mm: {prior: {normal: {mean: 51, sd: 3}}}
+    wire_radius_mm: {prior: {normal: {mean: 0.49, sd: 0.03, lower: 0.2}}}
+    axial_loops: {prior: {normal: {mean: 48, sd: 3, lower: 1}}}
+    radial_loops: {prior: {normal: {mean: 25, sd: 3, lower: 1}}}
+sensors:
+  hall: {carried_by: stage, noise_uT: 20}
+"""
 # Sizes of causes that are there or not, or whose prior does not say where they would be.
 SIZES: dict[str, dict[str, float]] = {
     "axes_swapped": {"x_reads": 2.0, "y_reads": -1.0},
@@ -139,6 +156,8 @@ SIZES: dict[str, dict[str, float]] = {
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
     "position_unit": {"x_factor": 10.0},
     "range_clipping": {"limit_T": 0.006},
+    "current_limit": {"limit_A": 2.0},
+    "field_frame": {"axes": 2.0},
     "rotation_convention": {"convention": 1.0},
     "rows_shifted": {"rows": 1.0},
     "rows_shifted_since": {"rows": 1.0, "since_h": HALF_WAY_H},
@@ -201,7 +220,8 @@ class Pattern:
 
 def sessions() -> tuple[Clean, ...]:
     """The sessions that causes are shown in; the first in which a cause can be is taken."""
-    return tuple(_session(rig_from_text(text)) for text in (ONE_COIL, TWO_COILS, SIDES, MOVED_SENSOR))
+    texts = (ONE_COIL, TWO_COILS, SIDES, MOVED_SENSOR, TURNED_SENSOR)
+    return tuple(_session(rig_from_text(text)) for text in texts)
 
 
 def grounds() -> tuple[Ground, ...]:
@@ -257,7 +277,7 @@ def _observations(rig: Rig) -> Observations:
     displacement = np.zeros((n, 6))
     displacement[:, :3] = places_m.repeat(len(currents_A), axis=0)
     joints = np.radians([0.0, -90.0, -90.0, 0.0, 90.0, 0.0]) + rng.uniform(-0.03, 0.03, (n, 6))
-    if len(rig.movers) > 1:  # a stage that turns too: what needs turns shows in this session
+    if len(rig.movers) > 1 or rig.movers[0].motion is MotionKind.POSE:  # turns too, for what needs turns
         displacement[:, 3:] = rng.uniform(-0.2, 0.2, (n, 3))
     columns = {"stage": torch.from_numpy(displacement), "arm": torch.from_numpy(joints)}
     time_s = 15.0 * torch.arange(n, dtype=torch.float64)

@@ -13,6 +13,9 @@ from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
+# Of the largest current; a twentieth apart, so that one lies near any limit between two settings.
+LIMITED_AT = (0.99, 0.95, 0.9, 0.87, 0.83, 0.8, 0.75, 0.7, 0.65, 0.6, 0.55, 0.5, 0.45)
+NO_LIMIT = 3.0  # times the largest current: beyond what the session commanded
 RANGES = 12  # steps of the largest current at which a range may end
 
 
@@ -146,6 +149,45 @@ class CurrentCompression(OneCoilCurrent):
     ) -> Float[Tensor, "*#batch reading"]:
         """Current in the coil."""
         return current_A * (1.0 - theta["loss_per_A2"][..., None] * current_A**2)
+
+
+class CurrentLimit(OneCoilCurrent):
+    """The supply reaches the limit of its voltage: it delivers no more than some current, whatever is commanded.
+
+    A limit that sinks while the coil warms up is that of the resistance, `coil_heating`.
+    """
+
+    name: ClassVar[str] = "current_limit"
+    words: ClassVar[str] = "beyond some current the supply delivers no more, as at the limit of its voltage"
+    is_linear: ClassVar[bool] = False
+    source: ClassVar[str] = "any limit; the largest currents of the session show where it is"
+
+    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+        """Largest current that is delivered."""
+        largest_A = extent.largest_current_A
+        limited = shape("limit_A", "A", 0.1 * largest_A, NO_LIMIT * largest_A)
+        return (Quantity("limit_A", "A", limited.prior, NO_LIMIT * largest_A),)
+
+    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+        """Shares of the largest current of the coil."""
+        sizes_A = _sizes_A(circumstances, place)
+        largest_A = float(sizes_A[-1]) if len(sizes_A) else circumstances.largest_current_A
+        return tuple({"limit_A": share * largest_A} for share in LIMITED_AT)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Whether the coil carried currents of two sizes: one size alone is a gain."""
+        return _has_sizes(circumstances, place)
+
+    def delivered(
+        self,
+        current_A: Float[Tensor, "*#batch reading"],
+        theta: Theta,
+        circumstances: Circumstances,
+        coil: int,
+    ) -> Float[Tensor, "*#batch reading"]:
+        """Current in the coil."""
+        limit_A = theta["limit_A"][..., None]
+        return torch.minimum(torch.maximum(current_A, -limit_A), limit_A)
 
 
 class CurrentRange(OneCoilCurrent):

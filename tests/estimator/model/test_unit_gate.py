@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -101,3 +102,17 @@ def test_a_thousand_in_all_rows_is_refused_whatever_the_pattern(readings: Observ
     check_units(rig(), readings.with_field(30.0 * shuffled.sign() * readings.field_sensor_T.abs()), "a.csv")
     with pytest.raises(InvalidInput, match="fields look like mT"):
         check_units(rig(), readings.with_field(1e3 * shuffled), "a.csv")
+
+
+def test_currents_without_their_sign_are_told(readings: Observations) -> None:
+    """Both signs flowed, and the record holds sizes; where the record has the signs, nothing is said."""
+    sign = torch.where(torch.arange(len(readings)) % 3 == 0, -1.0, 1.0).double()
+    flowed = readings.with_field(sign[:, None] * readings.field_sensor_T)
+    (told,) = check_units(rig(), flowed, "a.csv")
+    assert re.search(
+        r"in 3[234] % of the readings and along it in the others, and no current is negative", told
+    )
+    assert "currents may be recorded without their sign" in told
+    assert check_units(rig(), replace(flowed, current_A=sign[:, None] * readings.current_A), "a.csv") == []
+    (all_reversed,) = check_units(rig(), readings.with_field(-readings.field_sensor_T), "a.csv")
+    assert "without their sign" not in all_reversed

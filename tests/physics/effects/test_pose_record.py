@@ -138,3 +138,44 @@ def test_density_leaves_out_the_field_that_belongs_to_no_row():
 def test_sizes_that_no_such_mistake_has_are_refused(given, rule):
     with pytest.raises(InvalidInput, match=rule):
         rig_from_text(RIG + effects_text(given))
+
+
+BASE = "movers: {mapper: {motion: pose, world_from_base: {rx_deg: 40, rz_deg: -25}}}"
+
+
+@pytest.mark.parametrize("axes", [1, 2])
+def test_fields_in_the_axes_of_base_or_room_are_those_that_scipy_turns_back(axes):
+    """The sensor's components, turned by its own pose: in the room they are the field itself, in the base what the base sees of it."""
+    base = Rotation.from_rotvec(np.deg2rad([40.0, 0.0, -25.0]))
+    rig_text = RIG.replace("movers: {mapper: {motion: pose}}", BASE)
+    turned = readings(POINTS_M @ base.as_matrix(), (2.0, 0.0), turn_rad=ANGLES_RAD)
+    reading_T = predicted_T(turned, {"field_frame[probe]": {"axes": float(axes)}}, rig_text)
+    assert_same_field(reading_T, FIELD_T if axes == 2 else base.inv().apply(FIELD_T))
+
+
+def test_axes_of_the_record_are_asked_where_the_sensor_has_turned_and_a_base_of_its_own_is_there():
+    effect = EFFECTS["field_frame"]
+    turned = readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD)
+    rig, with_base = (
+        rig_from_text(text) for text in (RIG, RIG.replace("movers: {mapper: {motion: pose}}", BASE))
+    )
+    assert effect.concerns(Circumstances(rig, turned), "probe")
+    assert not effect.concerns(Circumstances(rig, readings(POINTS_M, (2.0, 0.0))), "probe")
+    assert effect.starts(Circumstances(rig, turned), "probe") == ({"axes": 2.0},)
+    assert effect.starts(Circumstances(with_base, turned), "probe") == ({"axes": 1.0}, {"axes": 2.0})
+    still = RIG.replace(
+        "probe: {carried_by: mapper, noise_uT: 5}", "probe: {noise_uT: 5, world_from_sensor: {z_mm: 300}}"
+    )
+    assert effect.places(rig_from_text(still)) == ()
+    with pytest.raises(InvalidInput, match="axes must be 0, 1 or 2"):
+        rig_from_text(RIG + effects_text({"field_frame[probe]": {"axes": 1.5}}))
+
+
+def test_axes_of_the_record_in_a_batch_are_those_one_by_one():
+    effect, rig = EFFECTS["field_frame"], rig_from_text(RIG.replace("movers: {mapper: {motion: pose}}", BASE))
+    circumstances = Circumstances(rig, readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD))
+    field_T, axes = torch.from_numpy(FIELD_T), torch.arange(3.0, dtype=torch.float64)
+    together = effect.apply(field_T, {"axes": axes}, circumstances, "probe")
+    for each, recorded_T in zip(axes, together, strict=True):
+        torch.testing.assert_close(effect.apply(field_T, {"axes": each}, circumstances, "probe"), recorded_T)
+    torch.testing.assert_close(together[0], field_T)

@@ -211,6 +211,7 @@ COMMANDED_A = np.array([2.0, -2.0, 0.0, 1.0, 0.05, -0.5, 3.0])
         ("current_dead_band", {"band_A": -0.1}, np.array([2.1, -2.1, 0.0, 1.1, 0.15, -0.6, 3.1])),
         ("current_asymmetry", {"excess": 0.02}, np.where(COMMANDED_A > 0, 1.02, 0.98) * COMMANDED_A),
         ("current_compression", {"loss_per_A2": 0.01}, COMMANDED_A - 0.01 * COMMANDED_A**3),
+        ("current_limit", {"limit_A": 1.8}, np.clip(COMMANDED_A, -1.8, 1.8)),
         (
             "current_range",
             {"excess": 0.03, "below_A": 1.7},
@@ -229,14 +230,29 @@ def test_supply_that_is_not_linear_delivers_by_its_own_curve(cause, given, expec
     [
         ([2.0, 2.0], set()),
         ([2.0, -2.0, 0.0], {"current_asymmetry"}),
-        ([2.0, 1.0], {"current_dead_band", "current_compression", "current_range"}),
-        ([2.0, -1.0], {"current_asymmetry", "current_dead_band", "current_compression", "current_range"}),
+        ([2.0, 1.0], {"current_dead_band", "current_compression", "current_limit", "current_range"}),
+        (
+            [2.0, -1.0],
+            {
+                "current_asymmetry",
+                "current_dead_band",
+                "current_compression",
+                "current_limit",
+                "current_range",
+            },
+        ),
     ],
 )
 def test_curves_of_a_supply_are_asked_where_currents_could_show_them(current_A, asked):
     columns = np.stack((np.resize(current_A, N), np.zeros(N)), axis=1)
     circumstances = Circumstances(rig_from_text(RIG), readings(POINTS_M, columns))
-    names = ("current_asymmetry", "current_dead_band", "current_compression", "current_range")
+    names = (
+        "current_asymmetry",
+        "current_dead_band",
+        "current_compression",
+        "current_limit",
+        "current_range",
+    )
     assert {name for name in names if EFFECTS[name].concerns(circumstances, "coil")} == asked
 
 

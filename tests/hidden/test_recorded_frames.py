@@ -1,0 +1,32 @@
+"""Fields that were recorded in the axes of the base: a case of a user, whose numbers come from other code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from estimator.diagnosis.diagnose import diagnose
+from estimator.rig_files.read import load_rig
+from estimator.store.importers.checked import with_validation
+from estimator.store.importers.readings_csv import read_readings_csv
+
+pytestmark = pytest.mark.whole
+CASES = Path(__file__).parents[1] / "fixtures/unit_gate_and_frozen"
+
+
+def test_fields_in_the_axes_of_the_base_are_named() -> None:
+    session = with_validation(read_readings_csv(CASES / "base_frame.csv", load_rig(CASES / "rig_pose.yaml")))
+    diagnosis = diagnose(session, seed=1)
+    (mistake,) = diagnosis.record_mistakes
+    assert mistake.cause.label == "field_frame[hall]"
+    gain = diagnosis.to_json()["gain"]
+    assert gain["after"]["vector_T"] < 30e-6
+    assert gain["before"]["vector_T"] > 500e-6
+
+
+def test_a_sensor_elsewhere_on_its_holder_is_no_other_frame() -> None:
+    session = with_validation(read_readings_csv(CASES / "holder_20mm.csv", load_rig(CASES / "rig_pose.yaml")))
+    diagnosis = diagnose(session, seed=1)
+    assert not diagnosis.record_mistakes
+    assert [cause.cause.name for cause in diagnosis.causes] == ["sensor_misplaced"]
