@@ -202,7 +202,8 @@ def _beside(diagnosis: Diagnosis) -> str:
         where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
         some = "; ".join(_words_of(diagnosis, entry) for entry in listed[:MOST_OF_MANY])
         most = f" Most probable, but not stated: {some}." if listed else ""
-        return f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell apart.{most}{where}"
+        them = "the others " if diagnosis.causes else ""
+        return f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell {them}apart.{most}{where}"
     unlisted = [_words_of(diagnosis, entry) for entry in answer.beside if not entry.first.is_listed]
     faint = [_words_of(diagnosis, entry) for entry in listed if entry.first_listed not in answer.refused]
     refused = [_words_of(diagnosis, entry) for entry in listed if entry.first_listed in answer.refused]

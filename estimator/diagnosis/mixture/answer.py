@@ -29,6 +29,9 @@ N_PAIRS = 3  # of complementary halves
 IN_HALVES = Sweeps(16, 4)
 STATED = 0.9  # probability from which on a cause is stated
 ALTERNATIVE = 0.05  # share of a slot from which on something is an alternative to what is there
+OUTWEIGHS = (
+    2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
+)
 ASKED = 0.2  # probability of a cause from which on a set is made about it
 
 
@@ -190,16 +193,23 @@ class Answer:
 
     @property
     def stated(self) -> tuple[Found, ...]:
-        """Sets that are there at `STATED` or more and are rather a listed cause; none where all slots are full."""
-        if self.is_full:
-            return ()
+        """Sets that are there at `STATED` or more and are rather a listed cause."""
         return tuple(
             entry
             for entry in self.found
             if entry.probability >= STATED
             and _listed(entry.possibilities) > 0.5
             and entry.first_listed not in self.refused
+            and (not self.is_full or self._outweighs_the_rest(entry))
         )
+
+    def _outweighs_the_rest(self, entry: Found) -> bool:
+        """Whether a set has more than twice the evidence that any item has beside all slots: what is not asked for could imitate less."""
+        asked = self.asked
+        most = float(asked.slots.products.beside(asked.leading, asked.noise).max())
+        listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
+        own = self.beside_item(self.item_of(entry.first_listed), listed).log_bayes_factor(listed)
+        return own > OUTWEIGHS * most
 
     def borne_out(self) -> Answer:
         """This answer without statements that full fits do not bear out: with each cause the evidence must be clearly higher.

@@ -107,7 +107,13 @@ def test_where_all_slots_are_full_and_more_is_there_nothing_is_named(of_two_caus
     """A gain and an offset are there, and fill none of the slots."""
     full = outcome_of(said(with_slots(of_two_causes.first, 2), {(CROSS, WANDERS): 100}))
     assert (full.verdict, full.named) == (Verdict.UNEXPLAINED, [])
-    spare = outcome_of(said(of_two_causes.first, {(CROSS, WANDERS): 100}))
+    first = of_two_causes.first
+    strong = said(with_slots(first, 2), {(GAIN, WANDERS): 100})
+    further = first.slots.products.beside(strong.asked.leading, strong.asked.noise).max()
+    assert further < strong.beside_item(strong.item_of(GAIN)).log_bayes_factor([GAIN]) < 2.0 * further
+    assert strong.is_full
+    assert strong.stated == ()  # though the gain is there: the offset could imitate half of it
+    spare = outcome_of(said(first, {(CROSS, WANDERS): 100}))
     assert [named.cause for named in spare.named] == [CROSS]
 
 

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import torch
 
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import Asked
@@ -88,8 +89,17 @@ def test_a_departure_is_never_stated_as_a_cause_but_told_with_its_link():
     assert made.unlisted == pytest.approx({Link.RESPONSE: 0.98})
 
 
-def test_nothing_is_stated_where_all_slots_are_full():
-    assert answered(samples(MODELS, BOTH), n_slots=2).stated == ()
+@pytest.mark.parametrize("further", [20.0, 60.0])
+def test_where_all_slots_are_full_a_cause_must_outweigh_what_any_further_item_could_explain(
+    further, monkeypatch
+):
+    made = answered(samples(MODELS, BOTH), n_slots=2)
+    made.asked.slots.grid = torch.ones(1)
+    made.asked.slots.products = SimpleNamespace(beside=lambda chosen, noise: torch.tensor([0.0, further]))
+    comparison = SimpleNamespace(log_bayes_factor=lambda causes: 100.0)
+    monkeypatch.setattr(Answer, "beside_item", lambda self, item, taken: comparison)
+    assert made.is_full
+    assert len(made.stated) == (further < 50.0)
 
 
 def test_probabilities_of_a_set_add_up_in_its_record():
