@@ -277,7 +277,7 @@ class Answer:
         return self.fits[key] if key else self.plain
 
     def _beside_departures(self, causes: Sequence[Cause]) -> Fit:
-        """The same, fitted to the readings without the departures that lead."""
+        """The rig as described with some listed causes, fitted to the readings without the departures that lead."""
         fit = self.asked.expansion.fit
         if fit.observations is self.plain.observations:
             return self.fit_with(causes)
