@@ -27,6 +27,7 @@ from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
 LIKED_BY = 10.0  # log density by which an expansion that has all leading causes is preferred: far from it, linear models err by as much
+MISSTATED = 0.05  # prior probability that a noise is another which the rig file states as known
 CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
 
 
@@ -209,11 +210,15 @@ def one_more_of_each_link(asked: Asked, model: Sequence[int], known: Collection[
 
 
 def noise_prior(fit: Fit) -> NoisePrior:
-    """What the rig says of the noise, as a factor on that of a fit: the mean over sensors, as wide as the widest."""
+    """What the rig says of the noise, as a factor on that of a fit: the mean over sensors, as wide as the widest.
+
+    One that is stated as known may be misstated: else departures would follow what it does not.
+    """
     parameters = [fit.rig.parameters[f"{sensor.name}.noise_T"] for sensor in fit.rig.sensors]
     apart = [math.log(float(p.value) / float(fit.values[p.name])) for p in parameters]
     widths = [p.prior.relative_sd for p in parameters if isinstance(p.prior, LogNormal)]
-    return NoisePrior(math.exp(sum(apart) / len(apart)), max(widths, default=0.0))
+    width = max(widths, default=0.0)
+    return NoisePrior(math.exp(sum(apart) / len(apart)), width, p_misstated=0.0 if width else MISSTATED)
 
 
 def _joined(first: Sequence[Offered], second: Sequence[Offered]) -> list[Offered]:

@@ -28,6 +28,7 @@ from estimator.diagnosis.mixture.evidence import Products
 
 N_NOISES = 46
 LEAST_NOISE, MOST_NOISE = 0.05, 1.6  # of that of the fit
+MOST_MISSTATED = 4.0  # factor on a noise that is stated as known, or its inverse
 NEGLIGIBLE = 1e-5  # probability of an item beside others below which it is not drawn
 
 
@@ -37,23 +38,32 @@ class NoisePrior:
 
     Attributes:
         median: Stated noise over the fitted one.
-        width: Standard deviation of its logarithm; 0 where the noise is known.
+        width: Standard deviation of its logarithm; 0 where it is stated as known.
+        p_misstated: Probability that it is another although it is stated as known.
     """
 
     median: float
     width: float
+    p_misstated: float = 0.0
 
     def grid(self) -> Float[Tensor, " noise"]:
-        """Factors that are tried."""
-        if self.width == 0.0:
-            return torch.ones(1, dtype=torch.float64)
-        return torch.logspace(math.log10(LEAST_NOISE), math.log10(MOST_NOISE), N_NOISES, dtype=torch.float64)
+        """Factors that are tried; the stated one first where it is stated as known."""
+        is_known = self.width == 0.0
+        least, most = (1.0 / MOST_MISSTATED, MOST_MISSTATED) if is_known else (LEAST_NOISE, MOST_NOISE)
+        some = torch.logspace(math.log10(least), math.log10(most), N_NOISES, dtype=torch.float64)
+        known = torch.ones(1, dtype=torch.float64)
+        if not is_known:
+            return some
+        return torch.cat((known, some)) if self.p_misstated else known
 
     def log_density(self, noise: Float[Tensor, " noise"]) -> Float[Tensor, " noise"]:
         """Log density of the logarithm, up to a constant."""
-        if self.width == 0.0:
-            return torch.zeros_like(noise)
-        return -0.5 * ((noise.log() - math.log(self.median)) / self.width).square()
+        if self.width > 0.0:
+            return -0.5 * ((noise.log() - math.log(self.median)) / self.width).square()
+        others = max(len(noise) - 1, 1)
+        density = torch.full_like(noise, self.p_misstated / others)
+        density[0] = 1.0 - self.p_misstated
+        return density.log()
 
 
 class Sweeps(NamedTuple):

@@ -158,7 +158,7 @@ def too_little_change(case: Case, text: str, _: re.Match[str]) -> Iterator[State
     yield Statement("too_little_change", CALIBRATE, text, share <= TOLD_APART, why)
 
 
-sentence(r"^Fitted besides, |^The rig file takes the gains")(nothing)
+sentence(r"^Fitted besides, |^The rig file (takes the gains|describes no iron)")(nothing)
 sentence(
     r"^(suspect|unusable): |^Run coilcal diagnose|^Do not use it|^Something in the rig file|^With the causes|^Raise `degree`"
 )(nothing)

@@ -115,7 +115,7 @@ def few_draws(tree: xr.DataTree) -> None:
 
 
 POSTERIORS = {
-    "a best value that is no number": (with_best(float("nan")), "best coil1.radius_m must be finite; received nan"),
+    "a best value that is no number": (with_best(float("nan")), "calibration must be JSON; NaN is no finite number"),
     "a best value in words": (with_best("x"), "calibration must be readable"),
     "a list of best values": (lambda t: t.attrs.update(best="[1]"), "calibration must be readable"),
     "no best values": (lambda t: t.attrs.update(best="{}"), "calibration must be readable"),

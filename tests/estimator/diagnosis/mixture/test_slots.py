@@ -110,7 +110,16 @@ def test_joined_draws_count_as_much_as_the_first_and_keep_their_numbers():
 
 def test_a_known_noise_is_one():
     assert KNOWN.grid().tolist() == [1.0]
-    assert torch.equal(KNOWN.log_density(torch.tensor([0.3])), torch.zeros(1))
+    assert torch.equal(KNOWN.log_density(KNOWN.grid()), torch.zeros(1, dtype=torch.float64))
+
+
+@pytest.mark.parametrize(("factor", "least", "most"), [(1.0, 1.0, 1.0), (2.0, 1.6, 2.4)])
+def test_a_noise_that_is_stated_as_known_is_believed_unless_the_readings_refute_it(factor, least, most):
+    made = dictionary([item("absent", [3])])
+    readings = dictionary(made.items, residual=factor / float(made.residual.std()) * made.residual)
+    slots = Slots(Products(readings), NoisePrior(1.0, 0.0, p_misstated=0.05))
+    samples = slots.sample(Sweeps(200, 10), seed=5)
+    assert least <= float(slots.grid[max(samples.noises, key=samples.noises.__getitem__)]) <= most
 
 
 def test_excluded_items_are_in_no_draw_and_others_are_as_if_there_were_none():
