@@ -98,7 +98,8 @@ def test_the_limit_is_named_with_its_size_and_handed_out(diagnosis, calibration)
             2.6,
             2,
             marks=pytest.mark.xfail(
-                reason="of six settings one is limited: noise_grows takes its name", strict=False
+                reason="a first joint fit of four causes is worse than none, and excludes all four",
+                strict=True,
             ),
         ),
     ],
