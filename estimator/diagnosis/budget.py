@@ -19,10 +19,9 @@ from jaxtyping import Float
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.mixture.departures import EVERYWHERE
 from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import EVERYWHERE, Cause, Rig
 
 MOST_IN_ALL_ORDERS, N_ORDERS = 3, 2  # causes; orders of more, each with its reverse
 N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals

@@ -48,6 +48,8 @@ POSE_QUANTITIES = (
     ("spin", "angle"),
 )
 
+EVERYWHERE = "everywhere"  # place of a cause at all sensors, coils or movers
+
 
 class MotionKind(StrEnum):
     """What a mover's column in the session says."""

@@ -15,10 +15,9 @@ from estimator.diagnosis.corrections.result import Correction, Part, extent_of
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer, Found
-from estimator.diagnosis.mixture.departures import EVERYWHERE
 from estimator.diagnosis.mixture.links import Link
 from estimator.effects.attach import with_effect
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import EVERYWHERE, Cause, Rig
 
 
 def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Correction:

@@ -16,7 +16,7 @@ from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.links import Link, link_of
 from estimator.effects.corrections.correction import Correction
-from estimator.rig.rig import Cause
+from estimator.rig.rig import EVERYWHERE, Cause
 from estimator.side_by_side import each
 
 SAME = 1e-6  # of the square of columns: what is left of those that a listed cause has too
@@ -26,7 +26,6 @@ MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and 
 NEAR = (
     0.02  # of the rms field, between predictions about which causes and departures change the readings alike
 )
-EVERYWHERE = "everywhere"  # place of a departure at all sensors, coils or movers
 
 
 @dataclass(frozen=True)

@@ -14,11 +14,11 @@ from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.answer import answer
 from estimator.diagnosis.mixture.climb import Asked, ask
 from estimator.diagnosis.mixture.correcting import corrected
-from estimator.diagnosis.mixture.departures import EVERYWHERE, Changes
+from estimator.diagnosis.mixture.departures import Changes
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
-from estimator.rig.rig import Cause
+from estimator.rig.rig import EVERYWHERE, Cause
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.diagnosis.mixture.hand_made import said
 from tests.estimator.diagnosis.small_fits import fit_of
