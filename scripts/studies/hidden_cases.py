@@ -108,13 +108,17 @@ def diagnosed(hidden: HiddenSession, seed: int) -> tuple[Diagnosis, float]:
 
 def diagnosed_session(hidden: HiddenSession, seed: int) -> tuple[Session, Diagnosis, float]:
     """The session as it was read, with its diagnosis and the seconds that this took."""
-    with tempfile.TemporaryDirectory() as folder:
-        hidden.write(Path(folder))
-        rig = load_rig(Path(folder) / "rig.yaml")
-        session = read_readings_csv(Path(folder) / "readings.csv", rig)
+    session = session_of(hidden)
     begin = time.perf_counter()
     diagnosis = diagnose(session, seed=seed)
     return session, diagnosis, time.perf_counter() - begin
+
+
+def session_of(hidden: HiddenSession) -> Session:
+    """The session, read from its rig file and its table of readings."""
+    with tempfile.TemporaryDirectory() as folder:
+        hidden.write(Path(folder))
+        return read_readings_csv(Path(folder) / "readings.csv", load_rig(Path(folder) / "rig.yaml"))
 
 
 def row_of(kind: str, hidden: HiddenSession, diagnosis: Diagnosis, seconds: float) -> Row:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 from scripts.studies.hidden_cases import Row
 from scripts.studies.open_world import ABSENT, Statement, stated
 from tests.hidden.links import LINK_OF_DEPARTURE
-from tests.hidden.study import is_relative, true_quantities
+from tests.hidden.study import is_relative, is_same, true_quantities
 
 STATED = 0.9  # probability from which a cause, or a set of causes, counts as stated
 SIZES = ((8.0, 15.0), (15.0, 30.0), (30.0, float("inf")))  # visible sizes that are counted apart, in sigma
@@ -47,7 +47,8 @@ def is_stated_alone(row: Row, truth: Row) -> bool:
 
 def is_stated(row: Row, truth: Row) -> bool:
     """Whether a hidden cause is stated alone or is in a set of causes that together have at least `STATED`."""
-    return any(truth["label"] in names for names in stated_sets(row)) or is_stated_alone(row, truth)
+    sets = any(is_same(name, truth["label"]) for names in stated_sets(row) for name in names)
+    return sets or is_stated_alone(row, truth)
 
 
 def is_taken(row: Row, truth: Row) -> bool:
@@ -73,7 +74,7 @@ def judged(row: Row, least: float = STATED) -> Judged:
     hidden = unlisted(row)["label"]
     right = relative = wrong = like_the_unlisted = 0
     for names in stated_sets(row, least):
-        if names & truths:
+        if any(is_same(name, truth) for name in names for truth in truths):
             right += 1
         elif any(is_relative(name, truth) for name in names for truth in truths):
             relative += 1

@@ -165,6 +165,9 @@ def visible_of(adjustable: Adjustable, flaws: Sequence[Flaw]) -> tuple[Visible, 
     beside = beside_sigma(adjustable, flaws)
     if any(abs(there / alone - 1.0) > PRESENT for there, alone in zip(beside, sigmas, strict=True)):
         return ()
+    moved = [adjustable.sigma_once_moved([flaw]) for flaw in flaws]
+    if any(left < (1.0 - PRESENT) * sigma for left, sigma in zip(moved, sigmas, strict=True)):
+        return ()  # a fit of the rig as described follows it
     rivals = {f.cause.name: rival_of(adjustable, f.cause) for f in flaws if f.cause.name in LISTED}
     visible = []
     for flaw, sigma in zip(flaws, sigmas, strict=True):

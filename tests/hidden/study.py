@@ -104,6 +104,11 @@ def is_relative(name: str, truth: str) -> bool:
     return name in RELATIVES.get(truth, ())
 
 
+def is_same(name: str, truth: str) -> bool:
+    """Whether a name is that of a hidden cause, or of one that is the same to the last digit: a displaced coil that is turned."""
+    return name == truth or (truth, name) == ("coil_misplaced", "mount_tilt")
+
+
 def true_quantities(cause: dict[str, Any]) -> dict[str, float]:
     """What a diagnosis should find for the numbers of a true cause, by the keys of `diagnosis.json`; those without a counterpart left out."""
     known = {name: one["value"] for name, one in cause["parameters"].items()}

@@ -13,7 +13,7 @@ same turns, length and mean radius; they differ in the variance of the loops' pl
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -24,6 +24,7 @@ from tests.hidden.protocols import Array
 from tests.hidden.scene import Scene
 
 STEP = 1e-3  # of a prior's width
+WINDING = ("radius_m", "wire_radius_m", "axial_loops", "radial_loops")
 Measure = Callable[[Array], float]  # of a whitened effect that the base model has been cleared from
 
 # What the rig file lets a fit adjust, with the standard deviation of its prior.
@@ -59,12 +60,14 @@ class Adjustable:
         slopes: Component by number of `PRIOR_SD`, per standard deviation of its prior.
         basis: Orthonormal, of the space of the slopes.
         has_priors: Below the components stands one line for each number, its distance from its prior in standard deviations.
+        prior_sd: Of each number.
     """
 
     scene: Scene
     slopes: Array
     basis: Array
     has_priors: bool = False
+    prior_sd: Mapping[str, float] = field(default_factory=lambda: PRIOR_SD)
 
     @classmethod
     def of(
@@ -76,7 +79,9 @@ class Adjustable:
             up, down = (_adjusted(scene, name, s * STEP * sd).measured().readings_T for s in (1.0, -1.0))
             columns.append(whiten(scene, (up - down) / (2.0 * STEP)))
         slopes = np.stack(columns, axis=1)
-        return cls(scene, slopes, np.linalg.qr(_padded(slopes) if has_priors else slopes).Q, has_priors)
+        return cls(
+            scene, slopes, np.linalg.qr(_padded(slopes) if has_priors else slopes).Q, has_priors, prior_sd
+        )
 
     def left_over(self, flaws: Sequence[Flaw]) -> Array:
         """Whitened effect of flaws less what the base model imitates.
@@ -91,6 +96,23 @@ class Adjustable:
     def visible_sigma(self, flaws: Sequence[Flaw]) -> float:
         """Visible size of flaws together, in sigmas."""
         return float(np.linalg.norm(self.left_over(flaws)))
+
+    def sigma_once_moved(self, flaws: Sequence[Flaw]) -> float:
+        """Visible size of flaws after a second step of the fit of the base model, whose poses stand where the first one has put them.
+
+        A base turned by 10 mrad looks large to slopes that were taken before it moved, and a fit follows it all the same.
+        """
+        effect = whiten(self.scene, effect_T(self.scene, flaws))
+        pulled = np.linalg.lstsq(_padded(self.slopes), np.append(effect, np.zeros(len(self.prior_sd))))[0]
+        moved, steps = self.scene, np.zeros(len(self.prior_sd))
+        for i, (name, sd) in enumerate(self.prior_sd.items()):
+            if name not in WINDING:
+                steps[i] = pulled[i]
+                moved = _adjusted(moved, name, steps[i] * sd)
+        followed = whiten(self.scene, moved.measured().readings_T - self.scene.measured().readings_T)
+        left = np.append(effect - followed, -steps)
+        basis = np.linalg.qr(_padded(self.slopes)).Q
+        return float(np.linalg.norm(left - basis @ (basis.T @ left)))
 
     def cleared(self, whitened: Array) -> Array:
         """Whitened effects, in columns or one, less what the base model imitates."""

@@ -41,14 +41,19 @@ class CorrectionKind:
     starts: tuple[dict[str, float], ...]
     limit: Limit
 
+    @property
+    def lowest(self) -> int:
+        """Lowest degree that is asked for."""
+        return max(self.effect.lowest, self.effect.asked_from)
+
     def keys(self, degree: int) -> list[tuple[int, str]]:
         """Degree and key of each amplitude up to a degree."""
-        degrees = range(self.effect.lowest, degree + 1)
+        degrees = range(self.lowest, degree + 1)
         return [(d, self.effect.key(d, term)) for d in degrees for term in self.effect.terms(d)]
 
     def as_predicted(self, rig: Rig) -> CorrectionKind | None:
         """This kind up to the degree to which the field of a single moment has it, as predictions do; None where it has nothing of it."""
-        degrees = range(self.effect.lowest, self.limit.degree + 1)
+        degrees = range(self.lowest, self.limit.degree + 1)
         beyond = [
             degree
             for degree in degrees
@@ -57,7 +62,7 @@ class CorrectionKind:
             )
         ]
         degree = min(beyond, default=self.limit.degree + 1) - 1
-        if degree < self.effect.lowest or not is_in_field(rig, self.cause):
+        if degree < self.lowest or not is_in_field(rig, self.cause):
             return None
         return replace(self, limit=replace(self.limit, degree=degree))
 

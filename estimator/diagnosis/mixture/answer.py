@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.climb import Asked, climbed
+from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
+from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
@@ -43,7 +45,7 @@ class Possibility:
         cause: A listed cause, or the departure that stands for something unlisted.
         is_listed: Whether it is listed.
         link: Where in the chain it acts.
-        share: Of the draws of the set.
+        share: Of the draws of the set; of a listed cause less what only imitates it.
     """
 
     cause: Cause
@@ -54,12 +56,12 @@ class Possibility:
 
 @dataclass(frozen=True)
 class Found:
-    """A set of alternatives, of which one is there.
+    """A set of alternatives, of which one is there, or something that no list holds and that looks like it.
 
     Attributes:
         possibilities: Most probable first.
-        probability: That one of them is there, beside everything else: that with all readings, moved towards that in halves by half the
-            probability that something acts which no list holds, and less where halves say less than half of what is expected of them.
+        probability: That one of them is there, or something that looks like it, beside everything else: that with all readings, and less
+            where halves say less than half of what is expected of them.
         with_all, in_halves: With all readings; the mean over halves of them.
         expected: What is expected in halves of what is there as all readings have it.
     """
@@ -110,7 +112,7 @@ class Answer:
         in_halves: Draws from halves of the readings.
         expected: Probability that halves are expected to give each leading item, by its number.
         ended_early: Why it ended before all was asked; empty where it did not.
-        refused: Causes that a full fit does not bear out, so that they are not stated.
+        refused: Causes that full fits do not bear out, so that they were not asked any more.
         fits: Of the rig with listed causes, by these, as they were made.
     """
 
@@ -170,16 +172,39 @@ class Answer:
         with_all = self.asked.samples.one_of(own)
         of_halves = [samples.one_of(own) for samples in self.in_halves]
         in_halves = sum(of_halves) / len(of_halves) if of_halves else with_all
-        whole = sum(shares.values())
+        listed, whole = [cause for cause in shares if first[cause].is_listed], sum(shares.values())
+        likeliest = max(listed, key=shares.__getitem__, default=None)
+        real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, shares).p_imitation
         possibilities = [
-            Possibility(cause, first[cause].is_listed, first[cause].link, share / whole)
-            for cause, share in sorted(shares.items(), key=lambda pair: -pair[1])
+            Possibility(cause, at.is_listed, at.link, share / whole * (real if at.is_listed else 1.0))
+            for cause, share in shares.items()
+            for at in [first[cause]]
         ]
+        possibilities.sort(key=lambda possibility: -possibility.share)
         expected = max((self.expected.get(i, 0.0) for i in own), default=0.0)
-        probability = with_all + 0.5 * self.p_unlisted * (in_halves - with_all)
+        probability = with_all
         if 2.0 * in_halves < expected:
             probability *= 2.0 * in_halves / expected
         return Found(tuple(possibilities), probability, with_all, in_halves, expected)
+
+    def standing(self, cause: Cause, alternatives: Collection[Cause]) -> Standing:
+        """How clear a listed cause or one of its alternatives is, and beside what.
+
+        Args:
+            cause: The most probable one.
+            alternatives: The possibilities of its set, itself among them.
+        """
+        items, leading = self.asked.dictionary.items, self.asked.leading
+        rest = [i for i in leading if items[i].cause not in alternatives]
+        of_others = sum(self._evidence(i, [j for j in leading if j != i]) for i in rest)
+        is_beside_departure = any(not items[i].is_listed for i in rest)
+        return Standing(self._evidence(self.item_of(cause), rest), of_others, is_beside_departure)
+
+    def _evidence(self, item: int, rest: Sequence[int]) -> float:
+        """Log Bayes factor of an item beside some others."""
+        products, noise = self.asked.slots.products, torch.tensor([self.asked.noise], dtype=torch.float64)
+        with_it, without = (products.log_likelihood(some, noise) for some in ([*rest, item], rest))
+        return float(with_it - without)
 
     @property
     def is_full(self) -> bool:
@@ -199,7 +224,6 @@ class Answer:
             for entry in self.found
             if entry.probability >= STATED
             and _listed(entry.possibilities) > 0.5
-            and entry.first_listed not in self.refused
             and (not self.is_full or self._outweighs_the_rest(entry))
         )
 
@@ -211,14 +235,15 @@ class Answer:
         own = self.beside_item(self.item_of(entry.first_listed), listed).log_bayes_factor(listed)
         return own > OUTWEIGHS * most
 
-    def borne_out(self) -> Answer:
-        """This answer without statements that full fits do not bear out: with each cause the evidence must be clearly higher.
+    @property
+    def not_borne_out(self) -> Cause | None:
+        """The stated cause that full fits bear out least, if they do not: with it the evidence must be clearly higher.
 
         They are fits to the readings without the departures that lead, which would hide what a cause changes beside them.
         """
         stated = [entry.first_listed for entry in self.stated]
         if not stated:
-            return self
+            return None
         fit = self._beside_departures(stated)
         rises = {
             cause: fit.log_evidence
@@ -226,9 +251,8 @@ class Answer:
             for cause in stated
         }
         least = min(rises, key=rises.__getitem__)
-        if rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least):
-            return self
-        return replace(self, refused=self.refused | {least}).borne_out()
+        is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
+        return None if is_clear else least
 
     @property
     def beside(self) -> tuple[Found, ...]:
@@ -278,10 +302,10 @@ class Answer:
 
     def _beside_departures(self, causes: Sequence[Cause]) -> Fit:
         """The rig as described with some listed causes, fitted to the readings without the departures that lead."""
-        fit = self.asked.expansion.fit
-        if fit.observations is self.plain.observations:
+        readings = self.leading_fit.observations
+        if readings is self.plain.observations:
             return self.fit_with(causes)
-        return self._fit_with(causes, fit.observations)
+        return self._fit_with(causes, readings)
 
     def _fit_with(self, causes: Sequence[Cause], readings: Observations) -> Fit:
         plain, rig = self.plain, self.plain.rig
@@ -371,6 +395,7 @@ def answer(
         before: What led when the same readings were asked with another noise.
     """
     first, asked = climbed(plain, limits, seed, on_progress, before)
+    asked, refused = _borne_out(first, asked, seed)
     pace = Pace("what leads, in halves of the readings", on_progress)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > NEGLIGIBLE]
     few = asked.dictionary.restricted(numbers)
@@ -394,4 +419,14 @@ def answer(
         if expected
     }
     ended_early = limits.words if limits.is_over else ""
-    return Answer(first, asked, tuple(of_halves), mean, ended_early).borne_out()
+    return Answer(first, asked, tuple(of_halves), mean, ended_early, refused)
+
+
+def _borne_out(first: Asked, asked: Asked, seed: int) -> tuple[Asked, frozenset[Cause]]:
+    """The readings asked without the causes that full fits do not bear out, and these."""
+    refused, draft = frozenset[Cause](), Answer(first, asked, (), {})
+    while (cause := draft.not_borne_out) is not None:
+        refused |= {cause}
+        asked = asked.without(refused, seed, SAMPLING)
+        draft = Answer(first, asked, (), {}, fits=draft.fits)
+    return asked, refused

@@ -26,7 +26,7 @@ from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
-LIKED_BY = 10.0  # log density by which an expansion that has all leading causes is preferred: far from it, linear models err by as much
+LIKED_BY = 10.0  # log density by which linear models err: an expansion that has all leading causes is preferred by as much
 MISSTATED = 0.05  # prior probability that a noise is another which the rig file states as known
 CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
 
@@ -59,23 +59,50 @@ class Asked:
 
     @cached_property
     def leading(self) -> tuple[int, ...]:
-        """The most frequent set of items of those that hold the most frequent set of causes and departures."""
-        items, models = self.dictionary.items, self.samples.models
-        labels = {model: frozenset(items[i].cause for i in model) for model in models}
-        by_labels = defaultdict[frozenset[Cause], float](float)
-        for model, n in models.items():
-            by_labels[labels[model]] += n
+        """The most probable set of items of those that hold the most probable set of causes and departures."""
+        items = self.dictionary.items
+        density = {model: self.slots.log_density(model) for model in self.samples.models}
+        labels = {model: frozenset(items[i].cause for i in model) for model in density}
+        highest, by_labels = max(density.values()), defaultdict[frozenset[Cause], float](float)
+        for model, value in density.items():
+            by_labels[labels[model]] += math.exp(value - highest)
         most = max(by_labels, key=by_labels.__getitem__)
-        return max((m for m in models if labels[m] == most), key=models.__getitem__)
+        return max((model for model in density if labels[model] == most), key=density.__getitem__)
 
-    def without(self, causes: Collection[Cause], seed: int) -> Asked:
+    def causes_of(self, model: Sequence[int]) -> frozenset[Cause]:
+        """Listed causes of a set of items."""
+        items = [self.dictionary.items[i] for i in model]
+        return frozenset(item.cause for item in items if item.is_listed)
+
+    def new_in(self, model: Sequence[int], known: Collection[Cause] = ()) -> list[int]:
+        """Listed items of a set that the expansion lacks, clearest first; without some that are known."""
+        causes = (*self.expansion.causes, *known)
+        items = self.dictionary.items
+        new = [i for i in model if items[i].is_listed and items[i].cause not in causes]
+        lost = {i: self.slots.products.beside([j for j in model if j != i], self.noise)[i] for i in new}
+        return sorted(new, key=lambda i: -float(lost[i]))
+
+    def is_worse_than(self, before: Asked, causes: Collection[Cause]) -> bool:
+        """Whether the readings are clearly less probable with some causes and departures than before, each about a fit that has its own."""
+        items, known = before.dictionary.items, before.expansion.causes
+        led = {items[i].cause for i in before.leading if items[i].cause in known or not items[i].is_listed}
+        return self.highest_with(causes) < before.highest_with(led) - LIKED_BY
+
+    def highest_with(self, causes: Collection[Cause]) -> float:
+        """Log density of the readings and the most probable set of items of some causes and departures."""
+        numbers = [i for i, item in enumerate(self.dictionary.items) if item.cause in causes]
+        chosen, _ = self.slots.among(numbers).climbed()
+        return self.log_density_of([numbers[i] for i in chosen if i is not None])
+
+    def without(self, causes: Collection[Cause], seed: int, sweeps: Sweeps = CLIMBING) -> Asked:
         """The readings asked again without some causes."""
-        rows = [i for i, item in enumerate(self.dictionary.items) if item.cause in causes]
+        items, slots = self.dictionary.items, self.slots
+        rows = [i for i, item in enumerate(items) if item.cause in causes]
         if not rows:
             return self
-        slots = Slots(self.slots.products, self.slots.noise, self.slots.n_slots, excluded=rows)
+        fewer = Slots(slots.products, slots.noise, slots.n_slots, excluded=[*slots.excluded, *rows])
         allowed = [i for i in self.leading if i not in rows]
-        return replace(self, slots=slots, samples=slots.sample(CLIMBING, seed, allowed))
+        return replace(self, slots=fewer, samples=fewer.sample(sweeps, seed, allowed))
 
     @property
     def is_fitted(self) -> bool:
@@ -85,17 +112,17 @@ class Asked:
 
     @cached_property
     def log_density(self) -> float:
-        """Log density of the readings and the leading set of items, up to a constant that all expansions of one session share."""
+        """Of the readings and the leading set of items."""
+        return self.log_density_of(self.leading)
+
+    def log_density_of(self, model: Sequence[int]) -> float:
+        """Log density of the readings and a set of items, up to a constant that all expansions of one session share."""
         fit, always = self.expansion.fit, self.expansion.always
         precision = always.jacobian.T @ always.jacobian + self.expansion.prior_precision
-        in_slots = (
-            self.slots.products.log_likelihood(self.leading, self.slots.grid) + self.slots.log_prior_noise
-        )
         return (
-            float(torch.logsumexp(in_slots, 0))
+            self.slots.log_density(model)
             + float(fit.whitening_per_T.clamp(min=1e-300).log().sum())
             - 0.5 * float(torch.logdet(precision))
-            + sum(self.dictionary.items[i].log_prior for i in self.leading)
         )
 
 
@@ -120,23 +147,30 @@ def climbed(
     first = ask(Expansion.of(plain), limits, seed, {}, before)
     known = () if before is None else before.expansion.causes
     asked, excluded = [first], set[Cause]()
-    seen, shapes = {frozenset[Cause]()}, dict[Cause, dict[str, float]]()
+    seen, shapes = {(frozenset[Cause](), False)}, dict[Cause, dict[str, float]]()
     for n in range(1, MOST_EXPANSIONS):
         pace.tell(n, MOST_EXPANSIONS)
         last = asked[-1]
-        items, chosen = last.dictionary.items, one_more_of_each_link(last, last.leading, known)
-        causes = frozenset(items[i].cause for i in chosen if items[i].is_listed)
-        if causes in seen or limits.is_over:
-            break
-        seen.add(causes)
-        sizes, _ = last.slots.products.sizes(chosen, last.noise)
-        moved = last.expansion.moved(last.dictionary, chosen, sizes)
-        new = causes.difference(last.expansion.causes)
-        if new and moved.is_worse_than(last.expansion):
-            excluded |= new  # what the linear model said of them does not hold
+        some = one_more_of_each_link(last, last.leading, known)
+        new = frozenset[Cause]()
+        is_beside = any(not last.dictionary.items[i].is_listed for i in some)
+        for causes, chosen in {last.causes_of(i): i for i in (some, one_more(last, some))}.items():
+            if (causes, is_beside) in seen or limits.is_over:
+                continue
+            sizes, _ = last.slots.products.sizes(chosen, last.noise)
+            moved = last.expansion.moved(last.dictionary, chosen, sizes)
+            there = ask(moved, limits, seed, shapes, last).without(excluded, seed)
+            new = causes.difference(last.expansion.causes)
+            if not (new and there.is_worse_than(last, {last.dictionary.items[i].cause for i in chosen})):
+                break
+        else:
+            if not new:
+                break
+            excluded |= new  # what the linear model said of the clearest one does not hold
             asked[-1] = last.without(excluded, seed)
             continue
-        asked.append(ask(moved, limits, seed, shapes, last).without(excluded, seed))
+        seen.add((causes, is_beside))
+        asked.append(there)
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
     best = max(asked, key=lambda at: at.log_density + (LIKED_BY if at.is_fitted else 0.0))
     return first, replace(best, samples=best.slots.sample(SAMPLING, seed, best.leading))
@@ -195,18 +229,17 @@ def one_more_of_each_link(asked: Asked, model: Sequence[int], known: Collection[
 
     Causes at one link change each other's columns. Those that have led at another noise are known to stand beside each other.
     """
-    items = asked.dictionary.items
-    allowed, clearest = list[int](), dict[Link, tuple[float, int]]()
-    for i in model:
-        item = items[i]
-        if not item.is_listed or item.cause in (*asked.expansion.causes, *known):
-            allowed.append(i)
-            continue
-        rest = [j for j in model if j != i]
-        lost = float(asked.slots.products.beside(rest, asked.noise)[i])
-        if item.link not in clearest or lost > clearest[item.link][0]:
-            clearest[item.link] = lost, i
-    return sorted([*allowed, *(i for _, i in clearest.values())])
+    clearest = dict[Link, int]()
+    for i in asked.new_in(model, known):
+        clearest.setdefault(asked.dictionary.items[i].link, i)
+    others = set(asked.new_in(model, known)).difference(clearest.values())
+    return [i for i in model if i not in others]
+
+
+def one_more(asked: Asked, model: Sequence[int]) -> list[int]:
+    """A set of items without causes that the expansion lacks, but for the clearest one."""
+    others = asked.new_in(model)[1:]
+    return [i for i in model if i not in others]
 
 
 def noise_prior(fit: Fit) -> NoisePrior:

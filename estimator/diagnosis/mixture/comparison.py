@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -59,6 +60,8 @@ class Comparison:
         conditional = self.asked.slots.conditional(self.beside, noise)
         rows: dict[Cause | str, list[int]] = {UNEXPLAINED: []}
         for i, item in enumerate(items):
+            if log_prior[i] == -math.inf:  # it is not asked any more
+                continue
             rows.setdefault(item.cause if item.is_listed else UNEXPLAINED, []).append(i)
         joint = self._log_bayes_factors + log_prior
         hypotheses = [Hypothesis(None, NOTHING, 0.0, float(conditional[-1]))]

@@ -19,7 +19,7 @@ from estimator.effects.corrections.correction import Correction
 from estimator.rig.rig import EVERYWHERE, Cause
 from estimator.side_by_side import each
 
-SAME = 1e-6  # of the square of columns: what is left of those that a listed cause has too
+SAME = 1e-2  # of the square of columns: what is left of those that a listed cause has too
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
 MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and at all together
@@ -73,7 +73,7 @@ class Changes:
         kinds = tuple(
             kind
             for kind in kinds_of(fit)
-            if kind.limit.degree >= kind.effect.lowest
+            if kind.limit.degree >= kind.lowest
             and not kind.effect.single  # one step of it is a listed cause, or one that readings cannot tell from a listed one
         )
         columns = each(lambda kind: kind.columns(fit, kind.starts, _highest(kind)), kinds)
@@ -178,19 +178,19 @@ def _of_kind(
 ) -> list[_Made]:
     """Starts, keys, columns, widths and log prior of one kind."""
     if len(kind.starts) == 1:
-        degrees, of_start = _asked(kind.effect.lowest, _highest(kind)), columns[0]
+        degrees, of_start = _asked(kind.lowest, _highest(kind)), columns[0]
         share = -math.log(len(degrees))
         return [_up_to(kind, kind.starts[0], of_start, degree, share) for degree in degrees]
     value = _best_evidence(fit, columns)
     chosen = value.topk(min(MOST_STARTS, len(value))).indices.tolist()
     share = -math.log(len(kind.starts))
-    return [_up_to(kind, kind.starts[i], columns[i], kind.effect.lowest, share) for i in chosen]
+    return [_up_to(kind, kind.starts[i], columns[i], kind.lowest, share) for i in chosen]
 
 
 def _highest(kind: CorrectionKind) -> int:
     """Highest degree that is asked: where one frequency of many is to be found, the lowest."""
     if len(kind.starts) > 1:
-        return kind.effect.lowest
+        return kind.lowest
     return max(degree for degree, _ in kind.keys(kind.limit.degree)[:MOST_COLUMNS])
 
 

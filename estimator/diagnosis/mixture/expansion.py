@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,10 +19,11 @@ from estimator.diagnosis.mixture.listed import Start
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
-from estimator.rig.parameters import LogNormal
+from estimator.rig.parameters import LogNormal, Parameter
 from estimator.rig.rig import Cause, Rig
 
 LEAST_POSITIVE = 0.1  # of its usual value: where a fit of a positive quantity starts at least
+NEAR_A_BOUND = 0.01  # standard deviations of a prior from its bound, within which no fit starts
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,6 @@ class Expansion:
     def causes(self) -> tuple[Cause, ...]:
         """Causes that the fit has beyond the rig as described."""
         return tuple(cause for cause in self.fit.rig.effects if cause not in self.plain.rig.effects)
-
-    def is_worse_than(self, other: Expansion) -> bool:
-        """Whether the readings are less probable with these causes than with others, by full fits beside the same departures."""
-        is_alike = torch.equal(self.departed_T, other.departed_T)
-        return is_alike and self.fit.log_evidence < other.fit.log_evidence
 
     @cached_property
     def _own(self) -> dict[Cause, list[int]]:
@@ -160,7 +157,9 @@ class Expansion:
             tuple(k for k, key in enumerate(own) if quantities[key].prior.lower >= quantities[key].null),
         )
         stacked = torch.stack(shapes, dim=1) if shapes else shift.new_zeros(len(shift), 0)
-        return Start(candidate, self.log_prior[cause], stacked)
+        # Shapes that are free have the whole width of their prior: they are at no start of several any more.
+        n_starts = len(EFFECTS[cause.name].starts(circumstances, cause.place)) if shapes else 1
+        return Start(candidate, self.log_prior[cause] + math.log(n_starts), stacked)
 
     def moved(
         self, dictionary: Dictionary, chosen: Sequence[int], sizes: Float[Tensor, " column"]
@@ -184,7 +183,7 @@ class Expansion:
             if item.is_listed:
                 rig = self._with(rig, item)
                 start |= self._start(rig, item, own)
-                log_prior[item.cause] = item.log_prior_of_start
+                log_prior[item.cause] = self.log_prior.get(item.cause, item.log_prior_of_start)
             else:
                 departed_T += changed / self.fit.whitening_per_T
         readings = self.plain.observations
@@ -219,12 +218,19 @@ class Expansion:
             start |= self.fit.null_values(item.cause)
         for key, size in zip(item.keys, sizes, strict=False):
             name = f"{label}.{key}"
-            value = float(start[name]) + float(size)
-            start[name] = (
-                max(value, LEAST_POSITIVE * float(own[name].value)) if own[name].is_positive else value
-            )
+            start[name] = _inside(own[name], float(start[name]) + float(size))
         return start
 
     def _with(self, rig: Rig, item: Item) -> Rig:
         circumstances = self.plain.posterior.model.circumstances
         return with_effect(rig, item.cause, self.plain.observations, item.start, circumstances=circumstances)
+
+
+def _inside(parameter: Parameter, value: float) -> float:
+    """The nearest value at which a fit may start."""
+    if parameter.is_positive:
+        return max(value, LEAST_POSITIVE * float(parameter.value))
+    if parameter.prior is None:
+        return value
+    lower, upper, near = parameter.prior.lower, parameter.prior.upper, NEAR_A_BOUND * parameter.prior.sd
+    return min(max(value, lower + near), upper - near)

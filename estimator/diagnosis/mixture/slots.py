@@ -170,7 +170,7 @@ class Slots:
         n_slots: int = policy.MOST_CAUSES,
         excluded: Sequence[int] = (),
     ) -> None:
-        self.products, self.noise, self.n_slots = products, noise, n_slots
+        self.products, self.noise, self.n_slots, self.excluded = products, noise, n_slots, tuple(excluded)
         self.grid = noise.grid()
         self.log_prior_noise = noise.log_density(self.grid)
         items = products.items
@@ -195,6 +195,14 @@ class Slots:
         """Probability of each factor on the noise, given the items."""
         density = self.products.log_likelihood(chosen, self.grid) + self.log_prior_noise
         return torch.softmax(density, 0).numpy()
+
+    def log_density(self, chosen: Sequence[int]) -> float:
+        """Log density of the readings and of some items in any slots, the others empty, up to a constant."""
+        n, n_empty = self.n_slots, self.n_slots - len(chosen)
+        ways = math.lgamma(n + 1) - math.lgamma(n_empty + 1)
+        prior = float(self.log_prior[list(chosen)].sum()) + n_empty * math.log(priors.EMPTY) + ways
+        density = self.products.log_likelihood(chosen, self.grid) + self.log_prior_noise
+        return float(torch.logsumexp(density, 0)) + prior
 
     def climbed(self, begin: Sequence[int] = ()) -> tuple[list[int | None], int]:
         """Slots filled one by one with what is most probable beside the others, and the most probable noise.
@@ -225,7 +233,7 @@ class Slots:
         """
         climbed, noise = self.climbed(begin)
         numbers = self._probable(climbed)
-        few = self._among(numbers)
+        few = self.among(numbers)
         slots = [None if i is None else numbers.index(i) for i in climbed]
         return few.drawn(sweeps, seed, slots, noise).renumbered(numbers, len(self.log_prior))
 
@@ -236,7 +244,7 @@ class Slots:
         largest[[i for i in climbed if i is not None]] = 1.0
         return np.flatnonzero(largest > NEGLIGIBLE).tolist()
 
-    def _among(self, numbers: Sequence[int]) -> Slots:
+    def among(self, numbers: Sequence[int]) -> Slots:
         """These slots, which can hold some of the items alone."""
         few = Slots(self.products.among(numbers), self.noise, self.n_slots)
         few.log_prior = self.log_prior[numbers]

@@ -12,7 +12,7 @@ from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import RoomEffect
 from estimator.tensors import Tensor, torch
 
-MOST_FREQUENCIES = 160
+MOST_FREQUENCIES = 320  # as of corrections that swing in time
 # Slopes of a field, in the order of its numbers; zz is what leaves no divergence.
 SLOPES = ("xx", "yy", "xy", "xz", "yz")
 
@@ -109,7 +109,7 @@ class PeriodicInterference(RoomEffect):
     """The field of the room swings with a period of its own, everywhere alike.
 
     On a regular clock, a swing faster than half a cycle between readings looks like a slower one; frequencies stop there. They also stop at
-    80 cycles in a session (160 starts): farther apart than half a cycle in a session, starts would miss swings between them.
+    160 cycles in a session (320 starts): farther apart than half a cycle in a session, starts would miss swings between them.
     """
 
     name: ClassVar[str] = "periodic_interference"

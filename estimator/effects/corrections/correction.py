@@ -48,6 +48,7 @@ class Correction(Effect):
 
     Attributes:
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
+        asked_from: Lowest degree that a diagnosis asks for, where lower ones are a cause with a name.
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
         single: Name of the cause that one step alone is.
@@ -56,6 +57,7 @@ class Correction(Effect):
     is_correction: ClassVar[bool] = True
     source: ClassVar[str] = "what the causes leave: a diagnosis chooses the width that has most evidence"
     lowest: ClassVar[int] = 1
+    asked_from: ClassVar[int] = 0
     highest: ClassVar[int] = 5
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0

@@ -38,6 +38,7 @@ class SensorResponse(_OverRange):
     name: ClassVar[str] = "sensor_response"
     words: ClassVar[str] = "a smooth response of the sensor in the three components that it shows"
     lowest: ClassVar[int] = 0
+    asked_from: ClassVar[int] = 1  # a constant is `sensor_offset`
     highest: ClassVar[int] = 3
 
     def terms(self, degree: int) -> tuple[str, ...]:

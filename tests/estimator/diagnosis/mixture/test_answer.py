@@ -30,16 +30,25 @@ def samples(models: dict[tuple[int, ...], int], shares: dict[int, dict[int, floa
     return made
 
 
-def answered(with_all: Samples, *in_halves: Samples, n_slots: int = 6) -> Answer:
+def answered(
+    with_all: Samples,
+    *in_halves: Samples,
+    n_slots: int = 6,
+    expected: dict[int, float] | None = None,
+    evidence: float = 1e4,
+) -> Answer:
+    """An answer with these draws, in which each item has the same log Bayes factor."""
     leading = max(with_all.models, key=with_all.models.__getitem__)
     with_all.noises[0] = 1
     asked = object.__new__(Asked)
     more = SimpleNamespace(
         conditional=lambda chosen, noise: np.array([0.9, 0.1])
     )  # one more item is probable
-    slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional)
+    products = SimpleNamespace(log_likelihood=lambda some, noise: torch.tensor([evidence * len(some)]))
+    grid = torch.ones(1)
+    slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
-    return Answer(asked, asked, in_halves)
+    return Answer(asked, asked, in_halves, expected or {})
 
 
 BOTH = {
@@ -48,12 +57,13 @@ BOTH = {
     WANDERS: {WANDERS: 1.0},
     FAINT: {FAINT: 1.0},
 }
+TWIN_CAUSE = ITEMS[TWIN].cause
 MODELS = {(GAIN, WANDERS): 78, (TWIN, WANDERS): 20, (GAIN,): 2}
 
 
 def test_what_takes_the_same_slot_is_one_set_and_as_sure_as_both_together():
     (first, second) = answered(samples(MODELS, BOTH)).found
-    assert [(one.cause.name, round(one.share, 2)) for one in first.possibilities] == [
+    assert [(one.cause.name, round(one.share, 1)) for one in first.possibilities] == [
         ("gain", 0.8),
         ("twin", 0.2),
     ]
@@ -61,16 +71,24 @@ def test_what_takes_the_same_slot_is_one_set_and_as_sure_as_both_together():
     assert second.first.link is Link.RESPONSE
 
 
-def test_an_imitation_that_halves_do_not_have_is_not_stated():
-    made = answered(samples(MODELS, BOTH), samples({(WANDERS,): 60, (GAIN, WANDERS): 40}, BOTH))
+def test_what_halves_have_less_than_half_as_often_as_expected_is_not_stated():
+    halves = samples({(WANDERS,): 60, (GAIN, WANDERS): 40}, BOTH)
+    made = answered(samples(MODELS, BOTH), halves, expected={GAIN: 0.9})
     (gain,) = [one for one in made.found if one.first.is_listed]
     assert (gain.with_all, gain.in_halves) == pytest.approx((1.0, 0.4))
-    assert made.p_unlisted == pytest.approx(
-        0.99
-    )  # as sure in halves as with all readings, each half of the whole
-    assert gain.probability == pytest.approx(1.0 - 0.5 * 0.99 * 0.6)
+    assert gain.probability == pytest.approx(2.0 * 0.4 / 0.9)
     assert made.stated == ()
     assert gain in made.beside
+
+
+@pytest.mark.parametrize("evidence", [12.0, 100.0])
+def test_a_name_may_be_an_imitation_as_far_as_its_evidence_is_weak(evidence):
+    made = answered(samples({(GAIN,): 96, (): 4}, BOTH), evidence=evidence)
+    (gain,) = made.found
+    assert gain.probability == pytest.approx(0.96)
+    imitation = made.standing(gain.first.cause, [gain.first.cause, TWIN_CAUSE]).p_imitation
+    assert sum(one.share for one in gain.possibilities) == pytest.approx(1.0 - imitation)
+    assert (imitation > 0.2) == (evidence < 50.0)
 
 
 def test_halves_say_nothing_against_a_cause_where_nothing_unlisted_acts():
@@ -94,16 +112,15 @@ def test_where_all_slots_are_full_a_cause_must_outweigh_what_any_further_item_co
     further, monkeypatch
 ):
     made = answered(samples(MODELS, BOTH), n_slots=2)
-    made.asked.slots.grid = torch.ones(1)
-    made.asked.slots.products = SimpleNamespace(beside=lambda chosen, noise: torch.tensor([0.0, further]))
+    made.asked.slots.products.beside = lambda chosen, noise: torch.tensor([0.0, further])
     comparison = SimpleNamespace(log_bayes_factor=lambda causes: 100.0)
     monkeypatch.setattr(Answer, "beside_item", lambda self, item, taken: comparison)
     assert made.is_full
     assert len(made.stated) == (further < 50.0)
 
 
-def test_probabilities_of_a_set_add_up_in_its_record():
-    record = answered(samples(MODELS, BOTH)).to_json()
+def test_probabilities_of_a_set_add_up_in_its_record_but_for_imitations():
+    record = answered(samples(MODELS, BOTH), evidence=1e9).to_json()
     for one in record["found"]:
         assert sum(each["probability"] for each in one["is_one_of"]) == pytest.approx(one["probability"])
     assert record["unlisted"] == pytest.approx({"response": 0.98})

@@ -1,0 +1,97 @@
+"""How often something that no list holds takes the name of a listed cause: the weights of `mixture/imitation.py`.
+
+Sessions with listed causes, with something unlisted, and with both are asked what is wrong. Every name that the readings hold for sure is
+right or not; a logistic regression on how clear it is, and beside what, gives the weights. A tenth of the sessions at a time is kept out of
+it to judge the others' weights.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.first_fit import FirstFit
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.imitation import WEIGHTS
+from estimator.diagnosis.mixture.scatter import answer_beside_scatter
+from estimator.diagnosis.result import Question
+from estimator.effects import EFFECTS
+from scripts.studies.hidden_cases import Row, label, options_of, rows_of, session_of
+from tests.hidden.study import draw_case, is_same
+
+KINDS = ("mixed", "single", "pair", "unknown8", "unknown12", "unknown30")
+SURE = 0.9  # probability of a set from which it is counted
+N_FOLDS = 10
+STRENGTH = 0.01  # of the pull of the weights towards 0
+Array = NDArray[np.float64]
+
+
+def main() -> None:
+    options = options_of(__doc__, KINDS, 40, 630_000, "out/imitations.jsonl").parse_args()
+    seeds = range(options.first_seed, options.first_seed + options.cases)
+    cases = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
+    rows = rows_of(cases, run_case, options.out, options.workers, lambda row: f"{row['kind']} {row['seed']}")
+    show([row for row in rows if "error" not in row])
+
+
+def run_case(kind: str, seed: int) -> Row:
+    """Hide what the kind says, and ask."""
+    hidden = draw_case(kind, seed, EFFECTS)
+    session = session_of(hidden)
+    question = Question(session.rig, session.source, seed)
+    first = FirstFit.of(question, session, None, policy.MOST_READINGS_SEARCHED)
+    answer = answer_beside_scatter(first.plain, Limits(), seed, lambda _: None).answer
+    truths = [label(cause) for cause in hidden.truth()["causes"]]
+    return {"kind": kind, "seed": seed, "names": names_in(answer, truths)}
+
+
+def names_in(answer: Answer, truths: list[str]) -> list[Row]:
+    """Every set of an answer that is sure and not refused: whether a listed cause that is there belongs to it, and its features."""
+    rows = []
+    for entry in answer.found:
+        listed = [p.cause for p in entry.possibilities if p.is_listed]
+        if entry.with_all < SURE or not listed or listed[0] in answer.refused:
+            continue
+        standing = answer.standing(listed[0], [p.cause for p in entry.possibilities])
+        is_right = any(is_same(cause.name, truth) for cause in listed for truth in truths)
+        names = [cause.label for cause in listed]
+        rows.append({"names": names, "is_right": is_right, "features": standing.features})
+    return rows
+
+
+def show(rows: list[Row]) -> None:
+    """Print the weights, and what names are worth that got each probability."""
+    names = [(i, name) for i, row in enumerate(rows) for name in row["names"]]
+    fold = np.array([i % N_FOLDS for i, _ in names])
+    features = np.array([name["features"] for _, name in names])
+    is_right = np.array([name["is_right"] for _, name in names], dtype=float)
+    print(f"{len(names)} names in {len(rows)} sessions, {int(is_right.sum())} right")
+    print("weights", ", ".join(f"{w:.2f}" for w in weights_of(features, is_right)), "in use", WEIGHTS)
+    probability = np.empty(len(names))
+    for k in range(N_FOLDS):
+        weights = weights_of(features[fold != k], is_right[fold != k])
+        probability[fold == k] = 1.0 / (1.0 + np.exp(-features[fold == k] @ weights))
+    edges = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
+    for least, most in pairwise(edges):
+        some = (probability >= least) & (probability < most)
+        print(f"{least:.2f} to {most:.2f}: right {int(is_right[some].sum())} of {int(some.sum())}")
+
+
+def weights_of(features: Array, is_right: Array) -> Array:
+    """Weights of a logistic regression."""
+
+    def loss(weights: Array) -> float:
+        log_odds = features @ weights
+        return float((np.logaddexp(0.0, log_odds) - is_right * log_odds).sum() + STRENGTH * weights @ weights)
+
+    result: Array = minimize(loss, np.zeros(features.shape[1])).x
+    return result
+
+
+if __name__ == "__main__":
+    main()
