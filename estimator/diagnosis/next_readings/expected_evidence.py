@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -54,6 +55,14 @@ class Proposal:
     action: Action
     splits: tuple[str, ...]
     expected_log_evidence: float
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `next_measurement` in `diagnosis.json`."""
+        return {
+            "action": self.action.words,
+            "splits": list(self.splits),
+            "expected_log_evidence": self.expected_log_evidence,
+        }
 
 
 def proposals(

@@ -22,7 +22,7 @@ from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.headline import headline, held_back
+from estimator.diagnosis.headline import headline
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.comparison import Comparison
@@ -35,10 +35,11 @@ from estimator.diagnosis.panels import panels, panels_text
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
+from estimator.diagnosis.statements.gain import rungs
+from estimator.diagnosis.statements.priors import held_back
+from estimator.diagnosis.statements.visible import visible_tables
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
-from estimator.diagnosis.tables import rungs
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
-from estimator.diagnosis.what_shows import visible_tables
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -182,14 +183,14 @@ def test_without_causes_a_correction_is_told_beside_the_rig_as_described_alone(d
     for before, n_rows in ((improvement.before, 2), (improvement.after, 3)):
         gain = replace(improvement, before=before)
         fits = replace(diagnosis.fits, correction=replace(taken, gain=gain))
-        assert len(rungs(replace(diagnosis, fits=fits))) == n_rows
+        assert len(rungs(replace(diagnosis, fits=fits), improvement)) == n_rows
 
 
 def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(
     diagnosis: Diagnosis,
 ) -> None:
     """Half of the information from the prior: the readings alone would say twice as much."""
-    assert held_back(diagnosis) == []
+    assert list(held_back(diagnosis)) == []
     (sized, *_) = diagnosis.sized_causes
     half = Interval(1e-4, 5e-6, (9e-5, 1.1e-4), "T")
     prior = Normal(0.0, 5e-6 * 2**0.5)
@@ -232,9 +233,9 @@ def test_a_report_does_not_fail_for_one_part(diagnosis: Diagnosis, monkeypatch: 
     monkeypatch.setattr(logging.getLogger("estimator.diagnosis.part_by_part"), "handlers", [])
     whole = headline(diagnosis)
     lacking = {
-        "estimator.diagnosis.headline._sizes": "coil1.degree1_a_T",
-        "estimator.diagnosis.report._stand_ins": "stand ins",
-        "estimator.diagnosis.tables.visible_tables": "visible",
+        "estimator.diagnosis.statements.causes._clear_sizes": "coil1.degree1_a_T",
+        "estimator.diagnosis.headline.stand_ins": "stand ins",
+        "estimator.diagnosis.statements.visible.where": "visible",
         "estimator.diagnosis.figures._explained": "explained",
     }
     for target, key in lacking.items():

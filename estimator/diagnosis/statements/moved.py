@@ -1,0 +1,96 @@
+"""What the extension does to the numbers of the rig, and what each cause does to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.impact import impact_sd
+from estimator.diagnosis.panel_records import Moved, Shown
+from estimator.diagnosis.result import Diagnosis
+from estimator.reporting.numbers import displays, with_sd
+from estimator.reporting.page import Table
+from estimator.rig.rig import Cause
+
+MOST_COLUMNS = 6
+NO_LONGER_DETERMINED = "no longer determined"
+
+
+def moved_tables(diagnosis: Diagnosis) -> Iterator[Table]:
+    """Numbers of the rig that lie elsewhere, and how far each cause pulls them; none where no readings were kept out."""
+    if diagnosis.improvement is not None:
+        yield from (table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows)
+
+
+def _moved_table(diagnosis: Diagnosis) -> Table:
+    improvement, loosened = diagnosis.improvement, diagnosis.no_longer_determined
+    assert improvement is not None
+    moved_sd = {name: sd for name, sd in improvement.moved_sd.items() if abs(sd) > policy.MOVED_SD}
+    display = displays(list(moved_sd))
+    rows = []
+    for name in sorted(moved_sd, key=lambda n: (n in loosened, -abs(moved_sd[n]))):
+        shown = display[name]
+        before = [shown.factor * number for number in improvement.known_before[name]]
+        after = [shown.factor * number for number in _after(diagnosis, name)]
+        moved = NO_LONGER_DETERMINED if name in loosened else _signed(moved_sd[name])
+        rows.append([shown.words, with_sd(*before), with_sd(*after), shown.unit or "1", moved])
+    return Table(
+        "Parameters that the extension moves",
+        ["parameter", "before", "after", "unit", "moved (sd)"],
+        rows,
+        "Parameters of the rig that lie elsewhere by more than one standard deviation of the plain fit. Those that the extended rig knows "
+        f"clearly less well are said to be {NO_LONGER_DETERMINED}: that it puts them elsewhere does not say that they were wrong.",
+    )
+
+
+def _impact_table(diagnosis: Diagnosis) -> Table:
+    """How far each cause pulls each parameter, as particle physicists list the pulls of systematic errors."""
+    stand_ins = diagnosis.findings.stand_ins
+    causes = sorted(diagnosis.fits.final.rig.effects, key=lambda cause: cause in stand_ins)[:MOST_COLUMNS]
+    impacts = _impacts(diagnosis, causes)
+    names = [
+        name
+        for name in _rig_numbers(diagnosis)
+        if any(abs(impact.get(name, 0.0)) > policy.LISTED_IMPACT_SD for impact in impacts.values())
+    ]
+    display = displays(names)
+    return Table(
+        "Impact of each cause",
+        ["parameter", *(diagnosis.label(c) + (" (not sure)" if c in stand_ins else "") for c in causes)],
+        [[display[n].words, *(_signed(impact.get(n, 0.0)) for impact in impacts.values())] for n in names],
+        "How far each parameter of the rig would move, in its standard deviations, if one cause were left out and the others stayed.",
+    )
+
+
+def moved(diagnosis: Diagnosis) -> list[Moved]:
+    """Free numbers of the rig before and after, those that moved farthest first."""
+    plain, names = diagnosis.fits.plain, _rig_numbers(diagnosis)
+    impacts, display = _impacts(diagnosis, diagnosis.fits.final.rig.effects), displays(names)
+    result = []
+    for name in names:
+        before = (float(plain.values[name]), plain.value_sd(name))
+        after = _after(diagnosis, name)
+        if before[1] > 0.0 and after[1] > 0.0:
+            pulls = {diagnosis.label(c): impact[name] for c, impact in impacts.items() if name in impact}
+            shown = Shown(name, display[name].words, display[name].unit, display[name].factor)
+            result.append(Moved(shown, before, after, (after[0] - before[0]) / before[1], pulls))
+    return sorted(result, key=lambda moved: -abs(moved.moved_sd))
+
+
+def _rig_numbers(diagnosis: Diagnosis) -> list[str]:
+    """Free numbers of the rig as described."""
+    names = diagnosis.fits.final.posterior.coordinates.names
+    return [parameter.name for parameter in diagnosis.rig.free if parameter.name in names]
+
+
+def _impacts(diagnosis: Diagnosis, causes: Sequence[Cause]) -> dict[Cause, dict[str, float]]:
+    return {cause: impact_sd(diagnosis.fits.final, cause) for cause in causes}
+
+
+def _after(diagnosis: Diagnosis, name: str) -> tuple[float, float]:
+    """Value and standard deviation of a number in the extended rig."""
+    return float(diagnosis.fits.final.values[name]), diagnosis.value_sd(name)
+
+
+def _signed(sd: float) -> str:
+    return f"{sd:+.1f}".replace("-", "−")
