@@ -27,7 +27,7 @@ from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
-from estimator.service.problems import Problem
+from estimator.service.problems import check_limits
 from estimator.service.recent import Recent
 from estimator.service.removal import Tidy
 from estimator.service.room import Room
@@ -152,14 +152,11 @@ class Core:
         """
         most, most_of_user = self.settings.most_streams, self.settings.most_streams_per_user
         with self._counting:
-            for thing, n, limit in (
-                ("event streams", self.n_streams, most),
-                (f"event streams of {user}", self._streams[user], most_of_user),
-            ):
-                if n >= limit:
-                    raise Problem(
-                        429, thing, f"must be at most {limit} at once", headers={"Retry-After": "10"}
-                    )
+            limits = {
+                "event streams": (self.n_streams, most),
+                f"event streams of {user}": (self._streams[user], most_of_user),
+            }
+            check_limits(limits, 429, "must be at most {} at once", retry_after_s=10)
             self._streams[user] += 1
         try:
             yield
