@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import torch
@@ -14,6 +14,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.statements.hypotheses import role_of
 from estimator.diagnosis.statements.residuals import around_coils, sigma_T
 from estimator.diagnosis.structure.covariates import predicted_T, residual_T
 from estimator.effects.corrections.correction import KEY
@@ -180,10 +181,8 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
         for hypothesis in comparison.hypotheses:
             label = diagnosis.label_of_hypothesis(hypothesis)
             evidence[label] = hypothesis.log_bayes_factor
-            if hypothesis.cause in comparison.taken[1:]:
-                roles[label] = plots.Role.ALTERNATIVE
-            elif hypothesis.cause is not None:
-                roles[label] = _role(diagnosis, hypothesis.cause)
+            if hypothesis.cause is not None:
+                roles[label] = _role(diagnosis, hypothesis.cause, comparison.taken)
         stated = diagnosis.label(comparison.taken[0]) if comparison.taken else None
         words = f"{title} is stated." if stated else "What more there may be, beside all that leads."
         yield Picture(
@@ -194,11 +193,8 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
         )
 
 
-def _role(diagnosis: Diagnosis, cause: Cause) -> plots.Role:
-    """What the verdict makes of a cause."""
-    if cause in {named.cause for named in diagnosis.causes}:
-        return plots.Role.NAMED
-    return plots.Role.STAND_IN if cause in diagnosis.findings.stand_ins else plots.Role.OTHER
+def _role(diagnosis: Diagnosis, cause: Cause | None, taken: Sequence[Cause] = ()) -> plots.Role:
+    return plots.Role[role_of(diagnosis, cause, taken).upper().replace("-", "_")]
 
 
 def _display(unit: str, values: Float[Tensor, " reading"]) -> tuple[float, str]:

@@ -2,38 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
-from estimator.diagnosis.mixture.comparison import NOTHING, Comparison, Hypothesis, credible
+from estimator.diagnosis.mixture.comparison import NOTHING, Comparison, Hypothesis
 from estimator.diagnosis.panel_records import Race, Runner
 from estimator.diagnosis.result import Diagnosis
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import percent
 from estimator.reporting.page import Table
+from estimator.rig.rig import Cause
 
 MOST_COMPARISONS, MOST_ROWS, MOST_RUNNERS = 6, 8, 12
+OUTCOME = {
+    "named": "stated",
+    "alternative": "cannot be told apart from what was stated",
+    "stand-in": "not sure enough to be stated",
+    "other": "not needed",
+}
 
 
 def hypotheses_tables(diagnosis: Diagnosis) -> Iterator[Table]:
-    """Each comparison with its most probable hypotheses; `nothing` and `unexplained` are always listed."""
+    """Each comparison with its most probable hypotheses."""
     for number, (title, comparison) in enumerate(diagnosis.comparisons[:MOST_COMPARISONS], start=1):
-        listed = [h for i, h in enumerate(comparison.hypotheses) if i < MOST_ROWS or h.cause is None]
+        listed = _listed(comparison.hypotheses, MOST_ROWS, comparison.taken)
         yield Table(
             f"Hypotheses, comparison {number}: {title}",
             ["hypothesis", "meaning", "log Bayes factor", "probability", "outcome"],
             [
                 [
-                    diagnosis.label_of_hypothesis(hypothesis),
-                    _meaning(hypothesis),
-                    f"{round(hypothesis.log_bayes_factor, 1) + 0.0:.1f}".replace("-", "−"),
-                    percent(hypothesis.probability, 1) if hypothesis.probability > 1e-3 else "< 0.1 %",
-                    _outcome(comparison, hypothesis),
+                    diagnosis.label_of_hypothesis(h),
+                    _meaning(h),
+                    f"{round(h.log_bayes_factor, 1) + 0.0:.1f}".replace("-", "−"),
+                    percent(h.probability, 1) if h.probability > 1e-3 else "< 0.1 %",
+                    "" if h.cause is None else OUTCOME[role_of(diagnosis, h.cause, comparison.taken)],
                 ]
-                for hypothesis in listed
+                for h in listed
             ],
             "Log Bayes factors are against nothing wrong, beside all other causes and departures that lead, by the readings that were "
             "asked.",
         )
+
+
+def _listed(ranked: Sequence[Hypothesis], most: int, taken: Sequence[Cause]) -> list[Hypothesis]:
+    """The first hypotheses, and beyond them what was stated, `nothing` and `unexplained`."""
+    return [h for i, h in enumerate(ranked) if i < most or h.cause is None or h.cause in taken]
 
 
 def _meaning(hypothesis: Hypothesis) -> str:
@@ -42,12 +54,20 @@ def _meaning(hypothesis: Hypothesis) -> str:
     return "nothing wrong" if hypothesis.name == NOTHING else "a departure that no list holds"
 
 
-def _outcome(comparison: Comparison, hypothesis: Hypothesis) -> str:
-    if hypothesis.cause in comparison.taken:
-        return "stated"
-    if comparison.taken and hypothesis in credible(comparison.hypotheses):
-        return "cannot be told apart from what was stated"
-    return "" if hypothesis.cause is None else "not needed"
+def role_of(diagnosis: Diagnosis, cause: Cause | None, taken: Sequence[Cause] = ()) -> str:
+    """What the verdict makes of a cause: `named`, `alternative` to what was named, `stand-in` or `other`.
+
+    Args:
+        diagnosis: With the verdict.
+        cause: The cause; None for a hypothesis without one.
+        taken: Stated set in whose place it was compared.
+    """
+    named = {each.cause for each in diagnosis.causes}
+    if cause in named:
+        return "named"
+    if cause in taken and not named.isdisjoint(taken):
+        return "alternative"
+    return "stand-in" if cause in diagnosis.findings.stand_ins else "other"
 
 
 def races(diagnosis: Diagnosis) -> list[Race]:
@@ -59,24 +79,18 @@ def races(diagnosis: Diagnosis) -> list[Race]:
 
 def _race(diagnosis: Diagnosis, title: str, comparison: Comparison) -> Race:
     ranked = sorted(comparison.hypotheses, key=lambda h: -h.log_bayes_factor)
-    listed = [h for i, h in enumerate(ranked) if i < MOST_RUNNERS or h.cause is None]
+    listed = _listed(ranked, MOST_RUNNERS, comparison.taken)
     runners = [_runner(diagnosis, comparison, hypothesis) for hypothesis in listed]
     return Race(title if comparison.taken else "", runners)
 
 
 def _runner(diagnosis: Diagnosis, comparison: Comparison, hypothesis: Hypothesis) -> Runner:
-    cause, role = hypothesis.cause, "other"
-    if cause in {named.cause for named in diagnosis.causes}:
-        role = "named"
-    elif comparison.taken and hypothesis in credible(comparison.hypotheses):
-        role = "alternative"
-    elif cause in diagnosis.findings.stand_ins:
-        role = "stand-in"
+    cause = hypothesis.cause
     item = comparison.best_departure if cause is None else comparison.best_item(cause)
     return Runner(
         diagnosis.label_of_hypothesis(hypothesis),
         _meaning(hypothesis),
         hypothesis.log_bayes_factor,
-        role,
+        role_of(diagnosis, cause, comparison.taken),
         comparison.left_sigma(None if hypothesis.name == NOTHING else item),
     )

@@ -54,6 +54,7 @@ COLOUR = {
     Role.LEFT: ORANGE,
 }
 HATCH = {Role.STAND_IN: "///"}
+ALWAYS_DRAWN = (Role.ALTERNATIVE, Role.LEFT)
 WORDS = {"nothing": "nothing wrong", "unexplained": "something unlisted"}
 
 
@@ -77,7 +78,7 @@ def evidence_bars(
     role = dict.fromkeys(evidence, Role.OTHER) | {"unexplained": Role.LEFT}
     role |= roles if roles is not None else {} if adopted is None else {adopted: Role.NAMED}
     shown = sorted(evidence, key=lambda name: -evidence[name])[:MOST_BARS]
-    always = ("nothing", "unexplained", adopted)
+    always = {"nothing", adopted} | {name for name in evidence if role[name] in ALWAYS_DRAWN}
     shown += [name for name in evidence if name in always and name not in shown]
     groups = [[name for name in shown if role[name] is kind] for kind in Role]
     names = [name for group in groups for name in group]
