@@ -83,7 +83,7 @@ def not_found(thing: str, value: str) -> Problem:
 
 
 def check_limits(
-    limits: Mapping[str, tuple[int | None, int]], status: int, rule: str, retry_after_s: int | None = None
+    limits: Mapping[str, tuple[int | None, float]], status: int, rule: str, retry_after_s: int | None = None
 ) -> None:
     """Refuse one more of something of which there is enough.
 

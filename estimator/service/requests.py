@@ -75,7 +75,7 @@ Admin = Annotated[Caller, Depends(Needs(Scope.ADMIN))]
 
 
 def _room(core: CoreOf, caller: Reader) -> Iterator[None]:
-    with core.stream(caller.user):
+    with core.streams.taken(caller.user):
         yield
 
 

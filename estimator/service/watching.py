@@ -24,7 +24,7 @@ from estimator.live.spare import WAIT_S, SpareTime
 from estimator.live.stream import Interval, Stream
 from estimator.service.devices import Device, updated
 from estimator.service.news import News, Verdict, Widths
-from estimator.service.problems import Problem
+from estimator.service.problems import check_limits
 from estimator.service.running_diagnosis import RunningDiagnosis
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
@@ -307,10 +307,8 @@ class Watching:
         """
         with self._lock:
             if session_id not in self._watched:
-                if len(self._watched) >= self._most:
-                    rule = f"must be at most {self._most} at once"
-                    headers = {"Retry-After": str(RETRY_AFTER_S)}
-                    raise Problem(429, "watched sessions", rule, headers=headers)
+                limits = {"watched sessions": (len(self._watched), self._most)}
+                check_limits(limits, 429, "must be at most {} at once", RETRY_AFTER_S)
                 self._watched[session_id] = Watched(self._path(session_id))
             self._n_watchers[session_id] += 1
             watched = self._watched[session_id]

@@ -156,7 +156,7 @@ def test_requests_readings_sessions_and_jobs_are_counted(
     client.get("/v1/sessions/" + "f" * 32)
     client.get("/v1/nothing/" + "f" * 32)
     client.request("STEAL", "/v1/state")
-    with client.app.state.core.predictor.admitted():
+    with client.app.state.core.predictor.places.taken():
         counted = samples(client)
 
     def requests(method: str, route: str, status: int) -> float:
