@@ -145,21 +145,12 @@ def diagnose_command(
         reporter.stop()
         if not as_json:
             show(diagnosis.to_json(), _text(diagnosis), as_json)
-        _write_reports(diagnosis, unfinished)
+        from estimator.diagnosis.report import (
+            write_reports,  # matplotlib is loaded after the result is printed
+        )
+
+        write_reports(diagnosis, unfinished, command_of(click.get_current_context()))
     show(diagnosis.to_json(), _written(out), as_json)
-
-
-def _write_reports(diagnosis: Diagnosis, folder: Path) -> None:
-    """Draw the pages, for which matplotlib is loaded after the result is printed."""
-    from estimator.calibration.report import calibration_report
-    from estimator.diagnosis.report import diagnosis_report
-    from estimator.diagnosis.result import CALIBRATION_FOLDER, REPORT
-    from estimator.store.files import write_text
-
-    command = command_of(click.get_current_context())
-    write_text(folder / REPORT, diagnosis_report(diagnosis, command))
-    if diagnosis.posterior is not None:
-        write_text(folder / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
 
 
 def _keep_fits(unfinished: Path, before: Path | None) -> None:

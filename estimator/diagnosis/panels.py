@@ -17,7 +17,7 @@ from estimator.diagnosis.panel_records import Panels, ResidualMap, Vectors
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.statements.causes import answer
 from estimator.diagnosis.statements.hypotheses import races
-from estimator.diagnosis.statements.moved import moved
+from estimator.diagnosis.statements.moved import moved, moved_words
 from estimator.diagnosis.statements.next_measurement import next_measurements
 from estimator.diagnosis.statements.residuals import Around, around_coils, left_sigma
 from estimator.diagnosis.structure.covariates import residual_T
@@ -44,6 +44,7 @@ def panels(diagnosis: Diagnosis) -> Panels:
         maps=list(_maps(diagnosis)),
         races=races(diagnosis),
         moved=moved(diagnosis),
+        moved_words=moved_words(diagnosis),
         next=next_measurements(diagnosis),
     )
 

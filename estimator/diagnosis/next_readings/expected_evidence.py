@@ -207,9 +207,8 @@ def continued(
     """
     elsewhere = motion or {}
     history = session.history
-    pace_s = float((history.time_s[-1] - history.time_s[0]) / max(len(history) - 1, 1)) or 1.0
     n = len(rows)
-    time_s = history.time_s[-1] + pace_s * torch.arange(1.0, n + 1.0, dtype=torch.float64)
+    time_s = history.time_s[-1] + session.pace_s * torch.arange(1.0, n + 1.0, dtype=torch.float64)
 
     def joined(old: Tensor, new: Tensor) -> Tensor:
         return torch.cat((old, new))

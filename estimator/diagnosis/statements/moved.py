@@ -77,6 +77,25 @@ def moved(diagnosis: Diagnosis) -> list[Moved]:
     return sorted(result, key=lambda moved: -abs(moved.moved_sd))
 
 
+def moved_words(diagnosis: Diagnosis) -> str:
+    """Which numbers would have been wrong without the causes, and which are only known less well; empty where nothing was found."""
+    if not diagnosis.sized_causes:
+        return ""
+    loosened = diagnosis.no_longer_determined
+    known = [number for number in moved(diagnosis) if number.shown.name not in loosened]
+    far = [number.shown.words for number in known if abs(number.moved_sd) > policy.MOVED_SD]
+    words = "No number of the rig was biased by more than one standard deviation."
+    if far:
+        words = (
+            f"Without the cause, {', '.join(far)} would have been wrong by more than one standard deviation."
+        )
+    if loosened:
+        display = displays([parameter.name for parameter in diagnosis.rig.free])
+        names = ", ".join(display[name].words for name in loosened if name in display)
+        words += f" With it, clearly less is known of {names}."
+    return words
+
+
 def _rig_numbers(diagnosis: Diagnosis) -> list[str]:
     """Free numbers of the rig as described."""
     names = diagnosis.fits.final.posterior.coordinates.names

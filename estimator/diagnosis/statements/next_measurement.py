@@ -118,7 +118,5 @@ def _planned(
     diagnosis: Diagnosis, words: str, why: str, readings: Observations, by_hand: str = ""
 ) -> NextMeasurement:
     """A proposal with the text of its plan, at the pace of the session."""
-    history_s = readings.history.time_s
-    pace_s = float((history_s[-1] - history_s[0]) / max(len(history_s) - 1, 1)) or 1.0
-    plan = plan_text(words, diagnosis.rig, readings, pace_s)
+    plan = plan_text(words, diagnosis.rig, readings, readings.pace_s)
     return NextMeasurement(words, why, by_hand, plan, len(readings))

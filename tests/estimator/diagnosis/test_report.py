@@ -154,6 +154,9 @@ def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong
     assert re.search(r"radius [\d.]+ ± [\d.]+ [\d.]+ ± [\d.]+ mm no longer determined", page)
     assert len(re.findall(r"\+5\.0", page)) == len(sd) - 1
     assert "biased" not in page
+    wrong, _, less = panels(moved).moved_words.partition(" With it, ")
+    assert "radius" not in wrong
+    assert less == "clearly less is known of radius."
 
 
 def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis: Diagnosis) -> None:
