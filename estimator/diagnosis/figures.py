@@ -16,7 +16,7 @@ from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.statements.hypotheses import role_of
 from estimator.diagnosis.statements.residuals import around_coils, sigma_T
-from estimator.diagnosis.structure.covariates import predicted_T, residual_T
+from estimator.diagnosis.structure.covariates import Covariate, predicted_T, residual_T
 from estimator.effects.corrections.correction import KEY
 from estimator.model.bodies import winding_of
 from estimator.reporting import plots
@@ -145,25 +145,29 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
             floor=1.0 / (policy.N_NOISE_DRAWS + 1),
         ),
     )
-    if not tests:
-        return
-    first = tests[0].covariate
-    first_after = after[first.name].covariate
-    factor, unit = _display(first.unit, first.by_reading)
+    if tests:
+        first = tests[0].covariate
+        yield from _along(diagnosis, first, after[first.name].covariate)
+
+
+def _along(diagnosis: Diagnosis, before: Covariate, after: Covariate) -> Iterator[Picture]:
+    """Residuals along a covariate as it is before and after the extension, on one scale so that the eye can compare."""
+    factor, unit = _display(before.unit, before.by_reading)
+    label = f"{before.name} ({unit})" if unit != "1" else before.name
+    fits = {"before": (diagnosis.fits.plain, before)}
+    if diagnosis.fits.extended.rig.effects:
+        fits["after"] = (diagnosis.fits.extended, after)
     drawn = {
         when: plots.residual_against(
             covariate.by_reading.numpy() * factor,
             residual_T(fit).numpy(),
             sigma_T(fit).numpy(),
-            f"{first.name} ({unit})" if unit != "1" else first.name,
+            label,
             title=when,
         )
-        for fit, covariate, when in (
-            (diagnosis.fits.plain, first, "before"),
-            (diagnosis.fits.extended, first_after, "after"),
-        )[: 2 if diagnosis.fits.extended.rig.effects else 1]
+        for when, (fit, covariate) in fits.items()
     }
-    if len({ax.get_ylabel() for ax in drawn.values()}) == 1:  # one scale, so that the eye can compare
+    if len({ax.get_ylabel() for ax in drawn.values()}) == 1:
         ends = np.array([ax.get_ylim() for ax in drawn.values()])
         for ax in drawn.values():
             ax.set_ylim(ends[:, 0].min(), ends[:, 1].max())
