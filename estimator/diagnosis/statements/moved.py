@@ -23,17 +23,16 @@ def moved_tables(diagnosis: Diagnosis) -> Iterator[Table]:
 
 
 def _moved_table(diagnosis: Diagnosis) -> Table:
-    improvement, loosened = diagnosis.improvement, diagnosis.no_longer_determined
-    assert improvement is not None
-    moved_sd = {name: sd for name, sd in improvement.moved_sd.items() if abs(sd) > policy.MOVED_SD}
-    display = displays(list(moved_sd))
+    loosened = diagnosis.no_longer_determined
+    far = [number for number in moved(diagnosis) if abs(number.moved_sd) > policy.MOVED_SD]
     rows = []
-    for name in sorted(moved_sd, key=lambda n: (n in loosened, -abs(moved_sd[n]))):
-        shown = display[name]
-        before = [shown.factor * number for number in improvement.known_before[name]]
-        after = [shown.factor * number for number in _after(diagnosis, name)]
-        moved = NO_LONGER_DETERMINED if name in loosened else _signed(moved_sd[name])
-        rows.append([shown.words, with_sd(*before), with_sd(*after), shown.unit or "1", moved])
+    for number in sorted(far, key=lambda number: number.shown.name in loosened):
+        shown = number.shown
+        before, after = (
+            with_sd(value * shown.factor, sd * shown.factor) for value, sd in (number.before, number.after)
+        )
+        distance = NO_LONGER_DETERMINED if shown.name in loosened else _signed(number.moved_sd)
+        rows.append([shown.words, before, after, shown.unit or "1", distance])
     return Table(
         "Parameters that the extension moves",
         ["parameter", "before", "after", "unit", "moved (sd)"],
@@ -63,13 +62,14 @@ def _impact_table(diagnosis: Diagnosis) -> Table:
 
 
 def moved(diagnosis: Diagnosis) -> list[Moved]:
-    """Free numbers of the rig before and after, those that moved farthest first."""
-    plain, names = diagnosis.fits.plain, _rig_numbers(diagnosis)
-    impacts, display = _impacts(diagnosis, diagnosis.fits.final.rig.effects), displays(names)
+    """Free numbers of the rig before and after, by fits to the same readings where there are such; those that moved farthest first."""
+    plain, final, names = diagnosis.fits.plain, diagnosis.fits.final, _rig_numbers(diagnosis)
+    known = {} if diagnosis.improvement is None else diagnosis.improvement.known_before
+    impacts, display = _impacts(diagnosis, final.rig.effects), displays(names)
     result = []
     for name in names:
-        before = (float(plain.values[name]), plain.value_sd(name))
-        after = _after(diagnosis, name)
+        before = known.get(name) or (float(plain.values[name]), plain.value_sd(name))
+        after = (float(final.values[name]), diagnosis.value_sd(name))
         if before[1] > 0.0 and after[1] > 0.0:
             pulls = {diagnosis.label(c): impact[name] for c, impact in impacts.items() if name in impact}
             shown = Shown(name, display[name].words, display[name].unit, display[name].factor)
@@ -82,8 +82,11 @@ def moved_words(diagnosis: Diagnosis) -> str:
     if not diagnosis.sized_causes:
         return ""
     loosened = diagnosis.no_longer_determined
-    known = [number for number in moved(diagnosis) if number.shown.name not in loosened]
-    far = [number.shown.words for number in known if abs(number.moved_sd) > policy.MOVED_SD]
+    far = [
+        number.shown.words
+        for number in moved(diagnosis)
+        if abs(number.moved_sd) > policy.MOVED_SD and number.shown.name not in loosened
+    ]
     words = "No number of the rig was biased by more than one standard deviation."
     if far:
         words = (
@@ -104,11 +107,6 @@ def _rig_numbers(diagnosis: Diagnosis) -> list[str]:
 
 def _impacts(diagnosis: Diagnosis, causes: Sequence[Cause]) -> dict[Cause, dict[str, float]]:
     return {cause: impact_sd(diagnosis.fits.final, cause) for cause in causes}
-
-
-def _after(diagnosis: Diagnosis, name: str) -> tuple[float, float]:
-    """Value and standard deviation of a number in the extended rig."""
-    return float(diagnosis.fits.final.values[name]), diagnosis.value_sd(name)
 
 
 def _signed(sd: float) -> str:

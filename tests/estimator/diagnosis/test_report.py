@@ -144,7 +144,8 @@ def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong
     final = diagnosis.fits.final
     far = replace(improvement, moved_sd=dict.fromkeys(improvement.moved_sd, 5.0))
     sd = {name: diagnosis.value_sd(name) for name in far.moved_sd}
-    known = {name: (float(final.values[name]), sd[name] / (4.0 if name == RADIUS else 1.0)) for name in sd}
+    known_sd = sd | {RADIUS: sd[RADIUS] / 4.0}
+    known = {name: (float(final.values[name]) - 5.0 * known_sd[name], known_sd[name]) for name in sd}
     moved = replace(diagnosis, fits=replace(diagnosis.fits, improvement=replace(far, known_before=known)))
     assert moved.no_longer_determined == (RADIUS,)
     told = moved.to_json()
