@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.impact import impact_sd
@@ -10,7 +10,6 @@ from estimator.diagnosis.panel_records import Moved, Shown
 from estimator.diagnosis.result import Diagnosis
 from estimator.reporting.numbers import displays, with_sd
 from estimator.reporting.page import Table
-from estimator.rig.rig import Cause
 
 MOST_COLUMNS = 6
 NO_LONGER_DETERMINED = "no longer determined"
@@ -46,17 +45,16 @@ def _impact_table(diagnosis: Diagnosis) -> Table:
     """How far each cause pulls each parameter, as particle physicists list the pulls of systematic errors."""
     stand_ins = diagnosis.findings.stand_ins
     causes = sorted(diagnosis.fits.final.rig.effects, key=lambda cause: cause in stand_ins)[:MOST_COLUMNS]
-    impacts = _impacts(diagnosis, causes)
-    names = [
-        name
-        for name in _rig_numbers(diagnosis)
-        if any(abs(impact.get(name, 0.0)) > policy.LISTED_IMPACT_SD for impact in impacts.values())
-    ]
-    display = displays(names)
+    by_name = {number.shown.name: number for number in moved(diagnosis)}
+    rows = []
+    for number in (by_name[name] for name in _rig_numbers(diagnosis) if name in by_name):
+        pulls = [number.pulls_sd.get(diagnosis.label(cause), 0.0) for cause in causes]
+        if max(map(abs, pulls), default=0.0) > policy.LISTED_IMPACT_SD:
+            rows.append([number.shown.words, *map(_signed, pulls)])
     return Table(
         "Impact of each cause",
         ["parameter", *(diagnosis.label(c) + (" (not sure)" if c in stand_ins else "") for c in causes)],
-        [[display[n].words, *(_signed(impact.get(n, 0.0)) for impact in impacts.values())] for n in names],
+        rows,
         "How far each parameter of the rig would move, in its standard deviations, if one cause were left out and the others stayed.",
     )
 
@@ -65,13 +63,14 @@ def moved(diagnosis: Diagnosis) -> list[Moved]:
     """Free numbers of the rig before and after, by fits to the same readings where there are such; those that moved farthest first."""
     plain, final, names = diagnosis.fits.plain, diagnosis.fits.final, _rig_numbers(diagnosis)
     known = {} if diagnosis.improvement is None else diagnosis.improvement.known_before
-    impacts, display = _impacts(diagnosis, final.rig.effects), displays(names)
+    impacts = {diagnosis.label(cause): impact_sd(final, cause) for cause in final.rig.effects}
+    display = displays(names)
     result = []
     for name in names:
         before = known.get(name) or (float(plain.values[name]), plain.value_sd(name))
         after = (float(final.values[name]), diagnosis.value_sd(name))
         if before[1] > 0.0 and after[1] > 0.0:
-            pulls = {diagnosis.label(c): impact[name] for c, impact in impacts.items() if name in impact}
+            pulls = {label: impact[name] for label, impact in impacts.items() if name in impact}
             shown = Shown(name, display[name].words, display[name].unit, display[name].factor)
             result.append(Moved(shown, before, after, (after[0] - before[0]) / before[1], pulls))
     return sorted(result, key=lambda moved: -abs(moved.moved_sd))
@@ -103,10 +102,6 @@ def _rig_numbers(diagnosis: Diagnosis) -> list[str]:
     """Free numbers of the rig as described."""
     names = diagnosis.fits.final.posterior.coordinates.names
     return [parameter.name for parameter in diagnosis.rig.free if parameter.name in names]
-
-
-def _impacts(diagnosis: Diagnosis, causes: Sequence[Cause]) -> dict[Cause, dict[str, float]]:
-    return {cause: impact_sd(diagnosis.fits.final, cause) for cause in causes}
 
 
 def _signed(sd: float) -> str:
