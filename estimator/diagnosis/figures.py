@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import torch
@@ -22,7 +22,7 @@ from estimator.model.bodies import winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN, size_with_unit
 from estimator.reporting.page import Picture
-from estimator.rig.rig import Cause, Coil
+from estimator.rig.rig import Coil
 from estimator.units import UNITS
 
 MOST_STEPS, MOST_COVARIATES = 4, 12
@@ -66,7 +66,7 @@ def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     if budget is None:
         return
     shares = {diagnosis.label(cause): (s.value, s.ci90) for cause, s in budget.causes.items()}
-    roles = [_role(diagnosis, cause) for cause in budget.causes]
+    roles = [role_of(diagnosis, cause) for cause in budget.causes]
     if len(budget.causes) > 1:
         shares["shared by several"] = (budget.shared.value, budget.shared.ci90)
         roles.append(plots.Role.OTHER)
@@ -186,7 +186,7 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
             label = diagnosis.label_of_hypothesis(hypothesis)
             evidence[label] = hypothesis.log_bayes_factor
             if hypothesis.cause is not None:
-                roles[label] = _role(diagnosis, hypothesis.cause, comparison.taken)
+                roles[label] = role_of(diagnosis, hypothesis.cause, comparison.taken)
         stated = diagnosis.label(comparison.taken[0]) if comparison.taken else None
         words = f"{title} is stated." if stated else "What more there may be, beside all that leads."
         yield Picture(
@@ -195,10 +195,6 @@ def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
             f"leads. {words}",
             plots.evidence_bars(evidence, stated, roles, title=title),
         )
-
-
-def _role(diagnosis: Diagnosis, cause: Cause | None, taken: Sequence[Cause] = ()) -> plots.Role:
-    return plots.Role[role_of(diagnosis, cause, taken).upper().replace("-", "_")]
 
 
 def _display(unit: str, values: Float[Tensor, " reading"]) -> tuple[float, str]:

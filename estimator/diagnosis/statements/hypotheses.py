@@ -10,15 +10,11 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import percent
 from estimator.reporting.page import Table
+from estimator.reporting.roles import Role
 from estimator.rig.rig import Cause
 
 MOST_COMPARISONS, MOST_ROWS, MOST_RUNNERS = 6, 8, 12
-OUTCOME = {
-    "named": "stated",
-    "alternative": "cannot be told apart from what was stated",
-    "stand-in": "not sure enough to be stated",
-    "other": "not needed",
-}
+OUTCOME = {Role.NAMED: "stated", Role.ALTERNATIVE: "cannot be told apart from what was stated"}
 
 
 def hypotheses_tables(diagnosis: Diagnosis) -> Iterator[Table]:
@@ -34,7 +30,7 @@ def hypotheses_tables(diagnosis: Diagnosis) -> Iterator[Table]:
                     _meaning(h),
                     f"{round(h.log_bayes_factor, 1) + 0.0:.1f}".replace("-", "−"),
                     percent(h.probability, 1) if h.probability > 1e-3 else "< 0.1 %",
-                    "" if h.cause is None else OUTCOME[role_of(diagnosis, h.cause, comparison.taken)],
+                    _outcome(diagnosis, h, comparison.taken),
                 ]
                 for h in listed
             ],
@@ -54,8 +50,13 @@ def _meaning(hypothesis: Hypothesis) -> str:
     return "nothing wrong" if hypothesis.name == NOTHING else "a departure that no list holds"
 
 
-def role_of(diagnosis: Diagnosis, cause: Cause | None, taken: Sequence[Cause] = ()) -> str:
-    """What the verdict makes of a cause: `named`, `alternative` to what was named, `stand-in` or `other`.
+def _outcome(diagnosis: Diagnosis, hypothesis: Hypothesis, taken: Sequence[Cause]) -> str:
+    role = role_of(diagnosis, hypothesis.cause, taken)
+    return "" if hypothesis.cause is None else OUTCOME.get(role, str(role))
+
+
+def role_of(diagnosis: Diagnosis, cause: Cause | None, taken: Sequence[Cause] = ()) -> Role:
+    """What the verdict makes of a cause.
 
     Args:
         diagnosis: With the verdict.
@@ -64,10 +65,10 @@ def role_of(diagnosis: Diagnosis, cause: Cause | None, taken: Sequence[Cause] = 
     """
     named = {each.cause for each in diagnosis.causes}
     if cause in named:
-        return "named"
+        return Role.NAMED
     if cause in taken and not named.isdisjoint(taken):
-        return "alternative"
-    return "stand-in" if cause in diagnosis.findings.stand_ins else "other"
+        return Role.ALTERNATIVE
+    return Role.STAND_IN if cause in diagnosis.findings.stand_ins else Role.OTHER
 
 
 def races(diagnosis: Diagnosis) -> list[Race]:
@@ -91,6 +92,6 @@ def _runner(diagnosis: Diagnosis, comparison: Comparison, hypothesis: Hypothesis
         diagnosis.label_of_hypothesis(hypothesis),
         _meaning(hypothesis),
         hypothesis.log_bayes_factor,
-        role_of(diagnosis, cause, comparison.taken),
+        role_of(diagnosis, cause, comparison.taken).key,
         comparison.left_sigma(None if hypothesis.name == NOTHING else item),
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float
@@ -28,22 +27,13 @@ from estimator.reporting.plots.style import (
     sigma_unit,
     styled,
 )
+from estimator.reporting.roles import Role
 
 MOST_BARS = 10
 LEAST_P = 1e-4
 ROUNDING = 1e-9
 CLEAR = 3.0  # log Bayes factor, about 20 to 1
 BINS = 12
-
-
-class Role(StrEnum):
-    """What a diagnosis makes of a hypothesis, in the words of the legend; drawn in this order."""
-
-    NAMED = "named by the verdict"
-    ALTERNATIVE = "cannot be told from it"
-    STAND_IN = "not sure enough to be stated"
-    OTHER = "not needed"
-    LEFT = "what no known cause explains"
 
 
 COLOUR = {
