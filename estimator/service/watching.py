@@ -280,7 +280,7 @@ class Watching:
     def start(self) -> None:
         """Begin to diagnose what is watched."""
         if self._diagnosis is not None:
-            self._diagnosis.start()
+            self._diagnosis.ticker.start()
 
     def _all(self) -> list[Watched]:
         with self._lock:
@@ -319,7 +319,7 @@ class Watching:
     def stop(self) -> None:
         """End all threads."""
         if self._diagnosis is not None:
-            self._diagnosis.stop()
+            self._diagnosis.ticker.stop()
         with self._lock:
             for watched in self._watched.values():
                 watched.leave()
