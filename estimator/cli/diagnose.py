@@ -28,6 +28,7 @@ from estimator.cli.output import CoilcalCommand, show
 if TYPE_CHECKING:
     from estimator.diagnosis.limits import Limits
     from estimator.diagnosis.result import Diagnosis
+    from estimator.diagnosis.sizes import SizedCause
 
 
 @click.command("diagnose", cls=CoilcalCommand, goes_on=True)
@@ -144,21 +145,12 @@ def diagnose_command(
         reporter.stop()
         if not as_json:
             show(diagnosis.to_json(), _text(diagnosis), as_json)
-        _write_reports(diagnosis, unfinished)
+        from estimator.diagnosis.report import (
+            write_reports,  # matplotlib is loaded after the result is printed
+        )
+
+        write_reports(diagnosis, unfinished, command_of(click.get_current_context()))
     show(diagnosis.to_json(), _written(out), as_json)
-
-
-def _write_reports(diagnosis: Diagnosis, folder: Path) -> None:
-    """Draw the pages, for which matplotlib is loaded after the result is printed."""
-    from estimator.calibration.report import calibration_report
-    from estimator.diagnosis.report import diagnosis_report
-    from estimator.diagnosis.result import CALIBRATION_FOLDER, REPORT
-    from estimator.store.files import write_text
-
-    command = command_of(click.get_current_context())
-    write_text(folder / REPORT, diagnosis_report(diagnosis, command))
-    if diagnosis.posterior is not None:
-        write_text(folder / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
 
 
 def _keep_fits(unfinished: Path, before: Path | None) -> None:
@@ -203,51 +195,36 @@ def _written(out: Path) -> str:
 
 
 def _text(diagnosis: Diagnosis) -> str:
-    from estimator.diagnosis.headline import difference_words, headline, held_back, tension_words
+    from estimator.diagnosis.headline import NOT_SURE, headline
     from estimator.diagnosis.result import EXTENDED_RIG
-    from estimator.reporting.numbers import interval_with_unit, odds, percent, probability, quantity_words
+    from estimator.diagnosis.statements.gain import unseen_line
+    from estimator.diagnosis.statements.left import evidence
+    from estimator.diagnosis.statements.priors import held_back, tension
+    from estimator.diagnosis.statements.visible import twins
 
-    left_open, improvement = diagnosis.left_open, diagnosis.improvement
-    lines = [f"verdict: {diagnosis.verdict}"]
-    if words := tension_words(diagnosis):
-        lines.append(f"  {words}")
-    lines += [f"  {sentence}" for sentence in headline(diagnosis)]
-    for cause in diagnosis.sized_causes:
-        rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
-        alternatives = "".join(f", or {name} ({probability(rival.probability)})" for name, rival in rivals)
-        outside = f", or something not in the library ({probability(cause.p_not_in_library)})"
-        lines.append(f"  {cause.name} ({probability(cause.probability)}){alternatives}{outside}")
-        for name, quantity in cause.quantities.items():
-            low, high = quantity.ci90
-            size = interval_with_unit(quantity.median, low, high, quantity.unit)
-            lines.append(f"    {quantity_words(name, cause.quantities):16} {size}")
-        if cause.difference is not None:
-            lines.append(f"    known best: {difference_words(cause.difference)}")
-    lines += [f"  {sentence}" for sentence in held_back(diagnosis)]
-    if diagnosis.findings.stand_ins:
-        names = ", ".join(diagnosis.label(cause) for cause in diagnosis.findings.stand_ins)
-        lines.append(
-            f"  {EXTENDED_RIG} also has {names}: it predicts better with them, but they are not sure enough to be stated"
-        )
-    if diagnosis.verdict.leaves_something:
-        left, scatter = diagnosis.findings.answer.left, diagnosis.findings.scatter
-        if left.log_bayes_factor > 0.0:
-            lines.append(f"  {odds(left.log_bayes_factor)} that something no list holds acts in {left.words}")
-        if scatter.is_probable:
-            lines.append(
-                f"  {odds(scatter.log_bayes_factor)} that how far readings miss depends on {scatter.along}"
-            )
+    lines = [*tension(diagnosis), *headline(diagnosis)]
+    lines += [line for cause in diagnosis.sized_causes for line in _cause_lines(cause)]
+    lines += held_back(diagnosis)
+    if stand_ins := diagnosis.findings.stand_ins:
+        lines.append(f"{EXTENDED_RIG} also has {', '.join(map(diagnosis.label, stand_ins))}: {NOT_SURE}")
+    lines += evidence(diagnosis)
     if (correction := diagnosis.fits.correction) is not None:
-        words = f"  {correction.words(diagnosis.label)}"
+        words = correction.words(diagnosis.label)
         lines += [words] if words not in lines else []  # the first box says it where it is what to do
-    if left_open.twins:
-        groups = "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in left_open.twins)
-        lines.append(f"  this session cannot tell apart: {groups}")
-    if improvement is not None:
-        before, after = improvement.before, improvement.after
-        lines.append(
-            f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.errors.vector_T * 1e6:.4g} uT rms of the vector; coverage "
-            f"of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.coverage90, 1)}; log predictive density "
-            f"{improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
-        )
-    return "\n".join(lines)
+    if diagnosis.left_open.twins:
+        lines.append(f"this session cannot tell apart: {twins(diagnosis)}")
+    unseen = [] if diagnosis.improvement is None else [unseen_line(diagnosis.improvement)]
+    return "\n".join([f"verdict: {diagnosis.verdict}", *(f"  {line}" for line in lines), *unseen])
+
+
+def _cause_lines(cause: SizedCause) -> Iterator[str]:
+    from estimator.diagnosis.verdict import UNKNOWN
+    from estimator.reporting.numbers import probability
+
+    others = [*((name, rival.probability) for name, rival in cause.rivals), (UNKNOWN, cause.p_not_in_library)]
+    alternatives = "".join(f", or {name} ({probability(share)})" for name, share in others)
+    yield f"{cause.name} ({probability(cause.probability)}){alternatives}"
+    for name, interval in cause.sizes:
+        yield f"  {name:16} {interval.words}"
+    if cause.difference is not None:
+        yield f"  known best: {cause.difference.words}"

@@ -7,23 +7,25 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 from jaxtyping import Float
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
-from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
+from estimator.diagnosis.statements.hypotheses import role_of
+from estimator.diagnosis.statements.residuals import around_coils, sigma_T
+from estimator.diagnosis.structure.covariates import Covariate, predicted_T, residual_T
 from estimator.effects.corrections.correction import KEY
 from estimator.model.bodies import winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN, size_with_unit
 from estimator.reporting.page import Picture
-from estimator.rig.rig import Cause, Coil
+from estimator.rig.rig import Coil
 from estimator.units import UNITS
 
-MOST_COILS, MOST_STEPS, MOST_COVARIATES = 2, 4, 12
+MOST_STEPS, MOST_COVARIATES = 4, 12
 MOST_IN_TITLE = 3
 
 
@@ -34,33 +36,28 @@ def pictures(diagnosis: Diagnosis) -> list[Picture]:
 
 
 def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
-    before, after = diagnosis.fits.plain, diagnosis.fits.extended
-    residuals = [_residual_T(fit) for fit in (before, after)]
-    is_extended = bool(after.rig.effects)
-    rig = diagnosis.rig
-    is_powered = (after.observations.current_A != 0.0).numpy()
-    coils = enumerate(sensor_in_coils(after).items())
-    powered = [(i, coil) for i, coil in coils if is_powered[:, i].any()]
-    for i, (name, position_m) in powered[:MOST_COILS]:
-        is_on = is_powered[:, i]
-        coil = after.rig.coils[i]
-        winding = winding_of(after.rig, coil, after.values) if isinstance(coil, Coil) else None
-        sigma_T = _sigma_T(after)
-        one_sigma = float(sigma_T.max()) if np.ptp(sigma_T) < 1e-12 else None
-        powered_m = position_m.numpy()[is_on]
-        if is_extended:
-            figure = plots.before_and_after_map(
-                powered_m, residuals[0][is_on], residuals[1][is_on], winding, one_sigma, title=rig.name
+    extended, title = diagnosis.fits.extended, diagnosis.rig.name
+    before_T, after_T = (residual_T(fit).numpy() for fit in (diagnosis.fits.plain, extended))
+    noise_T = sigma_T(extended).numpy()
+    one_sigma = float(noise_T.max()) if np.ptp(noise_T) < 1e-12 else None
+    for around in around_coils(diagnosis):
+        coil, is_on, position_m = around.coil, around.is_on.numpy(), around.position_m.numpy()
+        winding = winding_of(extended.rig, coil, extended.values) if isinstance(coil, Coil) else None
+        words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame"
+        if extended.rig.effects:
+            yield Picture(
+                f"Residual around {coil.name}, before and after",
+                f"{words}; both maps share one colour scale. After the extension (below) it should look like noise.",
+                plots.before_and_after_map(
+                    position_m, before_T[is_on], after_T[is_on], winding, one_sigma, title
+                ),
             )
-            words = (
-                "Magnitude of the residual vector at the sensor's positions, in the coil's frame; both maps share one colour scale. "
-                "After the extension (below) it should look like noise."
-            )
-            yield Picture(f"Residual around {name}, before and after", words, figure)
         else:
-            figure = plots.residual_map(powered_m, residuals[0][is_on], winding, one_sigma, title=rig.name)
-            words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame. A pattern means a model error."
-            yield Picture(f"Residual around {name}", words, figure)
+            yield Picture(
+                f"Residual around {coil.name}",
+                f"{words}. A pattern means a model error.",
+                plots.residual_map(position_m, before_T[is_on], winding, one_sigma, title),
+            )
 
 
 def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
@@ -69,19 +66,17 @@ def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
     if budget is None:
         return
     shares = {diagnosis.label(cause): (s.value, s.ci90) for cause, s in budget.causes.items()}
-    roles = [_role(diagnosis, cause) for cause in budget.causes]
+    roles = [role_of(diagnosis, cause) for cause in budget.causes]
     if len(budget.causes) > 1:
         shares["shared by several"] = (budget.shared.value, budget.shared.ci90)
         roles.append(plots.Role.OTHER)
     shares["left"] = (budget.left.value, budget.left.ci90)
-    figure = plots.error_budget(shares, [*roles, plots.Role.LEFT], title=diagnosis.rig.name).figure
-    assert isinstance(figure, Figure)
     yield Picture(
         "Error budget",
         f"What the rig as described misses of {budget.n_readings} readings that no fit has seen, beyond the noise: "
         f"{size_with_unit(budget.misfit_T, 'T', 3)} rms. Each bar is the share that a cause accounts for, the mean over orders of adding "
         "them; lines are 90 % intervals over the choice of the readings.",
-        figure,
+        plots.error_budget(shares, [*roles, plots.Role.LEFT], title=diagnosis.rig.name),
     )
 
 
@@ -89,16 +84,14 @@ def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
     before, after = diagnosis.fits.plain, diagnosis.fits.extended
     if not after.rig.effects:
         return
-    change_T = (predicted_T(after) - predicted_T(before)).numpy()
     labels = [diagnosis.label(cause) for cause in after.rig.effects]
     names = " + ".join(labels) if len(labels) <= MOST_IN_TITLE else f"{len(labels)} causes together"
-    figure = plots.explained_residual(_residual_T(before), change_T, _sigma_T(after), title=names).figure
-    assert isinstance(figure, Figure)
+    change_T = predicted_T(after) - predicted_T(before)
     yield Picture(
         "What the extension explains",
         "Residual of the plain model against the change of the prediction by the extension, for each reading. The means should follow the "
         "slanted line.",
-        figure,
+        _explaining(residual_T(before), change_T, after, names),
     )
 
 
@@ -116,18 +109,23 @@ def _corrected(diagnosis: Diagnosis) -> Iterator[Picture]:
     zero = torch.tensor(0.0, dtype=torch.float64)
     with torch.no_grad():
         without_T = fit.posterior.model.predict({**fit.values, **dict.fromkeys(amplitudes, zero)})
-    change_T = (predicted_T(fit) - without_T).numpy()
-    names = " + ".join(diagnosis.label(part.cause) for part in correction.parts)
-    figure = plots.explained_residual(
-        _residual_T(fit) + change_T, change_T, _sigma_T(fit), title=names
-    ).figure
-    assert isinstance(figure, Figure)
+    change_T = predicted_T(fit) - without_T
     yield Picture(
         "What is corrected without a name",
         "Residual without the corrections against what they add to the prediction, for each reading. The means should follow the slanted "
         "line; points far from it are what is left.",
-        figure,
+        _explaining(
+            residual_T(fit) + change_T,
+            change_T,
+            fit,
+            " + ".join(diagnosis.label(part.cause) for part in correction.parts),
+        ),
     )
+
+
+def _explaining(missed_T: Tensor, change_T: Tensor, fit: Fit, title: str) -> Axes:
+    """What a fit misses without something, against what that changes."""
+    return plots.explained_residual(missed_T.numpy(), change_T.numpy(), sigma_T(fit).numpy(), title=title)
 
 
 def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
@@ -147,80 +145,56 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
             floor=1.0 / (policy.N_NOISE_DRAWS + 1),
         ),
     )
-    if not tests:
-        return
-    first = tests[0].covariate
-    first_after = after[first.name].covariate
-    factor, unit = _display(first.unit, first.by_reading)
+    if tests:
+        first = tests[0].covariate
+        yield from _along(diagnosis, first, after[first.name].covariate)
+
+
+def _along(diagnosis: Diagnosis, before: Covariate, after: Covariate) -> Iterator[Picture]:
+    """Residuals along a covariate as it is before and after the extension, on one scale so that the eye can compare."""
+    factor, unit = _display(before.unit, before.by_reading)
+    label = f"{before.name} ({unit})" if unit != "1" else before.name
+    fits = {"before": (diagnosis.fits.plain, before)}
+    if diagnosis.fits.extended.rig.effects:
+        fits["after"] = (diagnosis.fits.extended, after)
     drawn = {
         when: plots.residual_against(
             covariate.by_reading.numpy() * factor,
-            _residual_T(fit),
-            _sigma_T(fit),
-            f"{first.name} ({unit})" if unit != "1" else first.name,
+            residual_T(fit).numpy(),
+            sigma_T(fit).numpy(),
+            label,
             title=when,
         )
-        for fit, covariate, when in (
-            (diagnosis.fits.plain, first, "before"),
-            (diagnosis.fits.extended, first_after, "after"),
-        )[: 2 if diagnosis.fits.extended.rig.effects else 1]
+        for when, (fit, covariate) in fits.items()
     }
-    if len({ax.get_ylabel() for ax in drawn.values()}) == 1:  # one scale, so that the eye can compare
+    if len({ax.get_ylabel() for ax in drawn.values()}) == 1:
         ends = np.array([ax.get_ylim() for ax in drawn.values()])
         for ax in drawn.values():
             ax.set_ylim(ends[:, 0].min(), ends[:, 1].max())
     for when, ax in drawn.items():
-        figure = ax.figure
-        assert isinstance(figure, Figure)
         yield Picture(
             f"Residual along the most significant covariate, {when}",
             "The lines are means of neighbouring readings. Means that leave the band by several of their error bars show structure.",
-            figure,
+            ax,
         )
 
 
 def _ranking(diagnosis: Diagnosis) -> Iterator[Picture]:
     for number, (title, comparison) in enumerate(diagnosis.comparisons[:MOST_STEPS], start=1):
-        evidence = {
-            diagnosis.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
-            for hypothesis in comparison.hypotheses
-        }
+        evidence, roles = {}, {}
+        for hypothesis in comparison.hypotheses:
+            label = diagnosis.label_of_hypothesis(hypothesis)
+            evidence[label] = hypothesis.log_bayes_factor
+            if hypothesis.cause is not None:
+                roles[label] = role_of(diagnosis, hypothesis.cause, comparison.taken)
         stated = diagnosis.label(comparison.taken[0]) if comparison.taken else None
-        roles = {
-            diagnosis.label_of_hypothesis(hypothesis): plots.Role.ALTERNATIVE
-            if hypothesis.cause in comparison.taken[1:]
-            else _role(diagnosis, hypothesis.cause)
-            for hypothesis in comparison.hypotheses
-            if hypothesis.cause is not None
-        }
-        figure = plots.evidence_bars(evidence, stated, roles, title=title).figure
-        assert isinstance(figure, Figure)
         words = f"{title} is stated." if stated else "What more there may be, beside all that leads."
         yield Picture(
             f"Hypotheses, comparison {number}",
             "Log Bayes factor of each cause, and of a departure that no list holds, against nothing wrong, beside everything else that "
             f"leads. {words}",
-            figure,
+            plots.evidence_bars(evidence, stated, roles, title=title),
         )
-
-
-def _role(diagnosis: Diagnosis, cause: Cause) -> plots.Role:
-    """What the verdict makes of a cause."""
-    if cause in {named.cause for named in diagnosis.causes}:
-        return plots.Role.NAMED
-    return plots.Role.STAND_IN if cause in diagnosis.findings.stand_ins else plots.Role.OTHER
-
-
-def _residual_T(fit: Fit) -> np.ndarray:
-    residual = fit.observations.field_sensor_T - predicted_T(fit)
-    return residual.numpy()
-
-
-def _sigma_T(fit: Fit) -> np.ndarray:
-    """Noise of each component of each reading, in tesla."""
-    with torch.no_grad():
-        by_sensor = fit.posterior.sigma_T(fit.vector)
-    return by_sensor[fit.observations.sensor][:, None].expand(-1, 3).numpy()
 
 
 def _display(unit: str, values: Float[Tensor, " reading"]) -> tuple[float, str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
@@ -39,14 +39,7 @@ class Outlier:
 
     def to_json(self) -> dict[str, Any]:
         """The outlier in the form of JSON; readings are counted from 1."""
-        return {
-            "reading": self.reading + 1,
-            "sensor": self.sensor,
-            "component": COMPONENTS[self.component],
-            "miss_T": self.miss_T,
-            "miss_sd": self.miss_sd,
-            "probability": self.probability,
-        }
+        return asdict(self) | {"reading": self.reading + 1, "component": COMPONENTS[self.component]}
 
 
 def outliers_of(fit: Fit, observations: Observations) -> list[Outlier]:

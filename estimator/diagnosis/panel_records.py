@@ -149,6 +149,7 @@ class Panels:
         maps: Residuals around each coil that carried current.
         races: Hypotheses, step by step.
         moved: Numbers of the rig before and after.
+        moved_words: What the extension does to them, in a sentence or two; empty where nothing was found.
         next: Proposed next readings, best first.
     """
 
@@ -164,4 +165,5 @@ class Panels:
     maps: list[ResidualMap]
     races: list[Race]
     moved: list[Moved]
+    moved_words: str
     next: list[NextMeasurement]

@@ -2,42 +2,31 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import torch
-
 from estimator.calibration.result import CALIBRATION, Calibration
 from estimator.diagnosis import policy
-from estimator.diagnosis.budget import Budget
-from estimator.diagnosis.corrections.result import Correction
-from estimator.diagnosis.differences import clearest_difference
 from estimator.diagnosis.extension import NOTE
+from estimator.diagnosis.findings import Findings, Fits, LeftOpen, Question
 from estimator.diagnosis.fit_journal import FITS
-from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
-from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.intervals import Intervals
 from estimator.diagnosis.mixture.comparison import Comparison, Hypothesis
-from estimator.diagnosis.next_readings.expected_evidence import Proposal
-from estimator.diagnosis.next_readings.resolution import Visible
-from estimator.diagnosis.outlying import Outlier
 from estimator.diagnosis.presented import Presented
 from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
-from estimator.diagnosis.structure.pull import Pull
-from estimator.diagnosis.structure.scatter import Scatter
-from estimator.diagnosis.structure.symptoms import Symptoms
 from estimator.diagnosis.validation import Improvement
-from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
-from estimator.diagnosis.widening import Widening
+from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS
 from estimator.json_files import sealed
-from estimator.readings.flags import Flag
-from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.write import rig_text
 from estimator.store.files import write_text
 from estimator.store.made import Made, holds
+
+__all__ = ["Diagnosis", "Findings", "Fits", "LeftOpen", "Question"]
 
 DIAGNOSIS, EXTENDED_RIG, REPORT, CALIBRATION_FOLDER = (
     "diagnosis.json",
@@ -57,89 +46,6 @@ MADE = Made(
 def label_of(cause: Cause, rig: Rig) -> str:
     """Name of a cause, with its place where the rig has several for it."""
     return cause.name if len(EFFECTS[cause.name].places(rig)) < 2 else cause.label
-
-
-@dataclass(frozen=True)
-class Question:
-    """What was asked.
-
-    Attributes:
-        rig: As described.
-        source: Where the readings come from.
-        seed: Of the split, the thinning, the starts and the sampling.
-    """
-
-    rig: Rig
-    source: str
-    seed: int
-
-
-@dataclass(frozen=True)
-class Findings:
-    """What was found.
-
-    Attributes:
-        answer: What the readings say of causes and of departures that no list holds.
-        scatter: Whether they scatter otherwise than the leading causes say.
-        pull: Whether the fit with these pulls a number of the rig far from its prior.
-        record_mistakes: Mistakes of the record, undone before.
-        causes: The named causes, surest first.
-        stand_ins: Further causes of the extended rig, which are not sure enough to be stated.
-        flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
-        judging_flags: The same of another session, which judges the fits.
-        outliers: Components that are probably wrong, where the extended rig has outliers, those that miss most first.
-    """
-
-    answer: Answer
-    scatter: Scatter
-    pull: Pull
-    record_mistakes: tuple[RecordMistake, ...] = ()
-    causes: tuple[NamedCause, ...] = ()
-    stand_ins: tuple[Cause, ...] = ()
-    flags: tuple[Flag, ...] = ()
-    judging_flags: tuple[Flag, ...] = ()
-    outliers: tuple[Outlier, ...] = ()
-
-
-@dataclass(frozen=True)
-class Fits:
-    """Fits of the rig without and with the causes that were found.
-
-    Attributes:
-        plain: The rig as described.
-        extended: The extended rig, fitted to the readings of the search.
-        final: The extended rig, fitted to more readings.
-        before, after: Symptoms in the residuals of `plain` and `extended`.
-        improvement: Of the predictions of unseen readings; None where there are none.
-        correction: Of what no cause explains; its terms are in `extended` and `final`. None where nothing is unexplained.
-        budget: Shares of the error on unseen readings; None where there are none, or nothing was found.
-    """
-
-    plain: Fit
-    extended: Fit
-    final: Fit
-    before: Symptoms
-    after: Symptoms
-    improvement: Improvement | None = None
-    correction: Correction | None = None
-    budget: Budget | None = None
-
-
-@dataclass(frozen=True)
-class LeftOpen:
-    """What these readings cannot tell.
-
-    Attributes:
-        visible: Smallest visible size of every quantity of every cause.
-        twins: Groups of causes that this session cannot tell apart.
-        next_measurements: Proposals that would tell the alternatives apart, best first.
-        widening: Growth of the intervals of the extended rig; None where nothing remains unexplained.
-    """
-
-    visible: tuple[Visible, ...] = ()
-    twins: tuple[tuple[Cause, ...], ...] = ()
-    next_measurements: tuple[Proposal, ...] = ()
-    widening: Widening | None = None
 
 
 @dataclass(frozen=True, repr=False)
@@ -200,6 +106,10 @@ class Diagnosis(Presented):
         """Name of a cause, with its place where the rig has several for it."""
         return label_of(cause, self.rig)
 
+    def label_of_hypothesis(self, hypothesis: Hypothesis) -> str:
+        """Name of the hypothesis' cause; else `nothing` or `unexplained`."""
+        return hypothesis.name if hypothesis.cause is None else self.label(hypothesis.cause)
+
     @property
     def comparisons(self) -> list[tuple[str, Comparison]]:
         """In the place of each stated cause all hypotheses, with the names of what was stated; last, beside all that leads."""
@@ -208,10 +118,12 @@ class Diagnosis(Presented):
             for comparison in self.findings.answer.comparisons
         ]
 
-    @property
-    def sized_causes(self) -> tuple[SizedCause, ...]:
-        """Mistakes of the record, then the named causes, with their sizes."""
-        return (*map(self._sized_mistake, self.record_mistakes), *map(self._sized, self.causes))
+    def evidence(self) -> dict[str, float]:
+        """Log Bayes factor of every hypothesis against nothing, each alone."""
+        return {
+            self.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
+            for hypothesis in self.findings.answer.alone.hypotheses
+        }
 
     @property
     def p_not_in_library(self) -> float:
@@ -220,33 +132,29 @@ class Diagnosis(Presented):
         left = max(findings.answer.p_unlisted, findings.scatter.probability, findings.pull.probability)
         return max(left, *(cause.p_not_in_library for cause in self.causes), 0.0)
 
-    def evidence(self) -> dict[str, float]:
-        """Log Bayes factor of every hypothesis against nothing, each alone."""
-        return {
-            self.label_of_hypothesis(hypothesis): hypothesis.log_bayes_factor
-            for hypothesis in self.findings.answer.alone.hypotheses
-        }
+    @cached_property
+    def intervals(self) -> Intervals:
+        """Intervals of the numbers of the extended rig."""
+        return Intervals(self.fits.final, self.posterior, self.left_open.widening)
 
-    def label_of_hypothesis(self, hypothesis: Hypothesis) -> str:
-        """Name of the hypothesis' cause; else `nothing` or `unexplained`."""
-        return hypothesis.name if hypothesis.cause is None else self.label(hypothesis.cause)
+    @cached_property
+    def sized_causes(self) -> tuple[SizedCause, ...]:
+        """Mistakes of the record, then the named causes, with their sizes."""
+        mistakes = (self._sized(named, True) for named in self.findings.named_mistakes)
+        return (*mistakes, *map(self._sized, self.causes))
 
     def quantities(self, cause: Cause) -> dict[str, Interval]:
         """Quantities of a cause that the session can see, by SI key."""
-        fit, prefix = self.fits.final, f"{cause.label}."
-        unseen = EFFECTS[cause.name].unseen(fit.posterior.model.circumstances, cause.place)
-        keys = [name.removeprefix(prefix) for name in fit.rig.parameters if name.startswith(prefix)]
-        return {key: self._interval(prefix + key) for key in keys if key not in unseen}
+        return self.intervals.quantities(cause)
 
     def rig_numbers(self) -> dict[str, Interval]:
         """Free parameters of the rig as described."""
         parameters = self.fits.final.rig.parameters
-        return {p.name: self._interval(p.name) for p in self.rig.free if p.name in parameters}
+        return {p.name: self.intervals.of(p.name) for p in self.rig.free if p.name in parameters}
 
     def value_sd(self, name: str) -> float:
         """Standard deviation of a free parameter of the extended rig by Laplace, widened by what remains unexplained."""
-        widening = self.left_open.widening
-        return (1.0 if widening is None else widening.factors[name]) * self.fits.final.value_sd(name)
+        return self.intervals.sd(name)
 
     @property
     def no_longer_determined(self) -> tuple[str, ...]:
@@ -256,77 +164,37 @@ class Diagnosis(Presented):
 
     def to_json(self) -> dict[str, Any]:
         """Content of `diagnosis.json`."""
-        findings, left_open, improvement = self.findings, self.left_open, self.improvement
-        left, scatter, pull = findings.answer.left, findings.scatter, findings.pull
-        result: dict[str, Any] = {
+        findings, fits, left_open = self.findings, self.fits, self.left_open
+        sensors = self.sensor_names
+        return {
             "verdict": str(self.verdict),
             "p_not_in_library": self.p_not_in_library,
             "ended_early": findings.answer.ended_early,
             "causes": [cause.to_json() for cause in self.sized_causes],
             "stand_ins": [
                 {"name": self.label(c), "place": c.place, "parameters": intervals_to_json(self.quantities(c))}
-                for c in self.findings.stand_ins
+                for c in findings.stand_ins
             ],
-            "flagged": [flag.to_json(self.sensor_names) for flag in self.findings.flags],
-            "outliers": [outlier.to_json() for outlier in self.findings.outliers],
-            "flagged_in_validation": [
-                flag.to_json(self.sensor_names) for flag in self.findings.judging_flags
-            ],
+            "flagged": [flag.to_json(sensors) for flag in findings.flags],
+            "outliers": [outlier.to_json() for outlier in findings.outliers],
+            "flagged_in_validation": [flag.to_json(sensors) for flag in findings.judging_flags],
             "indistinguishable": [[self.label(cause) for cause in group] for group in left_open.twins],
-            "next_measurement": [
-                {
-                    "action": proposal.action.words,
-                    "splits": list(proposal.splits),
-                    "expected_log_evidence": proposal.expected_log_evidence,
-                }
-                for proposal in left_open.next_measurements
-            ],
+            "next_measurement": [proposal.to_json() for proposal in left_open.next_measurements],
             "smallest_visible": {
-                f"{self.label(visible.cause)}.{visible.key}": {
-                    "size": visible.size if visible.is_visible else None,
-                    "unit": visible.unit,
-                    "place": visible.cause.place,
-                    "at": dict(visible.at),
-                    "share_absorbed": visible.share_absorbed,
-                    "absorbed_by": list(visible.absorbed_by),
-                    "hidden_sd": visible.hidden_sd,
-                    "hidden_in": visible.hidden_in,
-                    "hidden_size": visible.hidden_size,
-                    "hidden_at": dict(visible.hidden_at),
-                }
+                f"{self.label(visible.cause)}.{visible.key}": visible.to_json()
                 for visible in left_open.visible
             },
-            "signatures": {"before": self.fits.before.to_json(), "after": self.fits.after.to_json()},
-            "unexplained": {
-                "log_bayes_factor": left.log_bayes_factor,
-                "looks_like": left.words,
-                "rms_sigma": left.rms_sigma,
-            },
-            "scatter": {
-                "log_bayes_factor": scatter.log_bayes_factor,
-                "depends_on": scatter.along,
-            },
-            "pull": {
-                "log_bayes_factor": pull.log_bayes_factor,
-                "parameter": pull.name,
-                "widths": pull.widths,
-            },
+            "signatures": {"before": fits.before.to_json(), "after": fits.after.to_json()},
+            **findings.doubts_to_json(),
             "mixture": findings.answer.to_json(),
-            "correction": None if self.fits.correction is None else self.fits.correction.to_json(),
-            "budget": None if self.fits.budget is None else self.fits.budget.to_json(),
+            "correction": None if fits.correction is None else fits.correction.to_json(),
+            "budget": None if fits.budget is None else fits.budget.to_json(),
             "rig_parameters": intervals_to_json(self.rig_numbers()),
             "widening": {} if left_open.widening is None else left_open.widening.factors,
             "steps": [self._comparison_json(comparison) for _, comparison in self.comparisons],
             "seed": self.question.seed,
+            **({} if self.improvement is None else self._gain_json(self.improvement)),
         }
-        if improvement is not None:
-            result["gain"] = {"before": improvement.before.to_json(), "after": improvement.after.to_json()}
-            result["elpd_difference"] = improvement.elpd_difference
-            result["elpd_se"] = improvement.elpd_se
-            loosened = self.no_longer_determined
-            result["moved_sd"] = {n: sd for n, sd in improvement.moved_sd.items() if n not in loosened}
-            result["no_longer_determined"] = list(loosened)
-        return result
 
     def _comparison_json(self, comparison: Comparison) -> dict[str, Any]:
         return {
@@ -341,27 +209,23 @@ class Diagnosis(Presented):
             ],
         }
 
+    def _gain_json(self, improvement: Improvement) -> dict[str, Any]:
+        loosened = self.no_longer_determined
+        return {
+            "gain": {"before": improvement.before.to_json(), "after": improvement.after.to_json()},
+            "elpd_difference": improvement.elpd_difference,
+            "elpd_se": improvement.elpd_se,
+            "moved_sd": {n: sd for n, sd in improvement.moved_sd.items() if n not in loosened},
+            "no_longer_determined": list(loosened),
+        }
+
     def save(self, folder: Path) -> None:
         """Write `diagnosis.json`, sealed by its SHA-256, and `rig_extended.yaml`."""
         write_text(folder / DIAGNOSIS, sealed(self.to_json(), indent=2))
         note = NOTE if self.extended_rig.acting else ""
         write_text(folder / EXTENDED_RIG, rig_text(self.extended_rig, note))
 
-    def _interval(self, name: str) -> Interval:
-        """Interval of a number of the extended rig: from its posterior draws, else by Laplace; widened by what remains unexplained."""
-        parameter = self.fits.final.rig.parameters[name]
-        sampled = {} if self.posterior is None else self.posterior.summary()["parameters"]
-        if name in sampled:
-            median, sd, (low, high) = (sampled[name][key] for key in ("median", "sd", "ci90"))
-        else:
-            median = float(self.fits.final.values[name])
-            sd = self.value_sd(name) if parameter.is_free else 0.0
-            low, high = median - HALF_WIDTH_90 * sd, median + HALF_WIDTH_90 * sd
-        if (prior := parameter.prior) is not None:
-            low, high = (min(max(end, prior.lower), prior.upper) for end in (low, high))
-        return Interval(median, sd, (low, high), parameter.unit)
-
-    def _sized(self, named: NamedCause) -> SizedCause:
+    def _sized(self, named: NamedCause, is_record_mistake: bool = False) -> SizedCause:
         return SizedCause(
             named.cause,
             self.label(named.cause),
@@ -372,14 +236,6 @@ class Diagnosis(Presented):
             tuple(self.label(alternative.cause) for alternative in named.alternatives),
             named.log_bayes_factor,
             self.quantities(named.cause),
-            difference=clearest_difference(
-                self.fits.final, named.cause, self.posterior, self.left_open.widening
-            ),
+            is_record_mistake,
+            self.intervals.difference(named.cause),
         )
-
-    def _sized_mistake(self, mistake: RecordMistake) -> SizedCause:
-        weights = torch.softmax(torch.tensor([0.0, *(value for _, value in mistake.twins)]), 0).tolist()
-        twins = zip((cause for cause, _ in mistake.twins), weights[1:], strict=True)
-        alternatives = tuple(Alternative(cause, probability, None) for cause, probability in twins)
-        named = NamedCause(mistake.cause, weights[0], alternatives, mistake.log_bayes_factor)
-        return replace(self._sized(named), is_record_mistake=True)

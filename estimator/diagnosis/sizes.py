@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from estimator.diagnosis.verdict import UNKNOWN, Alternative
+from estimator.effects import EFFECTS
+from estimator.reporting.numbers import Display, displays, interval_with_unit, quantity_words
 from estimator.rig.rig import Cause
 
 
@@ -19,9 +21,16 @@ class Interval:
     ci90: tuple[float, float]
     unit: str
 
-    def to_json(self) -> dict[str, Any]:
-        """This interval in the form of `diagnosis.json`."""
-        return {"median": self.median, "sd": self.sd, "ci90": list(self.ci90), "unit": self.unit}
+    @property
+    def words(self) -> str:
+        """The median with its interval, in the unit of its order."""
+        return interval_with_unit(self.median, *self.ci90, self.unit)
+
+    def display(self, name: str) -> Display:
+        """How a number with this name and size is shown: a share in per cent, all others as `displays` has them."""
+        shown = displays([name])[name]
+        is_share = self.unit == "1" and abs(self.median) < 1.0
+        return replace(shown, unit="%", factor=100.0) if is_share else shown
 
 
 @dataclass(frozen=True)
@@ -37,9 +46,19 @@ class Difference:
         """Distance from zero in standard deviations."""
         return abs(self.interval.median) / self.interval.sd if self.interval.sd > 0.0 else 0.0
 
+    @property
+    def name(self) -> str:
+        """Both quantities, in words."""
+        return f"{quantity_words(self.plus)} − {quantity_words(self.minus)}"
+
+    @property
+    def words(self) -> str:
+        """The difference with its 90 % interval."""
+        return f"{self.name} {self.interval.words}"
+
     def to_json(self) -> dict[str, Any]:
         """This difference in the form of `diagnosis.json`."""
-        return {"plus": self.plus, "minus": self.minus, **self.interval.to_json()}
+        return {"plus": self.plus, "minus": self.minus, **asdict(self.interval)}
 
 
 @dataclass(frozen=True)
@@ -73,11 +92,25 @@ class SizedCause:
     difference: Difference | None = None
 
     @property
+    def words(self) -> str:
+        """What is wrong, in words."""
+        return EFFECTS[self.cause.name].words
+
+    @property
+    def sizes(self) -> list[tuple[str, Interval]]:
+        """Quantities by their names in words."""
+        return [(quantity_words(key, self.quantities), size) for key, size in self.quantities.items()]
+
+    @property
+    def rivals(self) -> list[tuple[str, Alternative]]:
+        """The other causes that it could be, by their names."""
+        return list(zip(self.alternative_names, self.alternatives, strict=True))
+
+    @property
     def others(self) -> tuple[tuple[str, float], ...]:
         """Everything else in its credible set with its probability, most probable first."""
         unknown = [(UNKNOWN, self.p_not_in_library)] if self.may_be_unknown else []
-        rivals = zip(self.alternative_names, self.alternatives, strict=True)
-        others = [*((name, rival.probability) for name, rival in rivals), *unknown]
+        others = [*((name, rival.probability) for name, rival in self.rivals), *unknown]
         return tuple(sorted(others, key=lambda other: -other[1]))
 
     def to_json(self) -> dict[str, Any]:
@@ -85,7 +118,7 @@ class SizedCause:
         alternatives = [
             {"name": name, "probability": alternative.probability}
             | ({} if self.is_record_mistake else {"expected_log_evidence": alternative.expected_log_evidence})
-            for name, alternative in zip(self.alternative_names, self.alternatives, strict=True)
+            for name, alternative in self.rivals
         ]
         return {
             "name": self.name,
@@ -102,4 +135,4 @@ class SizedCause:
 
 def intervals_to_json(intervals: Mapping[str, Interval]) -> dict[str, Any]:
     """Intervals by SI key, in the form of `diagnosis.json`."""
-    return {key: interval.to_json() for key, interval in intervals.items()}
+    return {key: asdict(interval) for key, interval in intervals.items()}

@@ -118,6 +118,12 @@ class Observations:
             return self.whole
         return self._select(torch.argsort(self.time_s, stable=True), None, None)
 
+    @property
+    def pace_s(self) -> float:
+        """Mean time from one reading of the whole session to the next; 1 s where nothing tells it."""
+        time_s = self.history.time_s
+        return float((time_s[-1] - time_s[0]) / max(len(time_s) - 1, 1)) or 1.0
+
     @cached_property
     def row(self) -> Int[Tensor, " reading"]:
         """Row of each reading in `history`."""

@@ -12,9 +12,9 @@ from estimator.calibration.summary import finite
 from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.headline import held_back
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.statements.priors import held_back
 from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.measurement_model import MeasurementModel

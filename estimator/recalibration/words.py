@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval, SizedCause
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.flags import told
-from estimator.reporting.numbers import displays, with_sd
+from estimator.reporting.numbers import with_sd
 
 
 def names_of(diagnosis: Diagnosis) -> str:
@@ -36,9 +34,7 @@ def _size(cause: SizedCause) -> str:
 
 def _quantity(name: str, interval: Interval) -> str:
     """A quantity in its display unit."""
-    show, value, sd = displays([name])[name], interval.median, interval.sd
-    if interval.unit == "1" and abs(value) < 1.0:
-        show = replace(show, unit="%", factor=100.0)
+    show, value, sd = interval.display(name), interval.median, interval.sd
     size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
     return f"{show.words} {size} {show.unit}".rstrip()
 

@@ -72,7 +72,7 @@ class Picture:
 
     title: str
     caption: str
-    plot: Figure | Callable[[], Figure | Axes]
+    plot: Figure | Axes | Callable[[], Figure | Axes]
 
     @cached_property
     def figure(self) -> Figure:

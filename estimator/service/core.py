@@ -6,10 +6,6 @@ import fcntl
 import hashlib
 import os
 import shutil
-import threading
-from collections import Counter
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 from sqlalchemy import select
@@ -27,10 +23,9 @@ from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.predictions import Predictor
-from estimator.service.problems import Problem
 from estimator.service.recent import Recent
 from estimator.service.removal import Tidy
-from estimator.service.room import Room
+from estimator.service.room import Places, Room
 from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
@@ -90,20 +85,17 @@ class Core:
             Ticker("tidying", removal.LOOK_EVERY_S, self.tidy.tick),
             Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
         )
-        self._streams: Counter[str] = Counter()
+        self.streams = Places("event streams", settings.most_streams, settings.most_streams_per_user)
         self.appenders: set[tuple[str, str | None]] = set()  # sessions and tokens whose first append is noted
         self.is_ending = False
-        self._counting = threading.Lock()
         self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Recent(self._fitted, MOST_FITS)
         self.importing = Room("sessions to import", MOST_IMPORTS, MOST_IMPORTS_WAITING)
         self.exporting = Room("exports", 1, MOST_EXPORTS_WAITING)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
-        self.metrics.watch(
-            "coilcal_event_streams", "Event streams that are followed.", lambda: self.n_streams
-        )
+        self.metrics.watch("coilcal_event_streams", "Event streams that are followed.", self.streams.n_taken)
         words = "Predictions that are at work or wait."
-        self.metrics.watch("coilcal_predictions_waiting", words, lambda: self.predictor.n_admitted)
+        self.metrics.watch("coilcal_predictions_waiting", words, self.predictor.places.n_taken)
         shutil.rmtree(self.uploads, ignore_errors=True)
 
     @property
@@ -137,36 +129,6 @@ class Core:
 
     def _fitted(self, session_id: str) -> Fit:
         return fit_for_what_if(load_session(self.sessions.path(session_id)))
-
-    @property
-    def n_streams(self) -> int:
-        """Event streams that are followed."""
-        return self._streams.total()
-
-    @contextmanager
-    def stream(self, user: str) -> Iterator[None]:
-        """Room for an event stream of a user.
-
-        Raises:
-            Problem: Too many are followed, by all or by this user.
-        """
-        most, most_of_user = self.settings.most_streams, self.settings.most_streams_per_user
-        with self._counting:
-            for thing, n, limit in (
-                ("event streams", self.n_streams, most),
-                (f"event streams of {user}", self._streams[user], most_of_user),
-            ):
-                if n >= limit:
-                    raise Problem(
-                        429, thing, f"must be at most {limit} at once", headers={"Retry-After": "10"}
-                    )
-            self._streams[user] += 1
-        try:
-            yield
-        finally:
-            with self._counting:
-                self._streams[user] -= 1
-                self._streams += Counter()  # forgets users without one
 
     def end_streams(self) -> None:
         """Let event streams end at their next look, for the service is about to; a client asks again when it is back."""

@@ -10,7 +10,7 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from estimator.service.database import Database, new_id, now
-from estimator.service.problems import Problem
+from estimator.service.problems import Problem, check_limits
 from estimator.service.schema import CalibrationRow, Job
 from estimator.service.settings import Settings
 from estimator.service.webhooks import announce_end
@@ -43,26 +43,17 @@ class JobQueue:
         if key is not None:
             known = db.scalar(select(Job).where(Job.user == user, Job.idempotency_key == key))
             if known is not None:
-                if any(
-                    getattr(known, name) != job[name] for name in ("kind", "session_id", "rig_id", "options")
-                ):
-                    raise Problem(
-                        409,
-                        "idempotency key",
-                        "must be used for one job; another has it",
-                        key,
-                        "header Idempotency-Key",
-                    )
+                same = ("kind", "session_id", "rig_id", "options")
+                if any(getattr(known, name) != job[name] for name in same):
+                    rule = "must be used for one job; another has it"
+                    raise Problem(409, "idempotency key", rule, key, "header Idempotency-Key")
                 return known, False
         waiting = db.scalars(select(Job.user).where(Job.state == QUEUED)).all()
-        most, most_of_user = self._settings.most_queued, self._settings.most_queued_per_user
-        for thing, n, limit in (
-            ("queue", len(waiting), most),
-            (f"queue of {user}", waiting.count(user), most_of_user),
-        ):
-            if n >= limit:
-                rule = f"must hold at most {limit} jobs that wait; it is full"
-                raise Problem(429, thing, rule, headers={"Retry-After": str(RETRY_AFTER_S)})
+        limits = {
+            "queue": (len(waiting), self._settings.most_queued),
+            f"queue of {user}": (waiting.count(user), self._settings.most_queued_per_user),
+        }
+        check_limits(limits, 429, "must hold at most {} jobs that wait; it is full", RETRY_AFTER_S)
         row = Job(id=new_id(), state=QUEUED, created=now(), starts=0, **job)
         db.add(row)
         db.flush()

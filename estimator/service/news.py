@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from estimator.live.outlines import CoilOutline
 from estimator.live.places import Place
@@ -57,18 +57,18 @@ class News:
         pace_s: Usual time from one reading to the next; None before the third.
     """
 
-    n_appended: int
-    n_readings: int
-    intervals: dict[str, Interval]
-    is_polished: bool
-    alarms: list[str]
-    is_redrawn: bool
-    places: list[Place]
-    coils: list[CoilOutline]
-    history: list[Widths]
-    devices: list[Device]
-    diagnosis: Verdict | None
-    fault: str | None
-    has_ended: bool
+    n_appended: int = 0
+    n_readings: int = 0
+    intervals: dict[str, Interval] = field(default_factory=dict)
+    is_polished: bool = False
+    alarms: list[str] = field(default_factory=list)
+    is_redrawn: bool = False
+    places: list[Place] = field(default_factory=list)
+    coils: list[CoilOutline] = field(default_factory=list)
+    history: list[Widths] = field(default_factory=list)
+    devices: list[Device] = field(default_factory=list)
+    diagnosis: Verdict | None = None
+    fault: str | None = None
+    has_ended: bool = False
     silent_s: float | None = None
     pace_s: float | None = None

@@ -5,9 +5,8 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from queue import SimpleQueue
@@ -16,7 +15,7 @@ from torch import Tensor
 
 from estimator.calibration.predictions import Question, Wanted, answers
 from estimator.calibration.result import Calibration
-from estimator.service.problems import Problem
+from estimator.service.room import Places
 
 WINDOW_S = 0.002  # a question waits so long for others, if none is there
 BLOCK = 2_000  # points of a batch; with 400 draws they take 20 MB, and small questions pass between the blocks of a large one
@@ -38,38 +37,14 @@ class Predictor:
 
     Args:
         load: Reads a calibration of a folder, from memory if it is there.
-        most_waiting: Requests that may be at work or wait.
+        most_waiting: Requests that may be at work or wait: each takes one of `places`, however many blocks it asks for.
     """
 
     def __init__(self, load: Callable[[Path], Calibration], most_waiting: int) -> None:
-        self._load, self._most_waiting = load, most_waiting
+        self._load, self.places = load, Places("predictions", most_waiting, retry_after_s=RETRY_AFTER_S)
         self._queue: SimpleQueue[_Waiting | None] = SimpleQueue()
-        self._admitting, self._n_admitted = threading.Lock(), 0
         self._thread = threading.Thread(target=self._run, name="coilcal predictions", daemon=True)
         self._thread.start()
-
-    @property
-    def n_admitted(self) -> int:
-        """Requests that are at work or wait."""
-        return self._n_admitted
-
-    @contextmanager
-    def admitted(self) -> Iterator[None]:
-        """A place in the queue for one request, however many blocks it asks for.
-
-        Raises:
-            Problem: There is none; 429 says when to come again.
-        """
-        with self._admitting:
-            if self._n_admitted >= self._most_waiting:
-                rule = f"must be at most {self._most_waiting} at once"
-                raise Problem(429, "predictions", rule, headers={"Retry-After": str(RETRY_AFTER_S)})
-            self._n_admitted += 1
-        try:
-            yield
-        finally:
-            with self._admitting:
-                self._n_admitted -= 1
 
     async def ask(self, folder: Path, question: Question, wanted: Wanted) -> Answer:
         """The answer to a question of at most `BLOCK` points.

@@ -82,6 +82,25 @@ def not_found(thing: str, value: str) -> Problem:
     return Problem(404, thing, "must be one that the service holds", value)
 
 
+def check_limits(
+    limits: Mapping[str, tuple[int | None, float]], status: int, rule: str, retry_after_s: int | None = None
+) -> None:
+    """Refuse one more of something of which there is enough.
+
+    Args:
+        limits: By what it is, how many there are and may be.
+        status: Of the refusal.
+        rule: Of the refusal; {} stands for how many there may be.
+        retry_after_s: When to ask again; None says nothing of it.
+    Raises:
+        Problem: There is enough of one.
+    """
+    headers = None if retry_after_s is None else {"Retry-After": str(retry_after_s)}
+    for thing, (n, most) in limits.items():
+        if (n or 0) >= most:
+            raise Problem(status, thing, rule.format(most), headers=headers)
+
+
 def shown(value: object, most: int = MOST_SHOWN) -> str:
     """A value as a refusal shows it: short, and without characters that steer a terminal."""
     text = CONTROL.sub(lambda control: repr(control[0])[1:-1], str(value))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
@@ -123,8 +122,3 @@ def _check(
     missing = [name for name in needed if name not in values]
     if missing:
         raise Problem(422, key, f"must name all of the rig's; {', '.join(missing)} is missing", None, place)
-
-
-def as_ndjson(readings: Sequence[Reading]) -> bytes:
-    """Readings as the service takes them."""
-    return b"".join(json.dumps(reading.model_dump()).encode() + b"\n" for reading in readings)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import base64
 import binascii
-from collections.abc import AsyncIterator, Callable, Coroutine, Iterator
+from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Header, Path, Query, Request
 from fastapi.routing import APIRoute
 from pydantic import BaseModel, Field
-from sqlalchemy import Select, tuple_
+from sqlalchemy import select, tuple_
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
@@ -18,14 +19,17 @@ from starlette.responses import Response
 from estimator.json_files import json_of
 from estimator.service.core import Core
 from estimator.service.database import now
-from estimator.service.problems import Problem
-from estimator.service.schema import Audit
+from estimator.service.problems import Problem, not_found
+from estimator.service.schema import Audit, Base
 from estimator.service.tokens import Caller, Scope
 
 ID = r"^[0-9a-f]{32}$"
 MOST_ITEMS, ITEMS = 500, 50
 LARGEST_SEED = 2**32 - 1
 Item = TypeVar("Item")
+Shape = TypeVar("Shape", bound=BaseModel)
+Row = TypeVar("Row", bound=Base)
+BINARY: Mapping[str, Any] = {"type": "string", "format": "binary"}
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")]
 
 
@@ -71,7 +75,7 @@ Admin = Annotated[Caller, Depends(Needs(Scope.ADMIN))]
 
 
 def _room(core: CoreOf, caller: Reader) -> Iterator[None]:
-    with core.stream(caller.user):
+    with core.streams.taken(caller.user):
         yield
 
 
@@ -106,9 +110,7 @@ def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes
 
 def documented_body(media_type: str, description: str) -> dict[str, Any]:
     """OpenAPI description of a required body of this media type."""
-    schema = {"type": "string", "minLength": 1}
-    if media_type == "application/zip":
-        schema = {"type": "string", "format": "binary"}
+    schema = BINARY if media_type == "application/zip" else {"type": "string", "minLength": 1}
     content = {media_type: {"schema": schema}}
     return {"requestBody": {"required": True, "description": description, "content": content}}
 
@@ -149,19 +151,61 @@ Limit = Annotated[int, Query(ge=1, le=MOST_ITEMS, description="Items of a page."
 Cursor = Annotated[str | None, Query(max_length=200, description="`next` of the page before.")]
 
 
-def page_of(
-    db: Session, rows: Select[Any], table: Any, limit: int, cursor: str | None, shape: Callable[[Any], Item]
-) -> Page[Item]:
-    """A page of the rows of a table, which has `created` and `id`."""
-    key = tuple_(table.created, table.id)
-    if cursor is not None:
-        rows = rows.where(key < _key(cursor))
-    records = list(db.scalars(rows.order_by(table.created.desc(), table.id.desc()).limit(limit + 1)))
-    last = records[limit - 1] if len(records) > limit else None
-    following = (
-        None if last is None else base64.urlsafe_b64encode(f"{last.created} {last.id}".encode()).decode()
-    )
-    return Page(items=[shape(row) for row in records[:limit]], next=following)
+@dataclass(frozen=True)
+class Listing:
+    """Which part of a list is asked for."""
+
+    core: CoreOf
+    limit: Limit = ITEMS
+    cursor: Cursor = None
+
+    def page(self, table: Any, shape: type[Shape], **equal: str | None) -> Page[Shape]:
+        """A page of the rows of a table, which has `created` and `id`.
+
+        Args:
+            table: Its class.
+            shape: Rows as the API shows them.
+            equal: Values of columns that rows must have; None admits all.
+        """
+        key = tuple_(table.created, table.id)
+        asked = {name: value for name, value in equal.items() if value is not None}
+        rows = select(table).filter_by(**asked)
+        if self.cursor is not None:
+            rows = rows.where(key < _key(self.cursor))
+        rows = rows.order_by(table.created.desc(), table.id.desc()).limit(self.limit + 1)
+        with self.core.database.reading() as db:
+            records = list(db.scalars(rows))
+        last = records[self.limit - 1] if len(records) > self.limit else None
+        following = None
+        if last is not None:
+            following = base64.urlsafe_b64encode(f"{last.created} {last.id}".encode()).decode()
+        return Page(items=[shown_as(shape, row) for row in records[: self.limit]], next=following)
+
+
+ListingOf = Annotated[Listing, Depends()]
+
+
+def shown_as(shape: type[Shape], row: object) -> Shape:
+    """A row as the API shows it."""
+    return shape.model_validate(row, from_attributes=True)
+
+
+def row_of(db: Session, table: type[Row], row_id: str, thing: str) -> Row:
+    """A row that must be there.
+
+    Args:
+        db: The database.
+        table: The class of the row, which has `id`.
+        row_id: Its id.
+        thing: What it is, for the refusal.
+    Raises:
+        Problem: It is not there.
+    """
+    columns: Any = table
+    row = db.scalar(select(table).where(columns.id == row_id))
+    if row is None:
+        raise not_found(thing, row_id)
+    return row
 
 
 def _key(cursor: str) -> tuple[str, str]:
@@ -177,6 +221,31 @@ def audited(db: Session, request: Request, caller: Caller, action: str, target: 
     entry = Audit(time=now(), user=caller.user, token_id=caller.token_id, action=action, target=target)
     entry.request_id = request.scope["request_id"]
     db.add(entry)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change that a caller asks for."""
+
+    request: Request
+    core: CoreOf
+    caller: Writer
+
+    def note(self, db: Session, action: str, target: str) -> None:
+        """Note it in its transaction."""
+        audited(db, self.request, self.caller, action, target)
+
+
+ChangeOf = Annotated[Change, Depends()]
+UNCHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "It has not changed."}}
+
+
+def file_of(media_type: str, schema: Mapping[str, Any] = BINARY) -> dict[str, Any]:
+    """Arguments of a route that answers with a file, which a client need not load again while it has not changed."""
+    return {
+        "response_class": Response,
+        "responses": {200: {"content": {media_type: {"schema": dict(schema)}}}, **UNCHANGED},
+    }
 
 
 def with_etag(request: Request, tag: str, answer: Callable[[], Response]) -> Response:

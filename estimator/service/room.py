@@ -1,18 +1,64 @@
-"""Room for a few requests at once that take much memory; others wait for their turn, and hold up no thread meanwhile."""
+"""Limits of what goes on at once: places that are refused when all are taken, and a few for requests that may wait for one."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+import math
+import threading
+from collections import Counter
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
 
-from estimator.service.problems import Problem
+from estimator.service.problems import check_limits
 
 RETRY_AFTER_S = 10
 
 
+class Places:
+    """Admits some at once, in any number of threads, and refuses more.
+
+    Args:
+        thing: What they are, in words.
+        most: All at once.
+        most_of_user: Those of one user.
+        retry_after_s: When a refusal says that it may be asked again.
+    """
+
+    def __init__(
+        self, thing: str, most: int, most_of_user: float = math.inf, retry_after_s: int = RETRY_AFTER_S
+    ) -> None:
+        self._thing, self._most, self._most_of_user = thing, most, most_of_user
+        self._retry_after_s, self._counting = retry_after_s, threading.Lock()
+        self._taken: Counter[str] = Counter()
+
+    def n_taken(self) -> int:
+        """Number of places that are taken."""
+        return self._taken.total()
+
+    @contextmanager
+    def taken(self, user: str = "") -> Iterator[None]:
+        """A place for a user.
+
+        Raises:
+            Problem: There is none.
+        """
+        with self._counting:
+            limits = {
+                self._thing: (self.n_taken(), self._most),
+                f"{self._thing} of {user}": (self._taken[user], self._most_of_user),
+            }
+            check_limits(limits, 429, "must be at most {} at once", self._retry_after_s)
+            self._taken[user] += 1
+        try:
+            yield
+        finally:
+            with self._counting:
+                self._taken[user] -= 1
+                self._taken += Counter()  # forgets users without one
+
+
 class Room:
-    """Admits some requests at once.
+    """Admits a few requests at once that take much memory; others wait for their turn, and hold up no thread meanwhile.
 
     Args:
         thing: What they are, in words.
@@ -31,9 +77,8 @@ class Room:
         Raises:
             Problem: Too many wait already.
         """
-        if self._n_waiting >= self._most_waiting:
-            rule = f"must be at most {self._most_waiting} that wait"
-            raise Problem(429, self._thing, rule, headers={"Retry-After": str(RETRY_AFTER_S)})
+        limits = {self._thing: (self._n_waiting, self._most_waiting)}
+        check_limits(limits, 429, "must be at most {} that wait", RETRY_AFTER_S)
         self._n_waiting += 1
         try:
             await self._places.acquire()

@@ -7,13 +7,13 @@ is no job: nobody asked for it, and nothing is kept of it.
 from __future__ import annotations
 
 import logging
-import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 from estimator.errors import CoilcalError
 from estimator.live.refresh import Background, Refreshed
+from estimator.service.ticker import Ticker
 from estimator.store.session import Session
 
 LOOK_EVERY_S = 0.25
@@ -41,31 +41,20 @@ class Growing(Protocol):
 
 
 class RunningDiagnosis:
-    """A thread that gives the process its work; the process lives while sessions are watched.
+    """Gives the process its work, which lives while sessions are watched.
 
     Args:
         sessions: Those that are watched now.
+    Attributes:
+        ticker: The thread that looks for sessions; ending it ends the process, whatever it does.
     """
 
     def __init__(self, sessions: Callable[[], Sequence[Growing]]) -> None:
-        self._sessions, self._stopping = sessions, threading.Event()
-        self._thread = threading.Thread(target=self._run, name="coilcal running diagnosis", daemon=True)
+        self._sessions = sessions
+        self.ticker = Ticker("running diagnosis", LOOK_EVERY_S, self._look)
 
-    def start(self) -> None:
-        """Begin to look for sessions."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """End the process, whatever it does."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join()
-
-    def _run(self) -> None:
-        while not self._stopping.is_set():
-            if self._next() is None:
-                self._stopping.wait(LOOK_EVERY_S)
-                continue
+    def _look(self) -> None:
+        if self._next() is not None:
             with Background(SEED) as background:
                 while self._sessions() and self._turn(background):
                     pass
@@ -83,8 +72,8 @@ class RunningDiagnosis:
         """Diagnose one session, if one waits; False if the process is at work that nobody wants any more."""
         session = self._next()
         if session is None:
-            self._stopping.wait(LOOK_EVERY_S)
-            return not self._stopping.is_set()
+            self.ticker.stopping.wait(LOOK_EVERY_S)
+            return not self.ticker.stopping.is_set()
         begin_s = time.monotonic()
         try:
             background.begin(session.so_far())
@@ -95,10 +84,10 @@ class RunningDiagnosis:
             if refreshed is not None:
                 session.take(refreshed)
                 log.info("running diagnosis", extra={"took_s": round(time.monotonic() - begin_s, 1)})
-            elif self._stopping.is_set() or session.is_left:
+            elif self.ticker.stopping.is_set() or session.is_left:
                 return False
             elif background.is_busy:
-                self._stopping.wait(LOOK_EVERY_S)
+                self.ticker.stopping.wait(LOOK_EVERY_S)
         if background.trouble is not None:
             log.warning("running diagnosis failed", extra={"fault": background.trouble})
         return True

@@ -25,16 +25,23 @@ class Base(DeclarativeBase):
     metadata = MetaData(naming_convention=NAMES)
 
 
-class Token(Base):
+class Made(Base):
+    """A row that somebody has made."""
+
+    __abstract__ = True
+
+    id: Mapped[str] = mapped_column(primary_key=True)
+    created: Mapped[str]
+    user: Mapped[str]
+
+
+class Token(Made):
     """Permission to use the service; the token itself is never stored, only its SHA-256."""
 
     __tablename__ = "tokens"
 
-    id: Mapped[str] = mapped_column(primary_key=True)
-    user: Mapped[str]
     scope: Mapped[str]
     hash: Mapped[str] = mapped_column(unique=True)
-    created: Mapped[str]
     expires: Mapped[str]
     revoked: Mapped[str | None]
 
@@ -49,31 +56,25 @@ class Login(Base):
     created: Mapped[str] = mapped_column(index=True)
 
 
-class RigVersion(Base):
+class RigVersion(Made):
     """The text of a rig file; versions with one name are versions of one rig."""
 
     __tablename__ = "rig_versions"
 
-    id: Mapped[str] = mapped_column(primary_key=True)
     name: Mapped[str] = mapped_column(index=True)
     hash: Mapped[str] = mapped_column(unique=True)
     text: Mapped[str]
-    created: Mapped[str]
-    user: Mapped[str]
 
 
-class SessionRow(Base):
+class SessionRow(Made):
     """A session; its readings lie in the folder of its id."""
 
     __tablename__ = "sessions"
     __table_args__ = (Index("ix_sessions_key", "user", "idempotency_key", unique=True),)
 
-    id: Mapped[str] = mapped_column(primary_key=True)
     rig_id: Mapped[str] = mapped_column(ForeignKey("rig_versions.id"), index=True)
     source: Mapped[str]
     state: Mapped[str]
-    created: Mapped[str]
-    user: Mapped[str]
     n_readings: Mapped[int | None]
     hash: Mapped[str | None] = mapped_column(index=True)
     idempotency_key: Mapped[str | None]
@@ -104,29 +105,23 @@ class Job(Base):
     fault: Mapped[str | None]
 
 
-class CalibrationRow(Base):
+class CalibrationRow(Made):
     """A calibration that a job has made."""
 
     __tablename__ = "calibrations"
 
-    id: Mapped[str] = mapped_column(primary_key=True)
     job_id: Mapped[str] = mapped_column(ForeignKey("jobs.id"), unique=True)
     session_id: Mapped[str] = mapped_column(ForeignKey("sessions.id"), index=True)
     rig_name: Mapped[str] = mapped_column(index=True)
-    created: Mapped[str]
-    user: Mapped[str]
 
 
-class Webhook(Base):
+class Webhook(Made):
     """An address that is told of what happens, with the secret that signs what it is told."""
 
     __tablename__ = "webhooks"
 
-    id: Mapped[str] = mapped_column(primary_key=True)
     url: Mapped[str]
     secret: Mapped[str]
-    created: Mapped[str]
-    user: Mapped[str]
 
 
 class Delivery(Base):
@@ -149,19 +144,16 @@ class Delivery(Base):
     ended: Mapped[str | None]
 
 
-class Schedule(Base):
+class Schedule(Made):
     """When the new sessions of a rig are judged: by a cron expression, or every so many seconds."""
 
     __tablename__ = "schedules"
 
-    id: Mapped[str] = mapped_column(primary_key=True)
     rig_name: Mapped[str]
     cron: Mapped[str | None]
     every_s: Mapped[int | None]
     timezone: Mapped[str]
     seed: Mapped[int]
-    created: Mapped[str]
-    user: Mapped[str]
     next_run: Mapped[str] = mapped_column(index=True)
     last_run: Mapped[str | None]
     is_at_work: Mapped[bool]

@@ -1,4 +1,4 @@
-"""A thread that calls something every now and then, and outlives its faults."""
+"""A thread that calls a function periodically, and logs its exceptions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ log = logging.getLogger("coilcal.service")
 
 
 class Ticker:
-    """Calls a function until it is told to end.
+    """Calls a function until it is told to end, which sets `stopping`.
 
     Args:
         name: What is done, in words.
@@ -20,7 +20,7 @@ class Ticker:
 
     def __init__(self, name: str, every_s: float, call: Callable[[], object]) -> None:
         self._name, self._every_s, self._call = name, every_s, call
-        self._stopping = threading.Event()
+        self.stopping = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"coilcal {name}", daemon=True)
 
     def start(self) -> None:
@@ -29,14 +29,14 @@ class Ticker:
 
     def stop(self) -> None:
         """End, after the call that is under way."""
-        self._stopping.set()
+        self.stopping.set()
         if self._thread.is_alive():
             self._thread.join(timeout=30)
 
     def _run(self) -> None:
-        while not self._stopping.is_set():
+        while not self.stopping.is_set():
             try:
                 self._call()
             except Exception:  # such as a disk that is full for a while
                 log.exception("%s failed; it is tried again", self._name)
-            self._stopping.wait(self._every_s)
+            self.stopping.wait(self._every_s)

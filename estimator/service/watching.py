@@ -12,19 +12,21 @@ import time
 from collections import Counter
 from collections.abc import AsyncGenerator, Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from estimator.errors import CoilcalError
-from estimator.live.outlines import CoilOutline, outlines
+from estimator.live.outlines import outlines
 from estimator.live.places import Place, places
 from estimator.live.refresh import FEWEST_READINGS, Refreshed
 from estimator.live.refresh import GROWTH as GROWTH_OF_DIAGNOSIS
 from estimator.live.spare import WAIT_S, SpareTime
-from estimator.live.stream import Interval, Stream
-from estimator.service.devices import Device, updated
+from estimator.live.stream import Stream
+from estimator.service.devices import updated
 from estimator.service.news import News, Verdict, Widths
-from estimator.service.problems import Problem
+from estimator.service.problems import check_limits
 from estimator.service.running_diagnosis import RunningDiagnosis
 from estimator.store.follow import Follower
 from estimator.store.growing import observations_of
@@ -56,19 +58,12 @@ class Watched:
         self._rig = self._follower.rig
         self._stream, self._spare = Stream(self._rig), SpareTime()
         self._entries: list[Entry] = []
-        self._places: list[Place] = []
-        self._coils: list[CoilOutline] = []
-        self._history: list[Widths] = []
-        self._devices: list[Device] = []
-        self._intervals: dict[str, Interval] = {}
-        self._is_polished = False
-        self._n_readings, self._n_drawn, self._drawing = 0, 0, 0
-        self._verdict: Verdict | None = None
+        self._known = News()  # all of it; a watcher is told what is new
+        self._n_drawn, self._drawing = 0, 0
         self._refreshed: Refreshed | None = None
         self._n_diagnosed = 0
         self._waits_since_s: float | None = None
-        self._fault: str | None = None
-        self._has_ended, self._is_left = False, False
+        self._is_left = False
         self._wake, self._lock = threading.Event(), threading.Lock()
         self._watchers: set[tuple[asyncio.AbstractEventLoop, asyncio.Event]] = set()
         threading.Thread(target=self._run, name="coilcal watching", daemon=True).start()
@@ -108,7 +103,7 @@ class Watched:
     @property
     def is_left(self) -> bool:
         """Whether nobody watches, or no reading follows."""
-        return self._is_left or self._has_ended
+        return self._is_left or self._known.has_ended
 
     @property
     def waits_since_s(self) -> float | None:
@@ -133,24 +128,14 @@ class Watched:
         Returns: Number of the drawing, number of the last reading, and the news.
         """
         with self._lock:
-            is_redrawn = drawing != self._drawing
+            known, is_redrawn = self._known, drawing != self._drawing
             after = 0 if is_redrawn else n_places
-            news = News(
-                n_appended=len(self._entries),
-                n_readings=self._n_readings,
-                intervals=dict(self._intervals),
-                is_polished=self._is_polished,
+            news = replace(
+                known,
                 alarms=[alarm.words for alarm in self._stream.alarms],
                 is_redrawn=is_redrawn,
-                places=[place for place in self._places if place.number > after],
-                coils=list(self._coils),
-                history=[
-                    estimate for estimate in self._history if is_redrawn or estimate.n_readings > n_history
-                ],
-                devices=list(self._devices),
-                diagnosis=self._verdict,
-                fault=self._fault,
-                has_ended=self._has_ended,
+                places=[place for place in known.places if place.number > after],
+                history=[widths for widths in known.history if is_redrawn or widths.n_readings > n_history],
                 silent_s=self._silent_s(),
                 pace_s=_pace_s(self._entries),
             )
@@ -180,14 +165,14 @@ class Watched:
                 else:
                     self._wake.wait(LOOK_EVERY_S)
         except CoilcalError as error:
-            self._fault = str(error)
+            self._learn(fault=str(error))
         except FileNotFoundError:
-            self._fault = "session must be there to be followed; it was deleted"
+            self._learn(fault="session must be there to be followed; it was deleted")
         except Exception:
-            self._fault = "estimate must follow the readings; it failed"
+            self._learn(fault="estimate must follow the readings; it failed")
             raise
         finally:
-            self._has_ended = True
+            self._learn(has_ended=True)
             self._tell()
 
     def _polish(self, has_ended: bool) -> None:
@@ -195,8 +180,7 @@ class Watched:
         if not (has_ended or self._spare.is_left()):
             self._wake.wait(WAIT_S)
         elif self._stream.polish() and self._stream.is_polished:
-            with self._lock:
-                self._intervals, self._is_polished = self._stream.intervals(), True
+            self._learn(intervals=self._stream.intervals(), is_polished=True)
             self._tell()
 
     def _take_diagnosis(self) -> None:
@@ -204,10 +188,12 @@ class Watched:
         if refreshed is None:
             return
         self._stream.improve(refreshed.best)
-        with self._lock:
-            causes = list(refreshed.causes)
-            self._verdict = Verdict(refreshed.n_readings, refreshed.verdict, causes, refreshed.took_s)
-            self._intervals, self._is_polished = self._stream.intervals(), self._stream.is_polished
+        causes = list(refreshed.causes)
+        self._learn(
+            diagnosis=Verdict(refreshed.n_readings, refreshed.verdict, causes, refreshed.took_s),
+            intervals=self._stream.intervals(),
+            is_polished=self._stream.is_polished,
+        )
         self._tell()
 
     def _take(self, entries: list[Entry]) -> None:
@@ -222,30 +208,38 @@ class Watched:
             first = max(0, len(self._entries) - MOST_PLACES)
             drawn = self._drawn(self._entries[first:], first)
             with self._lock:
-                self._places, self._drawing = drawn, self._drawing + 1
+                self._known, self._drawing = replace(self._known, places=drawn), self._drawing + 1
             self._tell()
 
     def _add(self, entries: list[Entry]) -> None:
         estimate = self._stream.update(observations_of(entries, self._rig))
         new = self._drawn(entries, len(self._entries))
-        widths = Widths(
-            estimate.n_readings, {name: interval.sd for name, interval in estimate.intervals.items()}
+        known, history = self._known, self._known.history
+        if estimate.n_readings > HISTORY_STEP * (history[-1].n_readings if history else 0):
+            sds = {name: interval.sd for name, interval in estimate.intervals.items()}
+            history = [*history, Widths(estimate.n_readings, sds)]
+        grown = replace(
+            known,
+            n_appended=len(self._entries) + len(entries),
+            n_readings=estimate.n_readings,
+            intervals=dict(estimate.intervals),
+            is_polished=estimate.is_polished,
+            places=[*known.places, *new][-MOST_PLACES:],
+            coils=outlines(self._rig, self._stream.values, observations_of(entries[-1:], self._rig)),
+            history=history,
+            devices=updated(known.devices, entries, self._rig),
         )
-        devices = updated(self._devices, entries, self._rig)
-        coils = outlines(self._rig, self._stream.values, observations_of(entries[-1:], self._rig))
         with self._lock:
             self._entries += entries
-            self._coils = coils
-            self._devices = devices
-            self._intervals, self._n_readings = dict(estimate.intervals), estimate.n_readings
-            self._is_polished = estimate.is_polished
-            self._places = [*self._places, *new][-MOST_PLACES:]
+            self._known = grown
             wanted = max(FEWEST_READINGS, GROWTH_OF_DIAGNOSIS * self._n_diagnosed)
             if self._waits_since_s is None and len(self._entries) >= wanted:
                 self._waits_since_s = time.monotonic()
-            last = self._history[-1].n_readings if self._history else 0
-            if estimate.n_readings > HISTORY_STEP * last:
-                self._history.append(widths)
+
+    def _learn(self, **known: Any) -> None:
+        """Note what is known from now on. Only the thread of the session does, so that nothing is lost between."""
+        with self._lock:
+            self._known = replace(self._known, **known)
 
     def _drawn(self, entries: list[Entry], n_before: int) -> list[Place]:
         """Places by the present estimate. A stop of several sensors has one number."""
@@ -286,7 +280,7 @@ class Watching:
     def start(self) -> None:
         """Begin to diagnose what is watched."""
         if self._diagnosis is not None:
-            self._diagnosis.start()
+            self._diagnosis.ticker.start()
 
     def _all(self) -> list[Watched]:
         with self._lock:
@@ -307,10 +301,8 @@ class Watching:
         """
         with self._lock:
             if session_id not in self._watched:
-                if len(self._watched) >= self._most:
-                    rule = f"must be at most {self._most} at once"
-                    headers = {"Retry-After": str(RETRY_AFTER_S)}
-                    raise Problem(429, "watched sessions", rule, headers=headers)
+                limits = {"watched sessions": (len(self._watched), self._most)}
+                check_limits(limits, 429, "must be at most {} at once", RETRY_AFTER_S)
                 self._watched[session_id] = Watched(self._path(session_id))
             self._n_watchers[session_id] += 1
             watched = self._watched[session_id]
@@ -327,7 +319,7 @@ class Watching:
     def stop(self) -> None:
         """End all threads."""
         if self._diagnosis is not None:
-            self._diagnosis.stop()
+            self._diagnosis.ticker.stop()
         with self._lock:
             for watched in self._watched.values():
                 watched.leave()

@@ -118,13 +118,11 @@ def _calibrate(job: Mapping[str, Any], folder: Path, session_path: Path, tell: T
 
 
 def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Tell) -> dict[str, Any]:
-    from estimator.calibration.report import calibration_report
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.limits import Limits
     from estimator.diagnosis.panels import panels, panels_text
     from estimator.diagnosis.progress import Progress
-    from estimator.diagnosis.report import diagnosis_report
-    from estimator.diagnosis.result import CALIBRATION_FOLDER
+    from estimator.diagnosis.report import write_reports
     from estimator.diagnosis.result import DIAGNOSIS as DIAGNOSIS_FILE
     from estimator.store.session import load_session
 
@@ -152,11 +150,8 @@ def _diagnose(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Te
         on_progress=on_progress,
     )
     tell("page", {})
-    command = command_of(job, "diagnose")
     write_text(out / PANELS, panels_text(panels(diagnosis)))
-    write_text(out / REPORT, diagnosis_report(diagnosis, command))
-    if diagnosis.posterior is not None:
-        write_text(out / CALIBRATION_FOLDER / REPORT, calibration_report(diagnosis.posterior, command))
+    write_reports(diagnosis, out, command_of(job, "diagnose"))
     return {
         "verdict": str(diagnosis.verdict),
         "has_calibration": diagnosis.posterior is not None,

@@ -134,9 +134,7 @@ def design(
         programmes = proposals(hypotheses, actions(observations, rig), on_count)
         goal = f"tell {' from '.join(hypotheses)}"
     readings = stops.rows(rows)
-    time_s = observations.history.time_s
-    pace_s = float((time_s[-1] - time_s[0]) / max(len(time_s) - 1, 1)) or 1.0
-    text = plan_text(goal, rig, readings, pace_s)
+    text = plan_text(goal, rig, readings, observations.pace_s)
     so_far, *reached = values.tolist()
     return Design(goal, unit, tuple(programmes), readings, so_far, tuple(reached), text)
 

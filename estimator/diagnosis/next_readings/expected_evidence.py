@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import permutations
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -54,6 +55,14 @@ class Proposal:
     action: Action
     splits: tuple[str, ...]
     expected_log_evidence: float
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `next_measurement` in `diagnosis.json`."""
+        return {
+            "action": self.action.words,
+            "splits": list(self.splits),
+            "expected_log_evidence": self.expected_log_evidence,
+        }
 
 
 def proposals(
@@ -198,9 +207,8 @@ def continued(
     """
     elsewhere = motion or {}
     history = session.history
-    pace_s = float((history.time_s[-1] - history.time_s[0]) / max(len(history) - 1, 1)) or 1.0
     n = len(rows)
-    time_s = history.time_s[-1] + pace_s * torch.arange(1.0, n + 1.0, dtype=torch.float64)
+    time_s = history.time_s[-1] + session.pace_s * torch.arange(1.0, n + 1.0, dtype=torch.float64)
 
     def joined(old: Tensor, new: Tensor) -> Tensor:
         return torch.cat((old, new))

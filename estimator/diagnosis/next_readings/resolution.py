@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
@@ -55,6 +56,21 @@ class Visible:
     def is_visible(self) -> bool:
         """Whether a plausible size would show."""
         return self.size < policy.PLAUSIBLE_SD * self.prior_sd
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of `smallest_visible` in `diagnosis.json`."""
+        return {
+            "size": self.size if self.is_visible else None,
+            "unit": self.unit,
+            "place": self.cause.place,
+            "at": dict(self.at),
+            "share_absorbed": self.share_absorbed,
+            "absorbed_by": list(self.absorbed_by),
+            "hidden_sd": self.hidden_sd,
+            "hidden_in": self.hidden_in,
+            "hidden_size": self.hidden_size,
+            "hidden_at": dict(self.hidden_at),
+        }
 
     def hidden_like(self, other: Visible) -> Visible:
         """This smallest size with what another start hides."""

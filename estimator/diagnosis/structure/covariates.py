@@ -59,6 +59,11 @@ def predicted_T(fit: Fit) -> Float[Tensor, "reading 3"]:
         return model.predict(fit.values).expand(len(model.circumstances), 3)
 
 
+def residual_T(fit: Fit) -> Float[Tensor, "reading 3"]:
+    """Measured less predicted, in the sensor frame; NaN where a component was not measured."""
+    return fit.observations.field_sensor_T - predicted_T(fit)
+
+
 def _all(fit: Fit) -> Iterator[Covariate]:
     circumstances = fit.posterior.model.circumstances
     rig, observations = fit.rig, fit.observations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from estimator.diagnosis import policy
@@ -34,12 +34,7 @@ class Symptoms:
     def to_json(self) -> dict[str, Any]:
         """These symptoms in the form of `diagnosis.json`."""
         return {
-            "lack_of_fit": {
-                "rms_T": self.lack_of_fit.rms_T,
-                "noise_T": self.lack_of_fit.noise_T,
-                "noise_from": self.lack_of_fit.noise_from,
-                "p_value": self.lack_of_fit.p_value,
-            },
+            "lack_of_fit": asdict(self.lack_of_fit),
             "structure": [
                 {
                     "along": test.covariate.name,
@@ -49,9 +44,7 @@ class Symptoms:
                 }
                 for test in self.structure[:MOST_LISTED]
             ],
-            "stays_with": self.signatures.stays_with,
-            "current": self.signatures.current,
-            "field_equations": self.signatures.field_equations,
+            **asdict(self.signatures),
         }
 
     def sentences(self) -> list[str]:
@@ -60,23 +53,14 @@ class Symptoms:
         source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
         against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would give {size.noise_T * 1e6:.3g} µT ({source})"
         sentences = [f"The residual is {against}: {_against_noise(size)} (p = {_p(size.p_value)})."]
-        striking = [test for test in self.structure if test.p_value < policy.SIGNIFICANT]
+        n, striking = len(self.structure), [t for t in self.structure if t.p_value < policy.SIGNIFICANT]
         if striking:
             names = "; ".join(f"{test.covariate.name} (p = {_p(test.p_value)})" for test in striking[:4])
-            sentences.append(
-                f"It has structure along {len(striking)} of {len(self.structure)} covariates: {names}."
-            )
+            sentences.append(f"It has structure along {len(striking)} of {n} covariates: {names}.")
         else:
-            sentences.append(f"It has no structure along any of {len(self.structure)} covariates.")
-        for evidence in (
-            self.signatures.stays_with,
-            self.signatures.current,
-            self.signatures.field_equations,
-        ):
-            answers = leading(evidence)
-            if answers:
-                sentences.append("It " + ", or ".join(words(answer) for answer in answers) + ".")
-        return sentences
+            sentences.append(f"It has no structure along any of {n} covariates.")
+        answers = map(leading, asdict(self.signatures).values())
+        return sentences + [f"It {', or '.join(map(words, alike))}." for alike in answers if alike]
 
 
 def _against_noise(size: LackOfFit) -> str:

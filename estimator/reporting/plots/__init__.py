@@ -14,7 +14,6 @@ from estimator.reporting.plots.error_maps import (
 from estimator.reporting.plots.field_map import field_plane
 from estimator.reporting.plots.history import history
 from estimator.reporting.plots.hypotheses import (
-    Role,
     error_budget,
     evidence_bars,
     explained_residual,
@@ -30,6 +29,7 @@ from estimator.reporting.plots.residuals import (
 from estimator.reporting.plots.sensitivity import interaction, interactions, main_effect, main_effects
 from estimator.reporting.plots.sessions import across_sessions
 from estimator.reporting.plots.spectrum import harmonic_spectrum
+from estimator.reporting.roles import Role
 
 __all__ = [
     "Role",

@@ -48,7 +48,7 @@ def residual_map(
     """
     length_uT = _length(residual_T) * 1e6
     noise_uT = None if sigma_T is None else sigma_T * 1e6 * MEDIAN_OF_MAXWELL
-    return _two_planes(positions_m, length_uT, winding, "|measured − predicted| (µT)", title, noise_uT)
+    return _panels(positions_m, {"": length_uT}, winding, "|measured − predicted| (µT)", title, noise_uT)
 
 
 @styled
@@ -58,7 +58,7 @@ def relative_error_map(
     """Length of the residual vector relative to the measured one, in per cent; arguments as in `residual_map`."""
     size_T = _length(measured_T)
     percent = 100.0 * _length(measured_T - predicted_T) / np.where(size_T > 0.0, size_T, np.nan)
-    return _two_planes(positions_m, percent, winding, "|measured − predicted| / |measured| (%)", title)
+    return _panels(positions_m, {"": percent}, winding, "|measured − predicted| / |measured| (%)", title)
 
 
 @styled
@@ -68,7 +68,9 @@ def angular_deviation_map(
     """Angle between measured and predicted field, in mrad, where all three components were measured."""
     sine = np.linalg.norm(np.cross(measured_T, predicted_T), axis=1)
     angle_mrad = 1e3 * np.arctan2(sine, np.sum(measured_T * predicted_T, axis=1))
-    return _two_planes(positions_m, angle_mrad, winding, "angle between measured and predicted (mrad)", title)
+    return _panels(
+        positions_m, {"": angle_mrad}, winding, "angle between measured and predicted (mrad)", title
+    )
 
 
 @styled
@@ -84,18 +86,6 @@ def before_and_after_map(
     noise_uT = None if sigma_T is None else sigma_T * 1e6 * MEDIAN_OF_MAXWELL
     rows = {"before": _length(before_T) * 1e6, "after": _length(after_T) * 1e6}
     return _panels(positions_m, rows, winding, "|measured − predicted| (µT)", title, noise_uT)
-
-
-def _two_planes(
-    positions_m: Vectors,
-    values: np.ndarray,
-    winding: Winding | None,
-    label: str,
-    title: str,
-    noise: float | None = None,
-) -> Figure:
-    """Values at the sensor positions from the side (XZ) and from the front (XY)."""
-    return _panels(positions_m, {"": values}, winding, label, title, noise)
 
 
 def _panels(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 
 import numpy as np
 from jaxtyping import Float
@@ -28,22 +27,13 @@ from estimator.reporting.plots.style import (
     sigma_unit,
     styled,
 )
+from estimator.reporting.roles import Role
 
 MOST_BARS = 10
 LEAST_P = 1e-4
 ROUNDING = 1e-9
 CLEAR = 3.0  # log Bayes factor, about 20 to 1
 BINS = 12
-
-
-class Role(StrEnum):
-    """What a diagnosis makes of a hypothesis, in the words of the legend; drawn in this order."""
-
-    NAMED = "named by the verdict"
-    ALTERNATIVE = "cannot be told from it"
-    STAND_IN = "not sure enough to be stated"
-    OTHER = "not needed"
-    LEFT = "what no known cause explains"
 
 
 COLOUR = {
@@ -54,6 +44,7 @@ COLOUR = {
     Role.LEFT: ORANGE,
 }
 HATCH = {Role.STAND_IN: "///"}
+ALWAYS_DRAWN = (Role.ALTERNATIVE, Role.LEFT)
 WORDS = {"nothing": "nothing wrong", "unexplained": "something unlisted"}
 
 
@@ -77,7 +68,7 @@ def evidence_bars(
     role = dict.fromkeys(evidence, Role.OTHER) | {"unexplained": Role.LEFT}
     role |= roles if roles is not None else {} if adopted is None else {adopted: Role.NAMED}
     shown = sorted(evidence, key=lambda name: -evidence[name])[:MOST_BARS]
-    always = ("nothing", "unexplained", adopted)
+    always = {"nothing", adopted} | {name for name in evidence if role[name] in ALWAYS_DRAWN}
     shown += [name for name in evidence if name in always and name not in shown]
     groups = [[name for name in shown if role[name] is kind] for kind in Role]
     names = [name for group in groups for name in group]

@@ -30,7 +30,6 @@ NOISE = "#e6e6e6"
 WINDING, WINDING_EDGE = "#b3b3b3", "#595959"
 FIELD_MAP, ERROR_MAP = "viridis", "YlOrRd"
 
-PROBABILITIES = (0.68, 0.95)
 QUANTILES_95_68_50 = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 RC: dict[Any, Any] = {

@@ -183,13 +183,9 @@ export class Diagnosis {
       ["parameter", "before", "before_sd", "after", "after_sd", "moved_sd", ...causes.map((c) => `pull of ${c} (sd)`)],
       ...moved.map((one) => [one.shown.name, ...one.before, ...one.after, one.moved_sd, ...causes.map((c) => one.pulls_sd[c])]),
     ];
-    const far = moved.filter((one) => Math.abs(one.moved_sd) > 1).map((one) => one.shown.words);
-    const words = far.length
-      ? `Without the cause, ${far.join(", ")} would have been wrong by more than one standard deviation.`
-      : "No number of the rig was biased by more than one standard deviation.";
     return html`<section aria-labelledby="impact">
       <h2 id="impact">What the flaw did to each parameter</h2>
-      <p class="lead">${words}</p>
+      <p class="lead">${this.panels.moved_words}</p>
       ${figure("impact", "Values with 90 % credible intervals", "In standard deviations of the fit as described, from its value.",
         pairs("Parameters before and after the extension", rows, "shift (sd of the fit as described)"), table)}
     </section>`;

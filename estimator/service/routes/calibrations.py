@@ -18,8 +18,19 @@ from estimator.code_version import code_version
 from estimator.rig_files.write import rig_text
 from estimator.service.archives import zipped
 from estimator.service.core import Core
-from estimator.service.problems import not_found
-from estimator.service.requests import CoreOf, Cursor, Id, JsonRoute, Limit, Page, Reader, page_of, with_etag
+from estimator.service.requests import (
+    UNCHANGED,
+    CoreOf,
+    Id,
+    JsonRoute,
+    ListingOf,
+    Page,
+    Reader,
+    file_of,
+    row_of,
+    shown_as,
+    with_etag,
+)
 from estimator.service.schema import CalibrationRow, Job
 from estimator.service.work import calibration_folder
 
@@ -54,60 +65,39 @@ class Intervals(BaseModel):
     is_converged: bool
 
 
-def info_of(row: CalibrationRow) -> CalibrationInfo:
-    """A row as the API shows it."""
-    return CalibrationInfo.model_validate(row, from_attributes=True)
-
-
 def calibration_of(core: Core, calibration_id: str) -> tuple[CalibrationRow, Path, Calibration]:
     """A calibration that must be there, with its folder."""
     with core.database.reading() as db:
-        row = db.get(CalibrationRow, calibration_id)
-        kind = None if row is None else db.scalar(select(Job.kind).where(Job.id == row.job_id))
-    if row is None or kind is None:
-        raise not_found("calibration", calibration_id)
+        row = row_of(db, CalibrationRow, calibration_id, "calibration")
+        kind = db.scalars(select(Job.kind).where(Job.id == row.job_id)).one()
     folder = calibration_folder(kind, core.jobs.folder(row.job_id))
     return row, folder, core.calibration(folder)
 
 
 @router.get("")
 def list_calibrations(
-    core: CoreOf,
     caller: Reader,  # noqa: ARG001
-    limit: Limit = 50,
-    cursor: Cursor = None,
+    listing: ListingOf,
     rig_name: Annotated[str | None, Query(max_length=200)] = None,
 ) -> Page[CalibrationInfo]:
     """Calibrations, newest first."""
-    rows = select(CalibrationRow)
-    if rig_name is not None:
-        rows = rows.where(CalibrationRow.rig_name == rig_name)
-    with core.database.reading() as db:
-        return page_of(db, rows, CalibrationRow, limit, cursor, info_of)
+    return listing.page(CalibrationRow, CalibrationInfo, rig_name=rig_name)
 
 
 @router.get("/{calibration_id}")
 def get_calibration(core: CoreOf, caller: Reader, calibration_id: Id) -> CalibrationInfo:  # noqa: ARG001
     """One calibration."""
-    return info_of(calibration_of(core, calibration_id)[0])
+    return shown_as(CalibrationInfo, calibration_of(core, calibration_id)[0])
 
 
-@router.get(
-    "/{calibration_id}/summary",
-    response_model=dict[str, Any],
-    responses={304: {"description": "It has not changed."}},
-)
+@router.get("/{calibration_id}/summary", response_model=dict[str, Any], responses=UNCHANGED)
 def get_summary(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """The content of summary.json."""
     calibration = calibration_of(core, calibration_id)[2]
     return with_etag(request, calibration_id, lambda: JSONResponse(dict(calibration.summary())))
 
 
-@router.get(
-    "/{calibration_id}/intervals",
-    response_model=Intervals,
-    responses={304: {"description": "It has not changed."}},
-)
+@router.get("/{calibration_id}/intervals", response_model=Intervals, responses=UNCHANGED)
 def get_intervals(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """Credible intervals of every parameter."""
     calibration = calibration_of(core, calibration_id)[2]
@@ -117,11 +107,7 @@ def get_intervals(request: Request, core: CoreOf, caller: Reader, calibration_id
     return with_etag(request, calibration_id, lambda: JSONResponse(intervals.model_dump()))
 
 
-@router.get(
-    "/{calibration_id}/panels",
-    response_model=CalibrationPanels,
-    responses={304: {"description": "They have not changed."}},
-)
+@router.get("/{calibration_id}/panels", response_model=CalibrationPanels, responses=UNCHANGED)
 def get_panels(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """What the page shows of a calibration, as numbers: fields, what the data taught, residuals."""
     calibration = calibration_of(core, calibration_id)[2]
@@ -132,28 +118,14 @@ def get_panels(request: Request, core: CoreOf, caller: Reader, calibration_id: I
     )
 
 
-@router.get(
-    "/{calibration_id}/rig",
-    response_class=Response,
-    responses={
-        200: {"content": {"application/yaml": {"schema": {"description": "A rig file."}}}},
-        304: {"description": "It has not changed."},
-    },
-)
+@router.get("/{calibration_id}/rig", **file_of("application/yaml", {"description": "A rig file."}))
 def get_calibrated_rig(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """The rig that was fitted, as a rig file."""
     rig = calibration_of(core, calibration_id)[2].rig
     return with_etag(request, calibration_id, lambda: Response(rig_text(rig), media_type="application/yaml"))
 
 
-@router.get(
-    "/{calibration_id}/calibration.zip",
-    response_class=Response,
-    responses={
-        200: {"content": {"application/zip": {"schema": {"type": "string", "format": "binary"}}}},
-        304: {"description": "It has not changed."},
-    },
-)
+@router.get("/{calibration_id}/calibration.zip", **file_of("application/zip"))
 def download_calibration(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
     """The folder of a calibration as a zip, for `estimator.Calibration.load` and `coilcal predict`; its hashes seal it."""
     folder = calibration_of(core, calibration_id)[1]

@@ -22,22 +22,22 @@ from estimator.service.database import now
 from estimator.service.events import events_of
 from estimator.service.job_queue import CANCELLED, DONE, ENDED, RETRY_AFTER_S
 from estimator.service.ownership import OWN_JOB, check_registry
-from estimator.service.problems import Problem, not_found
+from estimator.service.problems import Problem
 from estimator.service.requests import (
     ID,
+    UNCHANGED,
+    ChangeOf,
     CoreOf,
-    Cursor,
     Id,
     JsonRoute,
     Key,
-    Limit,
+    ListingOf,
     Page,
     Reader,
     Seed,
     StreamRoom,
-    Writer,
-    audited,
-    page_of,
+    row_of,
+    shown_as,
     with_etag,
 )
 from estimator.service.routes.rigs import rig_row_of
@@ -85,12 +85,17 @@ class NewJob(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
 
-    session_id: SessionId
     rig_id: RigId = None
+
+
+class NewFit(NewJob):
+    """A job with one session."""
+
+    session_id: SessionId
     seed: Seed = 0
 
 
-class NewCalibration(NewJob):
+class NewCalibration(NewFit):
     """A calibration to make."""
 
     settings: Sampling = Sampling()
@@ -98,7 +103,7 @@ class NewCalibration(NewJob):
     as_described: AsDescribed = False
 
 
-class NewDiagnosis(NewJob):
+class NewDiagnosis(NewFit):
     """A diagnosis to make."""
 
     has_posterior: Annotated[bool, Field(description="Sample the posterior of the extended rig.")] = False
@@ -112,19 +117,16 @@ class NewDiagnosis(NewJob):
     most_readings: Annotated[int | None, Field(ge=20, le=100_000)] = None
 
 
-class NewRecalibration(NewJob):
+class NewRecalibration(NewFit):
     """A session to judge against the current version of its rig's registry."""
 
     settings: Sampling = Sampling()
 
 
-class NewDesign(BaseModel):
+class NewDesign(NewJob):
     """Readings to propose after a session, with one of three aims."""
 
-    model_config = ConfigDict(extra="forbid")
-
     session_id: SessionId
-    rig_id: RigId = None
     split: Annotated[list[Word], Field(max_length=20, description="Causes to be told apart.")] = []
     shrink: Annotated[Word | None, Field(description="Parameter whose interval is to shrink.")] = None
     correction: Annotated[Word | None, Field(description="Correction to be determined by a map.")] = None
@@ -132,16 +134,13 @@ class NewDesign(BaseModel):
     n_readings: Annotated[int, Field(ge=1, le=500)] = 20
 
 
-class NewBatch(BaseModel):
+class NewBatch(NewJob):
     """Sessions to fit under several hypotheses."""
-
-    model_config = ConfigDict(extra="forbid")
 
     session_ids: Annotated[
         list[Annotated[str, Field(pattern=ID)]],
         Field(min_length=1, max_length=MOST_SESSIONS, description="Closed sessions."),
     ]
-    rig_id: RigId = None
     seed: Seed = 0
     hypotheses: Annotated[
         list[Word],
@@ -192,41 +191,35 @@ class JobResult(BaseModel):
 KNOWN: dict[int | str, dict[str, Any]] = {200: {"model": JobInfo, "description": "The key was used before."}}
 
 
-def info_of(row: Job) -> JobInfo:
-    """A row as the API shows it."""
-    return JobInfo.model_validate(row, from_attributes=True)
-
-
 def job_of(core: Core, job_id: str) -> Job:
     """A job that must be there."""
     with core.database.reading() as db:
-        row = db.scalar(select(Job).where(Job.id == job_id))
-    if row is None:
-        raise not_found("job", job_id)
-    return row
+        return row_of(db, Job, job_id, "job")
 
 
 class Submission:
     """What a request for a job comes with besides its body: who asks, and the key that makes a repeated request the same job.
 
     Args:
-        request, response: Of the call.
-        core: Of the service.
-        caller: Who asks.
+        change: The call.
+        response: Its answer.
         key: Given by the client.
     """
 
-    def __init__(
-        self, request: Request, response: Response, core: CoreOf, caller: Writer, key: Key = None
-    ) -> None:
-        self._request, self._response, self._key = request, response, key
-        self.core, self.caller = core, caller
+    def __init__(self, change: ChangeOf, response: Response, key: Key = None) -> None:
+        self._change, self._response, self._key = change, response, key
+        self.core, self.caller = change.core, change.caller
 
-    def queue(
-        self, kind: Kind, session_ids: list[str], rig_id: str | None, options: dict[str, Any]
-    ) -> JobInfo:
-        """Queue a job on closed sessions; one with the same key that is there already is given back."""
-        core = self.core
+    def queue(self, kind: Kind, session_ids: list[str], body: NewJob, **more: Any) -> JobInfo:
+        """Queue a job on closed sessions; one with the same key that is there already is given back.
+
+        Args:
+            kind: What it does.
+            session_ids: With which sessions.
+            body: All that was asked for. What is neither a session nor the rig is an option of the job.
+            more: Options beside.
+        """
+        core, rig_id = self.core, body.rig_id
         sessions = [closed_row_of(core, session_id) for session_id in session_ids]
         if rig_id is not None:
             rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
@@ -237,17 +230,17 @@ class Submission:
             "user": self.caller.user,
             "session_id": session_ids[0],
             "rig_id": rig_id,
-            "options": options,
+            "options": {**more, **body.model_dump(exclude={"session_id", "rig_id"})},
             "idempotency_key": self._key,
         }
         with core.database.writing() as db:
             job, is_new = core.queue.add(db, asked)
             if is_new:
-                audited(db, self._request, self.caller, f"job.{kind}", job.id)
+                self._change.note(db, f"job.{kind}", job.id)
             else:
                 self._response.status_code = 200
         core.jobs.wake()
-        return info_of(job)
+        return shown_as(JobInfo, job)
 
 
 Submitted = Annotated[Submission, Depends()]
@@ -256,19 +249,13 @@ Submitted = Annotated[Submission, Depends()]
 @router.post("/calibrate", status_code=201, responses=KNOWN)
 def calibrate(submission: Submitted, body: NewCalibration) -> JobInfo:
     """Queue a calibration: point estimate, posterior, model."""
-    options = {
-        "seed": body.seed,
-        **body.model_dump(include={"settings", "has_integer_counts", "as_described"}),
-    }
-    return submission.queue("calibrate", [body.session_id], body.rig_id, options)
+    return submission.queue("calibrate", [body.session_id], body)
 
 
 @router.post("/diagnose", status_code=201, responses=KNOWN)
 def diagnose(submission: Submitted, body: NewDiagnosis) -> JobInfo:
     """Queue a diagnosis: what the simulation gets wrong, named, and the rig extended by it."""
-    limits = {"has_posterior", "has_corrections", "minutes", "most_causes", "most_readings"}
-    options = {"seed": body.seed, **body.model_dump(include=limits)}
-    return submission.queue("diagnose", [body.session_id], body.rig_id, options)
+    return submission.queue("diagnose", [body.session_id], body)
 
 
 @router.post("/recalibrate", status_code=201, responses=KNOWN)
@@ -277,67 +264,52 @@ def recalibrate(submission: Submitted, body: NewRecalibration) -> JobInfo:
     session = closed_row_of(submission.core, body.session_id)
     version = rig_row_of(submission.core, body.rig_id or session.rig_id)
     check_registry(submission.core, submission.caller, version.name)
-    options = {"registry": version.name, **body.model_dump(include={"seed", "settings"})}
-    return submission.queue("recalibrate", [body.session_id], body.rig_id, options)
+    return submission.queue("recalibrate", [body.session_id], body, registry=version.name)
 
 
 @router.post("/batch", status_code=201, responses=KNOWN)
 def batch(submission: Submitted, body: NewBatch) -> JobInfo:
     """Queue the calibration of many sessions, with the probabilities of the hypotheses."""
-    options = body.model_dump(exclude={"rig_id"})
-    return submission.queue("batch", body.session_ids, body.rig_id, options)
+    return submission.queue("batch", body.session_ids, body)
 
 
 @router.post("/design", status_code=201, responses=KNOWN)
 def design(submission: Submitted, body: NewDesign) -> JobInfo:
     """Queue a proposal of the next readings: to tell causes apart, to shrink an interval, or to map a correction."""
-    options = body.model_dump(exclude={"session_id", "rig_id"})
-    return submission.queue("design", [body.session_id], body.rig_id, options)
+    return submission.queue("design", [body.session_id], body)
 
 
 @router.get("")
 def list_jobs(
-    core: CoreOf,
     caller: Reader,  # noqa: ARG001
-    limit: Limit = 50,
-    cursor: Cursor = None,
+    listing: ListingOf,
     state: Annotated[Literal["queued", "running", "done", "failed", "cancelled"] | None, Query()] = None,
     session_id: Annotated[str | None, Query(pattern=ID)] = None,
 ) -> Page[JobInfo]:
     """Jobs, newest first."""
-    rows = select(Job)
-    if state is not None:
-        rows = rows.where(Job.state == state)
-    if session_id is not None:
-        rows = rows.where(Job.session_id == session_id)
-    with core.database.reading() as db:
-        return page_of(db, rows, Job, limit, cursor, info_of)
+    return listing.page(Job, JobInfo, state=state, session_id=session_id)
 
 
 @router.get("/{job_id}")
 def get_job(core: CoreOf, caller: Reader, job_id: Id) -> JobInfo:  # noqa: ARG001
     """One job."""
-    return info_of(job_of(core, job_id))
+    return shown_as(JobInfo, job_of(core, job_id))
 
 
 @router.post("/{job_id}/cancel", dependencies=[OWN_JOB])
-def cancel_job(request: Request, core: CoreOf, caller: Writer, job_id: Id) -> JobInfo:
+def cancel_job(change: ChangeOf, job_id: Id) -> JobInfo:
     """End a job of one's own, or any with the scope admin; one that has ended stays as it is."""
-    with core.database.writing() as db:
-        row = db.scalar(select(Job).where(Job.id == job_id))
-        if row is None:
-            raise not_found("job", job_id)
+    with change.core.database.writing() as db:
+        row = row_of(db, Job, job_id, "job")
         if row.state not in ENDED:
             row.state, row.ended = CANCELLED, now()
             announce_end(db, row)
-            audited(db, request, caller, "job.cancel", job_id)
-    core.jobs.wake()
-    return info_of(row)
+            change.note(db, "job.cancel", job_id)
+    change.core.jobs.wake()
+    return shown_as(JobInfo, row)
 
 
-@router.get(
-    "/{job_id}/result", response_model=JobResult, responses={304: {"description": "It has not changed."}}
-)
+@router.get("/{job_id}/result", response_model=JobResult, responses=UNCHANGED)
 def get_result(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Response:  # noqa: ARG001
     """What a job has found."""
     job = _done(core, job_id)
@@ -352,14 +324,11 @@ def _result_of(core: Core, job: Job) -> JobResult:
     if job.kind == "diagnose":
         extended = (folder / DIAGNOSIS / EXTENDED_RIG).read_text(encoding="utf-8")
     result = read_json(result_file(job.kind, folder), fault=CorruptStore)
-    return JobResult(kind=info_of(job).kind, calibration_id=calibration, result=result, extended_rig=extended)
+    kind = shown_as(JobInfo, job).kind
+    return JobResult(kind=kind, calibration_id=calibration, result=result, extended_rig=extended)
 
 
-@router.get(
-    "/{job_id}/report",
-    response_class=HTMLResponse,
-    responses={304: {"description": "It has not changed."}},
-)
+@router.get("/{job_id}/report", response_class=HTMLResponse, responses=UNCHANGED)
 def get_report(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Response:  # noqa: ARG001
     """The page of a job, one file without scripts; a design has none."""
     job = _done(core, job_id)
@@ -372,9 +341,7 @@ def get_report(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Re
     return answer
 
 
-@router.get(
-    "/{job_id}/panels", response_model=Panels, responses={304: {"description": "They have not changed."}}
-)
+@router.get("/{job_id}/panels", response_model=Panels, responses=UNCHANGED)
 def get_panels(request: Request, core: CoreOf, caller: Reader, job_id: Id) -> Response:  # noqa: ARG001
     """What the page shows of a diagnosis, as numbers: maps, hypotheses, shifts of parameters and plans."""
     job = _done(core, job_id)
@@ -394,7 +361,9 @@ async def follow_job(
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID", max_length=20)] = None,
 ) -> AsyncIterator[ServerSentEvent]:
     """Progress of a job as server-sent events: `progress` as it works, and `end` with the job when it has ended."""
-    async for event in events_of(core, first.id, last_event_id, lambda: info_of(job_of(core, first.id))):
+    async for event in events_of(
+        core, first.id, last_event_id, lambda: shown_as(JobInfo, job_of(core, first.id))
+    ):
         yield event
 
 

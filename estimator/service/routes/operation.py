@@ -12,7 +12,7 @@ from sqlalchemy import func, select
 
 from estimator.service.job_queue import QUEUED, RUNNING
 from estimator.service.problems import Problem
-from estimator.service.requests import Admin, CoreOf, JsonRoute, Limit, Reader
+from estimator.service.requests import Admin, CoreOf, JsonRoute, Limit, Reader, shown_as
 from estimator.service.schema import Audit, Job
 from estimator.service.tokens import Scope
 
@@ -61,12 +61,8 @@ def healthz() -> Health:
 def readyz(core: CoreOf, response: Response) -> Health:
     """Requests are served, the data folder can be written, and jobs can run."""
     if not core.jobs.is_ready:
-        rule = (
-            "must be ready; it is starting"
-            if core.jobs.fault is None
-            else "must be ready; its workers cannot be had"
-        )
-        raise Problem(503, "service", rule, headers={"Retry-After": "2"})
+        why = "it is starting" if core.jobs.fault is None else "its workers cannot be had"
+        raise Problem(503, "service", f"must be ready; {why}", headers={"Retry-After": "2"})
     if (fault := core.storage.fault) is not None:
         raise fault
     with core.database.reading() as db:
@@ -110,4 +106,4 @@ def audit(core: CoreOf, caller: Admin, limit: Limit = 50, before: Before = None)
     if before is not None:
         rows = rows.where(Audit.number < before)
     with core.database.reading() as db:
-        return [AuditEntry.model_validate(row, from_attributes=True) for row in db.scalars(rows)]
+        return [shown_as(AuditEntry, row) for row in db.scalars(rows)]

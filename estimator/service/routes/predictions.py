@@ -153,7 +153,7 @@ async def _blocks(
     folder = await run_in_threadpool(_checked_folder, core, calibration_id, wish)
     wanted = predictions.Wanted(wish.has_field, wish.has_gradient, wish.has_intervals, wish.is_of_coils_alone)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in wish.motion.items()}
-    with core.predictor.admitted():
+    with core.predictor.places.taken():
         for block in points_m.split(BLOCK):
             question = predictions.Question(block, wish.currents_A, motion, wish.level)
             yield block, await core.predictor.ask(folder, question, wanted)

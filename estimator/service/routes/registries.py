@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select
 
@@ -18,16 +18,15 @@ from estimator.service.job_queue import RETRY_AFTER_S
 from estimator.service.ownership import OWN_REGISTRY
 from estimator.service.problems import Problem
 from estimator.service.requests import (
+    ChangeOf,
     CoreOf,
-    Cursor,
     Id,
     Item,
     JsonRoute,
-    Limit,
+    Listing,
+    ListingOf,
     Page,
     Reader,
-    Writer,
-    audited,
 )
 from estimator.service.routes.calibrations import Interval
 from estimator.service.routes.rigs import rig_row_of
@@ -87,33 +86,16 @@ class NewRollback(BaseModel):
     version: Annotated[int, Field(ge=1, le=10**6)]
 
 
-@dataclass(frozen=True)
-class Asked:
-    """What a list of a registry is asked for: of which rig, and which of its pages."""
-
-    core: CoreOf
-    rig_id: Id
-    limit: Limit = 50
-    cursor: Cursor = None
-
-    @property
-    def registry(self) -> Registry:
-        """The registry."""
-        return registry_of(self.core, self.rig_id)[1]
-
-    def page(self, rows: Sequence[tuple[int, Row]], shape: Callable[[tuple[int, Row]], Item]) -> Page[Item]:
-        """A page of numbered rows, the highest number first; the cursor is the last number of the page before."""
-        cursor = self.cursor
-        if cursor is not None and not (cursor.isascii() and cursor.isdecimal() and len(cursor) < 10):
-            raise Problem(422, "cursor", "must be the `next` of a page", cursor, "query")
-        left = [
-            row for row in sorted(rows, key=lambda row: -row[0]) if cursor is None or row[0] < int(cursor)
-        ]
-        following = str(left[self.limit - 1][0]) if len(left) > self.limit else None
-        return Page(items=[shape(row) for row in left[: self.limit]], next=following)
-
-
-AskedOf = Annotated[Asked, Depends()]
+def numbered_page(
+    listing: Listing, rows: Sequence[tuple[int, Row]], shape: Callable[[tuple[int, Row]], Item]
+) -> Page[Item]:
+    """A page of numbered rows, the highest number first; the cursor is the last number of the page before."""
+    cursor = listing.cursor
+    if cursor is not None and not (cursor.isascii() and cursor.isdecimal() and len(cursor) < 10):
+        raise Problem(422, "cursor", "must be the `next` of a page", cursor, "query")
+    left = [row for row in sorted(rows, key=lambda row: -row[0]) if cursor is None or row[0] < int(cursor)]
+    following = str(left[listing.limit - 1][0]) if len(left) > listing.limit else None
+    return Page(items=[shape(row) for row in left[: listing.limit]], next=following)
 
 
 def registry_of(core: Core, rig_id: str) -> tuple[str, Registry]:
@@ -138,15 +120,16 @@ def get_registry(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryInfo:  # n
 
 
 @router.get("/entries")
-def list_entries(caller: Reader, asked: AskedOf) -> Page[EntryInfo]:  # noqa: ARG001
+def list_entries(caller: Reader, rig_id: Id, listing: ListingOf) -> Page[EntryInfo]:  # noqa: ARG001
     """Conclusions and rollbacks, newest first."""
-    return asked.page(list(enumerate(asked.registry.entries(), start=1)), lambda row: _entry_info(*row))
+    entries = registry_of(listing.core, rig_id)[1].entries()
+    return numbered_page(listing, list(enumerate(entries, start=1)), lambda row: _entry_info(*row))
 
 
 @router.get("/versions")
-def list_versions(caller: Reader, asked: AskedOf) -> Page[VersionInfo]:  # noqa: ARG001
+def list_versions(caller: Reader, rig_id: Id, listing: ListingOf) -> Page[VersionInfo]:  # noqa: ARG001
     """Versions with their parameters, newest first."""
-    name, registry = registry_of(asked.core, asked.rig_id)
+    name, registry = registry_of(listing.core, rig_id)
     made = [(entry.made, entry) for entry in registry.entries() if entry.made is not None]
     current = registry.current
 
@@ -156,7 +139,7 @@ def list_versions(caller: Reader, asked: AskedOf) -> Page[VersionInfo]:  # noqa:
         return VersionInfo(
             version=version,
             is_current=version == current,
-            calibration_id=_calibration_id(asked.core, name, entry),
+            calibration_id=_calibration_id(listing.core, name, entry),
             session_id=_session_id(entry),
             conclusion=entry.conclusion,
             taken=entry.taken,
@@ -164,31 +147,23 @@ def list_versions(caller: Reader, asked: AskedOf) -> Page[VersionInfo]:  # noqa:
             parameters={name: Interval.model_validate(numbers) for name, numbers in parameters.items()},
         )
 
-    return asked.page(made, info)
+    return numbered_page(listing, made, info)
 
 
 @router.post("/roll-back", dependencies=[OWN_REGISTRY])
-def roll_back_to(
-    request: Request,
-    core: CoreOf,
-    caller: Writer,
-    rig_id: Id,
-    body: NewRollback,
-) -> EntryInfo:
+def roll_back_to(change: ChangeOf, rig_id: Id, body: NewRollback) -> EntryInfo:
     """Make an earlier version of a rig of one's own current again."""
-    name, registry = registry_of(core, rig_id)
+    name, registry = registry_of(change.core, rig_id)
     if not registry.versions:
         raise Problem(409, "registry", "must have a version; it has none", place=f"registry of {name}")
     try:
-        with core.database.writing() as db:  # a change that cannot be noted is not made
-            audited(db, request, caller, "registry.roll_back", f"{rig_id} {body.version}")
+        with change.core.database.writing() as db:  # a change that cannot be noted is not made
+            change.note(db, "registry.roll_back", f"{rig_id} {body.version}")
             db.flush()
             entry = roll_back(registry.folder, body.version)
     except RegistryBusy:
-        headers = {"Retry-After": str(RETRY_AFTER_S)}
-        raise Problem(
-            409, "registry", "must be free; a recalibration is at work on it", place=name, headers=headers
-        ) from None
+        rule, headers = "must be free; a recalibration is at work on it", {"Retry-After": str(RETRY_AFTER_S)}
+        raise Problem(409, "registry", rule, place=name, headers=headers) from None
     return _entry_info(len(registry.entries()), entry)
 
 

@@ -10,7 +10,7 @@ from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from estimator.recalibration.timeline import judged, summary_of, versions_in_use
-from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
+from estimator.service.requests import CoreOf, Id, JsonRoute, Reader, shown_as
 from estimator.service.routes.registries import registry_of
 
 router = APIRouter(route_class=JsonRoute, prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
@@ -72,13 +72,5 @@ def get_history(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryHistory:  #
             )
             for entry, summary in sessions
         ],
-        periods=[
-            PeriodOfUse(
-                version=period.version,
-                begin=period.begin,
-                end=period.end,
-                intervals={key: list(numbers) for key, numbers in period.intervals.items()},
-            )
-            for period in versions_in_use(registry, entries)
-        ],
+        periods=[shown_as(PeriodOfUse, period) for period in versions_in_use(registry, entries)],
     )

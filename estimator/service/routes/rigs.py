@@ -15,20 +15,19 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
-from estimator.service.problems import not_found
 from estimator.service.requests import (
+    ChangeOf,
     CoreOf,
-    Cursor,
     Id,
     JsonRoute,
-    Limit,
+    ListingOf,
     Page,
     Reader,
-    Writer,
-    audited,
     documented_body,
-    page_of,
+    file_of,
     raw_body,
+    row_of,
+    shown_as,
     with_etag,
 )
 from estimator.service.schema import RigVersion
@@ -83,18 +82,10 @@ def rig_of(body: bytes) -> tuple[Rig, str]:
     return rig_from_text(text, "body"), text
 
 
-def info_of(row: RigVersion) -> RigInfo:
-    """A row as the API shows it."""
-    return RigInfo(id=row.id, name=row.name, hash=row.hash, created=row.created, user=row.user)
-
-
 def rig_row_of(core: Core, rig_id: str) -> RigVersion:
     """A version of a rig that must be there."""
     with core.database.reading() as db:
-        row = db.get(RigVersion, rig_id)
-    if row is None:
-        raise not_found("rig", rig_id)
-    return row
+        return row_of(db, RigVersion, rig_id, "rig")
 
 
 @router.post(
@@ -103,21 +94,20 @@ def rig_row_of(core: Core, rig_id: str) -> RigVersion:
     openapi_extra=BODY,
     responses={200: {"model": RigInfo, "description": "It was there."}},
 )
-def upload_rig(request: Request, response: Response, core: CoreOf, caller: Writer, body: Text) -> RigInfo:
+def upload_rig(response: Response, change: ChangeOf, body: Text) -> RigInfo:
     """Keep a rig file. The same text again is the same version."""
     rig, text = rig_of(body)
     digest = hashlib.sha256(text.encode()).hexdigest()
-    with core.database.writing() as db:
+    with change.core.database.writing() as db:
         row = db.scalar(select(RigVersion).where(RigVersion.hash == digest))
         if row is None:
-            row = RigVersion(
-                id=new_id(), name=rig.name, hash=digest, text=text, created=now(), user=caller.user
-            )
+            row = RigVersion(id=new_id(), name=rig.name, hash=digest, text=text, created=now())
+            row.user = change.caller.user
             db.add(row)
-            audited(db, request, caller, "rig.upload", row.id)
+            change.note(db, "rig.upload", row.id)
         else:
             response.status_code = 200
-        return info_of(row)
+        return shown_as(RigInfo, row)
 
 
 @router.post("/validate", openapi_extra=BODY)
@@ -128,36 +118,23 @@ def validate_rig(caller: Reader, body: Text) -> RigContent:  # noqa: ARG001  ask
 
 @router.get("")
 def list_rigs(
-    core: CoreOf,
     caller: Reader,  # noqa: ARG001
-    limit: Limit = 50,
-    cursor: Cursor = None,
+    listing: ListingOf,
     name: Annotated[
         str | None, Query(max_length=200, description="Versions of the rig of this name only.")
     ] = None,
 ) -> Page[RigInfo]:
     """Versions of rigs, newest first."""
-    rows = select(RigVersion)
-    if name is not None:
-        rows = rows.where(RigVersion.name == name)
-    with core.database.reading() as db:
-        return page_of(db, rows, RigVersion, limit, cursor, info_of)
+    return listing.page(RigVersion, RigInfo, name=name)
 
 
 @router.get("/{rig_id}")
 def get_rig(core: CoreOf, caller: Reader, rig_id: Id) -> RigInfo:  # noqa: ARG001
     """One version of a rig."""
-    return info_of(rig_row_of(core, rig_id))
+    return shown_as(RigInfo, rig_row_of(core, rig_id))
 
 
-@router.get(
-    "/{rig_id}/text",
-    response_class=Response,
-    responses={
-        200: {"content": {"application/yaml": {"schema": {"description": "A rig file."}}}},
-        304: {"description": "It has not changed."},
-    },
-)
+@router.get("/{rig_id}/text", **file_of("application/yaml", {"description": "A rig file."}))
 def get_rig_text(request: Request, core: CoreOf, caller: Reader, rig_id: Id) -> Response:  # noqa: ARG001
     """The text of a rig file, as it was uploaded."""
     row = rig_row_of(core, rig_id)

@@ -5,27 +5,25 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter, Request
+from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import func, select
-from sqlalchemy.orm import Session
 
 from estimator.service.database import new_id, now
 from estimator.service.ownership import OWN_SCHEDULE, check_registry
-from estimator.service.problems import Problem, not_found
+from estimator.service.problems import Problem, check_limits
 from estimator.service.requests import (
     ID,
+    ChangeOf,
     CoreOf,
-    Cursor,
     Id,
     JsonRoute,
-    Limit,
+    ListingOf,
     Page,
     Reader,
     Seed,
-    Writer,
-    audited,
-    page_of,
+    row_of,
+    shown_as,
 )
 from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schedules import next_run, trigger_of
@@ -72,85 +70,58 @@ class ScheduleInfo(BaseModel):
     is_at_work: bool
 
 
-def info_of(row: Schedule) -> ScheduleInfo:
-    """A row as the API shows it."""
-    return ScheduleInfo.model_validate(row, from_attributes=True)
-
-
 @router.post("", status_code=201)
-def create_schedule(request: Request, core: CoreOf, caller: Writer, body: NewSchedule) -> ScheduleInfo:
+def create_schedule(change: ChangeOf, body: NewSchedule) -> ScheduleInfo:
     """Judge, from now on, the sessions of a rig of one's own that are closed and were not judged yet, of all users, one after the other."""
     if (body.cron is None) == (body.every_s is None):
         raise Problem(422, "schedule", "must have either cron or every_s", place="body")
     if body.cron is not None:
         trigger_of(body.cron, body.timezone)
-    check_registry(core, caller, rig_row_of(core, body.rig_id).name)
+    core, user = change.core, change.caller.user
+    check_registry(core, change.caller, rig_row_of(core, body.rig_id).name)
     with core.database.writing() as db:
-        rig = db.get(RigVersion, body.rig_id)
-        if rig is None:
-            raise not_found("rig", body.rig_id)
+        rig = row_of(db, RigVersion, body.rig_id, "rig")
         n = select(func.count()).select_from(Schedule)
-        own = n.where(Schedule.user == caller.user)
-        for thing, rows, most in (
-            ("schedules", n, MOST_SCHEDULES),
-            (f"schedules of {caller.user}", own, MOST_OF_USER),
-        ):
-            if (db.scalar(rows) or 0) >= most:
-                raise Problem(409, thing, f"must be at most {most}; delete one first")
+        own = n.where(Schedule.user == user)
+        limits = {
+            "schedules": (db.scalar(n), MOST_SCHEDULES),
+            f"schedules of {user}": (db.scalar(own), MOST_OF_USER),
+        }
+        check_limits(limits, 409, "must be at most {}; delete one first")
         told = body.model_dump(exclude={"rig_id"})
-        row = Schedule(
-            id=new_id(), rig_name=rig.name, created=now(), user=caller.user, is_at_work=False, **told
-        )
+        row = Schedule(id=new_id(), rig_name=rig.name, created=now(), user=user, is_at_work=False, **told)
         row.next_run = next_run(row, datetime.now(UTC))
         db.add(row)
-        audited(db, request, caller, "schedule.create", row.id)
-        return info_of(row)
+        change.note(db, "schedule.create", row.id)
+        return shown_as(ScheduleInfo, row)
 
 
 @router.get("")
-def list_schedules(
-    core: CoreOf,
-    caller: Reader,  # noqa: ARG001
-    limit: Limit = 50,
-    cursor: Cursor = None,
-) -> Page[ScheduleInfo]:
+def list_schedules(caller: Reader, listing: ListingOf) -> Page[ScheduleInfo]:  # noqa: ARG001
     """Schedules, newest first."""
-    with core.database.reading() as db:
-        return page_of(db, select(Schedule), Schedule, limit, cursor, info_of)
+    return listing.page(Schedule, ScheduleInfo)
 
 
 @router.get("/{schedule_id}")
 def get_schedule(core: CoreOf, caller: Reader, schedule_id: Id) -> ScheduleInfo:  # noqa: ARG001
     """One schedule."""
     with core.database.reading() as db:
-        return info_of(_schedule(db, schedule_id))
+        return shown_as(ScheduleInfo, row_of(db, Schedule, schedule_id, "schedule"))
 
 
 @router.post("/{schedule_id}/run", status_code=202, dependencies=[OWN_SCHEDULE])
-def run_schedule(
-    request: Request,
-    core: CoreOf,
-    caller: Writer,
-    schedule_id: Id,
-) -> ScheduleInfo:
+def run_schedule(change: ChangeOf, schedule_id: Id) -> ScheduleInfo:
     """Make a schedule of one's own due now."""
-    with core.database.writing() as db:
-        row = _schedule(db, schedule_id)
+    with change.core.database.writing() as db:
+        row = row_of(db, Schedule, schedule_id, "schedule")
         row.next_run = now()
-        audited(db, request, caller, "schedule.run", schedule_id)
-        return info_of(row)
+        change.note(db, "schedule.run", schedule_id)
+        return shown_as(ScheduleInfo, row)
 
 
 @router.delete("/{schedule_id}", status_code=204, dependencies=[OWN_SCHEDULE])
-def delete_schedule(request: Request, core: CoreOf, caller: Writer, schedule_id: Id) -> None:
+def delete_schedule(change: ChangeOf, schedule_id: Id) -> None:
     """End a schedule of one's own; jobs that it has queued go on."""
-    with core.database.writing() as db:
-        db.delete(_schedule(db, schedule_id))
-        audited(db, request, caller, "schedule.delete", schedule_id)
-
-
-def _schedule(db: Session, schedule_id: str) -> Schedule:
-    row = db.get(Schedule, schedule_id)
-    if row is None:
-        raise not_found("schedule", schedule_id)
-    return row
+    with change.core.database.writing() as db:
+        db.delete(row_of(db, Schedule, schedule_id, "schedule"))
+        change.note(db, "schedule.delete", schedule_id)

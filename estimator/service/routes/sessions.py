@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import aclosing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
@@ -22,27 +22,29 @@ from estimator.service.archives import check_length, unpacked_session, zipped
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.ownership import OWN_SESSION
-from estimator.service.problems import Problem, not_found
+from estimator.service.problems import Problem, check_limits, not_found
 from estimator.service.readings import readings_of
 from estimator.service.requests import (
     ID,
+    Change,
+    ChangeOf,
     CoreOf,
-    Cursor,
     Id,
     ImportRoom,
     JsonRoute,
     Key,
-    Limit,
+    ListingOf,
     Page,
     Reader,
     StreamRoom,
-    Writer,
-    audited,
     documented_body,
-    page_of,
+    file_of,
     raw_body,
+    row_of,
+    shown_as,
     with_etag,
 )
+from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schema import RigVersion, SessionRow
 from estimator.service.tokens import Caller
 from estimator.service.watching import Watched
@@ -120,23 +122,14 @@ class Appended(BaseModel):
     n_new: int
 
 
-def info_of(row: SessionRow) -> SessionInfo:
-    """A row as the API shows it."""
-    return SessionInfo.model_validate(row, from_attributes=True)
-
-
-def row_of(core: Core, session_id: str) -> SessionRow:
-    """The row of a session that must be there."""
+def _row_of(core: Core, session_id: str) -> SessionRow:
     with core.database.reading() as db:
-        row = db.get(SessionRow, session_id)
-    if row is None:
-        raise not_found("session", session_id)
-    return row
+        return row_of(db, SessionRow, session_id, "session")
 
 
 def closed_row_of(core: Core, session_id: str) -> SessionRow:
     """The row of a session that must be closed."""
-    row = row_of(core, session_id)
+    row = _row_of(core, session_id)
     if row.state != CLOSED:
         raise Problem(409, "session", "must be closed first; it is open", place=session_id)
     return row
@@ -147,26 +140,22 @@ def closed_row_of(core: Core, session_id: str) -> SessionRow:
     status_code=201,
     responses={200: {"model": SessionInfo, "description": "The key was used before."}},
 )
-def create_session(
-    request: Request, response: Response, core: CoreOf, caller: Writer, body: NewSession, key: Key = None
-) -> SessionInfo:
+def create_session(response: Response, change: ChangeOf, body: NewSession, key: Key = None) -> SessionInfo:
     """Begin a session that takes readings."""
-    session_id = new_id()
+    core, caller, session_id = change.core, change.caller, new_id()
     try:
         with core.database.writing() as db:
             if key is not None and (known := _begun_before(db, caller, body, key)) is not None:
                 response.status_code = 200
                 return known
-            version = db.get(RigVersion, body.rig_id)
-            if version is None:
-                raise not_found("rig", body.rig_id)
+            version = row_of(db, RigVersion, body.rig_id, "rig")
             _check_room(core, db, caller)
             core.sessions.create(session_id, rig_from_text(version.text, "rig"), body.source)
             row = SessionRow(id=session_id, rig_id=version.id, source=body.source, state=OPEN, created=now())
             row.user, row.idempotency_key = caller.user, key
             db.add(row)
-            audited(db, request, caller, "session.create", session_id)
-            return info_of(row)
+            change.note(db, "session.create", session_id)
+            return shown_as(SessionInfo, row)
     except BaseException:
         core.sessions.remove(session_id)
         raise
@@ -175,17 +164,12 @@ def create_session(
 def _check_room(core: Core, db: DatabaseSession, caller: Caller) -> None:
     """Refuse one more open session where there are too many, of all users or of this one."""
     n_open = select(func.count()).where(SessionRow.state == OPEN)
-    for thing, rows, most in (
-        ("open sessions", n_open, core.settings.most_open_sessions),
-        (
-            f"open sessions of {caller.user}",
-            n_open.where(SessionRow.user == caller.user),
-            core.settings.most_open_sessions_per_user,
-        ),
-    ):
-        if (db.scalar(rows) or 0) >= most:
-            rule = f"must be at most {most}; close one first"
-            raise Problem(429, thing, rule, headers={"Retry-After": "60"})
+    own, settings = n_open.where(SessionRow.user == caller.user), core.settings
+    limits = {
+        "open sessions": (db.scalar(n_open), settings.most_open_sessions),
+        f"open sessions of {caller.user}": (db.scalar(own), settings.most_open_sessions_per_user),
+    }
+    check_limits(limits, 429, "must be at most {}; close one first", retry_after_s=60)
 
 
 def _begun_before(db: DatabaseSession, caller: Caller, body: NewSession, key: str) -> SessionInfo | None:
@@ -196,7 +180,7 @@ def _begun_before(db: DatabaseSession, caller: Caller, body: NewSession, key: st
     if row is not None and (row.rig_id, row.source) != (body.rig_id, body.source):
         rule = "must be used for one session; another has it"
         raise Problem(409, "idempotency key", rule, key, "header Idempotency-Key")
-    return None if row is None else info_of(row)
+    return None if row is None else shown_as(SessionInfo, row)
 
 
 @router.post(
@@ -205,31 +189,27 @@ def _begun_before(db: DatabaseSession, caller: Caller, body: NewSession, key: st
     openapi_extra=documented_body("text/csv", "Readings, units in the header."),
 )
 def import_csv(
-    request: Request,
-    core: CoreOf,
-    caller: Writer,
+    change: ChangeOf,
     rig_id: RigId,
     body: Csv,
     room: ImportRoom,  # noqa: ARG001
     form: Annotated[Form, Query()],
 ) -> SessionInfo:
     """Make a closed session of a table of readings; what is not a readings CSV has to be accepted with `accept=true`."""
-    with core.database.reading() as db:
-        version = db.get(RigVersion, rig_id)
-    if version is None:
-        raise not_found("rig", rig_id)
+    core = change.core
+    rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
     with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
         path = Path(folder) / "readings.csv"
         path.write_bytes(body)
         if kind_of(path) != "text":  # libraries for other files are not made for what strangers send
             raise Problem(415, "body", "must be text; export the table as CSV")
-        read = understood(path, rig_from_text(version.text, "rig"), form.recipe())
+        read = understood(path, rig, form.recipe())
         if read.proposal is not None and not form.accept:
             meaning = ", ".join(f"{each.header!r} is {each.name}" for each in read.proposal.assigned)
             rule = f"must be accepted with accept=true, for the table is no readings CSV: {meaning}"
             raise Problem(422, "what was understood", rule, place="query accept")
         check_length(len(read.session.observations), core.settings.most_readings)
-        return _kept(core, request, caller, read.session, version.id)
+        return _kept(change, read.session, rig_id)
 
 
 @router.post(
@@ -237,48 +217,31 @@ def import_csv(
     status_code=201,
     openapi_extra=documented_body("application/zip", "A session.zarr, its files at the top of the archive."),
 )
-def import_zip(
-    request: Request,
-    core: CoreOf,
-    caller: Writer,
-    rig_id: RigId,
-    body: Zip,
-    room: ImportRoom,  # noqa: ARG001
-) -> SessionInfo:
+def import_zip(change: ChangeOf, rig_id: RigId, body: Zip, room: ImportRoom) -> SessionInfo:  # noqa: ARG001
     """Make a closed session of a zipped session.zarr, whose coils, sensors and movers must be those of the rig."""
-    with core.database.reading() as db:
-        version = db.get(RigVersion, rig_id)
-    if version is None:
-        raise not_found("rig", rig_id)
+    core = change.core
+    rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
     limits = int(core.settings.most_unpacked_MB * 1e6), core.settings.most_readings
     with unpacked_session(body, core.scratch() / new_id(), *limits) as session:
-        session.check_rig(rig_from_text(version.text, "rig"))
-        return _kept(core, request, caller, session, version.id)
+        session.check_rig(rig)
+        return _kept(change, session, rig_id)
 
 
 @router.get("")
 def list_sessions(
-    core: CoreOf,
     caller: Reader,  # noqa: ARG001
-    limit: Limit = 50,
-    cursor: Cursor = None,
+    listing: ListingOf,
     rig_id: Annotated[str | None, Query(pattern=ID)] = None,
     hash: Annotated[str | None, Query(pattern=r"^[0-9a-f]{64}$")] = None,
 ) -> Page[SessionInfo]:
     """Sessions, newest first."""
-    rows = select(SessionRow)
-    if rig_id is not None:
-        rows = rows.where(SessionRow.rig_id == rig_id)
-    if hash is not None:
-        rows = rows.where(SessionRow.hash == hash)
-    with core.database.reading() as db:
-        return page_of(db, rows, SessionRow, limit, cursor, info_of)
+    return listing.page(SessionRow, SessionInfo, rig_id=rig_id, hash=hash)
 
 
 @router.get("/{session_id}")
 def get_session(core: CoreOf, caller: Reader, session_id: Id) -> SessionInfo:  # noqa: ARG001
     """One session; of an open one, the readings that are on disk are counted."""
-    info = info_of(row_of(core, session_id))
+    info = shown_as(SessionInfo, _row_of(core, session_id))
     if info.state == OPEN:
         info.n_readings = core.sessions.n_readings(session_id)
     return info
@@ -289,30 +252,25 @@ def get_session(core: CoreOf, caller: Reader, session_id: Id) -> SessionInfo:  #
     openapi_extra=documented_body("application/x-ndjson", "A reading in each line, numbered by `sequence`."),
     dependencies=[OWN_SESSION],
 )
-def append_readings(
-    request: Request,
-    core: CoreOf,
-    caller: Writer,
-    session_id: Id,
-    body: Ndjson,
-) -> Appended:
+def append_readings(change: ChangeOf, session_id: Id, body: Ndjson) -> Appended:
     """Append readings to a session of one's own. The answer comes when they are on disk; to send some again does no harm."""
+    core = change.core
     if not core.sessions.path(session_id).is_dir():
         raise not_found("session", session_id)
     readings = readings_of(body, core.sessions.rig(session_id))
     n_readings, n_new = core.sessions.append(session_id, readings)
     core.metrics.readings.inc(n_new)
-    appender = session_id, caller.token_id
+    appender = session_id, change.caller.token_id
     if appender not in core.appenders:  # thousands of entries with one meaning help nobody
         with core.database.writing() as db:
-            audited(db, request, caller, "session.append", session_id)
+            change.note(db, "session.append", session_id)
         core.appenders.add(appender)
     core.watching.wake(session_id)
     return Appended(n_readings=n_readings, n_new=n_new)
 
 
 def _watched(core: CoreOf, session_id: Id) -> Iterator[Watched]:
-    if row_of(core, session_id).state != OPEN:
+    if _row_of(core, session_id).state != OPEN:
         raise Problem(409, "session", "must be open; it is closed", place=session_id)
     with core.watching.watched(session_id) as watched:
         yield watched
@@ -332,16 +290,12 @@ async def watch_session(
 
 
 @router.post("/{session_id}/close", dependencies=[OWN_SESSION])
-def close_session(
-    request: Request,
-    core: CoreOf,
-    caller: Writer,
-    session_id: Id,
-) -> SessionInfo:
+def close_session(change: ChangeOf, session_id: Id) -> SessionInfo:
     """End a session of one's own, so that it can be calibrated; to close it again does no harm."""
-    row = row_of(core, session_id)
+    core = change.core
+    row = _row_of(core, session_id)
     if row.state == CLOSED:
-        return info_of(row)
+        return shown_as(SessionInfo, row)
     session = core.sessions.seal(session_id)
     core.appenders = {appender for appender in core.appenders if appender[0] != session_id}
     core.watching.wake(session_id)
@@ -349,19 +303,11 @@ def close_session(
         row = db.get_one(SessionRow, session_id)
         if row.state == OPEN:
             row.state, row.n_readings, row.hash = CLOSED, len(session.observations), session.hash
-            audited(db, request, caller, "session.close", session_id)
-        return info_of(row)
+            change.note(db, "session.close", session_id)
+        return shown_as(SessionInfo, row)
 
 
-def _download(kind: str) -> dict[str, Any]:
-    content = {kind: {"schema": {"type": "string", "format": "binary"}}}
-    return {
-        "response_class": Response,
-        "responses": {200: {"content": content}, 304: {"description": "Unchanged."}},
-    }
-
-
-@router.get("/{session_id}/session.zip", **_download("application/zip"))
+@router.get("/{session_id}/session.zip", **file_of("application/zip"))
 def download_zip(request: Request, core: CoreOf, caller: Reader, session_id: Id) -> Response:  # noqa: ARG001
     """A closed session as a zipped session.zarr."""
     row = closed_row_of(core, session_id)
@@ -372,7 +318,7 @@ def download_zip(request: Request, core: CoreOf, caller: Reader, session_id: Id)
     )
 
 
-@router.get("/{session_id}/readings.csv", **_download("text/csv"))
+@router.get("/{session_id}/readings.csv", **file_of("text/csv"))
 def download_csv(request: Request, core: CoreOf, caller: Reader, session_id: Id) -> Response:  # noqa: ARG001
     """The readings of a closed session as CSV, in SI, with every digit."""
     row = closed_row_of(core, session_id)
@@ -387,9 +333,9 @@ def download_csv(request: Request, core: CoreOf, caller: Reader, session_id: Id)
     return with_etag(request, f"{row.hash}-csv", csv)
 
 
-def _kept(core: Core, request: Request, caller: Caller, session: Session, rig_id: str) -> SessionInfo:
+def _kept(change: Change, session: Session, rig_id: str) -> SessionInfo:
     """Keep a whole session under a new id; the row is committed last."""
-    session_id = new_id()
+    core, session_id = change.core, new_id()
     try:
         path = core.sessions.path(session_id)
         session.save(path)
@@ -402,13 +348,13 @@ def _kept(core: Core, request: Request, caller: Caller, session: Session, rig_id
                 source=session.source,
                 state=CLOSED,
                 created=now(),
-                user=caller.user,
+                user=change.caller.user,
                 n_readings=len(session.observations),
                 hash=session.hash,
             )
             db.add(row)
-            audited(db, request, caller, "session.import", session_id)
-            return info_of(row)
+            change.note(db, "session.import", session_id)
+            return shown_as(SessionInfo, row)
     except BaseException:
         core.sessions.remove(session_id)
         raise

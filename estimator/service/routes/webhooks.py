@@ -10,12 +10,21 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import delete, func, select
-from sqlalchemy.orm import Session
 
 from estimator.service.database import new_id, now
 from estimator.service.post import LONGEST_URL, SECRET_PREFIX, check_url
-from estimator.service.problems import Problem, not_found
-from estimator.service.requests import Admin, CoreOf, Cursor, Id, JsonRoute, Limit, Page, audited, page_of
+from estimator.service.problems import check_limits
+from estimator.service.requests import (
+    Admin,
+    CoreOf,
+    Id,
+    JsonRoute,
+    ListingOf,
+    Page,
+    audited,
+    row_of,
+    shown_as,
+)
 from estimator.service.schema import Delivery, Webhook
 from estimator.service.webhooks import TEST, message
 
@@ -66,33 +75,25 @@ def create_webhook(request: Request, core: CoreOf, caller: Admin, body: NewWebho
     check_url(body.url, core.settings.webhook_networks)
     secret = SECRET_PREFIX + base64.b64encode(secrets.token_bytes(32)).decode()
     with core.database.writing() as db:
-        if (db.scalar(select(func.count()).select_from(Webhook)) or 0) >= MOST_WEBHOOKS:
-            raise Problem(409, "webhooks", f"must be at most {MOST_WEBHOOKS}; delete one first")
+        limits = {"webhooks": (db.scalar(select(func.count()).select_from(Webhook)), MOST_WEBHOOKS)}
+        check_limits(limits, 409, "must be at most {}; delete one first")
         row = Webhook(id=new_id(), url=body.url, secret=secret, created=now(), user=caller.user)
         db.add(row)
         audited(db, request, caller, "webhook.create", row.id)
-    return CreatedWebhook.model_validate(row, from_attributes=True)
+    return shown_as(CreatedWebhook, row)
 
 
 @router.get("")
-def list_webhooks(core: CoreOf, caller: Admin, limit: Limit = 50, cursor: Cursor = None) -> Page[WebhookInfo]:  # noqa: ARG001
+def list_webhooks(caller: Admin, listing: ListingOf) -> Page[WebhookInfo]:  # noqa: ARG001
     """Webhooks, newest first."""
-    with core.database.reading() as db:
-        return page_of(
-            db,
-            select(Webhook),
-            Webhook,
-            limit,
-            cursor,
-            lambda row: WebhookInfo.model_validate(row, from_attributes=True),
-        )
+    return listing.page(Webhook, WebhookInfo)
 
 
 @router.delete("/{webhook_id}", status_code=204)
 def delete_webhook(request: Request, core: CoreOf, caller: Admin, webhook_id: Id) -> None:
     """Tell an address nothing more, not even what waits."""
     with core.database.writing() as db:
-        row = _webhook(db, webhook_id)
+        row = row_of(db, Webhook, webhook_id, "webhook")
         db.execute(delete(Delivery).where(Delivery.webhook_id == webhook_id))
         db.delete(row)
         audited(db, request, caller, "webhook.delete", webhook_id)
@@ -102,41 +103,22 @@ def delete_webhook(request: Request, core: CoreOf, caller: Admin, webhook_id: Id
 def send_test(request: Request, core: CoreOf, caller: Admin, webhook_id: Id) -> DeliveryInfo:
     """Send a message that tells of nothing."""
     with core.database.writing() as db:
-        _webhook(db, webhook_id)
+        row_of(db, Webhook, webhook_id, "webhook")
         body = json.dumps({"type": TEST, "timestamp": now(), "data": {"user": caller.user}})
         row = message(webhook_id, TEST, body)
         db.add(row)
         audited(db, request, caller, "webhook.test", webhook_id)
-    return DeliveryInfo.model_validate(row, from_attributes=True)
+    return shown_as(DeliveryInfo, row)
 
 
 @router.get("/{webhook_id}/deliveries")
 def list_deliveries(
-    core: CoreOf,
     caller: Admin,  # noqa: ARG001
     webhook_id: Id,
-    limit: Limit = 50,
-    cursor: Cursor = None,
+    listing: ListingOf,
     state: Annotated[Literal["waiting", "delivered", "failed"] | None, Query()] = None,
 ) -> Page[DeliveryInfo]:
     """What a webhook was told, newest first."""
-    rows = select(Delivery).where(Delivery.webhook_id == webhook_id)
-    if state is not None:
-        rows = rows.where(Delivery.state == state)
-    with core.database.reading() as db:
-        _webhook(db, webhook_id)
-        return page_of(
-            db,
-            rows,
-            Delivery,
-            limit,
-            cursor,
-            lambda row: DeliveryInfo.model_validate(row, from_attributes=True),
-        )
-
-
-def _webhook(db: Session, webhook_id: str) -> Webhook:
-    row = db.get(Webhook, webhook_id)
-    if row is None:
-        raise not_found("webhook", webhook_id)
-    return row
+    with listing.core.database.reading() as db:
+        row_of(db, Webhook, webhook_id, "webhook")
+    return listing.page(Delivery, DeliveryInfo, webhook_id=webhook_id, state=state)

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from estimator.diagnosis.differences import clearest_difference
+from estimator.diagnosis.intervals import Intervals
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.sessions import plain_fit
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.whole
 def test_gains_of_two_axes_differ_by_what_was_hidden():
     plain = plain_fit((("axis_gain[hall].x", 0.01),))
     fit = fit_of(plain.rig, plain.observations, GAIN)
-    found = clearest_difference(fit, GAIN, None, None)
+    found = Intervals(fit).difference(GAIN)
     assert found is not None
     assert found.plus == "x"
     assert found.minus in ("y", "z")
@@ -42,11 +42,11 @@ def test_its_standard_deviation_is_that_of_correlated_numbers():
 def test_offsets_that_are_known_one_by_one_need_no_difference():
     plain = plain_fit((("sensor_offset[hall].x_T", 60e-6),))
     fit = fit_of(plain.rig, plain.observations, OFFSET)
-    assert clearest_difference(fit, OFFSET, None, None) is None
+    assert Intervals(fit).difference(OFFSET) is None
 
 
 def test_a_cause_of_one_quantity_has_none():
     plain = plain_fit()
     rig = with_effect(plain.rig, Cause("current_offset", "coil1"), plain.observations, {})
     fit = fit_of(rig, plain.observations)
-    assert clearest_difference(fit, Cause("current_offset", "coil1"), None, None) is None
+    assert Intervals(fit).difference(Cause("current_offset", "coil1")) is None

@@ -8,8 +8,8 @@ import pytest
 
 from estimator.diagnosis import diagnose as module
 from estimator.diagnosis.diagnose import diagnose
+from estimator.diagnosis.headline import warnings_of
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.report import warnings_of
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.store.session import Session

@@ -301,13 +301,13 @@ def test_guesses_at_the_login_are_counted_as_guesses(idle: Callable[..., TestCli
 
 def test_no_user_takes_the_event_streams_of_all(idle: Callable[..., TestClient]) -> None:
     core = idle(most_streams=4, most_streams_per_user=2).app.state.core
-    with core.stream("anne"), core.stream("anne"), core.stream("bert"):
+    with core.streams.taken("anne"), core.streams.taken("anne"), core.streams.taken("bert"):
         with pytest.raises(Problem, match="event streams of anne must be at most 2"):
-            core.stream("anne").__enter__()
-        with core.stream("bert"), pytest.raises(Problem, match="event streams must be at most 4"):
-            core.stream("carl").__enter__()
-        assert core.n_streams == 3
-    assert core.n_streams == 0
+            core.streams.taken("anne").__enter__()
+        with core.streams.taken("bert"), pytest.raises(Problem, match="event streams must be at most 4"):
+            core.streams.taken("carl").__enter__()
+        assert core.streams.n_taken() == 3
+    assert core.streams.n_taken() == 0
 
 
 def connected(url: str, said: bytes) -> socket.socket:

@@ -128,6 +128,7 @@ def panels() -> Panels:
         maps=[ResidualMap(MARK, None, places, places, places, {MARK: places})] * 2,
         races=[Race(MARK, runners)] * 2,
         moved=[Moved(Shown(MARK, MARK, MARK, 1.0), (0.0, 1.0), (1.0, 1.0), 2.0, {MARK: 1.0})],
+        moved_words=MARK,
         next=[NextMeasurement(MARK, MARK, MARK, MARK, 3)],
     )
 

@@ -279,7 +279,7 @@ def test_a_roll_back_that_cannot_be_noted_is_not_made(bench: Bench, monkeypatch:
 
     monkeypatch.setattr(registries, "roll_back", lambda *call: made.append(call))
     monkeypatch.setattr(Registry, "versions", [1])
-    monkeypatch.setattr(registries, "audited", fails)
+    monkeypatch.setattr("estimator.service.requests.audited", fails)
     refusal(bench.ask("POST", "/v1/rigs/{rig_id}/registry/roll-back", "anne"), 507)
     assert made == []
 

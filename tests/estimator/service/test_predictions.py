@@ -238,16 +238,16 @@ def test_a_full_queue_says_when_to_come_again(slow: dict[str, Any], client: Test
     slow["go"].set()
     small: Predictor = slow["predictor"]
     with (
-        small.admitted(),
-        small.admitted(),
+        small.places.taken(),
+        small.places.taken(),
         pytest.raises(Problem, match="at most 2 at once"),
-        small.admitted(),
+        small.places.taken(),
     ):
         pass
     predictor: Predictor = client.app.state.core.predictor
     body = json.dumps({"points_m": POINTS_M, "currents_A": CURRENTS_A})
     call = {"content": body, "headers": {"Content-Type": "application/json"}}
-    with predictor.admitted(), predictor.admitted(), predictor.admitted():
+    with predictor.places.taken(), predictor.places.taken(), predictor.places.taken():
         answer = client.post(f"{PATH}/predict", **call)
         assert refusal(answer, 429)["thing"] == "predictions"
         assert int(answer.headers["retry-after"]) > 0

@@ -8,6 +8,8 @@ from __future__ import annotations
 import sqlalchemy as sa
 from alembic import op
 
+from estimator.service.columns import key, number, reference, texts
+
 revision = "0001"
 down_revision = None
 
@@ -16,59 +18,40 @@ def upgrade() -> None:
     """Make all tables."""
     op.create_table(
         "tokens",
-        sa.Column("id", sa.String(), primary_key=True),
-        sa.Column("user", sa.String(), nullable=False),
-        sa.Column("scope", sa.String(), nullable=False),
-        sa.Column("hash", sa.String(), nullable=False),
-        sa.Column("created", sa.String(), nullable=False),
-        sa.Column("expires", sa.String(), nullable=False),
-        sa.Column("revoked", sa.String()),
+        key(),
+        *texts("user", "scope", "hash", "created", "expires"),
+        *texts("revoked", nullable=True),
         sa.UniqueConstraint("hash", name="uq_tokens_hash"),
     )
     op.create_table(
         "rig_versions",
-        sa.Column("id", sa.String(), primary_key=True),
-        sa.Column("name", sa.String(), nullable=False),
-        sa.Column("hash", sa.String(), nullable=False),
-        sa.Column("text", sa.String(), nullable=False),
-        sa.Column("created", sa.String(), nullable=False),
-        sa.Column("user", sa.String(), nullable=False),
+        key(),
+        *texts("name", "hash", "text", "created", "user"),
         sa.UniqueConstraint("hash", name="uq_rig_versions_hash"),
     )
     op.create_index("ix_rig_versions_name", "rig_versions", ["name"])
     op.create_table(
         "sessions",
-        sa.Column("id", sa.String(), primary_key=True),
-        sa.Column(
-            "rig_id", sa.String(), sa.ForeignKey("rig_versions.id", name="fk_sessions_rig_id"), nullable=False
-        ),
-        sa.Column("source", sa.String(), nullable=False),
-        sa.Column("state", sa.String(), nullable=False),
-        sa.Column("created", sa.String(), nullable=False),
-        sa.Column("user", sa.String(), nullable=False),
+        key(),
+        reference("sessions", "rig_id", "rig_versions"),
+        *texts("source", "state", "created", "user"),
         sa.Column("n_readings", sa.Integer()),
-        sa.Column("hash", sa.String()),
+        *texts("hash", nullable=True),
     )
     op.create_index("ix_sessions_rig_id", "sessions", ["rig_id"])
     op.create_index("ix_sessions_hash", "sessions", ["hash"])
     op.create_table(
         "jobs",
-        sa.Column("number", sa.Integer(), primary_key=True, autoincrement=True),
-        sa.Column("id", sa.String(), nullable=False),
-        sa.Column("user", sa.String(), nullable=False),
-        sa.Column("kind", sa.String(), nullable=False),
-        sa.Column("state", sa.String(), nullable=False),
-        sa.Column(
-            "session_id", sa.String(), sa.ForeignKey("sessions.id", name="fk_jobs_session_id"), nullable=False
-        ),
-        sa.Column("rig_id", sa.String(), sa.ForeignKey("rig_versions.id", name="fk_jobs_rig_id")),
+        number(),
+        *texts("id", "user", "kind", "state"),
+        reference("jobs", "session_id", "sessions"),
+        reference("jobs", "rig_id", "rig_versions", nullable=True),
         sa.Column("options", sa.JSON(), nullable=False),
-        sa.Column("idempotency_key", sa.String()),
-        sa.Column("created", sa.String(), nullable=False),
-        sa.Column("started", sa.String()),
-        sa.Column("ended", sa.String()),
+        *texts("idempotency_key", nullable=True),
+        *texts("created"),
+        *texts("started", "ended", nullable=True),
         sa.Column("starts", sa.Integer(), nullable=False),
-        sa.Column("fault", sa.String()),
+        *texts("fault", nullable=True),
         sa.UniqueConstraint("id", name="uq_jobs_id"),
         sa.UniqueConstraint("user", "idempotency_key", name="uq_jobs_key"),
     )
@@ -77,37 +60,19 @@ def upgrade() -> None:
     op.create_index("ix_jobs_queue", "jobs", ["state", "number"])
     op.create_table(
         "calibrations",
-        sa.Column("id", sa.String(), primary_key=True),
-        sa.Column(
-            "job_id", sa.String(), sa.ForeignKey("jobs.id", name="fk_calibrations_job_id"), nullable=False
-        ),
-        sa.Column(
-            "session_id",
-            sa.String(),
-            sa.ForeignKey("sessions.id", name="fk_calibrations_session_id"),
-            nullable=False,
-        ),
-        sa.Column("rig_name", sa.String(), nullable=False),
-        sa.Column("created", sa.String(), nullable=False),
-        sa.Column("user", sa.String(), nullable=False),
+        key(),
+        reference("calibrations", "job_id", "jobs"),
+        reference("calibrations", "session_id", "sessions"),
+        *texts("rig_name", "created", "user"),
         sa.UniqueConstraint("job_id", name="uq_calibrations_job_id"),
     )
     op.create_index("ix_calibrations_session_id", "calibrations", ["session_id"])
     op.create_index("ix_calibrations_rig_name", "calibrations", ["rig_name"])
     op.create_table(
         "audit",
-        sa.Column("number", sa.Integer(), primary_key=True, autoincrement=True),
-        sa.Column("time", sa.String(), nullable=False),
-        sa.Column("user", sa.String(), nullable=False),
-        sa.Column("token_id", sa.String()),
-        sa.Column("request_id", sa.String(), nullable=False),
-        sa.Column("action", sa.String(), nullable=False),
-        sa.Column("target", sa.String(), nullable=False),
+        number(),
+        *texts("time", "user"),
+        *texts("token_id", nullable=True),
+        *texts("request_id", "action", "target"),
     )
     op.create_index("ix_audit_time", "audit", ["time"])
-
-
-def downgrade() -> None:
-    """Drop all tables."""
-    for table in ("audit", "calibrations", "jobs", "sessions", "rig_versions", "tokens"):
-        op.drop_table(table)

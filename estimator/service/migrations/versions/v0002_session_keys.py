@@ -16,9 +16,3 @@ def upgrade() -> None:
     """Add the key. An index and no constraint, for which SQLite would have to make the table anew, against its foreign keys."""
     op.add_column("sessions", sa.Column("idempotency_key", sa.String()))
     op.create_index("ix_sessions_key", "sessions", ["user", "idempotency_key"], unique=True)
-
-
-def downgrade() -> None:
-    """Forget the keys."""
-    op.drop_index("ix_sessions_key", "sessions")
-    op.drop_column("sessions", "idempotency_key")

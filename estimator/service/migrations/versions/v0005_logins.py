@@ -5,8 +5,9 @@ Revision ID: 0005
 
 from __future__ import annotations
 
-import sqlalchemy as sa
 from alembic import op
+
+from estimator.service.columns import key, reference, texts
 
 revision = "0005"
 down_revision = "0004"
@@ -14,17 +15,5 @@ down_revision = "0004"
 
 def upgrade() -> None:
     """Make the table."""
-    op.create_table(
-        "logins",
-        sa.Column("id", sa.String(), primary_key=True),
-        sa.Column(
-            "token_id", sa.String(), sa.ForeignKey("tokens.id", name="fk_logins_token_id"), nullable=False
-        ),
-        sa.Column("created", sa.String(), nullable=False),
-    )
+    op.create_table("logins", key(), reference("logins", "token_id", "tokens"), *texts("created"))
     op.create_index("ix_logins_created", "logins", ["created"])
-
-
-def downgrade() -> None:
-    """Drop the table."""
-    op.drop_table("logins")

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.result import Diagnosis
-from estimator.effects import EFFECTS
+from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.readings.flags import COMPONENTS
@@ -18,10 +18,26 @@ from estimator.rig.rig import Cause
 
 PLACE = ("x_m", "y_m", "z_m")  # keys of a place
 PLANE = ("axis", "distance_m")  # keys of a plane: the axis across it, and where it crosses that axis
-NOWHERE = "—"
 WHOLLY = 0.999  # share that a pose absorbs of what is another word for it
 LEAST_UNSEEN = 0.1  # share of usual sizes that stay unseen from which on one is told
 KINDS_TOLD = (Kind.ROOM, Kind.COIL, Kind.SENSOR, Kind.MOVER)
+
+
+def would_have_shown(diagnosis: Diagnosis, readings: str) -> str:
+    """The smallest visible size of the first cause of the library that shows, of a coil, a sensor and a mover each.
+
+    Args:
+        diagnosis: Which this is about.
+        readings: What the readings are called in the sentence.
+    """
+    easiest_first = sorted(diagnosis.left_open.visible, key=lambda v: v.size / v.prior_sd)
+    shown = [v for v in easiest_first if v.is_visible and not EFFECTS[v.cause.name].is_record_mistake]
+    first = _one_of_each_kind(sorted(shown, key=lambda v: ORDER[v.cause.name]), KINDS_TOLD[1:])
+    sizes = [
+        f"{diagnosis.label(v.cause)} {quantity_words(v.key)} from {size_with_unit(v.size, v.unit)}"
+        for v in first
+    ]
+    return f"; {readings} would have shown, for example, {', '.join(sizes)}" if sizes else ""
 
 
 def hidden_words(diagnosis: Diagnosis) -> str:
@@ -31,25 +47,34 @@ def hidden_words(diagnosis: Diagnosis) -> str:
     stay unseen where it does. A source that is built otherwise is none of them, for any number absorbs some of these. Nor is what a free
     pose says by itself, such as a coil that sits elsewhere.
     """
-    most: dict[Kind, Visible] = {}
-    for visible in sorted(diagnosis.left_open.visible, key=lambda v: -v.hidden_sd * _share_unseen(v)):
-        effect = EFFECTS[visible.cause.name]
-        is_pose = "_from_" in visible.hidden_in and visible.share_absorbed > WHOLLY
-        is_usual = _share_unseen(visible) > LEAST_UNSEEN
-        if is_usual and visible.hidden_sd > policy.LEAST_HIDDEN_SD and not (effect.is_structural or is_pose):
-            most.setdefault(effect.kind, visible)
-    each = [_hidden(diagnosis, most[kind]) for kind in KINDS_TOLD if kind in most]
+    most_first = sorted(diagnosis.left_open.visible, key=lambda v: -v.hidden_sd * _share_unseen(v))
+    most = _one_of_each_kind(filter(_is_hidden, most_first), KINDS_TOLD)
+    each = [_hidden(diagnosis, visible) for visible in most]
     return f"These readings could not have shown, for example: {'; '.join(each)}." if each else ""
+
+
+def _one_of_each_kind(ranked: Iterable[Visible], kinds: Sequence[Kind]) -> list[Visible]:
+    """The first quantity that belongs to each of some kinds, in the order of the kinds."""
+    first: dict[Kind, Visible] = {}
+    for visible in ranked:
+        first.setdefault(EFFECTS[visible.cause.name].kind, visible)
+    return [first[kind] for kind in kinds if kind in first]
+
+
+def _is_hidden(visible: Visible) -> bool:
+    """Whether a usual size of a quantity would move a number of the rig unseen."""
+    is_pose = "_from_" in visible.hidden_in and visible.share_absorbed > WHOLLY
+    is_usual = _share_unseen(visible) > LEAST_UNSEEN and visible.hidden_sd > policy.LEAST_HIDDEN_SD
+    return is_usual and not (is_pose or EFFECTS[visible.cause.name].is_structural)
 
 
 def _hidden(diagnosis: Diagnosis, visible: Visible) -> str:
     """A quantity, where and up to what size it stays unseen, and which number of the rig absorbs it."""
-    display = displays([parameter.name for parameter in diagnosis.rig.free])
-    there = where(visible.hidden_at)
+    number = displays([parameter.name for parameter in diagnosis.rig.free])[visible.hidden_in].words
     size = f"{quantity_words(visible.key)} {size_with_unit(visible.hidden_size, visible.unit)}"
     return (
-        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {size}{'' if there == NOWHERE else f' {there}'}, which "
-        f"{display[visible.hidden_in].words} absorbs by up to {visible.hidden_sd:.0f} of its standard deviations"
+        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {f'{size} {where(visible.hidden_at)}'.rstrip()}, which "
+        f"{number} absorbs by up to {visible.hidden_sd:.0f} of its standard deviations"
     )
 
 
@@ -58,39 +83,41 @@ def _share_unseen(visible: Visible) -> float:
     return visible.hidden_size / visible.prior_sd
 
 
-def visible_tables(diagnosis: Diagnosis) -> list[Table]:
+def visible_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     """The smallest visible size of every cause, where that is, and what absorbs more of it."""
-    visible = [quantity for quantity in diagnosis.left_open.visible if quantity.is_visible]
-    hidden = {quantity.cause.label for quantity in diagnosis.left_open.visible} - {
-        quantity.cause.label for quantity in visible
-    }
     of_cause: dict[Cause, list[Visible]] = {}
-    for quantity in visible:
-        of_cause.setdefault(quantity.cause, []).append(quantity)
+    for quantity in diagnosis.left_open.visible:
+        of_cause.setdefault(quantity.cause, []).extend([quantity] if quantity.is_visible else [])
     rows = [
         [
             cause.label,
             "; ".join(f"{quantity_words(v.key)} {size_with_unit(v.size, v.unit)}" for v in own),
-            where(own[0].at),
+            where(own[0].at) or "—",
             absorbing(diagnosis, own),
         ]
         for cause, own in of_cause.items()
+        if own
     ]
-    twins = "; ".join(" = ".join(diagnosis.label(c) for c in group) for group in diagnosis.left_open.twins)
     caption = (
         "Sizes that would change these readings by five standard deviations if nothing else were wrong, beyond what free numbers of the "
         "rig absorb. Those that absorb more than half of it are named."
     )
-    if hidden:
-        caption += f" Not visible at any plausible size: {', '.join(sorted(hidden))}."
-    if twins:
-        caption += f" These readings cannot tell apart: {twins}."
+    if hidden := sorted(cause.label for cause, own in of_cause.items() if not own):
+        caption += f" Not visible at any plausible size: {', '.join(hidden)}."
+    if diagnosis.left_open.twins:
+        caption += f" These readings cannot tell apart: {twins(diagnosis)}."
     header = ["cause", "smallest visible size", "there", "absorbed by"]
-    return [Table("What these readings can show", header, rows, caption)]
+    yield Table("What these readings can show", header, rows, caption)
+
+
+def twins(diagnosis: Diagnosis) -> str:
+    """Groups of causes that these readings cannot tell apart."""
+    groups = diagnosis.left_open.twins
+    return "; ".join(" = ".join(diagnosis.label(cause) for cause in group) for group in groups)
 
 
 def where(at: Mapping[str, float]) -> str:
-    """Place and instants among the shapes of a cause, in words.
+    """Place and instants among the shapes of a cause, in words; empty where there are none.
 
     Examples:
         >>> where({"x_m": 0.01, "y_m": -0.02, "z_m": 0.0, "since_h": 0.5})
@@ -98,19 +125,19 @@ def where(at: Mapping[str, float]) -> str:
         >>> where({"axis": 2.0, "distance_m": -0.041})
         'at z = −41 mm'
         >>> where({"tau_h": 1.0})
-        '—'
+        ''
     """
     words = []
     if all(key in at for key in PLANE):
         axis, distance_m = (at[key] for key in PLANE)
-        words.append(f"at {COMPONENTS[int(axis)]} = {1e3 * distance_m:.0f} mm".replace("-", "−"))
+        words.append(f"at {COMPONENTS[int(axis)]} = {1e3 * distance_m:.0f} mm")
     if all(key in at for key in PLACE):
-        words.append(f"at ({', '.join(f'{1e3 * at[key]:.0f}' for key in PLACE)}) mm".replace("-", "−"))
+        words.append(f"at ({', '.join(f'{1e3 * at[key]:.0f}' for key in PLACE)}) mm")
     if SINCE in at:
         words.append(f"from {SECONDS_PER_HOUR * at[SINCE]:.0f} s on")
     if UNTIL in at:
         words.append(f"until {SECONDS_PER_HOUR * at[UNTIL]:.0f} s")
-    return ", ".join(words) or NOWHERE
+    return ", ".join(words).replace("-", "−")
 
 
 def absorbing(diagnosis: Diagnosis, quantities: Sequence[Visible]) -> str:

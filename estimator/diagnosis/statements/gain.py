@@ -1,0 +1,166 @@
+"""How far the rig as described misses and what the extended rig gains: errors on readings that no fit has seen."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.structure.covariates import residual_T
+from estimator.diagnosis.validation import Improvement, ValidationScores
+from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Extent
+from estimator.effects.stages import NoiseEffect
+from estimator.effects.use import is_in_field
+from estimator.readings.flags import COMPONENTS
+from estimator.reporting.numbers import percent, size_with_unit
+from estimator.reporting.page import Table
+from estimator.rig.rig import Cause, Rig
+
+MOSTLY = (
+    0.75  # of the squares beyond the noise, for one component to be told: a fit spreads some over the others
+)
+MOST_BESIDE = 3  # causes that a prediction lacks, one by one
+
+
+def misses(diagnosis: Diagnosis) -> str:
+    """How far the rig as described misses, against the noise, and where most of it is.
+
+    Of readings that no fit has seen, where there are some: what the extended rig leaves of them is told with the gain. Else of those that
+    were fitted, by both; the extended rig says more of the noise than the rig file does, which may state more than there is.
+    """
+    before, after = (symptoms.lack_of_fit for symptoms in (diagnosis.fits.before, diagnosis.fits.after))
+    improvement = diagnosis.improvement
+    rms_T, noise_T, of = before.rms_T, before.noise_T, "the readings that were fitted"
+    if improvement is not None:
+        errors = improvement.before.errors
+        rms_T, of = errors.vector_T, "readings that no fit has seen"
+        noise_T *= errors.vector_T / errors.component_T if errors.component_T > 0.0 else 1.0
+    rms = f"the rig as described misses {of} by {size_with_unit(rms_T, 'T', 3)} rms"
+    if improvement is None and before is not after:
+        return f"{rms}, the extended rig by {size_with_unit(after.rms_T, 'T', 3)}{_mostly(diagnosis)}"
+    noise_rms = size_with_unit(noise_T, "T")
+    if rms_T <= noise_T:
+        return f"{rms}, not at random, though noise of {noise_rms} would be as large{_mostly(diagnosis)}"
+    noise = "readings that were repeated scatter by" if before.noise_from == "repeats" else "noise is"
+    return f"{rms} where {noise} {noise_rms}{_mostly(diagnosis)}"
+
+
+def _mostly(diagnosis: Diagnosis) -> str:
+    """The one component of a sensor in which most is wrong; empty where there is none."""
+    fit, noise_T = diagnosis.fits.plain, diagnosis.fits.before.lack_of_fit.noise_T
+    missed_T = residual_T(fit).nan_to_num()
+    excess = {
+        f"{axis} of {sensor.name}": float(of_axis.square().sum()) - noise_T**2 * int((of_axis != 0.0).sum())
+        for i, sensor in enumerate(diagnosis.rig.sensors)
+        for axis, of_axis in zip(COMPONENTS, missed_T[fit.observations.sensor == i].T, strict=True)
+    }
+    most = max(excess, key=excess.__getitem__)
+    total = sum(max(each, 0.0) for each in excess.values())
+    return f", mostly in {most}" if excess[most] > MOSTLY * total > 0.0 else ""
+
+
+def gained(diagnosis: Diagnosis) -> Iterator[str]:
+    """What the extension gains on unseen readings."""
+    improvement = diagnosis.improvement
+    if improvement is None or not diagnosis.fits.extended.rig.acting:
+        return
+    errors_T = [scores.errors.vector_T for scores in (improvement.before, improvement.after)]
+    before, after = (size_with_unit(error_T, "T", 3) for error_T in errors_T)
+    unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
+    if not improvement.is_significant:
+        gain = f"does not fall clearly: {before} before, {after} after"
+    elif errors_T[1] >= errors_T[0]:  # causes that scatter predict no reading better
+        told = f"log predictive density {improvement.elpd_difference:+.0f}"
+        gain = f"does not fall ({before} before, {after} after), but how far they miss is told better: {told}"
+    else:
+        gain = f"falls from {before} to {after}"
+    yield f"{unseen} {gain}.{_beside_the_field(diagnosis)}"
+
+
+def _beside_the_field(diagnosis: Diagnosis) -> str:
+    """Causes that act in readings of this session and not in the field that the extended rig predicts; empty where there are none."""
+    rig = diagnosis.fits.final.rig
+    lacking = [diagnosis.label(cause) for cause in rig.acting if not _is_predicted(rig, cause)]
+    names = ", ".join(lacking[:MOST_BESIDE])
+    if not names:
+        return ""
+    more = f" and {len(lacking) - MOST_BESIDE} more" if len(lacking) > MOST_BESIDE else ""
+    return f" That is with {names}{more}, which acts on readings and not on the field that predict gives."
+
+
+def _is_predicted(rig: Rig, cause: Cause) -> bool:
+    """Whether a prediction has all that a cause changes in readings; what scatters, or is a mistake of the record, changes no field."""
+    effect = EFFECTS[cause.name]
+    if effect.is_record_mistake or isinstance(effect, NoiseEffect):
+        return True
+    sizes = [quantity for quantity in effect.quantities(Extent()) if not quantity.is_shape]
+    return is_in_field(rig, cause) and not any(effect.beyond_the_moment(size.key) for size in sizes)
+
+
+def validation_warnings(diagnosis: Diagnosis) -> Iterator[str]:
+    """Says that nothing was kept out of the fits, or that intervals hold too few or too many of the unseen readings."""
+    improvement = diagnosis.improvement
+    if improvement is None:
+        yield "No readings were kept out of the fits, so the extension is not validated."
+    elif not policy.LEAST_COVERAGE90 < improvement.after.coverage90 < policy.MOST_COVERAGE90:
+        share = percent(improvement.after.coverage90)
+        yield f"The 90 % predictive intervals of the extended model contain {share} of the components of unseen readings."
+
+
+def unseen_line(improvement: Improvement) -> str:
+    """Error, coverage and log predictive density on unseen readings, in one line."""
+    before, after = improvement.before, improvement.after
+    return (
+        f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.errors.vector_T * 1e6:.4g} uT rms of the vector; coverage "
+        f"of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.coverage90, 1)}; log predictive density "
+        f"{improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
+    )
+
+
+def validation_tables(diagnosis: Diagnosis) -> Iterator[Table]:
+    """What is gained on unseen readings; none where no readings were kept out."""
+    improvement, correction = diagnosis.improvement, diagnosis.fits.correction
+    if improvement is None:
+        return
+    caption = (
+        f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
+        "(standard error over readings). The columns in 50 % and in 90 % give the share of components inside those predictive intervals; "
+        "the mean angle is over readings with a current."
+    )
+    if correction is not None:
+        caption += f" {correction.words(diagnosis.label)}"
+    header = ["model", "vector rms", "of rms field", "largest", "mean angle", "in 50 %", "in 90 %", "elpd"]
+    rows = [_scores_row(name, scores) for name, scores in rungs(diagnosis, improvement)]
+    yield Table("Improvement on readings not used for fitting", header, rows, caption)
+
+
+def _scores_row(name: str, scores: ValidationScores) -> list[str]:
+    errors, angle = scores.errors, scores.errors.angular_deviation_rad
+    return [
+        name,
+        size_with_unit(errors.vector_T, "T", 4),
+        percent(errors.relative, 3),
+        size_with_unit(errors.max_T, "T", 4),
+        f"{math.degrees(angle):.3f}°" if math.isfinite(angle) else "—",
+        percent(scores.coverage50),
+        percent(scores.coverage90),
+        f"{scores.elpd:.1f}",
+    ]
+
+
+def rungs(diagnosis: Diagnosis, improvement: Improvement) -> list[tuple[str, ValidationScores]]:
+    """Scores before and after; where something is corrected, those with the causes alone between them."""
+    correction = diagnosis.fits.correction
+    before, after = improvement.before, improvement.after
+    if correction is None or not correction.is_taken or correction.gain is None:
+        return [("before", before), ("after", after)]
+    with_causes = correction.gain.before
+    if with_causes.errors == before.errors:  # no cause was kept
+        return [("before", before), ("corrected, the rest is left", after)]
+    return [
+        ("before", before),
+        ("explained: with the causes", with_causes),
+        ("corrected too, the rest is left", after),
+    ]

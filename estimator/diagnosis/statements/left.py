@@ -1,0 +1,136 @@
+"""What is left: something wrong that no stated cause explains, what describes it best, and what other readings would allow to correct."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.mixture.answer import Found
+from estimator.diagnosis.mixture.comparison import NOTHING
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.statements.gain import misses
+from estimator.diagnosis.structure.pull import pull_of
+from estimator.diagnosis.verdict import UNKNOWN
+from estimator.effects import EFFECTS
+from estimator.reporting.numbers import displays, odds, probability
+from estimator.reporting.page import Table
+
+MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
+MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
+MOST_ALTERNATIVES = 4  # other answers that a doubt lists
+
+
+def unexplained(diagnosis: Diagnosis) -> str:
+    """Says that something is wrong, how much, and whether causes are probable."""
+    findings = diagnosis.findings
+    if is_pulled(diagnosis):
+        name, widths = pulled(diagnosis)
+        why = f"the readings alone would put {name} {widths:.2g} widths of its prior from what the rig file states"
+    elif findings.scatter.is_probable and not findings.answer.leaves_something:
+        why = f"how far readings miss depends on {findings.scatter.along.removeprefix('one circumstance, ')}"
+    else:
+        why = misses(diagnosis)
+    is_probable = any(entry.first.is_listed for entry in findings.answer.beside)
+    unknown = "no cause is sure enough to be stated" if is_probable else "no known cause explains it"
+    return f"Something is wrong, and {unknown}: {why}."
+
+
+def doubts(diagnosis: Diagnosis) -> str:
+    """Says that something probably is wrong where nothing is sure enough to be named; empty where nothing wrong is probable."""
+    last = diagnosis.comparisons[-1][1].hypotheses
+    nothing = next(hypothesis.probability for hypothesis in last if hypothesis.name == NOTHING)
+    if nothing > policy.LEAST_SURE_OF_NOTHING:
+        return ""
+    others = [hypothesis for hypothesis in last if hypothesis.name != NOTHING][:MOST_ALTERNATIVES]
+    names = ", ".join(
+        f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {probability(h.probability)}"
+        for h in others
+    )
+    return (
+        f"Nothing is sure enough to be named, but it is only {probability(nothing)} probable that nothing is wrong. "
+        f"The best other answers: {names}."
+    )
+
+
+def beside(diagnosis: Diagnosis) -> Iterator[str]:
+    """What else is probable: first what no list holds, then listed causes that are not sure enough to be stated."""
+    answer = diagnosis.findings.answer
+    if not diagnosis.verdict.leaves_something:
+        return
+    listed = [entry for entry in answer.beside if entry.first.is_listed]
+    links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
+    if answer.is_full:
+        where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
+        most = f" Most probable, but not stated: {_told(diagnosis, listed[:MOST_OF_MANY])}." if listed else ""
+        them = "the others " if diagnosis.causes else ""
+        yield f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell {them}apart.{most}{where}"
+        return
+    unlisted = [entry for entry in answer.beside if not entry.first.is_listed]
+    refused = [entry for entry in listed if entry.first_listed in answer.refused]
+    faint = [entry for entry in listed if entry not in refused]
+    sentences = []
+    if unlisted:
+        sentences.append(f"What is left is best described so: {_told(diagnosis, unlisted)}.")
+    elif diagnosis.causes and not listed:
+        where = f"It is in {links[0]}." if links else "The readings do not tell where it sits."
+        sentences.append(f"Something else is left that no listed cause explains. {where}")
+    if faint:
+        sentences.append(f"Not sure enough to be stated: {_told(diagnosis, faint)}.")
+    if refused:
+        words = "Probable where readings count as linear, but not borne out by a full fit"
+        sentences.append(f"{words}: {_told(diagnosis, refused)}.")
+    yield " ".join(sentences)
+
+
+def _told(diagnosis: Diagnosis, entries: list[Found]) -> str:
+    """Sets of possibilities in words, with their probabilities."""
+    return "; ".join(
+        " or ".join(
+            f"{EFFECTS[p.cause.name].words} ({diagnosis.label(p.cause)}, {probability(entry.probability * p.share)})"
+            for p in entry.possibilities[:MOST_BESIDE]
+        )
+        for entry in entries
+    )
+
+
+def is_pulled(diagnosis: Diagnosis) -> bool:
+    """Whether all that is left unexplained is that a number lies far outside its prior."""
+    return diagnosis.findings.pull.is_probable and not diagnosis.findings.answer.leaves_something
+
+
+def pulled(diagnosis: Diagnosis) -> tuple[str, float]:
+    """The number that is pulled most in the final fit, and how many widths of its prior the readings would have it off."""
+    pull = pull_of(diagnosis.fits.final)
+    return displays([parameter.name for parameter in diagnosis.rig.free])[pull.name].words, abs(pull.widths)
+
+
+def evidence(diagnosis: Diagnosis) -> Iterator[str]:
+    """Odds that something no list holds acts, and that how far readings miss depends on something."""
+    left, scatter = diagnosis.findings.answer.left, diagnosis.findings.scatter
+    if diagnosis.verdict.leaves_something and left.log_bayes_factor > 0.0:
+        yield f"{odds(left.log_bayes_factor)} that something no list holds acts in {left.words}"
+    if diagnosis.verdict.leaves_something and scatter.is_probable:
+        yield f"{odds(scatter.log_bayes_factor)} that how far readings miss depends on {scatter.along}"
+
+
+def symptoms_tables(diagnosis: Diagnosis) -> Iterator[Table]:
+    """Tests of the residual before and after the extension."""
+    rows = [["before", sentence] for sentence in diagnosis.fits.before.sentences()]
+    if diagnosis.fits.extended.rig.acting:
+        rows += [["after", sentence] for sentence in diagnosis.fits.after.sentences()]
+    caption = "Tests of the residual of the readings that were fitted."
+    yield Table("Symptoms", ["model", "residual"], rows, caption)
+
+
+def limits_tables(diagnosis: Diagnosis) -> Iterator[Table]:
+    """Corrections that could not be asked, or not to a higher degree; no table where there are none."""
+    correction = diagnosis.fits.correction
+    if correction is None or not correction.limits:
+        return
+    yield Table(
+        "Corrections that other readings would allow",
+        ["correction", "meaning", "what these readings lack"],
+        [[label, EFFECTS[label.partition("[")[0]].words, lack] for label, lack in correction.limits.items()],
+        "They were asked to a lower degree or not at all, whatever they have to do with what is left. For those that want other places "
+        "coilcal design --map proposes some.",
+    )

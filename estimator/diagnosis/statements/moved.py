@@ -1,0 +1,108 @@
+"""What the extension does to the numbers of the rig, and what each cause does to them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.impact import impact_sd
+from estimator.diagnosis.panel_records import Moved, Shown
+from estimator.diagnosis.result import Diagnosis
+from estimator.reporting.numbers import displays, with_sd
+from estimator.reporting.page import Table
+
+MOST_COLUMNS = 6
+NO_LONGER_DETERMINED = "no longer determined"
+
+
+def moved_tables(diagnosis: Diagnosis) -> Iterator[Table]:
+    """Numbers of the rig that lie elsewhere, and how far each cause pulls them; none where no readings were kept out."""
+    if diagnosis.improvement is not None:
+        yield from (table for table in (_moved_table(diagnosis), _impact_table(diagnosis)) if table.rows)
+
+
+def _moved_table(diagnosis: Diagnosis) -> Table:
+    loosened = diagnosis.no_longer_determined
+    far = [number for number in moved(diagnosis) if abs(number.moved_sd) > policy.MOVED_SD]
+    rows = []
+    for number in sorted(far, key=lambda number: number.shown.name in loosened):
+        shown = number.shown
+        before, after = (
+            with_sd(value * shown.factor, sd * shown.factor) for value, sd in (number.before, number.after)
+        )
+        distance = NO_LONGER_DETERMINED if shown.name in loosened else _signed(number.moved_sd)
+        rows.append([shown.words, before, after, shown.unit or "1", distance])
+    return Table(
+        "Parameters that the extension moves",
+        ["parameter", "before", "after", "unit", "moved (sd)"],
+        rows,
+        "Parameters of the rig that lie elsewhere by more than one standard deviation of the plain fit. Those that the extended rig knows "
+        f"clearly less well are said to be {NO_LONGER_DETERMINED}: that it puts them elsewhere does not say that they were wrong.",
+    )
+
+
+def _impact_table(diagnosis: Diagnosis) -> Table:
+    """How far each cause pulls each parameter, as particle physicists list the pulls of systematic errors."""
+    stand_ins = diagnosis.findings.stand_ins
+    causes = sorted(diagnosis.fits.final.rig.effects, key=lambda cause: cause in stand_ins)[:MOST_COLUMNS]
+    by_name = {number.shown.name: number for number in moved(diagnosis)}
+    rows = []
+    for number in (by_name[name] for name in _rig_numbers(diagnosis) if name in by_name):
+        pulls = [number.pulls_sd.get(diagnosis.label(cause), 0.0) for cause in causes]
+        if max(map(abs, pulls), default=0.0) > policy.LISTED_IMPACT_SD:
+            rows.append([number.shown.words, *map(_signed, pulls)])
+    return Table(
+        "Impact of each cause",
+        ["parameter", *(diagnosis.label(c) + (" (not sure)" if c in stand_ins else "") for c in causes)],
+        rows,
+        "How far each parameter of the rig would move, in its standard deviations, if one cause were left out and the others stayed.",
+    )
+
+
+def moved(diagnosis: Diagnosis) -> list[Moved]:
+    """Free numbers of the rig before and after, by fits to the same readings where there are such; those that moved farthest first."""
+    plain, final, names = diagnosis.fits.plain, diagnosis.fits.final, _rig_numbers(diagnosis)
+    known = {} if diagnosis.improvement is None else diagnosis.improvement.known_before
+    impacts = {diagnosis.label(cause): impact_sd(final, cause) for cause in final.rig.effects}
+    display = displays(names)
+    result = []
+    for name in names:
+        before = known.get(name) or (float(plain.values[name]), plain.value_sd(name))
+        after = (float(final.values[name]), diagnosis.value_sd(name))
+        if before[1] > 0.0 and after[1] > 0.0:
+            pulls = {label: impact[name] for label, impact in impacts.items() if name in impact}
+            shown = Shown(name, display[name].words, display[name].unit, display[name].factor)
+            result.append(Moved(shown, before, after, (after[0] - before[0]) / before[1], pulls))
+    return sorted(result, key=lambda moved: -abs(moved.moved_sd))
+
+
+def moved_words(diagnosis: Diagnosis) -> str:
+    """Which numbers would have been wrong without the causes, and which are only known less well; empty where nothing was found."""
+    if not diagnosis.sized_causes:
+        return ""
+    loosened = diagnosis.no_longer_determined
+    far = [
+        number.shown.words
+        for number in moved(diagnosis)
+        if abs(number.moved_sd) > policy.MOVED_SD and number.shown.name not in loosened
+    ]
+    words = "No number of the rig was biased by more than one standard deviation."
+    if far:
+        words = (
+            f"Without the cause, {', '.join(far)} would have been wrong by more than one standard deviation."
+        )
+    if loosened:
+        display = displays([parameter.name for parameter in diagnosis.rig.free])
+        names = ", ".join(display[name].words for name in loosened if name in display)
+        words += f" With it, clearly less is known of {names}."
+    return words
+
+
+def _rig_numbers(diagnosis: Diagnosis) -> list[str]:
+    """Free numbers of the rig as described."""
+    names = diagnosis.fits.final.posterior.coordinates.names
+    return [parameter.name for parameter in diagnosis.rig.free if parameter.name in names]
+
+
+def _signed(sd: float) -> str:
+    return f"{sd:+.1f}".replace("-", "−")
