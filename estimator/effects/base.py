@@ -1,8 +1,10 @@
 """The contract of an effect: one named cause of a difference between simulation and measurement.
 
 An effect is declared once: where it acts, which quantities say how large it is, what they are when nothing is wrong (null), how large
-they are in laboratories (prior), and one `apply`. Simulating with it, screening for it, fitting it and carrying it in a calibrated model
+they are in laboratories (prior), and one function. Simulating with it, screening for it, fitting it and carrying it in a calibrated model
 all come from that declaration. A rig holds effects as entries `cause[place]`, whose quantities are parameters like any others.
+
+Most are made by `effects.declaring.cause`; what needs several functions is a class.
 """
 
 from __future__ import annotations
@@ -16,9 +18,10 @@ from typing import ClassVar
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
 from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
 from estimator.rig.rig import Body, Mover, Rig
-from estimator.tensors import Tensor
+from estimator.tensors import Tensor, torch
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
+Starts = tuple[dict[str, float], ...]  # shapes that fits start from, by key
 
 
 AFTER = 1.0 + 1e-6  # of the duration of a session: after its last reading
@@ -61,6 +64,9 @@ class Quantity:
         return isinstance(self.prior, LogNormal)
 
 
+Quantities = tuple[Quantity, ...]
+
+
 def normal(key: str, unit: str, sd: float, null: float = 0.0) -> Quantity:
     """A quantity that scatters normally about its null."""
     return Quantity(key, unit, Normal(null, sd), null)
@@ -71,14 +77,39 @@ def at_least_zero(key: str, unit: str, sd: float) -> Quantity:
     return Quantity(key, unit, Normal(0.0, sd, lower=0.0))
 
 
-def triple(keys: Iterable[str], suffix: str, unit: str, sd: float) -> tuple[Quantity, ...]:
+def triple(keys: Iterable[str], suffix: str, unit: str, sd: float) -> Quantities:
     """Quantities alike but for their first letters: `triple("xyz", "_T", "T", 1e-5)`."""
     return tuple(normal(f"{key}{suffix}", unit, sd) for key in keys)
+
+
+def vector(theta: Theta, keys: Iterable[str], suffix: str = "") -> Tensor:
+    """Quantities alike but for their first letters as vectors, with an axis of length 1 for readings, points or poses.
+
+    Examples:
+        >>> vector({"x_T": torch.zeros(5), "y_T": torch.ones(5)}, "xy", "_T").shape
+        torch.Size([5, 1, 2])
+    """
+    return torch.stack([theta[f"{key}{suffix}"] for key in keys], dim=-1)[..., None, :]
 
 
 def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = False) -> Quantity:
     """A shape that may lie anywhere in a range."""
     return Quantity(key, unit, Uniform(lower, upper), 0.5 * (lower + upper), True, is_fixed)
+
+
+def fixed(key: str, unit: str, lower: float, upper: float) -> Quantity:
+    """A shape that a fit leaves where a start has put it."""
+    return shape(key, unit, lower, upper, is_fixed=True)
+
+
+def box(keys: Iterable[str], suffix: str, unit: str, end: float, is_fixed: bool = False) -> Quantities:
+    """Shapes alike but for their first letters, each from `-end` to `end`."""
+    return tuple(shape(f"{key}{suffix}", unit, -end, end, is_fixed) for key in keys)
+
+
+def written(numbers: Mapping[str, float]) -> dict[str, float]:
+    """Numbers as rig files hold them: six digits."""
+    return {key: float(f"{number:.6g}") for key, number in numbers.items()}
 
 
 def switch(key: str, lower: float, upper: float, null: float) -> Quantity:
@@ -88,12 +119,12 @@ def switch(key: str, lower: float, upper: float, null: float) -> Quantity:
 
 def since(extent: Extent) -> Quantity:
     """The time since the session began at which something happened, one of `Circumstances.instants_h`."""
-    return shape(SINCE, "h", 0.0, extent.duration_h, is_fixed=True)
+    return fixed(SINCE, "h", 0.0, extent.duration_h)
 
 
 def until(extent: Extent) -> Quantity:
     """The time since the session began at which something ended, one of `Circumstances.instants_h`."""
-    return shape(UNTIL, "h", 0.0, AFTER * extent.duration_h, is_fixed=True)
+    return fixed(UNTIL, "h", 0.0, AFTER * extent.duration_h)
 
 
 class Effect(ABC):
@@ -113,6 +144,8 @@ class Effect(ABC):
         stays: The cause that is the same from one instant on, where this one ends at another: the difference of two of these.
         never_negative: Keys of quantities that are not negative where the cause is what its words say: a current that grows as a coil warms
             up is none of its losses. A fit with a negative one is something else.
+        positive: Keys of quantities that must exceed 0 wherever they are given.
+        depends_on: What of a session its quantities depend on, so that the field of a single moment cannot show them; None where it can.
         is_everywhere: No laboratory is without it, so a calibration fits it where the rig file does not mention it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
@@ -128,18 +161,20 @@ class Effect(ABC):
     needs_winding: ClassVar[bool] = False
     stays: ClassVar[Effect | None] = None
     never_negative: ClassVar[tuple[str, ...]] = ()
+    positive: ClassVar[tuple[str, ...]] = ()
+    depends_on: ClassVar[str | None] = None
     is_everywhere: ClassVar[bool] = False
     is_correction: ClassVar[bool] = False
 
     @abstractmethod
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+    def quantities(self, extent: Extent) -> Quantities:
         """Numbers that this cause has in a session like this one."""
 
     def extent_of(self, keys: Iterable[str]) -> Extent:
         """An extent in which its quantities have these keys; the default where keys do not depend on it."""
         return Extent()
 
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """Shapes to start fits from; none needed where the effect has no shapes."""
         return ({},)
 
@@ -164,6 +199,8 @@ class Effect(ABC):
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """The first quantity whose value it cannot have, and the rule; None where all are possible."""
+        if self.positive:
+            return next(((key, "must be > 0") for key in self.positive if not values[key] > 0.0), None)
         for quantity in self.quantities(Extent()):
             low, high = quantity.prior.lower, quantity.prior.upper
             is_bounded = quantity.is_fixed and quantity.unit == "1"
@@ -176,5 +213,5 @@ class Effect(ABC):
         return all(float(theta[key]) >= 0.0 for key in self.never_negative)
 
     def beyond_the_moment(self, key: str) -> str | None:
-        """What of a session a quantity depends on, so that the field of a single moment cannot show it; None where that field shows it."""
-        return None
+        """What of a session a quantity depends on; all of them on the same, unless said otherwise."""
+        return self.depends_on

@@ -81,14 +81,29 @@ class Circumstances:
         """Commanded currents."""
         return self.observations.current_A
 
+    def sensor_number(self, sensor: str) -> int:
+        """Index of a sensor in the rig."""
+        return [each.name for each in self.rig.sensors].index(sensor)
+
+    def coil_number(self, coil: str) -> int:
+        """Index of a coil in the rig."""
+        return [each.name for each in self.rig.coils].index(coil)
+
     def is_of(self, sensor: str) -> Bool[Tensor, " reading"]:
         """Readings of one sensor."""
-        return self.sensor == [each.name for each in self.rig.sensors].index(sensor)
+        return self.sensor == self.sensor_number(sensor)
 
     def has_current(self, coil: str) -> bool:
         """Whether a coil was to carry current at any reading."""
-        number = [each.name for each in self.rig.coils].index(coil)
-        return bool((self.current_A[:, number] != 0.0).any())
+        return bool((self.current_A[:, self.coil_number(coil)] != 0.0).any())
+
+    def commanded_A(self, coil: str) -> Float[Tensor, " history"]:
+        """Commanded current of one coil at each reading of the whole session."""
+        return self.observations.history.current_A[:, self.coil_number(coil)]
+
+    def has_turned_back(self, coil: str) -> bool:
+        """Whether the current of a coil has turned back."""
+        return bool(self.last_turn_A(self.coil_number(coil)).any())
 
     @cached_property
     def largest_current_A(self) -> float:
@@ -103,7 +118,7 @@ class Circumstances:
     def largest_of_sensor_T(self, sensor: str) -> float:
         """Largest component that one sensor read in the session."""
         history = self.observations.history
-        is_sensor = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        is_sensor = history.sensor == self.sensor_number(sensor)
         shown_T = history.field_sensor_T[is_sensor].nan_to_num().abs().flatten()
         return max(float(shown_T.max()), 1e-9) if len(shown_T) else 1e-9
 
@@ -140,7 +155,7 @@ class Circumstances:
         history = self.observations.history
         numbers = history.segment
         if sensor is not None:
-            numbers = numbers[history.sensor == [s.name for s in self.rig.sensors].index(sensor)]
+            numbers = numbers[history.sensor == self.sensor_number(sensor)]
         return tuple(numbers[numbers != NO_SEGMENT].unique().tolist())
 
     @cached_property
@@ -204,12 +219,17 @@ class Circumstances:
         """
         return is_meanwhile(self.hours, theta)
 
-    def previous(self, sensor: str) -> tuple[Int[Tensor, " reading"], Float[Tensor, " reading"]]:
-        """Row in the history of the reading that a sensor took before, and how long before; its own row and `LONG_AGO_S` where none was."""
+    def row_before(self, sensor: str) -> Int[Tensor, " history"]:
+        """Row of the history of the reading that a sensor took before each; its own where none was."""
         history = self.observations.history
-        own = (history.sensor == [s.name for s in self.rig.sensors].index(sensor)).nonzero().flatten()
+        own = (history.sensor == self.sensor_number(sensor)).nonzero().flatten()
         row = torch.arange(len(history), device=history.device)
         row[own[1:]] = own[:-1]
+        return row
+
+    def previous(self, sensor: str) -> tuple[Int[Tensor, " reading"], Float[Tensor, " reading"]]:
+        """Row in the history of the reading that a sensor took before, and how long before; its own row and `LONG_AGO_S` where none was."""
+        history, row = self.observations.history, self.row_before(sensor)
         ago_s = history.time_s - history.time_s[row]
         ago_s = torch.where(ago_s > 0.0, ago_s, LONG_AGO_S)
         return row[self.observations.row], ago_s[self.observations.row].to(history.dtype)
@@ -218,7 +238,7 @@ class Circumstances:
         """Row in the history of the reading just before each one of a sensor, where that was of another sensor; -1 where it was not."""
         history = self.observations.history
         row = torch.arange(-1, len(history) - 1, device=history.device)
-        is_own = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        is_own = history.sensor == self.sensor_number(sensor)
         is_of_another = is_own & ~is_own.roll(1) & (row >= 0)
         return torch.where(is_of_another, row, -1)[self.observations.row]
 
@@ -271,15 +291,19 @@ class Circumstances:
         last = torch.arange(len(here), device=here.device)[:, None] * (sign != 0.0)
         return torch.gather(sign, 0, torch.cummax(last, dim=0).values)[self.observations.row]
 
-    def mover_of_sensor_m(self, sensor: str) -> Float[Tensor, "reading 3"] | None:
-        """Reported positions of the mover that carries a sensor, else of the first that carries a coil; None where nothing moves."""
-        own = next(s.carried_by for s in self.rig.sensors if s.name == sensor)
-        mover = own or next((coil.carried_by for coil in self.rig.coils if coil.carried_by is not None), None)
-        if mover is None:
-            return None
+    def positions_of_m(self, mover: str) -> Float[Tensor, "reading 3"]:
+        """Reported positions of a mover."""
         motion = self.observations.motion[mover]
         at_m: Tensor = base_from_motion(self.rig.mover(mover), motion).translation_m
         return at_m
+
+    def mover_of_sensor_m(self, sensor: str) -> Float[Tensor, "reading 3"] | None:
+        """Reported positions of the mover that carries a sensor, else of the first that carries a coil; None where nothing moves."""
+        own = self.rig.sensors[self.sensor_number(sensor)].carried_by
+        mover = own or next((coil.carried_by for coil in self.rig.coils if coil.carried_by is not None), None)
+        if mover is None:
+            return None
+        return self.positions_of_m(mover)
 
     def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
         """Low-passed square of the commanded current; the time constant is that of the thermal mass."""

@@ -3,38 +3,78 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from estimator.effects.base import Kind, Quantity, Theta
+from estimator.effects.base import Kind, Quantities, Quantity, Starts, Theta
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import FEWEST_COMPONENTS, NoiseEffect, NoiseEstimate, Prediction
+from estimator.effects.stages import FEWEST_COMPONENTS, Deviations, NoiseEffect, NoiseEstimate, Prediction
 from estimator.rig.parameters import LogNormal, Uniform
 from estimator.tensors import Tensor, torch
 
+LOOSE_NOISE = 0.2  # relative width of a prior from which on the noise follows the readings by itself
 EM_STEPS = 60
 MOST_SHARE = 0.1  # of readings that an instrument spoils, as `source` has it
 FIRST_RATIOS = (4.0, 10.0, 25.0)  # widths of outliers that the estimate starts from, in units of the noise
 
 
+class NoiseMisstated(NoiseEffect):
+    """A sensor's readings scatter by a multiple of what the rig file says."""
+
+    name = "noise_misstated"
+    words = "the readings scatter more, or less, than the noise that is stated"
+    source = "data sheets give the noise of another bandwidth: a factor of two either way"
+
+    def quantities(self, extent: Extent) -> Quantities:
+        """Noise over what is stated."""
+        return (Quantity("factor", "1", LogNormal(1.0, 0.7), 1.0),)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Whether the noise is fixed, or known tightly."""
+        prior = circumstances.rig.parameters[f"{place}.noise_T"].prior
+        return prior is None or prior.sd < LOOSE_NOISE * prior.centre
+
+    def sigma_T(self, sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
+        """The multiple of the noise."""
+        return sigma_T * theta["factor"][..., None]
+
+    def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
+        """Noise over the stated one, by the rms of the whitened residual."""
+        if len(whitened) <= FEWEST_COMPONENTS:
+            return None
+        mean_square = float(whitened.square().mean())
+        gain = 0.5 * len(whitened) * (mean_square - 1.0 - math.log(mean_square))
+        return NoiseEstimate({"factor": math.sqrt(mean_square)}, 1.0, gain)
+
+    def disturbed_T(
+        self,
+        error_T: Float[Tensor, "reading 3"],
+        sigma_T: Float[Tensor, "reading 3"],
+        prediction: Prediction,
+        theta: Theta,
+        place: str,
+        rng: np.random.Generator,
+    ) -> Float[Tensor, "reading 3"]:
+        """Errors grow by the factor."""
+        return error_T * theta["factor"]
+
+
 class Outliers(NoiseEffect):
     """A share of the readings is wrong: a contaminated normal distribution with a wide second component."""
 
-    name: ClassVar[str] = "outliers"
-    kind: ClassVar[Kind] = Kind.SENSOR
-    words: ClassVar[str] = "a share of the readings is wrong"
-    source: ClassVar[str] = "dropped bits, late triggers: some per mille to 10 %"
+    name = "outliers"
+    words = "a share of the readings is wrong"
+    source = "dropped bits, late triggers: some per mille to 10 %"
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+    def quantities(self, extent: Extent) -> Quantities:
         """Share of wrong components and their scatter in units of the noise."""
         return (
             Quantity("share", "1", Uniform(0.0, 0.5), 0.0, is_fixed=True),
             Quantity("ratio", "1", Uniform(1.0, 1e4), 1.0, is_shape=True, is_fixed=True),
         )
 
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
+    def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """Width of the outliers' errors: ten times the noise."""
         return ({"ratio": 10.0},)
 
@@ -71,12 +111,11 @@ class Outliers(NoiseEffect):
 class NoiseGrows(NoiseEffect):
     """The sensor scatters by a share of what each axis shows, beside its noise: too few digits, an unsteady supply or amplifier."""
 
-    name: ClassVar[str] = "noise_grows"
-    kind: ClassVar[Kind] = Kind.SENSOR
-    words: ClassVar[str] = "the readings scatter the more, the larger they are"
-    source: ClassVar[str] = "two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading"
+    name = "noise_grows"
+    words = "the readings scatter the more, the larger they are"
+    source = "two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading"
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+    def quantities(self, extent: Extent) -> Quantities:
         """Standard deviation over the component that is read."""
         return (Quantity("share", "1", LogNormal(3e-3, 1.0), 0.0),)
 
@@ -84,12 +123,7 @@ class NoiseGrows(NoiseEffect):
         """Size of each component, in T."""
         return prediction.field_sensor_T.abs()
 
-    def sigma_T(
-        self,
-        sigma_T: Float[Tensor, "*#batch component"],
-        exposure: Float[Tensor, " component"],
-        theta: Theta,
-    ) -> Float[Tensor, "*#batch component"]:
+    def sigma_T(self, sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
         """Noise and scatter of the response, which are independent."""
         return torch.sqrt(sigma_T**2 + (theta["share"][..., None] * exposure) ** 2)
 
@@ -97,12 +131,12 @@ class NoiseGrows(NoiseEffect):
 class PositionJitter(NoiseEffect):
     """The mover scatters about its target; the field's gradient turns that into scatter of the reading."""
 
-    name: ClassVar[str] = "position_jitter"
-    kind: ClassVar[Kind] = Kind.MOVER
-    words: ClassVar[str] = "the mover scatters about its targets"
-    source: ClassVar[str] = "repeatability of small arms, 10 to 100 um"
+    name = "position_jitter"
+    kind = Kind.MOVER
+    words = "the mover scatters about its targets"
+    source = "repeatability of small arms, 10 to 100 um"
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+    def quantities(self, extent: Extent) -> Quantities:
         """Standard deviation of the position along each axis."""
         return (Quantity("sd_m", "m", LogNormal(50e-6, 1.0), 0.0),)
 
@@ -111,12 +145,7 @@ class PositionJitter(NoiseEffect):
         steepness: Tensor = prediction.gradient_T_per_m(place).norm(dim=-1)
         return steepness
 
-    def sigma_T(
-        self,
-        sigma_T: Float[Tensor, "*#batch component"],
-        exposure: Float[Tensor, " component"],
-        theta: Theta,
-    ) -> Float[Tensor, "*#batch component"]:
+    def sigma_T(self, sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
         """Noise and scatter of the position, to first order."""
         return torch.sqrt(sigma_T**2 + (theta["sd_m"][..., None] * exposure) ** 2)
 

@@ -1,252 +1,383 @@
-"""What a three-axis Hall sensor says instead of the field."""
+"""What a three-axis Hall sensor says instead of the field: its response and its zero, in part of a session or all of it."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from itertools import permutations
-from typing import ClassVar
 
 from jaxtyping import Float
 
-from estimator.effects.base import Quantity, Theta, normal, shape, triple
+from estimator.effects.base import (
+    Quantities,
+    Quantity,
+    Starts,
+    Theta,
+    fixed,
+    normal,
+    shape,
+    triple,
+    vector,
+)
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import ElementEffect, ReadingEffect
+from estimator.effects.declaring import cause
+from estimator.effects.during import during, instants_within, spell, spells_of
+from estimator.effects.segments import (
+    WHICH,
+    extent_of_segments,
+    in_each_segment,
+    is_several,
+    of_segment,
+    segments_of,
+)
+from estimator.effects.stages import Components, Current, ReadingEffect
+from estimator.rig.parameters import LogNormal
 from estimator.tensors import Tensor, torch
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
-# xy: what the x axis picks up of the y component.
-PAIRS = tuple("".join(pair) for pair in permutations("xyz", 2))
+PAIRS = tuple(
+    "".join(pair) for pair in permutations("xyz", 2)
+)  # xy: what the x axis picks up of the y component
+LEAST_SHARE = 0.2  # of a sensor's readings that each of two exchanged sensors has
+CUTS = 6  # parts of the readings, between which a side may begin
+LEAST_WAY = 1e-3  # of the longest: along shorter ways there are no sides
 
 
-def _vector(theta: Theta, keys: tuple[str, ...]) -> Tensor:
-    """Quantities as a vector per reading."""
-    return torch.stack([theta[key] for key in keys], dim=-1)[..., None, :]
-
-
-class AxisGain(ReadingEffect):
-    """Each axis has a gain of its own."""
-
-    name: ClassVar[str] = "axis_gain"
-    words: ClassVar[str] = "the sensor's axes have wrong gains"
-    source: ClassVar[str] = "Hall teslameters are specified to 0.1 to 1 % (Metrolab THM1176: 1 %)"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Relative excess of each gain."""
-        return triple("xyz", "", "1", 0.01)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        return field_sensor_T * (1.0 + _vector(theta, ("x", "y", "z")))
-
-
-class CrossAxis(ReadingEffect):
+@cause(
+    ReadingEffect,
+    name="cross_axis",
+    words="the sensor's axes pick up each other's components",
+    source="elements are mounted to 0.2 to 1 degree; cross sensitivity up to 1 %",
+    quantities=triple(PAIRS, "", "1", 0.01),
+)
+def cross_axis(field_sensor_T: Components, theta: Theta) -> Components:
     """Each axis picks up a share of the other components."""
-
-    name: ClassVar[str] = "cross_axis"
-    words: ClassVar[str] = "the sensor's axes pick up each other's components"
-    source: ClassVar[str] = "elements are mounted to 0.2 to 1 degree; cross sensitivity up to 1 %"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """`xy` is what the x axis picks up of the y component."""
-        return tuple(normal(pair, "1", 0.01) for pair in PAIRS)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        zero = torch.zeros_like(theta["xy"])
-        rows = [[theta[a + b] if a != b else zero for b in "xyz"] for a in "xyz"]
-        mix = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
-        return field_sensor_T + (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
+    zero = torch.zeros_like(theta["xy"])
+    rows = [[theta[a + b] if a != b else zero for b in "xyz"] for a in "xyz"]
+    mix = torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
+    return field_sensor_T + (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
 
 
-class ElementDisplacement(ElementEffect):
-    """The elements of the three axes sit at different positions in the probe.
-
-    A shift that all three share looks like another place of the sensor. So each number by itself stays as wide as its prior where that
-    place is free, and differences such as `z_at_x_m - x_at_x_m` are known far better.
-    """
-
-    name: ClassVar[str] = "element_displacement"
-    words: ClassVar[str] = "the sensor's three elements sit at different positions"
-    source: ClassVar[str] = "probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Position of each element from where the sensor is said to be, in the sensor frame."""
-        return tuple(normal(f"{element}_at_{axis}_m", "m", 500e-6) for element in "xyz" for axis in "xyz")
-
-    def apply(self, theta: Theta) -> Float[Tensor, "*batch 3 3"]:
-        """Position of the x, y and z element."""
-        rows = [torch.stack([theta[f"{e}_at_{axis}_m"] for axis in "xyz"], dim=-1) for e in "xyz"]
-        return torch.stack(rows, dim=-2)
+@cause(
+    ReadingEffect,
+    name="axis_gain",
+    words="the sensor's axes have wrong gains",
+    source="Hall teslameters are specified to 0.1 to 1 % (Metrolab THM1176: 1 %)",
+    quantities=triple("xyz", "", "1", 0.01),
+)
+def axis_gain(field_sensor_T: Components, theta: Theta) -> Components:
+    """Each axis has a gain of its own."""
+    return field_sensor_T * (1.0 + vector(theta, "xyz"))
 
 
-class SensorOffset(ReadingEffect):
-    """The sensor shows a constant in no field."""
+gain_spell = during(
+    axis_gain,
+    name="gain_spell",
+    words="for a while the sensor's axes have other gains",
+    source="ranges of one amplifier agree to 0.1 to 2 %",
+    explanation="""For a while the sensor's axes have other gains: another range, or numbers in another unit.
 
-    name: ClassVar[str] = "sensor_offset"
-    words: ClassVar[str] = "the sensor shows a constant in no field"
-    source: ClassVar[str] = "zero errors of Hall sensors, 10 to 100 uT"
-    is_everywhere: ClassVar[bool] = True
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Components in the sensor frame."""
-        return triple("xyz", "_T", "T", 50e-6)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        return field_sensor_T + _vector(theta, ("x_T", "y_T", "z_T"))
+No cause says that gains alone change and stay, so a spell may begin with the session or last until after it.""",
+    ends=True,
+    starts=lambda circumstances, place: spells_of(circumstances, place, has_ends=True),
+)
 
 
-class OffsetDrift(ReadingEffect):
-    """The zero of the sensor moves steadily."""
-
-    name: ClassVar[str] = "offset_drift"
-    words: ClassVar[str] = "the zero of the sensor drifts"
-    source: ClassVar[str] = "some 10 uT while electronics warm up"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Change per hour in the sensor frame, from the beginning of the session on."""
-        return triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        rate = _vector(theta, ("x_T_per_h", "y_T_per_h", "z_T_per_h"))
-        return field_sensor_T + rate * circumstances.hours[:, None]
-
-
-class CubicResponse(ReadingEffect):
+@cause(
+    ReadingEffect,
+    name="cubic_response",
+    words="the sensor's response bends with the field",
+    source="linearity of Hall sensors, 0.1 to 1 % of range",
+    quantities=lambda extent: triple("xyz", "_per_T2", "1/T2", 0.01 / extent.largest_field_T**2),
+)
+def cubic_response(field_sensor_T: Components, theta: Theta) -> Components:
     """The response bends: a relative error that grows with the square of the component."""
-
-    name: ClassVar[str] = "cubic_response"
-    words: ClassVar[str] = "the sensor's response bends with the field"
-    source: ClassVar[str] = "linearity of Hall sensors, 0.1 to 1 % of range"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Relative error per square tesla of each axis."""
-        return triple("xyz", "_per_T2", "1/T2", 0.01 / extent.largest_field_T**2)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        bend = _vector(theta, ("x_per_T2", "y_per_T2", "z_per_T2"))
-        return field_sensor_T + bend * field_sensor_T**3
+    return field_sensor_T + vector(theta, "xyz", "_per_T2") * field_sensor_T**3
 
 
-class PlanarHall(ReadingEffect):
+@cause(
+    ReadingEffect,
+    name="planar_hall",
+    words="each axis adds the product of the two other components",
+    source="planar Hall voltage of silicon elements, up to 1 % of the field",
+    quantities=lambda extent: triple("xyz", "_per_T", "1/T", 0.01 / extent.largest_field_T),
+)
+def planar_hall(field_sensor_T: Components, theta: Theta) -> Components:
     """The planar Hall effect: each axis adds the product of the two components in its plane."""
-
-    name: ClassVar[str] = "planar_hall"
-    words: ClassVar[str] = "each axis adds the product of the two other components"
-    source: ClassVar[str] = "planar Hall voltage of silicon elements, up to 1 % of the field"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Reading of each axis per product of the other two components."""
-        return triple("xyz", "_per_T", "1/T", 0.01 / extent.largest_field_T)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        x, y, z = field_sensor_T.unbind(-1)
-        product = torch.stack((y * z, z * x, x * y), dim=-1)
-        return field_sensor_T + _vector(theta, ("x_per_T", "y_per_T", "z_per_T")) * product
+    x, y, z = field_sensor_T.unbind(-1)
+    product = torch.stack((y * z, z * x, x * y), dim=-1)
+    return field_sensor_T + vector(theta, "xyz", "_per_T") * product
 
 
-class RangeClipping(ReadingEffect):
-    """Components beyond the range read as its end."""
-
-    name: ClassVar[str] = "range_clipping"
-    words: ClassVar[str] = "components beyond the sensor's range are cut off"
-    source: ClassVar[str] = "any range; the readings show where it ends"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Largest component that is shown."""
-        largest_T = extent.largest_field_T
-        clipped = shape("limit_T", "T", 0.2 * largest_T, 3.0 * largest_T)
-        return (Quantity("limit_T", "T", clipped.prior, 3.0 * largest_T),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Just inside the sensor's largest reading, where a limit gathers readings."""
-        largest_T = circumstances.largest_of_sensor_T(place)
-        return tuple({"limit_T": share * largest_T} for share in CLIPPED_AT)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        limit = theta["limit_T"][..., None, None]
-        return torch.minimum(torch.maximum(field_sensor_T, -limit), limit)
+PER_KELVIN = (normal("gain_per_K", "1/K", 1e-3), *triple("xyz", "_T_per_K", "T/K", 5e-6))
 
 
-class TemperatureDrift(ReadingEffect):
-    """Gain and zero of the sensor follow its temperature."""
-
-    name: ClassVar[str] = "temperature_drift"
-    words: ClassVar[str] = "the sensor's gain and zero follow its temperature"
-    source: ClassVar[str] = "temperature coefficients of Hall sensors: 100 to 1000 ppm/K, 1 to 10 uT/K"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Relative change of gain and change of zero per kelvin."""
-        return (normal("gain_per_K", "1/K", 1e-3), *triple("xyz", "_T_per_K", "T/K", 5e-6))
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the sensor's thermometer showed a change."""
-        kelvin = circumstances.temperature_K(place)
-        return kelvin is not None and bool(kelvin.abs().max() > 0.0)
-
-    def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
-        """Components as they are read."""
-        kelvin = circumstances.temperature_K(sensor)
-        if kelvin is None:
-            return field_sensor_T
-        return at_temperature(field_sensor_T, theta, kelvin)
+def _has_warmed(circumstances: Circumstances, place: str) -> bool:
+    """Whether the sensor's thermometer showed a change."""
+    kelvin = circumstances.temperature_K(place)
+    return kelvin is not None and bool(kelvin.abs().max() > 0.0)
 
 
-def at_temperature(
-    field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta, kelvin: Float[Tensor, "*#batch reading"]
-) -> Float[Tensor, "*#batch reading 3"]:
-    """Components as a sensor reads them at a temperature of its own, by its gain and zero per kelvin."""
-    zero = _vector(theta, ("x_T_per_K", "y_T_per_K", "z_T_per_K"))
+def _at_temperature(field_sensor_T: Components, theta: Theta, kelvin: Current | None) -> Components:
+    """Components as a sensor reads them at a temperature of its own, by its gain and zero per kelvin; unchanged without a thermometer."""
+    if kelvin is None:
+        return field_sensor_T
     gain = theta["gain_per_K"][..., None, None]
+    zero = vector(theta, "xyz", "_T_per_K")
     return field_sensor_T * (1.0 + gain * kelvin[..., None]) + zero * kelvin[..., None]
+
+
+@cause(
+    ReadingEffect,
+    name="temperature_drift",
+    words="the sensor's gain and zero follow its temperature",
+    source="temperature coefficients of Hall sensors: 100 to 1000 ppm/K, 1 to 10 uT/K",
+    quantities=PER_KELVIN,
+    concerns=_has_warmed,
+)
+def temperature_drift(
+    field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+) -> Components:
+    """Gain and zero of the sensor follow its temperature."""
+    return _at_temperature(field_sensor_T, theta, circumstances.temperature_K(sensor))
+
+
+@cause(
+    ReadingEffect,
+    name="thermal_lag",
+    words="the sensor's gain and zero follow its thermometer late",
+    source="coefficients as of temperature_drift; a probe in its holder follows the air in 5 minutes to an hour",
+    quantities=(*PER_KELVIN, Quantity("tau_h", "h", LogNormal(0.3, 1.0), 0.3, is_shape=True)),
+    starts=({"tau_h": 0.1}, {"tau_h": 0.3}, {"tau_h": 1.0}),  # a small probe, one in a holder, a heavy one
+    concerns=_has_warmed,
+    depends_on="the temperatures before",
+)
+def thermal_lag(
+    field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+) -> Components:
+    """Gain and zero of the sensor follow a temperature that lags behind its thermometer."""
+    return _at_temperature(field_sensor_T, theta, circumstances.lagged_K(sensor, theta["tau_h"]))
+
+
+@cause(
+    ReadingEffect,
+    name="sensor_offset",
+    words="the sensor shows a constant in no field",
+    source="zero errors of Hall sensors, 10 to 100 uT",
+    quantities=triple("xyz", "_T", "T", 50e-6),
+    is_everywhere=True,
+)
+def sensor_offset(field_sensor_T: Components, theta: Theta) -> Components:
+    """The sensor shows a constant in no field."""
+    return field_sensor_T + vector(theta, "xyz", "_T")
+
+
+@cause(
+    ReadingEffect,
+    name="offset_drift",
+    words="the zero of the sensor drifts",
+    source="some 10 uT while electronics warm up",
+    # Change per hour from the beginning of the session on.
+    quantities=lambda extent: triple("xyz", "_T_per_h", "T/h", 50e-6 / extent.duration_h),
+)
+def offset_drift(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
+    """The zero of the sensor moves steadily."""
+    return field_sensor_T + vector(theta, "xyz", "_T_per_h") * circumstances.hours[:, None]
+
+
+offset_step = during(
+    sensor_offset,
+    name="offset_step",
+    words="from one instant on the sensor shows another constant in no field",
+    source="contacts and amplifiers that were switched, as sensor_offset: 10 to 100 uT",
+    explanation="From one instant on the zero of the sensor is another: it was plugged in again, or its amplifier changed range.",
+    starts=instants_within,  # elsewhere the step is nothing, or an offset of all its readings
+)
+offset_spell = spell(
+    offset_step,
+    name="offset_spell",
+    words="for a while the sensor shows another constant in no field",
+    source="another range of the amplifier, a contact: 10 to 100 uT",
+    explanation="For a while the zero of the sensor is another.",
+)
+
+
+def _quantities_of(parts: Sequence[ReadingEffect], extent: Extent) -> Quantities:
+    return tuple(quantity for part in parts for quantity in part.quantities(extent))
+
+
+ANOTHER = (cross_axis, axis_gain, sensor_offset)  # of a sensor, in the order in which they act
+CONTACT = (axis_gain, sensor_offset)  # of a contact, likewise
+
+
+@cause(
+    ReadingEffect,
+    name="another_sensor",
+    words="another sensor reads, with gains and a zero of its own",
+    source="sensors of one make differ as axis_gain, cross_axis and sensor_offset say",
+    quantities=lambda extent: _quantities_of(ANOTHER, extent),
+)
+def _another_sensor(
+    field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+) -> Components:
+    """Another sensor, with gains, mixings and a zero of its own against this one."""
+    for part in ANOTHER:
+        field_sensor_T = part.apply(field_sensor_T, theta, circumstances, sensor)
+    return field_sensor_T
+
+
+sensor_exchanged = during(
+    _another_sensor,
+    name="sensor_exchanged",
+    words="from one instant on another sensor reads, with gains and a zero of its own",
+    explanation="From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own.",
+    # Enough readings of either sensor to tell its constants: fewer readings follow any twelve numbers.
+    starts=lambda circumstances, place: instants_within(circumstances, place, LEAST_SHARE),
+)
+
+
+def _contact(extent: Extent) -> Quantities:
+    """Gains and zero beyond a place; the axis of the mover (0 x, 1 y, 2 z), the place along it, and the side (1 above, -1 below)."""
+    ends_m = 100.0 * extent.reach_m
+    sides = (
+        fixed("along", "1", 0.0, 2.0),
+        fixed("beyond_m", "m", -ends_m, ends_m),
+        fixed("side", "1", -1.0, 1.0),
+    )
+    return (*_quantities_of(CONTACT, extent), *sides)
+
+
+def _own_m(circumstances: Circumstances, sensor: str) -> Float[Tensor, "own 3"] | None:
+    """Positions of the mover at the sensor's own readings, in m; None where nothing moves.
+
+    With all of these on one side, a contact would be a gain and a zero.
+    """
+    at_m = circumstances.mover_of_sensor_m(sensor)
+    return None if at_m is None else at_m[circumstances.is_of(sensor)]
+
+
+def _moves_between_readings(circumstances: Circumstances, place: str) -> bool:
+    """Whether a mover moved from one reading of the sensor to another."""
+    at_m = _own_m(circumstances, place)
+    return at_m is not None and bool((at_m != at_m[:1]).any())
+
+
+def _sides(circumstances: Circumstances, place: str) -> Starts:
+    """Either side of places that part the sensor's own readings evenly, along each axis along which the mover went between them."""
+    at_m = _own_m(circumstances, place)
+    assert at_m is not None  # see `_moves_between_readings`
+    way_m = at_m.max(0).values - at_m.min(0).values
+    starts = []
+    for axis in range(3):
+        ordered_m = at_m[:, axis].sort().values
+        if float(way_m[axis]) <= LEAST_WAY * float(way_m.max()):
+            continue
+        parts = ordered_m[torch.arange(1, CUTS, device=ordered_m.device) * len(ordered_m) // CUTS]
+        places_m = ordered_m.unique()
+        above = torch.searchsorted(places_m, parts).clamp(min=1).unique()
+        for beyond_m in (0.5 * (places_m[above - 1] + places_m[above])).tolist():
+            starts += [{"along": float(axis), "beyond_m": beyond_m, "side": side} for side in (1.0, -1.0)]
+    return tuple(starts)
+
+
+@cause(
+    ReadingEffect,
+    name="sensor_contact",
+    words="on one side of the mover's way the sensor has other gains and another zero",
+    source="a worn cable or plug: per mille to per cents of a gain, and zeros as sensor_offset says",
+    quantities=_contact,
+    concerns=_moves_between_readings,
+    starts=_sides,
+)
+def sensor_contact(
+    field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+) -> Components:
+    """The sensor has other gains and another zero where the mover stands beyond some place along one axis: a cable pulls at its contact.
+
+    The mover is that of the sensor, or of the first coil that has one where the sensor stands still.
+    """
+    at_m = circumstances.mover_of_sensor_m(sensor)
+    if at_m is None:
+        return field_sensor_T
+    changed_T = field_sensor_T
+    for part in CONTACT:
+        changed_T = part.apply(changed_T, theta, circumstances, sensor)
+    along_m = at_m.T[theta["along"].long()]
+    is_there = theta["side"][..., None] * (along_m - theta["beyond_m"][..., None]) > 0.0
+    return torch.where(is_there[..., None], changed_T, field_sensor_T)
+
+
+def _was_read_in_several(circumstances: Circumstances, place: str) -> bool:
+    """Whether the sensor was read in several segments, and not in more than can be asked."""
+    return is_several(circumstances.segments_of(place))
+
+
+def _not_read(quantities: Quantities) -> Callable[[Circumstances, str], frozenset[str]]:
+    """Quantities of segments in which the sensor was not read."""
+
+    def unseen(circumstances: Circumstances, place: str) -> frozenset[str]:
+        read = set(circumstances.segments_of(place))
+        keys = [quantity.key for quantity in in_each_segment(circumstances.extent, quantities)]
+        return frozenset(key for key in keys if not set(segments_of([key])) <= read)
+
+    return unseen
+
+
+SEGMENT_GAIN, SEGMENT_ZERO = (normal("gain", "1", 0.01),), triple("xyz", "_T", "T", 50e-6)
+
+
+@cause(
+    ReadingEffect,
+    name="segment_gain",
+    words="in each segment of the session the sensor has another gain",
+    source="ranges and excitation currents of Hall teslameters agree to 0.1 to 1 %",
+    quantities=lambda extent: in_each_segment(extent, SEGMENT_GAIN),
+    extent_of=extent_of_segments,
+    concerns=_was_read_in_several,
+    unseen=_not_read(SEGMENT_GAIN),
+    depends_on=WHICH,
+)
+def segment_gain(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
+    """The sensor has another gain in each segment: another range, excitation or day."""
+    return field_sensor_T * (1.0 + of_segment(theta, ("gain",), circumstances.segment))
+
+
+@cause(
+    ReadingEffect,
+    name="segment_zero",
+    words="in each segment of the session the sensor shows another constant in no field",
+    source="zeroing in a chamber or in the field of the room leaves as much as sensor_offset says",
+    quantities=lambda extent: in_each_segment(extent, SEGMENT_ZERO),
+    extent_of=extent_of_segments,
+    concerns=_was_read_in_several,
+    unseen=_not_read(SEGMENT_ZERO),
+    depends_on=WHICH,
+)
+def segment_zero(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
+    """The sensor was zeroed anew before each segment."""
+    return field_sensor_T + of_segment(theta, ("x_T", "y_T", "z_T"), circumstances.segment)
+
+
+def _largest_shown(extent: Extent) -> Quantities:
+    largest_T = extent.largest_field_T
+    clipped = shape("limit_T", "T", 0.2 * largest_T, 3.0 * largest_T)
+    return (Quantity("limit_T", "T", clipped.prior, 3.0 * largest_T),)
+
+
+def _inside_the_largest(circumstances: Circumstances, place: str) -> Starts:
+    """Just inside the sensor's largest reading, where a limit gathers readings."""
+    largest_T = circumstances.largest_of_sensor_T(place)
+    return tuple({"limit_T": share * largest_T} for share in CLIPPED_AT)
+
+
+@cause(
+    ReadingEffect,
+    name="range_clipping",
+    words="components beyond the sensor's range are cut off",
+    source="any range; the readings show where it ends",
+    quantities=_largest_shown,
+    starts=_inside_the_largest,
+)
+def range_clipping(field_sensor_T: Components, theta: Theta) -> Components:
+    """Components beyond the range read as its end."""
+    limit = theta["limit_T"][..., None, None]
+    return torch.minimum(torch.maximum(field_sensor_T, -limit), limit)

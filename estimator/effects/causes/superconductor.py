@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import lru_cache
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from estimator.effects.base import Kind, Quantity, Theta, triple
+from estimator.effects.base import Quantities, Quantity, Theta, triple, vector
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import WindingMagnetisation
+from estimator.effects.stages import Currents, WindingMagnetisation
 from estimator.field.magnetised import Rings, field_inside_per_ampere
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.frames import Transform
@@ -33,15 +32,14 @@ class FilamentMagnetisation(WindingMagnetisation):
     not move relative to it.
     """
 
-    name: ClassVar[str] = "filament_magnetisation"
-    kind: ClassVar[Kind] = Kind.COIL
-    words: ClassVar[str] = "currents that persist in the superconductor's filaments magnetise the winding"
-    source: ClassVar[str] = (
+    name = "filament_magnetisation"
+    words = "currents that persist in the superconductor's filaments magnetise the winding"
+    source = (
         "Bean's model: 2/(3 pi) mu0 Jc d of the superconductor, 5 to 100 mT for filaments of 10 to 50 um below 1 T, times its share of "
         "the winding; twice that share answers a small change (Wilson, Superconducting Magnets, 1983, chapter 8)"
     )
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+    def quantities(self, extent: Extent) -> Quantities:
         """Share of the present field that is turned against it; mu0 M that an earlier field has left.
 
         What is left is taken to first order along the winding: along the axis, outwards, and fanned out (outwards at the front face,
@@ -72,12 +70,10 @@ class FilamentMagnetisation(WindingMagnetisation):
         )
         return _rings(target, sources)
 
-    def drives(
-        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
-    ) -> Float[Tensor, "*#batch reading pattern"]:
+    def drives(self, current_A: Currents, theta: Theta) -> Float[Tensor, "*#batch reading pattern"]:
         """Strength of each pattern: screened current of each coil in A, then what an earlier field has left, in T."""
         screened = theta["susceptibility"][..., None, None] * current_A
-        left = torch.stack([theta[f"{key}_T"] for key in LEFT], dim=-1)[..., None, :]
+        left = vector(theta, LEFT, "_T")
         batch = np.broadcast_shapes(screened.shape[:-1], left.shape[:-1])
         return torch.cat((screened.expand(*batch, -1), left.expand(*batch, -1)), dim=-1)
 

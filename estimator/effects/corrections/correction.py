@@ -15,9 +15,8 @@ from typing import ClassVar
 
 from jaxtyping import Float
 
-from estimator.effects.base import WHEN, Effect, Quantity, Theta, normal
+from estimator.effects.base import Effect, Quantities, Theta, normal, vector
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import OneCoilCurrent
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, world_from_body
 from estimator.rig.rig import Body
@@ -47,27 +46,29 @@ class Correction(Effect):
     """A smooth field or response. Subclasses say of what, beside one of the stages.
 
     Attributes:
+        components: What each of its functions is of, as names of the terms of every degree.
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
         single: Name of the cause that one step alone is.
     """
 
-    is_correction: ClassVar[bool] = True
-    source: ClassVar[str] = "what the causes leave: a diagnosis chooses the width that has most evidence"
+    is_correction = True
+    source = "what the causes leave: a diagnosis chooses the width that has most evidence"
+    components: ClassVar[tuple[str, ...]] = ("x", "y", "z")
     lowest: ClassVar[int] = 1
     highest: ClassVar[int] = 5
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0
     single: ClassVar[str | None] = None
 
-    @abstractmethod
     def terms(self, degree: int) -> tuple[str, ...]:
         """Names of the terms of a degree."""
+        return self.components
 
-    @abstractmethod
-    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
+    def shapes(self, extent: Extent) -> Quantities:
         """What its terms are functions of, in units of what: fixed numbers."""
+        return ()
 
     @abstractmethod
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
@@ -97,7 +98,7 @@ class Correction(Effect):
         suffix = "" if self.unit == "1" else f"_{self.unit.replace('/', '_per_')}"
         return f"degree{degree}_{term}{suffix}"
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+    def quantities(self, extent: Extent) -> Quantities:
         """Its fixed numbers, then the amplitudes up to the extent's degree."""
         width = self.typical_width(extent)
         return (
@@ -117,57 +118,9 @@ class Correction(Effect):
         """Amplitudes by degree."""
         degrees = sorted({int(match["degree"]) for match in map(KEY.fullmatch, theta) if match})
         return {
-            degree: torch.stack([theta[self.key(degree, term)] for term in self.terms(degree)], dim=-1)
+            degree: vector(theta, [self.key(degree, term) for term in self.terms(degree)])[..., 0, :]
             for degree in degrees
         }
-
-
-class InTime(Correction):
-    """A function of the time in one session."""
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """A moment has no time."""
-        return WHEN
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the session lasts longer than a moment."""
-        return not circumstances.is_moment
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """Highest degree that the number of different times determines; for a sensor, only its own readings count."""
-        sensors = [sensor.name for sensor in circumstances.rig.sensors]
-        time_s = circumstances.observations.time_s
-        if place in sensors:
-            time_s = time_s[circumstances.sensor == sensors.index(place)]
-        return limit_of_number(self, len(torch.unique(time_s)), "readings one after another")
-
-
-class ShareOfCurrent(InTime, OneCoilCurrent):
-    """A share of the current of a coil, or of the field that an ampere makes, as a function of time."""
-
-    unit: ClassVar[str] = "1"
-
-    @abstractmethod
-    def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
-        """How much more there is than the commanded current, as a share of it."""
-
-    def terms(self, degree: int) -> tuple[str, ...]:
-        """The only term of a degree: a share of the current."""
-        return ("share",)
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the session lasts longer than a moment, and the coil carried current."""
-        return super().concerns(circumstances, place) and circumstances.has_current(place)
-
-    def delivered(
-        self,
-        current_A: Float[Tensor, "*#batch reading"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil, in A."""
-        return current_A * (1.0 + self.share(theta, circumstances)[..., 0])
 
 
 def positions_m(circumstances: Circumstances, coil: Body | None = None) -> Float[Tensor, "reading 3"]:

@@ -1,0 +1,215 @@
+"""An effect that is there for a part of a session: from one instant on, or for a while.
+
+Instants lie between two readings. The column of what ends is that of the change at its beginning less that of the change at its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Unpack, cast
+
+from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantities, Starts, Theta, since, until
+from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent, is_meanwhile
+from estimator.effects.declaring import Hooks, made
+from estimator.effects.stages import (
+    Columns,
+    Components,
+    CurrentEffect,
+    Currents,
+    MotionEffect,
+    ReadingEffect,
+    RecordEffect,
+    RoomEffect,
+)
+from estimator.frames import Transform
+from estimator.rig.rig import Rig
+from estimator.tensors import torch
+
+
+class During(Effect):
+    """An effect that is there from one instant on and, where it ends, until another.
+
+    Attributes:
+        base: What is there meanwhile; it says which places and sessions can have it.
+        ends: It ends at an instant of its own.
+    """
+
+    base: ClassVar[Effect]
+    ends: ClassVar[bool] = False
+    depends_on: ClassVar[str | None] = WHEN
+
+    def quantities(self, extent: Extent) -> Quantities:
+        """Quantities of the effect, and the times since the session began at which it begins and ends, in h."""
+        return (*self.base.quantities(extent), since(extent), *((until(extent),) if self.ends else ()))
+
+    def starts(self, circumstances: Circumstances, place: str) -> Starts:
+        """Shapes of the effect, each from every instant on, or in every spell."""
+        shapes = self.base.starts(circumstances, place)
+        if not self.ends:
+            return from_instants(shapes, circumstances)
+        spells = spells_of(circumstances, place if self.kind is Kind.SENSOR else None)
+        return tuple({**start, **spell} for start in shapes for spell in spells)
+
+    def places(self, rig: Rig) -> tuple[str, ...]:
+        """Places that may have the effect."""
+        return self.base.places(rig)
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Whether the session could show the effect."""
+        return self.base.concerns(circumstances, place)
+
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """The rule of the effect that its values break."""
+        return self.base.broken_rule({key: v for key, v in values.items() if key not in (SINCE, UNTIL)})
+
+
+def during(
+    base: Effect,
+    *,
+    name: str,
+    words: str,
+    explanation: str,
+    source: str | None = None,
+    stays: Effect | None = None,
+    ends: bool = False,
+    **others: Unpack[Hooks],
+) -> During:
+    """An effect that is there from one instant on, or for a while.
+
+    Args:
+        base: What is there meanwhile. It need not be a cause by itself.
+        name, words, explanation: As with any effect.
+        source: Where the width of its priors comes from; that of the effect by default.
+        stays, ends: What begins alike and does not end; it ends at an instant of its own.
+        **others: Further attributes and hooks, as `Declaration` has them.
+    """
+    declared = {
+        "base": base,
+        "kind": base.kind,
+        "is_record_mistake": base.is_record_mistake,
+        "name": name,
+        "words": words,
+        "source": source or base.source,
+        "stays": stays,
+        "ends": ends,
+        **others,
+    }
+    stage = next(stage for acts_on, stage in _STAGES.items() if isinstance(base, acts_on))
+    return made(stage, declared, type(base).__module__, explanation)
+
+
+def spell(
+    stays: During,
+    *,
+    name: str,
+    words: str,
+    explanation: str,
+    source: str | None = None,
+    **others: Unpack[Hooks],
+) -> During:
+    """An effect that is there for a while, where another one of the same kind stays.
+
+    Args:
+        stays: What begins alike and does not end.
+        name, words, explanation, source, **others: As with `during`.
+    """
+    return during(
+        stays.base,
+        name=name,
+        words=words,
+        explanation=explanation,
+        source=source or stays.source,
+        stays=stays,
+        ends=True,
+        **others,
+    )
+
+
+def from_instants(shapes: Starts, circumstances: Circumstances) -> Starts:
+    """Each of some starts from every instant on; from every other one where there are shapes, and so many starts."""
+    has_shapes = any(shapes)
+    instants_h = circumstances.coarse_instants_h if has_shapes else circumstances.instants_h
+    return tuple({**start, SINCE: instant_h} for start in shapes for instant_h in instants_h)
+
+
+def instants_within(circumstances: Circumstances, place: str, least_share: float = 0.0) -> Starts:
+    """Instants with a reading of the sensor, and at least such a share of its readings, before and after."""
+    hours = circumstances.hours[circumstances.is_of(place)]
+    least = max(1.0, least_share * len(hours))
+    n_after = [int((hours >= instant_h).sum()) for instant_h in circumstances.instants_h]
+    each = zip(circumstances.instants_h, n_after, strict=True)
+    return tuple({SINCE: instant_h} for instant_h, n in each if least <= n <= len(hours) - least)
+
+
+def spells_of(circumstances: Circumstances, sensor: str | None = None, has_ends: bool = False) -> Starts:
+    """Spells that causes start from: every two of some instants, with a reading between and one outside.
+
+    Args:
+        circumstances: Of the readings.
+        sensor: Whose readings count; all by default.
+        has_ends: Whether one may begin with the session or last until after it.
+    """
+    hours = circumstances.hours if sensor is None else circumstances.hours[circumstances.is_of(sensor)]
+    instants_h = circumstances.coarse_instants_h
+    if has_ends:
+        instants_h = (0.0, *instants_h, AFTER * circumstances.duration_h)
+    spells = [
+        {SINCE: begin_h, UNTIL: end_h}
+        for i, begin_h in enumerate(instants_h)
+        for end_h in instants_h[i + 1 :]
+    ]
+    n_meanwhile = [int(((hours >= each[SINCE]) & (hours < each[UNTIL])).sum()) for each in spells]
+    return tuple(each for each, n in zip(spells, n_meanwhile, strict=True) if 0 < n < len(hours))
+
+
+class _Current(During, CurrentEffect):
+    def apply(self, current_A: Currents, theta: Theta, circumstances: Circumstances, coil: int) -> Currents:
+        changed_A = cast(CurrentEffect, self.base).apply(current_A, theta, circumstances, coil)
+        return torch.where(circumstances.is_meanwhile(theta)[..., None], changed_A, current_A)
+
+
+class _Reading(During, ReadingEffect):
+    def apply(
+        self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+    ) -> Components:
+        changed_T = cast(ReadingEffect, self.base).apply(field_sensor_T, theta, circumstances, sensor)
+        return torch.where(circumstances.is_meanwhile(theta)[..., None], changed_T, field_sensor_T)
+
+
+class _Room(During, RoomEffect):
+    """A field that is the same at every point."""
+
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Components:
+        anywhere_m = circumstances.hours.new_zeros(1, 3)
+        field_T = cast(RoomEffect, self.base).steady_T(anywhere_m, theta)
+        assert field_T is not None
+        return field_T * circumstances.is_meanwhile(theta)[..., None]
+
+
+class _Motion(During, MotionEffect):
+    """A shift of a mover that does not turn it."""
+
+    def columns(self, circumstances: Circumstances, mover: str) -> Columns:
+        return circumstances.hours_for_instants[:, None]
+
+    def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
+        moved = cast(MotionEffect, self.base).apply(pose, columns, theta)
+        is_there = is_meanwhile(columns[:, 0], theta)[..., None]
+        return Transform(pose.rotation, torch.where(is_there, moved.translation_m, pose.translation_m))
+
+
+class _Record(During, RecordEffect):
+    def rows_late(self, values: Mapping[str, float]) -> int:
+        return cast(RecordEffect, self.base).rows_late(values)
+
+    def late_since_h(self, values: Mapping[str, float]) -> float:
+        return values[SINCE]
+
+
+_STAGES: dict[type[Effect], type[During]] = {
+    CurrentEffect: _Current,
+    ReadingEffect: _Reading,
+    RoomEffect: _Room,
+    MotionEffect: _Motion,
+    RecordEffect: _Record,
+}
