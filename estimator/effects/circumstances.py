@@ -9,10 +9,10 @@ from functools import cached_property
 from jaxtyping import Bool, Float, Int
 
 from estimator.frames import Transform
-from estimator.geometry.motion import base_from_motion, nominal_positions_m
+from estimator.geometry.motion import base_from_motion, nominal_positions_m, pose_of, world_from_body
 from estimator.readings.observations import SECONDS_PER_HOUR, Observations
 from estimator.readings.segments import NO_SEGMENT
-from estimator.rig.rig import Rig
+from estimator.rig.rig import AnyCoil, Rig, Sensor
 from estimator.tensors import Tensor, torch
 
 MOST_TIME_STEPS = 300  # of a heating curve
@@ -72,6 +72,11 @@ class Circumstances:
         return other
 
     @property
+    def of_history(self) -> Circumstances:
+        """Circumstances of all readings of the session."""
+        return Circumstances(self.rig, self.observations.history)
+
+    @property
     def sensor(self) -> Int[Tensor, " reading"]:
         """Index of the sensor of each reading."""
         return self.observations.sensor
@@ -100,6 +105,33 @@ class Circumstances:
     def commanded_A(self, coil: str) -> Float[Tensor, " history"]:
         """Commanded current of one coil at each reading of the whole session."""
         return self.observations.history.current_A[:, self.coil_number(coil)]
+
+    def winding_m(self, coil: str) -> tuple[float, float, float]:
+        """External radius, radius of the bore, and length of a round winding as the rig file describes it."""
+        nominal = self.rig.nominal_values()
+        length_m, thickness_m = (
+            nominal[f"{coil}.{way}_loops"] * nominal[f"{coil}.{way}_pitch_m"] for way in ("axial", "radial")
+        )
+        radius_m = nominal[f"{coil}.radius_m"]
+        return radius_m, radius_m - thickness_m, length_m
+
+    def world_from(self, body: AnyCoil | Sensor) -> Transform:
+        """Pose of a body at each reading, or one for all where it stands still, as the rig file describes it."""
+        values, flange = self._nominal
+        return world_from_body(
+            self.rig, body, "sensor" if isinstance(body, Sensor) else "coil", flange, values
+        )
+
+    def world_from_base(self, mover: str) -> Transform:
+        """Pose of the base of a mover, as the rig file describes it."""
+        return pose_of(f"{mover}.world_from_base", self._nominal[0])
+
+    @cached_property
+    def _nominal(self) -> tuple[dict[str, Tensor], dict[str, Transform]]:
+        """Nominal values of the rig, and pose of each mover's flange in its base."""
+        values = {name: self.current_A.new_tensor(v) for name, v in self.rig.nominal_values().items()}
+        motion = self.observations.motion
+        return values, {mover.name: base_from_motion(mover, motion[mover.name]) for mover in self.rig.movers}
 
     def has_turned_back(self, coil: str) -> bool:
         """Whether the current of a coil has turned back."""
@@ -311,7 +343,7 @@ class Circumstances:
 
     def lagged_K(self, place: str, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"] | None:
         """`temperature_K`, low-passed from the first reading on; None without a thermometer."""
-        kelvin = Circumstances(self.rig, self.observations.history).temperature_K(place)
+        kelvin = self.of_history.temperature_K(place)
         return None if kelvin is None else kelvin[0] + self._low_passed(kelvin - kelvin[0], tau_h)
 
     def _low_passed(

@@ -6,11 +6,11 @@ Instants lie between two readings. The column of what ends is that of the change
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import ClassVar, Unpack, cast
+from typing import Any, ClassVar, cast
 
 from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantities, Starts, Theta, since, until
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent, is_meanwhile
-from estimator.effects.declaring import Hooks, made
+from estimator.effects.declaring import made
 from estimator.effects.stages import (
     Columns,
     Components,
@@ -63,66 +63,28 @@ class During(Effect):
         return self.base.broken_rule({key: v for key, v in values.items() if key not in (SINCE, UNTIL)})
 
 
-def during(
-    base: Effect,
-    *,
-    name: str,
-    words: str,
-    explanation: str,
-    source: str | None = None,
-    stays: Effect | None = None,
-    ends: bool = False,
-    **others: Unpack[Hooks],
-) -> During:
-    """An effect that is there from one instant on, or for a while.
+def during(base: Effect, *, name: str, explanation: str, **declared: Any) -> During:
+    """An effect that is there from one instant on.
 
     Args:
-        base: What is there meanwhile. It need not be a cause by itself.
-        name, words, explanation: As with any effect.
-        source: Where the width of its priors comes from; that of the effect by default.
-        stays, ends: What begins alike and does not end; it ends at an instant of its own.
-        **others: Further attributes and hooks, as `Declaration` has them.
+        base: What is there from then on. It need not be a cause by itself.
+        name, explanation: As with any effect.
+        **declared: `words`, and others as `Effect.cause` has them; the source of its priors is that of the effect unless said otherwise.
     """
-    declared = {
-        "base": base,
-        "kind": base.kind,
-        "is_record_mistake": base.is_record_mistake,
-        "name": name,
-        "words": words,
-        "source": source or base.source,
-        "stays": stays,
-        "ends": ends,
-        **others,
-    }
+    inherited = {key: getattr(base, key) for key in ("kind", "source", "is_record_mistake")}
     stage = next(stage for acts_on, stage in _STAGES.items() if isinstance(base, acts_on))
-    return made(stage, declared, type(base).__module__, explanation)
+    return made(stage, name, {**inherited, **declared, "base": base}, type(base).__module__, explanation)
 
 
-def spell(
-    stays: During,
-    *,
-    name: str,
-    words: str,
-    explanation: str,
-    source: str | None = None,
-    **others: Unpack[Hooks],
-) -> During:
-    """An effect that is there for a while, where another one of the same kind stays.
+def spell(stays: During, *, name: str, explanation: str, **declared: Any) -> During:
+    """An effect that is there for a while.
 
     Args:
         stays: What begins alike and does not end.
-        name, words, explanation, source, **others: As with `during`.
+        name, explanation, **declared: As with `during`.
     """
-    return during(
-        stays.base,
-        name=name,
-        words=words,
-        explanation=explanation,
-        source=source or stays.source,
-        stays=stays,
-        ends=True,
-        **others,
-    )
+    inherited = {"source": stays.source, "stays": stays, "ends": True}
+    return during(stays.base, name=name, explanation=explanation, **inherited | declared)
 
 
 def from_instants(shapes: Starts, circumstances: Circumstances) -> Starts:

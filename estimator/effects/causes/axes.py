@@ -13,12 +13,9 @@ from jaxtyping import Float
 from estimator.effects.base import Starts, Theta, switch, vector
 from estimator.effects.causes.pose_record import SMALLEST_TURN_RAD
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.during import during, from_instants
 from estimator.effects.stages import Components, ReadingEffect
-from estimator.geometry.motion import base_from_motion, pose_of, world_from_body
-from estimator.readings.observations import Observations
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.rig import MotionKind
 from estimator.tensors import Tensor, torch
 
 OWN, OF_BASE, OF_ROOM = range(3)  # axes in which fields are recorded
@@ -45,9 +42,7 @@ def _reads_one_twice(values: Mapping[str, float]) -> tuple[str, str] | None:
     return next(iter(values)), "must be, with the other two, 1, 2 and 3 in some order and with any signs"
 
 
-@cause(
-    ReadingEffect,
-    name="axes_swapped",
+@ReadingEffect.cause(
     words="the sensor's axes are in another order or direction",
     source="46 signed permutations; the reversal of all is current_sign",
     # Which component, 1 to 3, each axis reads, negative where it is reversed.
@@ -75,33 +70,32 @@ axes_swapped_since = during(
 
 
 def _turns(
-    rig: Rig, observations: Observations, place: str
+    circumstances: Circumstances, place: str
 ) -> tuple[Float[Tensor, "reading 3 3"], Float[Tensor, "reading 3 3"], Float[Tensor, "reading 3 3"]]:
     """Rotations from the sensor's axes into its own, those of the base and those of the room, as the rig file describes the set-up.
 
     A mover that reports displacements has no base; there the room counts twice.
     """
-    sensor = next(each for each in rig.sensors if each.name == place)
-    values = {name: observations.current_A.new_tensor(v) for name, v in rig.nominal_values().items()}
-    flange = {m.name: base_from_motion(m, observations.motion[m.name]) for m in rig.movers}
-    of_room = world_from_body(rig, sensor, "sensor", flange, values).rotation.expand(len(observations), 3, 3)
+    rig = circumstances.rig
+    sensor = rig.sensors[circumstances.sensor_number(place)]
+    of_room = circumstances.world_from(sensor).rotation.expand(len(circumstances), 3, 3)
     own = torch.eye(3, dtype=of_room.dtype, device=of_room.device).expand_as(of_room)
     mover = rig.mover(sensor.carried_by or rig.movers[0].name)
     if mover.motion is MotionKind.DISPLACEMENT:
         return own, of_room, of_room
-    return own, pose_of(f"{mover.name}.world_from_base", values).rotation.mT @ of_room, of_room
+    return own, circumstances.world_from_base(mover.name).rotation.mT @ of_room, of_room
 
 
 def _axes_of_base_and_room(circumstances: Circumstances, place: str) -> Starts:
     """Axes of base and room, once where they are the same."""
-    _, of_base, of_room = _turns(circumstances.rig, circumstances.observations.history, place)
+    _, of_base, of_room = _turns(circumstances.of_history, place)
     same = bool((of_base - of_room).abs().max() < 1e-9)
     return tuple({"axes": float(axes)} for axes in ((OF_ROOM,) if same else (OF_BASE, OF_ROOM)))
 
 
 def _has_turned(circumstances: Circumstances, place: str) -> bool:
     """Whether the sensor turned: without, the sensor is mounted otherwise, or its axes are called otherwise."""
-    _, _, of_room = _turns(circumstances.rig, circumstances.observations.history, place)
+    _, _, of_room = _turns(circumstances.of_history, place)
     since_first = of_room[:1].mT @ of_room
     cosine = 0.5 * (since_first.diagonal(dim1=-2, dim2=-1).sum(-1) - 1.0)
     return bool(torch.acos(cosine.clamp(-1.0, 1.0)).max() > SMALLEST_TURN_RAD)
@@ -111,9 +105,7 @@ def _are_unknown(values: Mapping[str, float]) -> tuple[str, str] | None:
     return None if values["axes"] in range(OF_ROOM + 1) else ("axes", f"must be 0, 1 or {OF_ROOM}")
 
 
-@cause(
-    ReadingEffect,
-    name="field_frame",
+@ReadingEffect.cause(
     words="fields are recorded in the axes of the base or of the room, not in the sensor's own",
     source="software of arms and trackers that turns readings into the axes of its base or of the room",
     # Axes of the record: 0 the sensor's, 1 those of the base of the mover that carries it, 2 those of the room.
@@ -128,5 +120,5 @@ def field_frame(
     field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
 ) -> Components:
     """The record holds fields in the axes of the mover's base or of the room: software has turned what the sensor said by its pose."""
-    each = torch.stack(_turns(circumstances.rig, circumstances.observations, sensor)).to(field_sensor_T)
+    each = torch.stack(_turns(circumstances, sensor)).to(field_sensor_T)
     return (each[theta["axes"].round().long()] @ field_sensor_T[..., None])[..., 0]

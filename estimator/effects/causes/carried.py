@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from estimator.effects.base import Starts, Theta, box, triple, vector
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.stages import Field, Points, SourceEffect
 from estimator.tensors import torch
 from estimator.units import MU0_T_M_PER_A
@@ -24,9 +23,7 @@ def _about_the_winding(circumstances: Circumstances, place: str) -> Starts:
     return (*({"x_m": 0.0, "y_m": 0.0, "z_m": -behind_m} for behind_m in BEHIND_M), *beside)
 
 
-@cause(
-    SourceEffect,
-    name="magnetised_link",
+@SourceEffect.cause(
     words="something magnetised moves with the coil",
     source="brakes and screws of an arm: a steel ball of 1 to 2 cm at 50 mT has 0.1 to 0.7 A m2",
     quantities=(*triple(MOMENT, "_A_m2", "A m2", 0.3), *box("xyz", "_m", "m", FARTHEST_M)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 from estimator.effects.base import Quantity, Theta, normal, shape
-from estimator.effects.declaring import cause
 from estimator.effects.stages import Current, Field, Points, SourceEffect
 from estimator.field.node_sum import Nodes
 from estimator.field.straight import MU0_OVER_4PI, segment_field
@@ -17,9 +16,7 @@ POINTS_AT_ONCE = 1000  # in all of a batch: more would push the dozen arrays of 
 OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
 
 
-@cause(
-    SourceEffect,
-    name="coil_ovality",
+@SourceEffect.cause(
     words="the loops are oval",
     source="a coil pressed in a vice or wound on a printed former, 0 to 2 %",
     # Cosine and sine part of the relative change of radius.
@@ -70,9 +67,7 @@ def _oval_less_round(points_coil_m: Points, winding: Winding, rule: Rule, theta:
     return scale * torch.stack([(weight[..., None, :] * part).sum(-1) for part in parts], dim=-1)
 
 
-@cause(
-    SourceEffect,
-    name="winding_sheared",
+@SourceEffect.cause(
     words="the winding leans: its loops' centres shift with the height",
     source="turns that slipped on a former, or a former printed askew: 0.2 to 1 mm over 50 mm",
     # Shift along x and y per height above the middle of the winding.
@@ -90,9 +85,7 @@ def winding_sheared(points_coil_m: Points, winding: Winding, rule: Rule, theta: 
     return of_heights.sum(-3) - field_of_loops(points_coil_m, loops, rule.steps)
 
 
-@cause(
-    SourceEffect,
-    name="lead_wire",
+@SourceEffect.cause(
     words="the leads run out of the winding apart instead of twisted",
     source="leads lie some millimetres to centimetres apart over 0.1 to 0.5 m",
     # Distance of the leads (positive: the current runs out on the side of the front face), azimuth and length.
@@ -132,9 +125,7 @@ def _rod_per_moment(points_coil_m: Points, winding: Winding) -> Field:
     return pole * field
 
 
-@cause(
-    SourceEffect,
-    name="iron_core",
+@SourceEffect.cause(
     words="iron in the bore adds to the coil's moment",
     source="wide: a screw adds per mille, a core multiplies",
     quantities=(normal("share", "1", 0.1),),  # moment of the rod in units of the winding's
@@ -151,9 +142,7 @@ def _saturating(current_A: Current, theta: Theta) -> Current:
     return (share - loss * current_A**2) * current_A
 
 
-@cause(
-    SourceEffect,
-    name="core_saturation",
+@SourceEffect.cause(
     words="iron in the bore saturates",
     source="wide: a core in a coil of some amperes may lose any part of its moment",
     # Moment at small current in units of the winding's, and its loss per square ampere.

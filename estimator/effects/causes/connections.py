@@ -9,7 +9,6 @@ from jaxtyping import Int
 
 from estimator.effects.base import Kind, Starts, Theta, switch
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.during import during, from_instants, spell
 from estimator.effects.stages import Current, CurrentEffect, Currents, OneCoilCurrent, RecordEffect
 from estimator.tensors import Tensor, torch
@@ -47,10 +46,8 @@ def _of_others(current_A: Currents, source: Int[Tensor, "*#batch coil"]) -> Curr
     return current_A.gather(-1, source)
 
 
-@cause(
-    RecordEffect,
+@RecordEffect.cause(
     "commanded_A",
-    name="coils_exchanged",
     words="two coils are connected in each other's place",
     source="any two coils",
     quantities=TWO_BODIES,
@@ -77,9 +74,7 @@ def _is_no_count(values: Mapping[str, float]) -> tuple[str, str] | None:
     return None if is_count else ("later_by", "must be a whole number of coils, from 0")
 
 
-@cause(
-    CurrentEffect,
-    name="coils_exchanged_with_a_later_one",
+@CurrentEffect.cause(
     words="this coil and another are connected in each other's place",
     source="any two coils",
     # How many entries later the other coil stands in the rig file.
@@ -106,9 +101,7 @@ coils_exchanged_since = during(
 )
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_sign",
+@OneCoilCurrent.cause(
     words="the coil is connected the other way round",
     source="there or not",
     quantities=(switch("sign", -1.0, 1.0, 1.0),),  # of the delivered current over the commanded one

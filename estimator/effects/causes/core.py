@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from estimator.effects.base import Quantity, Starts, Theta, at_least_zero
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.stages import CoreMagnetisation, CoreMemory, Current
 from estimator.field.core import Core
 from estimator.field.saturation import played
@@ -25,12 +24,7 @@ def _another_has_current(circumstances: Circumstances, place: str) -> bool:
 
 def _in_the_bore(circumstances: Circumstances, place: str) -> Starts:
     """Cores that fill the bore more or less, as long as the winding or longer."""
-    nominal = circumstances.rig.nominal_values()
-    radius_m, axial, radial, axial_pitch_m, radial_pitch_m = (
-        nominal[f"{place}.{key}"]
-        for key in ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
-    )
-    bore_m, winding_m = radius_m - radial * radial_pitch_m, axial * axial_pitch_m
+    _, bore_m, winding_m = circumstances.winding_m(place)
     return tuple(
         {
             "strength": USUAL_STRENGTH,
@@ -42,9 +36,7 @@ def _in_the_bore(circumstances: Circumstances, place: str) -> Starts:
     )
 
 
-@cause(
-    CoreMagnetisation,
-    name="cross_magnetisation",
+@CoreMagnetisation.cause(
     words="the coil has an iron core, which the other coils magnetise too",
     source="soft iron and steel: susceptibility 100 to 10000, saturation 1.6 to 2.2 T (Bozorth, Ferromagnetism, 1951); sizes wide",
     # Strength (0 no iron, 1 unlimited permeability); sizes, place of the front face, and polarisation when saturated.
@@ -73,9 +65,7 @@ def _has_core_that_remembers(circumstances: Circumstances, place: str) -> bool:
     return has_core and circumstances.has_turned_back(place)
 
 
-@cause(
-    CoreMemory,
-    name="core_remanence",
+@CoreMemory.cause(
     words="the iron core lags behind the current and stays magnetised without",
     source="coercivity 10 to 1000 A/m of soft iron and steel, over 1e4 turns per metre",
     # Half the play of the core's memory, as a current.

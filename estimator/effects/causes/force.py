@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from jaxtyping import Float
 
 from estimator.effects.base import Kind, Theta, normal
 from estimator.effects.causes.mount import shift
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.stages import Columns, MountEffect
 from estimator.field.force import force_on_loop_N
 from estimator.frames import Transform
-from estimator.geometry.motion import base_from_motion, world_from_body
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
@@ -26,40 +22,28 @@ def _others_A(circumstances: Circumstances, place: str) -> Float[Tensor, "readin
     return current_A[:, own, None] * current_A * is_other
 
 
-def _radius_m(values: Mapping[str, Tensor], coil: str) -> Tensor:
-    """Radius of the mean loop."""
-    thickness_m = values[f"{coil}.radial_pitch_m"] * values[f"{coil}.radial_loops"]
-    return values[f"{coil}.radius_m"] - 0.5 * thickness_m
-
-
-def _middle_m(values: Mapping[str, Tensor], coil: str) -> Tensor:
-    """Middle of the winding, which lies behind its front face, in the frame of the coil."""
-    length_m = values[f"{coil}.axial_pitch_m"] * values[f"{coil}.axial_loops"]
-    zero = torch.zeros_like(length_m)
-    return torch.stack((zero, zero, -0.5 * length_m))
-
-
-def _turns(values: Mapping[str, Tensor], coil: str) -> Tensor:
-    return values[f"{coil}.axial_loops"] * values[f"{coil}.radial_loops"]
+def _loop(circumstances: Circumstances, coil: str) -> tuple[Tensor, Tensor, float]:
+    """Middle of a winding, which lies behind its front face, in the frame of the coil, its mean radius, and its turns."""
+    radius_m, bore_m, length_m = circumstances.winding_m(coil)
+    nominal, like = circumstances.rig.nominal_values(), circumstances.current_A.new_tensor
+    turns = nominal[f"{coil}.axial_loops"] * nominal[f"{coil}.radial_loops"]
+    return like((0.0, 0.0, -0.5 * length_m)), like(0.5 * (radius_m + bore_m)), turns
 
 
 def _force_N(circumstances: Circumstances, body: str) -> Columns:
     """Force in newtons, in the frame of the coil."""
-    rig, motion = circumstances.rig, circumstances.observations.motion
-    values = {name: circumstances.current_A.new_tensor(value) for name, value in rig.nominal_values().items()}
-    flange = {mover.name: base_from_motion(mover, motion[mover.name]) for mover in rig.movers}
-    world_from = {coil.name: world_from_body(rig, coil, "coil", flange, values) for coil in rig.coils}
-    own = world_from[body].inverse()
+    coils = circumstances.rig.coils
+    own_from_world = circumstances.world_from(coils[circumstances.coil_number(body)]).inverse()
+    own_middle_m, own_radius_m, own_turns = _loop(circumstances, body)
     total = circumstances.current_A.new_zeros(len(circumstances), 3)
-    for i, coil in enumerate(rig.coils):
+    for i, coil in enumerate(coils):
         if coil.name == body:
             continue
-        seen = own @ world_from[coil.name]
-        middle_m = seen.apply(_middle_m(values, coil.name)) - _middle_m(values, body)
-        radii_m = (_radius_m(values, body), _radius_m(values, coil.name))
-        by_turns_N = force_on_loop_N((middle_m, seen.rotation), *radii_m)
-        turns = _turns(values, body) * _turns(values, coil.name)
-        total = total + turns * _others_A(circumstances, body)[:, i, None] * by_turns_N
+        own_from_coil = own_from_world @ circumstances.world_from(coil)
+        middle_m, radius_m, turns = _loop(circumstances, coil.name)
+        at_m = own_from_coil.apply(middle_m) - own_middle_m
+        by_turns_N = force_on_loop_N((at_m, own_from_coil.rotation), own_radius_m, radius_m)
+        total = total + own_turns * turns * _others_A(circumstances, body)[:, i, None] * by_turns_N
     return total
 
 
@@ -68,9 +52,7 @@ def _round_coils(rig: Rig) -> tuple[str, ...]:
     return tuple(coil.name for coil in rig.round) if len(rig.round) == len(rig.coils) > 1 else ()
 
 
-@cause(
-    MountEffect,
-    name="coil_pulled",
+@MountEffect.cause(
     words="the coil gives way to the pull of other coils that carry current",
     source="a collaborative arm gives way by 10 to 100 micrometres under a newton, a printed bracket by half a millimetre",
     quantities=(normal("compliance_m_per_N", "m/N", 5e-4),),

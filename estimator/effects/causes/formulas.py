@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from estimator.effects.base import Theta, normal
-from estimator.effects.declaring import cause
 from estimator.effects.stages import Field, Points, SourceEffect
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.straight import MU0_OVER_4PI
@@ -13,9 +12,7 @@ from estimator.tensors import torch
 WEIGHT = (normal("weight", "1", 1.0),)  # of the other formula against the right one
 
 
-@cause(
-    SourceEffect,
-    name="spherical_sum",
+@SourceEffect.cause(
     words="readings and simulation differ by a sum of spherical components about different centres",
     source="0, 1 or -1: which simulation made the data, and which one explains them (Osinde et al., eq 13)",
     quantities=WEIGHT,
@@ -32,9 +29,7 @@ def spherical_sum(points_coil_m: Points, winding: Winding, rule: Rule, theta: Th
     return theta["weight"][..., None, None] * (literal - right)
 
 
-@cause(
-    SourceEffect,
-    name="dipole_model",
+@SourceEffect.cause(
     words="the readings follow a point dipole, not a winding",
     source="0 or 1: which simulation made the data",
     quantities=WEIGHT,

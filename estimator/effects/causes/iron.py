@@ -20,7 +20,6 @@ from estimator.effects.base import (
     vector,
 )
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.declaring import cause
 from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
@@ -67,10 +66,8 @@ def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
     return not bool(along_m.min() < theta["distance_m"] < along_m.max())
 
 
-@cause(
-    RoomEffect,
+@RoomEffect.cause(
     "response",
-    name="iron_plate",
     words="a plate of iron mirrors the coils",
     source="strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less",
     # Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
@@ -261,10 +258,8 @@ def _around(circumstances: Circumstances) -> Starts:
 IRON = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
 
 
-@cause(
-    RoomEffect,
+@RoomEffect.cause(
     "response",
-    name="iron_body",
     words="a piece of iron in the room answers the coils",
     source=IRON,
     quantities=_somewhere_near,
@@ -282,10 +277,8 @@ def _dipole_of_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fi
     return theta["volume_m3"][..., None, None] * dipole(points_m - body_m, at_body)
 
 
-@cause(
-    RoomEffect,
+@RoomEffect.cause(
     "response",
-    name="second_iron_body",
     words="a second piece of iron in the room answers the coils",
     source=IRON,
     quantities=_somewhere_near,

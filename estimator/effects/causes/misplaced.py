@@ -12,7 +12,6 @@ from jaxtyping import Float
 
 from estimator.effects.base import Kind, Quantities, Theta, normal, triple, vector
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.stages import ElementEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import Body, MotionKind, Rig, SidedCoil
@@ -50,9 +49,7 @@ def _askew(circumstances: Circumstances, place: str) -> frozenset[str]:
     return ASKEW_KEYS if is_loose else frozenset()
 
 
-@cause(
-    MountEffect,
-    name="sensor_misplaced",
+@MountEffect.cause(
     words="the sensor sits elsewhere on its holder, or turned in it",
     source="probes are glued or clamped to about 1 mm and 1 degree",
     quantities=elsewhere(1e-3, math.radians(1.0)),  # in its own frame
@@ -71,9 +68,7 @@ def _askew_or_about_the_axis(circumstances: Circumstances, place: str) -> frozen
     return _askew(circumstances, place) | frozenset(() if can_show else ("rz_rad",))
 
 
-@cause(
-    MountEffect,
-    name="coil_misplaced",
+@MountEffect.cause(
     words="the coil sits elsewhere than stated, or turned there",
     source="coils are bolted or clamped to about 1 mm and 1 degree",
     quantities=elsewhere(1e-3, math.radians(1.0)),  # in its own frame
@@ -85,9 +80,7 @@ def coil_misplaced(theta: Theta) -> Transform:
     return of_numbers(theta)
 
 
-@cause(
-    ElementEffect,
-    name="element_displacement",
+@ElementEffect.cause(
     words="the sensor's three elements sit at different positions",
     source="probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm",
     # Position of each element from where the sensor is said to be, in the sensor frame.

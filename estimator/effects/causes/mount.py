@@ -7,7 +7,6 @@ from collections.abc import Mapping
 
 from estimator.effects.base import WHEN, Kind, Theta, since, triple, vector
 from estimator.effects.circumstances import SINCE, Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.during import from_instants
 from estimator.effects.stages import Columns, MountEffect
 from estimator.frames import Transform, rotation_from_vector
@@ -26,9 +25,7 @@ def _displaced_bodies(rig: Rig) -> tuple[str, ...]:
     return tuple(b.name for b in carried if rig.mover(str(b.carried_by)).motion is MotionKind.DISPLACEMENT)
 
 
-@cause(
-    MountEffect,
-    name="mount_tilt",
+@MountEffect.cause(
     words="the body sits askew on its flange: displacements run in other directions than assumed",
     source="a printed or bolted mount, 1 to 2 degrees",
     # Rotation vector across the body's axis; a turn about it is absorbed by the pose (docs/explanation/field-model.md).
@@ -49,9 +46,7 @@ def _is_after(circumstances: Circumstances, theta: Mapping[str, float]) -> Colum
     return (circumstances.hours >= theta[SINCE]).to(circumstances.hours)[:, None]
 
 
-@cause(
-    MountEffect,
-    name="sensor_bumped",
+@MountEffect.cause(
     words="from one instant on the sensor sits elsewhere",
     source="a touch moves a clamped probe by 0.1 to 1 mm",
     # Shift in the sensor's frame, and the time since the session began at which it happened.

@@ -13,7 +13,6 @@ from itertools import permutations, product
 from estimator.effects.base import Starts, Theta, box, switch, vector
 from estimator.effects.causes.connections import is_no_sign
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import MotionKind, Rig
@@ -52,9 +51,7 @@ def _usual_slips(circumstances: Circumstances, place: str) -> Starts:
     )
 
 
-@cause(
-    MotionEffect,
-    name="position_unit",
+@MotionEffect.cause(
     words="positions are recorded in another unit than stated, along one axis or all",
     source="powers of ten between m, cm and mm; inches",
     quantities=tuple(switch(key, 0.0, 1e9, 1.0) for key in FACTORS),  # recorded over true positions
@@ -74,9 +71,7 @@ def _is_no_convention(values: Mapping[str, float]) -> tuple[str, str] | None:
     return None if is_known else ("convention", f"must be a whole number from 0 to {IN_DEGREES}")
 
 
-@cause(
-    MotionEffect,
-    name="rotation_convention",
+@MotionEffect.cause(
     words="rotations are recorded in another convention than rotation vectors",
     source="angles about the axes in each of 6 orders, the inverse rotation, degrees",
     # 0: a rotation vector; 1 to 6: angles about fixed axes, in the order xyz, xzy, yxz, yzx, zxy, zyx; 7: the inverse; 8: degrees.
@@ -102,9 +97,7 @@ def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Tran
     return Transform(each[theta["convention"].round().long()], pose.translation_m)
 
 
-@cause(
-    MotionEffect,
-    name="left_handed",
+@MotionEffect.cause(
     words="one axis of the displacements is reversed: their frame is left-handed",
     source="3 axes",
     quantities=tuple(switch(key, -1.0, 1.0, 1.0) for key in SIGNS),
@@ -139,9 +132,7 @@ def _is_large(theta: Theta) -> bool:
     return math.hypot(*(float(turn_rad) for turn_rad in theta.values())) > SMALLEST_TURN_RAD
 
 
-@cause(
-    MotionEffect,
-    name="displacement_frame",
+@MotionEffect.cause(
     words="displacements are reported in other axes than the rig says",
     source="any rotation: a tool may point anywhere",
     quantities=box(TURN, "", "rad", 2.0 * math.pi),  # from the reported to the real axes

@@ -10,7 +10,6 @@ from jaxtyping import Int
 from estimator.effects.base import Quantities, Starts, Theta, switch
 from estimator.effects.causes.connections import TWO_BODIES, are_no_bodies, exchanged, pairs
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.declaring import cause
 from estimator.effects.during import during
 from estimator.effects.stages import Components, Currents, Deviations, RecordEffect
 from estimator.tensors import Tensor
@@ -20,10 +19,8 @@ CURRENT_FACTORS = (1e3, 1e-3)  # mA under A, A under mA
 MOST_ROWS = 2  # that a logger runs late or early
 
 
-@cause(
-    RecordEffect,
+@RecordEffect.cause(
     "place_of",
-    name="sensors_exchanged",
     words="two sensors stand at each other's places, or their cables are exchanged",
     source="any two sensors",
     quantities=TWO_BODIES,
@@ -48,10 +45,8 @@ def _are_no_rows(values: Mapping[str, float]) -> tuple[str, str] | None:
     return None if is_row else ("rows", f"must be a whole number from {-MOST_ROWS} to {MOST_ROWS}")
 
 
-@cause(
-    RecordEffect,
+@RecordEffect.cause(
     "rows_late",
-    name="rows_shifted",
     words="fields stand some rows beside the poses and currents that they belong to",
     source=f"buffers of loggers, {MOST_ROWS} readings at most",
     # Rows by which fields come late; negative where they come early.

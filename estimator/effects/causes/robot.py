@@ -8,7 +8,6 @@ from collections.abc import Mapping
 from estimator.effects.base import Quantities, Theta, normal, triple, vector
 from estimator.effects.causes.misplaced import elsewhere, of_numbers
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.declaring import cause
 from estimator.effects.during import during, spell
 from estimator.effects.segments import WHICH, extent_of_segments, in_each_segment, is_several, of_segment
 from estimator.effects.stages import Columns, MotionEffect
@@ -34,9 +33,7 @@ def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
     return Transform(pose.rotation, pose.translation_m + shift_m)
 
 
-@cause(
-    MotionEffect,
-    name="robot_scale",
+@MotionEffect.cause(
     words="the robot's axes have a wrong scale",
     source="uncalibrated arms err by 1 mm in 0.5 m; worn screws by per mille",
     quantities=triple("xyz", "", "1", 0.005),
@@ -46,9 +43,7 @@ def robot_scale(pose: Transform, theta: Theta) -> Transform:
     return _shifted(pose, vector(theta, "xyz") * pose.translation_m)
 
 
-@cause(
-    MotionEffect,
-    name="robot_shear",
+@MotionEffect.cause(
     words="the robot's axes are not at right angles",
     source="portal axes are squared to 1 mrad and better; arms err as in robot_scale",
     # How far x leans along y, x along z, and y along z.
@@ -66,9 +61,7 @@ def _direction_of_last_move(circumstances: Circumstances, mover: str) -> Columns
     return torch.nn.functional.normalize(circumstances.last_move_m(mover), dim=-1, eps=1e-12)
 
 
-@cause(
-    MotionEffect,
-    name="position_lag",
+@MotionEffect.cause(
     words="the mover stops short along its last move",
     source="in-position windows of controllers, 10 to 100 um",
     quantities=(normal("lag_m", "m", 200e-6),),
@@ -80,9 +73,7 @@ def position_lag(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     return _shifted(pose, -theta["lag_m"][..., None, None] * columns)
 
 
-@cause(
-    MotionEffect,
-    name="backlash",
+@MotionEffect.cause(
     words="the axes have play: the position depends on the side it was reached from",
     source="spindles and gears, 10 to 200 um",
     quantities=triple("xyz", "_m", "m", 200e-6),
@@ -119,9 +110,7 @@ def _turned(pose: Transform, columns: Columns, turns_rad: Mapping[int, Tensor]) 
     return pose
 
 
-@cause(
-    MotionEffect,
-    name="joint_zeros",
+@MotionEffect.cause(
     words="the joints' encoders have other zeros than the arm's kinematics",
     source="UR arms whose factory calibration is not used, about 2 mrad a joint",
     # How far each joint stands beyond its reading.
@@ -134,9 +123,7 @@ def joint_zeros(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     return _turned(pose, columns, {i: theta[f"q{i}_rad"][..., None] for i in range(N_JOINTS)})
 
 
-@cause(
-    MotionEffect,
-    name="joint_sag",
+@MotionEffect.cause(
     words="shoulder and elbow of the arm give way under its weight",
     source="gears of 10 kN m/rad under 30 N: 3 mrad for each metre of lever; light arms with belts several times that",
     # Angle by which a joint gives way for each metre of lever: the shoulder under either, the elbow under that at the flange.
@@ -161,9 +148,7 @@ def joint_sag(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     return _turned(pose, columns, turns_rad)
 
 
-@cause(
-    MotionEffect,
-    name="base_misplaced",
+@MotionEffect.cause(
     words="the base of the mover stands elsewhere in the room, or turned",
     source="bases are placed by tape and level to about 2 mm and 0.5 degree",
     quantities=elsewhere(2e-3, math.radians(0.5)),  # in the frame of the base as stated
@@ -186,9 +171,7 @@ def _is_no_bump(circumstances: Circumstances, place: str) -> bool:
     return len(shifted) > 1 or (is_turned and any(sensor.carried_by == place for sensor in shifted))
 
 
-@cause(
-    MotionEffect,
-    name="mover_off",
+@MotionEffect.cause(
     words="the mover stands elsewhere than it says",
     source="lost steps of a motor and pushed feet, 0.1 to 1 mm",
     quantities=triple("xyz", "_m", "m", 500e-6),  # in the frame that the mover reports in
@@ -222,9 +205,7 @@ def _set_up_anew(extent: Extent) -> Quantities:
     return in_each_segment(extent, elsewhere(1e-3, math.radians(0.5)))
 
 
-@cause(
-    MotionEffect,
-    name="segment_misplaced",
+@MotionEffect.cause(
     words="in each segment of the session the mover stands elsewhere, or turned",
     source="feet, stops and references are found again to about 1 mm and 0.5 degree",
     quantities=_set_up_anew,

@@ -19,7 +19,6 @@ from estimator.effects.base import (
     vector,
 )
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.declaring import cause
 from estimator.effects.during import during, instants_within, spell, spells_of
 from estimator.effects.segments import (
     WHICH,
@@ -42,9 +41,7 @@ CUTS = 6  # parts of the readings, between which a side may begin
 LEAST_WAY = 1e-3  # of the longest: along shorter ways there are no sides
 
 
-@cause(
-    ReadingEffect,
-    name="cross_axis",
+@ReadingEffect.cause(
     words="the sensor's axes pick up each other's components",
     source="elements are mounted to 0.2 to 1 degree; cross sensitivity up to 1 %",
     quantities=triple(PAIRS, "", "1", 0.01),
@@ -57,9 +54,7 @@ def cross_axis(field_sensor_T: Components, theta: Theta) -> Components:
     return field_sensor_T + (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
 
 
-@cause(
-    ReadingEffect,
-    name="axis_gain",
+@ReadingEffect.cause(
     words="the sensor's axes have wrong gains",
     source="Hall teslameters are specified to 0.1 to 1 % (Metrolab THM1176: 1 %)",
     quantities=triple("xyz", "", "1", 0.01),
@@ -82,9 +77,7 @@ No cause says that gains alone change and stay, so a spell may begin with the se
 )
 
 
-@cause(
-    ReadingEffect,
-    name="cubic_response",
+@ReadingEffect.cause(
     words="the sensor's response bends with the field",
     source="linearity of Hall sensors, 0.1 to 1 % of range",
     quantities=lambda extent: triple("xyz", "_per_T2", "1/T2", 0.01 / extent.largest_field_T**2),
@@ -94,9 +87,7 @@ def cubic_response(field_sensor_T: Components, theta: Theta) -> Components:
     return field_sensor_T + vector(theta, "xyz", "_per_T2") * field_sensor_T**3
 
 
-@cause(
-    ReadingEffect,
-    name="planar_hall",
+@ReadingEffect.cause(
     words="each axis adds the product of the two other components",
     source="planar Hall voltage of silicon elements, up to 1 % of the field",
     quantities=lambda extent: triple("xyz", "_per_T", "1/T", 0.01 / extent.largest_field_T),
@@ -126,9 +117,7 @@ def _at_temperature(field_sensor_T: Components, theta: Theta, kelvin: Current | 
     return field_sensor_T * (1.0 + gain * kelvin[..., None]) + zero * kelvin[..., None]
 
 
-@cause(
-    ReadingEffect,
-    name="temperature_drift",
+@ReadingEffect.cause(
     words="the sensor's gain and zero follow its temperature",
     source="temperature coefficients of Hall sensors: 100 to 1000 ppm/K, 1 to 10 uT/K",
     quantities=PER_KELVIN,
@@ -141,9 +130,7 @@ def temperature_drift(
     return _at_temperature(field_sensor_T, theta, circumstances.temperature_K(sensor))
 
 
-@cause(
-    ReadingEffect,
-    name="thermal_lag",
+@ReadingEffect.cause(
     words="the sensor's gain and zero follow its thermometer late",
     source="coefficients as of temperature_drift; a probe in its holder follows the air in 5 minutes to an hour",
     quantities=(*PER_KELVIN, Quantity("tau_h", "h", LogNormal(0.3, 1.0), 0.3, is_shape=True)),
@@ -158,9 +145,7 @@ def thermal_lag(
     return _at_temperature(field_sensor_T, theta, circumstances.lagged_K(sensor, theta["tau_h"]))
 
 
-@cause(
-    ReadingEffect,
-    name="sensor_offset",
+@ReadingEffect.cause(
     words="the sensor shows a constant in no field",
     source="zero errors of Hall sensors, 10 to 100 uT",
     quantities=triple("xyz", "_T", "T", 50e-6),
@@ -171,9 +156,7 @@ def sensor_offset(field_sensor_T: Components, theta: Theta) -> Components:
     return field_sensor_T + vector(theta, "xyz", "_T")
 
 
-@cause(
-    ReadingEffect,
-    name="offset_drift",
+@ReadingEffect.cause(
     words="the zero of the sensor drifts",
     source="some 10 uT while electronics warm up",
     # Change per hour from the beginning of the session on.
@@ -209,9 +192,7 @@ ANOTHER = (cross_axis, axis_gain, sensor_offset)  # of a sensor, in the order in
 CONTACT = (axis_gain, sensor_offset)  # of a contact, likewise
 
 
-@cause(
-    ReadingEffect,
-    name="another_sensor",
+@ReadingEffect.cause(
     words="another sensor reads, with gains and a zero of its own",
     source="sensors of one make differ as axis_gain, cross_axis and sensor_offset say",
     quantities=lambda extent: _quantities_of(ANOTHER, extent),
@@ -279,9 +260,7 @@ def _sides(circumstances: Circumstances, place: str) -> Starts:
     return tuple(starts)
 
 
-@cause(
-    ReadingEffect,
-    name="sensor_contact",
+@ReadingEffect.cause(
     words="on one side of the mover's way the sensor has other gains and another zero",
     source="a worn cable or plug: per mille to per cents of a gain, and zeros as sensor_offset says",
     quantities=_contact,
@@ -325,9 +304,7 @@ def _not_read(quantities: Quantities) -> Callable[[Circumstances, str], frozense
 SEGMENT_GAIN, SEGMENT_ZERO = (normal("gain", "1", 0.01),), triple("xyz", "_T", "T", 50e-6)
 
 
-@cause(
-    ReadingEffect,
-    name="segment_gain",
+@ReadingEffect.cause(
     words="in each segment of the session the sensor has another gain",
     source="ranges and excitation currents of Hall teslameters agree to 0.1 to 1 %",
     quantities=lambda extent: in_each_segment(extent, SEGMENT_GAIN),
@@ -341,9 +318,7 @@ def segment_gain(field_sensor_T: Components, theta: Theta, circumstances: Circum
     return field_sensor_T * (1.0 + of_segment(theta, ("gain",), circumstances.segment))
 
 
-@cause(
-    ReadingEffect,
-    name="segment_zero",
+@ReadingEffect.cause(
     words="in each segment of the session the sensor shows another constant in no field",
     source="zeroing in a chamber or in the field of the room leaves as much as sensor_offset says",
     quantities=lambda extent: in_each_segment(extent, SEGMENT_ZERO),
@@ -369,9 +344,7 @@ def _inside_the_largest(circumstances: Circumstances, place: str) -> Starts:
     return tuple({"limit_T": share * largest_T} for share in CLIPPED_AT)
 
 
-@cause(
-    ReadingEffect,
-    name="range_clipping",
+@ReadingEffect.cause(
     words="components beyond the sensor's range are cut off",
     source="any range; the readings show where it ends",
     quantities=_largest_shown,

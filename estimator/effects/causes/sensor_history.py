@@ -6,7 +6,6 @@ from jaxtyping import Float
 
 from estimator.effects.base import Starts, Theta, at_least_zero, normal
 from estimator.effects.circumstances import LONG_AGO_S, Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.stages import Components, ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.tensors import Tensor, torch
@@ -18,7 +17,7 @@ LEAST_TAU_S = 1e-6  # shorter than any dwell by so much that nothing is left
 
 def _dwells_s(circumstances: Circumstances, sensor: str) -> Float[Tensor, " dwell"]:
     """Times between readings of a sensor."""
-    _, ago_s = Circumstances(circumstances.rig, circumstances.observations.history).previous(sensor)
+    _, ago_s = circumstances.of_history.previous(sensor)
     return ago_s[ago_s < LONG_AGO_S]
 
 
@@ -29,9 +28,7 @@ def _shares_of_a_dwell(circumstances: Circumstances, place: str) -> Starts:
     return tuple({"tau_s": share * typical_s} for share in LAGS)
 
 
-@cause(
-    ReadingEffect,
-    name="sensor_lag",
+@ReadingEffect.cause(
     words="the sensor is read before it has settled",
     source="filters of teslameters, 10 ms to 1 s; stops of 0.5 to 10 s are meant to be ten times as long",
     quantities=lambda extent: (at_least_zero("tau_s", "s", 0.1 * extent.interval_h * SECONDS_PER_HOUR),),
@@ -76,9 +73,7 @@ def _follows_another(circumstances: Circumstances, place: str) -> bool:
     return bool((row >= 0)[circumstances.is_of(place)].any())
 
 
-@cause(
-    ReadingEffect,
-    name="channel_crosstalk",
+@ReadingEffect.cause(
     words="the sensor keeps a share of what was read on the channel before",
     source="multiplexers that switch faster than their converter settles, 0.01 to 5 % of the channel before",
     quantities=(normal("share", "1", 0.02),),  # of the channel before

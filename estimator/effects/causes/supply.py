@@ -8,7 +8,6 @@ from jaxtyping import Float
 
 from estimator.effects.base import Kind, Quantities, Quantity, Starts, Theta, fixed, normal, shape
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
-from estimator.effects.declaring import cause
 from estimator.effects.during import during, spell
 from estimator.effects.stages import Current, CurrentEffect, Currents, OneCoilCurrent
 from estimator.rig.parameters import LogNormal
@@ -38,9 +37,7 @@ def _missing(key: str) -> Callable[[Extent], Quantities]:
     return lambda extent: (normal(key, "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_gain",
+@OneCoilCurrent.cause(
     words="the supply delivers a fixed multiple of the commanded current",
     source="read-back accuracy of bench supplies, 0.1 to 1 %",
     quantities=(normal("excess", "1", 0.01),),
@@ -50,9 +47,7 @@ def current_gain(current_A: Current, theta: Theta) -> Current:
     return current_A * (1.0 + theta["excess"][..., None])
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_offset",
+@OneCoilCurrent.cause(
     words="a constant current flows on top of the commanded one",
     source="offset of bipolar supplies, about 0.1 % of a range of 20 A",
     quantities=_missing("offset_A"),
@@ -62,9 +57,7 @@ def current_offset(current_A: Current, theta: Theta) -> Current:
     return current_A + theta["offset_A"][..., None]
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_dead_band",
+@OneCoilCurrent.cause(
     words="about zero the supply delivers nothing, and a constant less than commanded beyond",
     source="cross-over of bipolar amplifiers, 0.1 to 1 % of their range",
     quantities=_missing("band_A"),  # a negative band is a jump of the current at zero
@@ -82,9 +75,7 @@ def _has_both_signs(circumstances: Circumstances, place: str) -> bool:
     return bool((current_A > 0.0).any() and (current_A < 0.0).any())
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_asymmetry",
+@OneCoilCurrent.cause(
     words="the supply delivers another share of positive than of negative currents",
     source="for each polarity a gain of its own: bench supplies 0.1 to 1 %, half bridges with a shunt each 1 to 3 %",
     quantities=(
@@ -98,9 +89,7 @@ def current_asymmetry(current_A: Current, theta: Theta) -> Current:
     return current_A + theta["excess"][..., None] * current_A.abs()
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_compression",
+@OneCoilCurrent.cause(
     words="the supply lacks the more of a current, the larger it is",
     source="linearity of supplies near the limit of their voltage, 0.1 to 2 %",
     quantities=lambda extent: (normal("loss_per_A2", "1/A2", 0.01 / extent.largest_current_A**2),),
@@ -125,9 +114,7 @@ def _shares_of_the_largest(circumstances: Circumstances, place: str) -> Starts:
     return tuple({"limit_A": share * largest_A} for share in LIMITED_AT)
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_limit",
+@OneCoilCurrent.cause(
     words="beyond some current the supply delivers no more, as at the limit of its voltage",
     source="any limit; the largest currents of the session show where it is",
     quantities=_largest_current,
@@ -154,9 +141,7 @@ def _ends_of_ranges(circumstances: Circumstances, place: str) -> Starts:
     return tuple({"below_A": end_A} for end_A in between_A or [0.5 * circumstances.largest_current_A])
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_range",
+@OneCoilCurrent.cause(
     words="below some current the supply works in another range, with another gain",
     source="ranges of supplies have gain errors of their own, 0.1 to 1 %",
     # Excess of the gain in the low range, and the current at which it ends.
@@ -174,9 +159,7 @@ def current_range(current_A: Current, theta: Theta) -> Current:
     return current_A * (1.0 + theta["excess"][..., None] * is_low)
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_loss",
+@OneCoilCurrent.cause(
     words="the coil carries less current",
     source="a shorted layer of a winding of 50 layers, 2 %; a supply that changes range, 0.1 to 1 %",
     quantities=(normal("step", "1", 0.02),),  # share that is lost
@@ -201,9 +184,7 @@ current_spell = spell(
 )
 
 
-@cause(
-    OneCoilCurrent,
-    name="current_remanence",
+@OneCoilCurrent.cause(
     words="a share of the current before its last turn still acts",
     source="remanence of steel cores and screws, 0.1 to 2 % of the field they were in",
     quantities=(normal("share", "1", 0.01),),  # what stays of the last local extreme of the current
@@ -237,9 +218,7 @@ def _currents_before(key: str) -> str | None:
     return None if key == "loss_per_K" else past
 
 
-@cause(
-    OneCoilCurrent,
-    name="coil_heating",
+@OneCoilCurrent.cause(
     words="the current sags while the coil warms up by its own losses",
     source="copper gains 0.39 % of resistance a kelvin; coils of this size warm up by some kelvins",
     quantities=_losses,
@@ -262,9 +241,7 @@ def coil_heating(current_A: Current, theta: Theta, circumstances: Circumstances,
     return current_A * (1.0 - loss)
 
 
-@cause(
-    CurrentEffect,
-    name="neighbour_coil",
+@CurrentEffect.cause(
     words="this coil carries a share of its neighbours' currents",
     source="wide: nothing is specified for wiring",
     quantities=(normal("share", "1", 0.05),),  # of the summed current of the other coils

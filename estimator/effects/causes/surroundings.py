@@ -6,7 +6,6 @@ import math
 
 from estimator.effects.base import Quantities, Starts, Theta, shape, triple, vector
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.declaring import cause
 from estimator.effects.during import during, spell
 from estimator.effects.stages import Components, Field, Points, RoomEffect
 from estimator.tensors import torch
@@ -16,10 +15,8 @@ MOST_FREQUENCIES = 160
 SLOPES = ("xx", "yy", "xy", "xz", "yz")
 
 
-@cause(
-    RoomEffect,
+@RoomEffect.cause(
     "steady_T",
-    name="background_field",
     words="a constant field of the room adds to that of the coils",
     source="the Earth's field, 25 to 65 uT (IGRF-13)",
     quantities=triple("xyz", "_T", "T", 50e-6),
@@ -32,10 +29,8 @@ def background_field(points_m: Points, theta: Theta) -> Field:
     return field.expand(*field.shape[:-2], points_m.shape[-2], 3)
 
 
-@cause(
-    RoomEffect,
+@RoomEffect.cause(
     "steady_T",
-    name="background_gradient",
     words="the constant field of the room differs from place to place",
     source="steel benches, cupboards and magnets some metres off: 10 to 500 uT/m",
     # Change of the first component along the second axis; the field is that beyond the one at the origin.
@@ -52,10 +47,8 @@ def background_gradient(points_m: Points, theta: Theta) -> Field:
     return points_m @ torch.stack([torch.stack(row, dim=-1) for row in rows], dim=-2)
 
 
-@cause(
-    RoomEffect,
+@RoomEffect.cause(
     "drifting_T",
-    name="background_drift",
     words="the field of the room drifts",
     source="lifts, trams and magnets next door: some 10 uT within a session",
     # Change per hour from the beginning of the session on.
@@ -96,10 +89,8 @@ def _frequencies(circumstances: Circumstances) -> Starts:
     return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
 
 
-@cause(
-    RoomEffect,
+@RoomEffect.cause(
     "drifting_T",
-    name="periodic_interference",
     words="the field of the room swings periodically",
     source="mains and machines nearby, 1 to 50 uT; their beat with the clock of the readings",
     quantities=_swing,

@@ -8,7 +8,6 @@ import numpy as np
 
 from estimator.effects.base import Quantities, Quantity, Starts, Theta, fixed, normal, shape
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.declaring import cause
 from estimator.effects.stages import AddedLoops, SidesEffect, WindingEffect
 from estimator.field.loop import FEWEST_STEPS
 from estimator.field.node_sum import Nodes
@@ -33,9 +32,7 @@ def _wire_of_an_open_pitch(circumstances: Circumstances, place: str) -> frozense
     return frozenset(("wire",)) if any(pitch.is_free for pitch in pitches) else frozenset()
 
 
-@cause(
-    WindingEffect,
-    name="winding_misstated",
+@WindingEffect.cause(
     words="the winding has another radius, wire or number of loops than stated",
     source="radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %",
     # Of the external radius, of the wire's thickness and of both numbers of loops.
@@ -65,9 +62,7 @@ def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]
     return _wire_of_an_open_pitch(circumstances, place) | frozenset(() if has_corner else ("corner",))
 
 
-@cause(
-    SidesEffect,
-    name="sides_misstated",
+@SidesEffect.cause(
     words="the winding has other sides, corners, wire or number of loops than stated",
     source="formers by calliper under a wire that bulges, 2 %; corners by radius gauge, 10 %; enamelled wire, 2 %; loops from outside, 3 %",
     # Of both sides of the bore, of its corner radius, of the wire's thickness and of both numbers of loops.
@@ -89,9 +84,7 @@ def _is_pitch_fixed(key: str) -> Callable[[Circumstances, str], bool]:
     return lambda circumstances, place: not circumstances.rig.parameters[f"{place}.{key}"].is_free
 
 
-@cause(
-    WindingEffect,
-    name="axial_pitch",
+@WindingEffect.cause(
     words="turns lie wider along the axis than the wire is thick",
     source="play between turns of orthocyclic windings, 0 to 2 %",
     quantities=_excesses(excess=0.02),
@@ -104,9 +97,7 @@ def axial_pitch(winding: Winding, theta: Theta) -> Winding:
     return winding.with_pitches(factor, torch.ones_like(factor))
 
 
-@cause(
-    WindingEffect,
-    name="radial_pitch",
+@WindingEffect.cause(
     words="layers lie closer than the wire is thick",
     source="layers in each other's grooves: up to 13 % closer; the MICE coils 39 %",
     quantities=_excesses(excess=0.05),
@@ -119,9 +110,7 @@ def radial_pitch(winding: Winding, theta: Theta) -> Winding:
     return winding.with_pitches(torch.ones_like(factor), factor)
 
 
-@cause(
-    AddedLoops,
-    name="turns_gradient",
+@AddedLoops.cause(
     words="turns lie denser towards one end",
     source="wide: hand-wound coils",
     quantities=(normal("slope", "1", 0.05),),  # relative excess of turns per length at the front face
@@ -135,9 +124,7 @@ def turns_gradient(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, i
     return loops._replace(weight=loops.weight * excess), rule.steps
 
 
-@cause(
-    AddedLoops,
-    name="short_layer",
+@AddedLoops.cause(
     words="the outermost layer is not wound to its end",
     source="up to a whole layer may be missing",
     # Share of the layer that is missing, and at which end.
@@ -157,9 +144,7 @@ def short_layer(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]
     return _single_file(height_m, radius_m, weight), rule.steps
 
 
-@cause(
-    AddedLoops,
-    name="reversed_layer",
+@AddedLoops.cause(
     words="a layer is wound the other way",
     source="up to a whole layer",
     # Share of a layer that runs the other way, and where: 0 is the outermost, 1 the innermost.
@@ -184,12 +169,8 @@ def reversed_layer(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, i
 
 def _hidden_places(circumstances: Circumstances, place: str) -> Starts:
     """Places in the bore, around the winding along all of it and at either end, and behind it."""
-    nominal = circumstances.rig.nominal_values()
-    radius_m, axial, radial, axial_pitch_m, radial_pitch_m = (
-        nominal[f"{place}.{key}"]
-        for key in ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
-    )
-    length, bore = axial * axial_pitch_m / radius_m, 1.0 - radial * radial_pitch_m / radius_m
+    radius_m, bore_m, length_m = circumstances.winding_m(place)
+    bore, length = bore_m / radius_m, length_m / radius_m
     places = (
         (0.8 * bore, -0.5 * length, length),
         (1.15, -0.5 * length, length),
@@ -200,9 +181,7 @@ def _hidden_places(circumstances: Circumstances, place: str) -> Starts:
     return tuple(dict(zip(("radius", "middle", "length"), values, strict=True)) for values in places)
 
 
-@cause(
-    AddedLoops,
-    name="hidden_winding",
+@AddedLoops.cause(
     words="another winding about the same axis carries the coil's current",
     source="wide: shields and compensations have a tenth of the turns and more",
     # Share of the coil's turns, negative where wound the other way; radius, middle and length in external radii.

@@ -18,8 +18,7 @@ from jaxtyping import Float
 from estimator.effects.base import Effect, Quantities, Theta, normal, vector
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.frames import Transform
-from estimator.geometry.motion import base_from_motion, world_from_body
-from estimator.rig.rig import Body
+from estimator.rig.rig import AnyCoil
 from estimator.tensors import Tensor, torch
 
 KEY = re.compile(r"degree(?P<degree>\d+)_\w+")
@@ -123,19 +122,16 @@ class Correction(Effect):
         }
 
 
-def positions_m(circumstances: Circumstances, coil: Body | None = None) -> Float[Tensor, "reading 3"]:
+def positions_m(circumstances: Circumstances, coil: AnyCoil | None = None) -> Float[Tensor, "reading 3"]:
     """Nominal position of the sensor at each reading, in the frame of a coil or in the room."""
-    rig, observations = circumstances.rig, circumstances.observations
-    values = {name: observations.current_A.new_tensor(v) for name, v in rig.nominal_values().items()}
-    flange = {m.name: base_from_motion(m, observations.motion[m.name]) for m in rig.movers}
-    n = len(observations)
-    each = [world_from_body(rig, sensor, "sensor", flange, values).translation_m for sensor in rig.sensors]
-    world_m = torch.stack([position.expand(n, 3) for position in each])[
-        observations.sensor, torch.arange(n, device=observations.device)
+    n = len(circumstances)
+    each = [
+        circumstances.world_from(sensor).translation_m.expand(n, 3) for sensor in circumstances.rig.sensors
     ]
+    world_m = torch.stack(each)[circumstances.sensor, torch.arange(n, device=circumstances.sensor.device)]
     if coil is None:
         return world_m
-    world_from_coil = world_from_body(rig, coil, "coil", flange, values)
+    world_from_coil = circumstances.world_from(coil)
     turns = Transform(world_from_coil.rotation.expand(n, 3, 3), world_from_coil.translation_m.expand(n, 3))
     return turns.inverse().apply(world_m)
 
