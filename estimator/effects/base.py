@@ -11,6 +11,7 @@ names as attributes.
 from __future__ import annotations
 
 import inspect
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -43,6 +44,28 @@ class Kind(StrEnum):
 
 
 @dataclass(frozen=True)
+class Rule:
+    """What a value must be.
+
+    Attributes:
+        words: As messages have it: `must be > 0`.
+        holds: Whether a value is so.
+    """
+
+    words: str
+    holds: Callable[[float], bool]
+
+
+POSITIVE = Rule("must be > 0", lambda value: value > 0.0)
+SIGN = Rule("must be 1 or -1", lambda value: abs(value) == 1.0)
+
+
+def whole(words: str, lowest: float, highest: float = math.inf) -> Rule:
+    """The rule that a value must be whole and in a range."""
+    return Rule(words, lambda value: float(value).is_integer() and lowest <= value <= highest)
+
+
+@dataclass(frozen=True)
 class Quantity:
     """One number of an effect.
 
@@ -53,6 +76,7 @@ class Quantity:
         null: Value at which it changes nothing.
         is_shape: Says where or how the effect acts and does nothing by itself: a position, a time constant.
         is_fixed: A shape that a fit leaves where the start has put it: an instant, an axis.
+        rule: What a value in a rig file must be.
     """
 
     key: str
@@ -61,6 +85,7 @@ class Quantity:
     null: float = 0.0
     is_shape: bool = False
     is_fixed: bool = False
+    rule: Rule | None = None
 
     @property
     def is_positive(self) -> bool:
@@ -101,9 +126,14 @@ def shape(key: str, unit: str, lower: float, upper: float, is_fixed: bool = Fals
     return Quantity(key, unit, Uniform(lower, upper), 0.5 * (lower + upper), True, is_fixed)
 
 
-def fixed(key: str, unit: str, lower: float, upper: float) -> Quantity:
+def at_most(key: str, unit: str, lower: float, upper: float, largest: float) -> Quantity:
+    """A limit, from and to such multiples of the largest value, beyond which it limits nothing."""
+    return Quantity(key, unit, Uniform(lower * largest, upper * largest), upper * largest)
+
+
+def fixed(key: str, unit: str, lower: float, upper: float, rule: Rule | None = None) -> Quantity:
     """A shape that a fit leaves where a start has put it."""
-    return shape(key, unit, lower, upper, is_fixed=True)
+    return Quantity(key, unit, Uniform(lower, upper), 0.5 * (lower + upper), True, True, rule)
 
 
 def box(keys: Iterable[str], suffix: str, unit: str, end: float, is_fixed: bool = False) -> Quantities:
@@ -116,9 +146,9 @@ def written(numbers: Mapping[str, float]) -> dict[str, float]:
     return {key: float(f"{number:.6g}") for key, number in numbers.items()}
 
 
-def switch(key: str, lower: float, upper: float, null: float) -> Quantity:
+def switch(key: str, lower: float, upper: float, null: float, rule: Rule | None = None) -> Quantity:
     """A number of a cause that is set and never fitted."""
-    return Quantity(key, "1", Uniform(lower, upper), null, is_shape=True, is_fixed=True)
+    return Quantity(key, "1", Uniform(lower, upper), null, True, True, rule)
 
 
 def since(extent: Extent) -> Quantity:
@@ -148,7 +178,6 @@ class Effect(ABC):
         stays: The cause that is the same from one instant on, where this one ends at another: the difference of two of these.
         never_negative: Keys of quantities that are not negative where the cause is what its words say: a current that grows as a coil warms
             up is none of its losses. A fit with a negative one is something else.
-        positive: Keys of quantities that must exceed 0 wherever they are given.
         depends_on: What of a session its quantities depend on, so that the field of a single moment cannot show them; None where it can.
         is_everywhere: No laboratory is without it, so a calibration fits it where the rig file does not mention it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
@@ -165,7 +194,6 @@ class Effect(ABC):
     needs_winding: ClassVar[bool] = False
     stays: ClassVar[Effect | None] = None
     never_negative: ClassVar[tuple[str, ...]] = ()
-    positive: ClassVar[tuple[str, ...]] = ()
     depends_on: ClassVar[str | None] = None
     is_everywhere: ClassVar[bool] = False
     is_correction: ClassVar[bool] = False
@@ -254,9 +282,13 @@ class Effect(ABC):
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """The first quantity whose value it cannot have, and the rule; None where all are possible."""
-        if self.positive:
-            return next(((key, "must be > 0") for key in self.positive if not values[key] > 0.0), None)
-        for quantity in self.quantities(Extent()):
+        quantities = self.quantities(Extent())
+        rules = {quantity.key: quantity.rule for quantity in quantities if quantity.rule}
+        if rules:
+            return next(
+                ((key, rule.words) for key, rule in rules.items() if not rule.holds(values[key])), None
+            )
+        for quantity in quantities:
             low, high = quantity.prior.lower, quantity.prior.upper
             is_bounded = quantity.is_fixed and quantity.unit == "1"
             if is_bounded and not low <= values[quantity.key] <= high:

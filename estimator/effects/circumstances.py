@@ -191,6 +191,12 @@ class Circumstances:
         return tuple(numbers[numbers != NO_SEGMENT].unique().tolist())
 
     @cached_property
+    def _history_h(self) -> Float[Tensor, " history"]:
+        """Time of each reading of the session since it began."""
+        time_s = self.observations.history.time_s
+        return (time_s - time_s.min()) / SECONDS_PER_HOUR
+
+    @cached_property
     def hours(self) -> Float[Tensor, " reading"]:
         """Time since the session began."""
         time_s = self.observations.time_s - self.observations.history.time_s.min()
@@ -222,15 +228,9 @@ class Circumstances:
     @cached_property
     def instants_h(self) -> tuple[float, ...]:
         """Instants between readings, spread over the session, from which on something may be otherwise."""
-        time_h = (
-            self.observations.history.time_s - self.observations.history.time_s.min()
-        ) / SECONDS_PER_HOUR
-        rows = (
-            torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2, device=time_h.device)
-            .round()
-            .long()[1:-1]
-            .unique()
-        )
+        time_h = self._history_h
+        spread = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2, device=time_h.device)
+        rows = spread.round().long()[1:-1].unique()
         rows = rows[rows > 0]
         return tuple((0.5 * (time_h[rows - 1] + time_h[rows])).tolist())
 
@@ -288,39 +288,39 @@ class Circumstances:
         celsius = self.observations.temperature_C.get(place)
         if celsius is None:
             return None
-        everywhere = self.observations.history.temperature_C[place]
-        known = everywhere[~torch.isnan(everywhere)]
-        mean = known.mean() if len(known) else everywhere.new_zeros(())
-        return torch.nan_to_num(celsius - mean)
+        known = self._known_C(place)
+        return torch.nan_to_num(celsius - (known.mean() if len(known) else 0.0))
 
     def warming_K(self, place: str) -> Float[Tensor, " reading"] | None:
         """Temperature of a coil or sensor above the coolest of the session; None without a thermometer."""
         kelvin = self.temperature_K(place)
         if kelvin is None:
             return None
-        celsius = self.observations.history.temperature_C[place]
-        known = celsius[~torch.isnan(celsius)]
+        known = self._known_C(place)
         return kelvin + (known.mean() - known.min()) if len(known) else kelvin
+
+    def _known_C(self, place: str) -> Float[Tensor, " known"]:
+        """Temperatures that were read in the session."""
+        celsius = self.observations.history.temperature_C[place]
+        return celsius[~torch.isnan(celsius)]
 
     def moves_m(self, mover: str) -> Float[Tensor, "history 3"]:
         """Translation of the mover from each row of the session's history to the next; zero at the first."""
-        here = self._poses(mover).translation_m
+        here = self.of_history.positions_of_m(mover)
         return torch.diff(here, dim=0, prepend=here[:1])
 
     def last_move_m(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Translation of the mover by its last move; zero before it first moved."""
-        here = self._poses(mover).translation_m
-        step = torch.diff(here, dim=0, prepend=here[:1])
+        step = self.moves_m(mover)
         has_moved = (step.abs() > SMALLEST_MOVE_M).any(-1)
-        last = torch.cummax(torch.arange(len(here), device=here.device) * has_moved, dim=0).values
+        last = torch.cummax(torch.arange(len(step), device=step.device) * has_moved, dim=0).values
         return step[last][self.observations.row]
 
     def approach(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Sign of the last move along each axis; 0 before the first."""
-        here = self._poses(mover).translation_m
-        sign = torch.diff(here, dim=0, prepend=here[:1])
-        sign = torch.where(sign.abs() > SMALLEST_MOVE_M, torch.sign(sign), torch.zeros_like(sign))
-        last = torch.arange(len(here), device=here.device)[:, None] * (sign != 0.0)
+        step = self.moves_m(mover)
+        sign = torch.where(step.abs() > SMALLEST_MOVE_M, torch.sign(step), torch.zeros_like(step))
+        last = torch.arange(len(step), device=step.device)[:, None] * (sign != 0.0)
         return torch.gather(sign, 0, torch.cummax(last, dim=0).values)[self.observations.row]
 
     def positions_of_m(self, mover: str) -> Float[Tensor, "reading 3"]:
@@ -350,15 +350,9 @@ class Circumstances:
         self, values: Float[Tensor, " history"], tau_h: Float[Tensor, "*batch"]
     ) -> Float[Tensor, "*batch reading"]:
         """Values of the history, each held until the next, through a low pass that begins at 0."""
-        history = self.observations.history
-        time_h = ((history.time_s - history.time_s.min()) / SECONDS_PER_HOUR).to(values.dtype)
-        edges = torch.linspace(
-            0.0,
-            self.duration_h,
-            min(len(time_h), MOST_TIME_STEPS) + 1,
-            dtype=time_h.dtype,
-            device=time_h.device,
-        )
+        time_h = self._history_h.to(values.dtype)
+        n_edges = min(len(time_h), MOST_TIME_STEPS) + 1
+        edges = torch.linspace(0.0, self.duration_h, n_edges, dtype=time_h.dtype, device=time_h.device)
         bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
         held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1
         step_h = self.duration_h / (len(edges) - 1)
@@ -369,9 +363,6 @@ class Circumstances:
             passed = torch.cat((passed[..., :reach], passed[..., reach:] + earlier), dim=-1)
             remaining, reach = remaining.square(), 2 * reach
         return passed[..., bin_of[self.observations.row]]
-
-    def _poses(self, mover: str) -> Transform:
-        return base_from_motion(self.rig.mover(mover), self.observations.history.motion[mover])
 
 
 def is_meanwhile(

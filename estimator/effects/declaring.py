@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import inspect
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from estimator.errors import InvalidInput, closest
 
+Function = Callable[..., Any]
 S = TypeVar("S")  # a stage
 
 
@@ -41,22 +42,26 @@ def _attribute(stage: type, key: str, value: Any, name: str) -> Any:
     method = getattr(stage, key, None)
     if not inspect.isfunction(method):
         return value
-    if not callable(value):
-        return lambda *_: value
+    function = value if callable(value) else lambda: value
     given = list(inspect.signature(method).parameters)
-    parameters = inspect.signature(value).parameters.values()
+    parameters = inspect.signature(function).parameters.values()
     needed = [each.name for each in parameters if each.default is each.empty]
     unknown = [argument for argument in needed if argument not in given[1:]]
     if unknown:
         raise InvalidInput(
             f"{key} of {name} must take some of {', '.join(given[1:])}; received {', '.join(unknown)}"
         )
-    numbers = [given.index(argument) for argument in needed]
+    return _by_name(function, method, [given.index(argument) for argument in needed])
+
+
+def _by_name(function: Function, method: Function, numbers: Sequence[int]) -> Function:
+    """What stands in place of a method and calls a function with those of its arguments."""
 
     def called(*arguments: Any) -> Any:
-        return value(*(arguments[number] for number in numbers))
+        return function(*(arguments[number] for number in numbers))
 
-    called.__wrapped__ = value  # type: ignore[attr-defined]
+    called.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]
+    called.__wrapped__ = function  # type: ignore[attr-defined]
     return called
 
 

@@ -22,7 +22,6 @@ from estimator.effects.stages import (
     RoomEffect,
 )
 from estimator.frames import Transform
-from estimator.rig.rig import Rig
 from estimator.tensors import torch
 
 
@@ -50,14 +49,6 @@ class During(Effect):
         spells = spells_of(circumstances, place if self.kind is Kind.SENSOR else None)
         return tuple({**start, **spell} for start in shapes for spell in spells)
 
-    def places(self, rig: Rig) -> tuple[str, ...]:
-        """Places that may have the effect."""
-        return self.base.places(rig)
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the session could show the effect."""
-        return self.base.concerns(circumstances, place)
-
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """The rule of the effect that its values break."""
         return self.base.broken_rule({key: v for key, v in values.items() if key not in (SINCE, UNTIL)})
@@ -71,7 +62,8 @@ def during(base: Effect, *, name: str, explanation: str, **declared: Any) -> Dur
         name, explanation: As with any effect.
         **declared: `words`, and others as `Effect.cause` has them; the source of its priors is that of the effect unless said otherwise.
     """
-    inherited = {key: getattr(base, key) for key in ("kind", "source", "is_record_mistake")}
+    of_base = ("kind", "source", "is_record_mistake", "places", "concerns")
+    inherited = {key: getattr(base, key) for key in of_base}
     stage = next(stage for acts_on, stage in _STAGES.items() if isinstance(base, acts_on))
     return made(stage, name, {**inherited, **declared, "base": base}, type(base).__module__, explanation)
 

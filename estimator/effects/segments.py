@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Any
 
 from jaxtyping import Float, Int
 
@@ -19,7 +20,6 @@ from estimator.tensors import Tensor, torch
 
 FEWEST_SEGMENTS = 2  # one alone is the whole session
 MOST_SEGMENTS = 12  # 72 numbers for places; what scatters from file to file beyond is not asked
-WHICH = "which segment of a session"  # what quantities of one depend on
 KEY = re.compile(r"segment(?P<number>\d+)_(?P<rest>\w+)")
 
 
@@ -53,6 +53,15 @@ def segments_of(keys: Iterable[str]) -> tuple[int, ...]:
 def in_each_segment(extent: Extent, quantities: Quantities) -> Quantities:
     """Copies of the quantities for every segment."""
     return tuple(replace(each, key=f"segment{n}_{each.key}") for n in extent.segments for each in quantities)
+
+
+def each_segment(quantities: Quantities) -> dict[str, Any]:
+    """What a cause declares that has these quantities in every segment."""
+    return {
+        "quantities": lambda extent: in_each_segment(extent, quantities),
+        "extent_of": extent_of_segments,
+        "depends_on": "which segment of a session",
+    }
 
 
 def of_segment(

@@ -35,6 +35,7 @@ Columns = Float[
 ]  # what an error of a pose depends on, by reading or by distinct pose
 Deviations = Float[Tensor, "*#batch component"]  # T, errors or standard deviations
 Vector = Float[Tensor, "*batch 3"]
+Errors = Float[Tensor, "reading 3"]  # T, of all components of all readings
 
 FEWEST_COMPONENTS = 10  # from which on a sensor's residuals say anything of its scatter
 
@@ -47,6 +48,7 @@ class CurrentEffect(Effect):
         exchanges_coils: A coil may carry current where the record says that it has none.
     """
 
+    kind = Kind.COIL
     couples_coils: ClassVar[bool] = False
     exchanges_coils: ClassVar[bool] = False
 
@@ -57,8 +59,6 @@ class CurrentEffect(Effect):
 
 class OneCoilCurrent(CurrentEffect):
     """Changes the current of one coil and leaves the others."""
-
-    kind = Kind.COIL
 
     @abstractmethod
     def delivered(self, current_A: Current, theta: Theta, circumstances: Circumstances, coil: int) -> Current:
@@ -367,13 +367,13 @@ class NoiseEffect(Effect):
 
     def disturbed_T(
         self,
-        error_T: Float[Tensor, "reading 3"],
-        sigma_T: Float[Tensor, "reading 3"],
+        error_T: Errors,
+        sigma_T: Errors,
         prediction: Prediction,
         theta: Theta,
         place: str,
         rng: np.random.Generator,
-    ) -> Float[Tensor, "reading 3"]:
+    ) -> Errors:
         """Errors of simulated readings, given those without it and their standard deviation: the variance that it adds, drawn normally."""
         wider_T = self.sigma_T(sigma_T.flatten(), self.exposure(prediction, place).flatten(), theta)
         added_T = torch.sqrt((wider_T.view_as(sigma_T) ** 2 - sigma_T**2).clamp(min=0.0))

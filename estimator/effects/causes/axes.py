@@ -10,7 +10,7 @@ from itertools import permutations, product
 
 from jaxtyping import Float
 
-from estimator.effects.base import Starts, Theta, switch, vector
+from estimator.effects.base import Starts, Theta, switch, vector, whole
 from estimator.effects.causes.pose_record import SMALLEST_TURN_RAD
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during, from_instants
@@ -19,6 +19,7 @@ from estimator.rig.rig import MotionKind
 from estimator.tensors import Tensor, torch
 
 OWN, OF_BASE, OF_ROOM = range(3)  # axes in which fields are recorded
+KNOWN = whole(f"must be 0, 1 or {OF_ROOM}", OWN, OF_ROOM)
 READS = ("x_reads", "y_reads", "z_reads")
 REVERSAL = dict(zip(READS, (-1.0, -2.0, -3.0), strict=True))  # of all three axes, which is `current_sign`
 
@@ -101,19 +102,14 @@ def _has_turned(circumstances: Circumstances, place: str) -> bool:
     return bool(torch.acos(cosine.clamp(-1.0, 1.0)).max() > SMALLEST_TURN_RAD)
 
 
-def _are_unknown(values: Mapping[str, float]) -> tuple[str, str] | None:
-    return None if values["axes"] in range(OF_ROOM + 1) else ("axes", f"must be 0, 1 or {OF_ROOM}")
-
-
 @ReadingEffect.cause(
     words="fields are recorded in the axes of the base or of the room, not in the sensor's own",
     source="software of arms and trackers that turns readings into the axes of its base or of the room",
     # Axes of the record: 0 the sensor's, 1 those of the base of the mover that carries it, 2 those of the room.
-    quantities=(switch("axes", float(OWN), float(OF_ROOM), float(OWN)),),
+    quantities=(switch("axes", float(OWN), float(OF_ROOM), float(OWN), KNOWN),),
     places=lambda rig: tuple(sensor.name for sensor in rig.sensors if sensor.carried_by is not None),
     starts=_axes_of_base_and_room,
     concerns=_has_turned,
-    broken_rule=_are_unknown,
     is_record_mistake=True,
 )
 def field_frame(

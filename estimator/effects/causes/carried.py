@@ -5,6 +5,7 @@ from __future__ import annotations
 from estimator.effects.base import Starts, Theta, box, triple, vector
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Field, Points, SourceEffect
+from estimator.field.dipole import dipole_field
 from estimator.tensors import torch
 from estimator.units import MU0_T_M_PER_A
 
@@ -32,9 +33,5 @@ def _about_the_winding(circumstances: Circumstances, place: str) -> Starts:
 )
 def magnetised_link(points_coil_m: Points, theta: Theta) -> Field:
     """Something on the coil's arm is magnetised: a dipole that moves with the coil, also while no current flows."""
-    moment_A_m2 = vector(theta, MOMENT, "_A_m2")
-    r = points_coil_m - vector(theta, "xyz", "_m")
-    r2 = (r**2).sum(-1, keepdim=True)
-    along = (r * moment_A_m2).sum(-1, keepdim=True)
-    # Field of a point dipole (Jackson, section 5.6).
-    return MU0_T_M_PER_A / (4.0 * torch.pi) * (3.0 * along * r - r2 * moment_A_m2) * r2**-2.5
+    from_dipole_m = points_coil_m - vector(theta, "xyz", "_m")
+    return MU0_T_M_PER_A / (4.0 * torch.pi) * dipole_field(from_dipole_m, vector(theta, MOMENT, "_A_m2"))

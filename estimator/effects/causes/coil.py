@@ -38,17 +38,10 @@ def _oval_less_round(points_coil_m: Points, winding: Winding, rule: Rule, theta:
     few = Rule(min(rule.axial_nodes, 4), min(rule.radial_nodes, 2), rule.steps)
     loops = torch.broadcast_tensors(*loops_of(winding, few))
     height, radius, weight = (value.flatten(-2) for value in loops)
-    phi = (
-        2.0
-        * math.pi
-        * torch.arange(OVAL_NODES, dtype=points_coil_m.dtype, device=points_coil_m.device)
-        / OVAL_NODES
-    )
-    cos, sin = torch.cos(phi), torch.sin(phi)
-    swell = theta["cos2"][..., None] * torch.cos(2.0 * phi) + theta["sin2"][..., None] * torch.sin(2.0 * phi)
-    turn = 2.0 * (
-        theta["sin2"][..., None] * torch.cos(2.0 * phi) - theta["cos2"][..., None] * torch.sin(2.0 * phi)
-    )
+    phi = 2.0 * math.pi / OVAL_NODES * torch.arange(OVAL_NODES).to(points_coil_m)
+    cos, sin, cos_twice, sin_twice = phi.cos(), phi.sin(), (2.0 * phi).cos(), (2.0 * phi).sin()
+    cos2, sin2 = (theta[key][..., None] for key in ("cos2", "sin2"))
+    swell, turn = cos2 * cos_twice + sin2 * sin_twice, 2.0 * (sin2 * cos_twice - cos2 * sin_twice)
     # axes: batch, place, loop, phi
     a = radius[..., None, :, None]
     x, y, z = (points_coil_m[..., i, None, None] for i in range(3))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from itertools import combinations
 
 from jaxtyping import Int
 
-from estimator.effects.base import Kind, Starts, Theta, switch
+from estimator.effects.base import SIGN, Starts, Theta, switch, whole
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during, from_instants, spell
 from estimator.effects.stages import Current, CurrentEffect, Currents, OneCoilCurrent, RecordEffect
 from estimator.tensors import Tensor, torch
 
 MOST_BODIES = 1000.0
-TWO_BODIES = tuple(switch(key, 1.0, MOST_BODIES, 1.0) for key in ("first", "second"))
+A_BODY = whole("must be the number of a body, from 1", 1.0)
+TWO_BODIES = tuple(switch(key, 1.0, MOST_BODIES, 1.0, A_BODY) for key in ("first", "second"))
 """Two bodies, from 1 in the order of the rig file; a body exchanged with itself is where it should be."""
 
 
@@ -23,21 +23,10 @@ def pairs(n_bodies: int) -> Starts:
     return tuple({"first": float(i), "second": float(j)} for i, j in combinations(range(1, n_bodies + 1), 2))
 
 
-def are_no_bodies(values: Mapping[str, float]) -> tuple[str, str] | None:
-    """The first number that is no number of a body, and the rule."""
-    wrong = (key for key, value in values.items() if not (value >= 1.0 and value.is_integer()))
-    return next(((key, "must be the number of a body, from 1") for key in wrong), None)
-
-
 def exchanged(index: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
     """Indices from 0 with the two bodies exchanged."""
     first, second = (theta[key][..., None].round().long() - 1 for key in ("first", "second"))
     return torch.where(index == first, second, torch.where(index == second, first, index))
-
-
-def is_no_sign(values: Mapping[str, float]) -> tuple[str, str] | None:
-    """The first number that is no sign, and the rule."""
-    return next(((key, "must be 1 or -1") for key, value in values.items() if abs(value) != 1.0), None)
 
 
 def _of_others(current_A: Currents, source: Int[Tensor, "*#batch coil"]) -> Currents:
@@ -53,7 +42,6 @@ def _of_others(current_A: Currents, source: Int[Tensor, "*#batch coil"]) -> Curr
     quantities=TWO_BODIES,
     places=lambda rig: ("record",) if len(rig.coils) > 1 else (),
     starts=lambda circumstances: pairs(len(circumstances.rig.coils)),
-    broken_rule=are_no_bodies,
     is_structural=True,
     exchanges_coils=True,
 )
@@ -69,19 +57,14 @@ def _later_coils(circumstances: Circumstances, place: str) -> Starts:
     return from_instants(tuple({"later_by": float(n)} for n in range(1, n_later + 1)), circumstances)
 
 
-def _is_no_count(values: Mapping[str, float]) -> tuple[str, str] | None:
-    is_count = values["later_by"] >= 0.0 and float(values["later_by"]).is_integer()
-    return None if is_count else ("later_by", "must be a whole number of coils, from 0")
-
-
 @CurrentEffect.cause(
     words="this coil and another are connected in each other's place",
     source="any two coils",
     # How many entries later the other coil stands in the rig file.
-    quantities=(switch("later_by", 0.0, MOST_BODIES, 0.0),),
-    kind=Kind.COIL,
+    quantities=(
+        switch("later_by", 0.0, MOST_BODIES, 0.0, whole("must be a whole number of coils, from 0", 0.0)),
+    ),
     places=lambda rig: tuple(coil.name for coil in rig.coils[:-1]),
-    broken_rule=_is_no_count,
     is_record_mistake=True,
 )
 def _exchanged_with_a_later_one(current_A: Currents, theta: Theta, coil: int) -> Currents:
@@ -104,9 +87,8 @@ coils_exchanged_since = during(
 @OneCoilCurrent.cause(
     words="the coil is connected the other way round",
     source="there or not",
-    quantities=(switch("sign", -1.0, 1.0, 1.0),),  # of the delivered current over the commanded one
+    quantities=(switch("sign", -1.0, 1.0, 1.0, SIGN),),  # of the delivered current over the commanded one
     starts=({"sign": -1.0},),
-    broken_rule=is_no_sign,
     is_structural=True,
     is_record_mistake=True,
 )

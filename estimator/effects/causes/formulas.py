@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from estimator.effects.base import Theta, normal
 from estimator.effects.stages import Field, Points, SourceEffect
+from estimator.field.dipole import dipole_field
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.straight import MU0_OVER_4PI
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
@@ -37,13 +38,11 @@ def spherical_sum(points_coil_m: Points, winding: Winding, rule: Rule, theta: Th
 )
 def dipole_model(points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
     """The readings follow a point dipole at the middle of the winding instead of loops."""
-    moment = winding.moment_m2[..., None]
-    x, y = points_coil_m[..., 0], points_coil_m[..., 1]
-    z = points_coil_m[..., 2] + 0.5 * winding.length_m[..., None]
-    r2 = x**2 + y**2 + z**2
-    common = MU0_OVER_4PI * moment * r2**-2.5
-    dipole = torch.stack(
-        torch.broadcast_tensors(3 * x * z * common, 3 * y * z * common, (3 * z**2 - r2) * common), dim=-1
+    zero = torch.zeros_like(winding.moment_m2)
+    moment_m2, half_m = (
+        torch.stack((zero, zero, along), dim=-1)[..., None, :]
+        for along in (winding.moment_m2, 0.5 * winding.length_m)
     )
+    dipole = MU0_OVER_4PI * dipole_field(points_coil_m + half_m, moment_m2)
     loops = field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps)
     return theta["weight"][..., None, None] * (dipole - loops)

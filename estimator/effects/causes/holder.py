@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+from itertools import product
 
 from estimator.effects.base import Quantities, Starts, Theta, at_least_zero, box, vector
-from estimator.effects.causes.iron import dipole
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import Components, HolderEffect, Vector
+from estimator.field.dipole import dipole_field
 
 RADIUS_M = 4e-3  # likely, of an equivalent ball of iron
 MOST_OF_DISTANCE = 0.4  # from the sensor, for its radius: it adds a sixth of the field at most
@@ -35,8 +36,7 @@ class IronOnSensor(HolderEffect):
 
     def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """Along the axes of the sensor's frame and between each three of them, at two distances."""
-        signs = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-        directions = [each for each in signs if sum(map(abs, each)) in (1, 3)]
+        directions = [each for each in product((-1, 0, 1), repeat=3) if sum(map(abs, each)) in (1, 3)]
         return tuple(
             {
                 f"{axis}_m": distance_m * each / math.hypot(*direction)
@@ -57,6 +57,6 @@ class IronOnSensor(HolderEffect):
 
     def answer_T(self, field_there_T: Components, theta: Theta) -> Components:
         """Field of the dipole 4 pi a^3 / mu0 times the field there."""
-        return theta["radius_cubed_m3"][..., None, None] * dipole(
+        return theta["radius_cubed_m3"][..., None, None] * dipole_field(
             -self.place_m(theta)[..., None, :], field_there_T
         )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from itertools import product
 
 from jaxtyping import Float
 
@@ -21,6 +22,7 @@ from estimator.effects.base import (
 )
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect
+from estimator.field.dipole import dipole_field
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
@@ -34,14 +36,8 @@ LEAST_OPENING = 1e-3  # of the reach
 NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
 LIKELY_RADIUS_M, LIKELY_RADIUS = 0.03, 0.3  # of an equivalent ball of iron; the second of the reach
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
-
-
-def _direction() -> Quantities:
-    """The world's axis nearest to a normal (0 x, 1 y, 2 z), and tilts of the normal towards the next two (x, y, z, x, y)."""
-    return (
-        fixed("axis", "1", 0.0, 2.0),
-        *box(("tilt_1", "tilt_2"), "_rad", "rad", 0.5 * math.pi),
-    )
+# The world's axis nearest to a normal (0 x, 1 y, 2 z), and tilts of the normal towards the next two (x, y, z, x, y).
+DIRECTION = (fixed("axis", "1", 0.0, 2.0), *box(("tilt_1", "tilt_2"), "_rad", "rad", 0.5 * math.pi))
 
 
 def _in_axis(axis: int, **numbers: float) -> dict[str, float]:
@@ -73,7 +69,7 @@ def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
     # Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
     quantities=lambda extent: (
         Quantity("strength", "1", Normal(0.0, 0.5, lower=0.0, upper=MOST_STRENGTH)),
-        *_direction(),
+        *DIRECTION,
         shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
     ),
     starts=_planes_about,
@@ -103,22 +99,23 @@ class PiercedPlate(RoomEffect):
         return (
             Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=MOST_STRENGTH)),
             normal("step_T", "T", 3e-4),
-            *_direction(),
+            *DIRECTION,
             *box("xyz", "_m", "m", ends_m),
             shape("radius_m", "m", LEAST_OPENING * extent.reach_m, ends_m),
         )
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether the sensors' positions spread far enough for a plate between them."""
-        return float(_spread_m(circumstances).max()) > LEAST_BETWEEN * circumstances.reach_m
+        low_m, high_m = _ends_m(circumstances)
+        return float((high_m - low_m).max()) > LEAST_BETWEEN * circumstances.reach_m
 
     def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """Planes across the world's axes between the sensors, open as wide as these lie about their middle."""
         starts = []
-        positions_m = circumstances.sensor_positions_m
+        low_m, high_m = _ends_m(circumstances)
         for axis, distance_m in _between(circumstances):
-            middle_m = 0.5 * (positions_m.min(0).values + positions_m.max(0).values)
-            beside_m = positions_m - middle_m
+            middle_m = 0.5 * (low_m + high_m)
+            beside_m = circumstances.sensor_positions_m - middle_m
             middle_m[axis], beside_m[:, axis] = distance_m, 0.0
             wide_m = float(beside_m.norm(dim=-1).max())
             middle = {f"{name}_m": float(at_m) for name, at_m in zip("xyz", middle_m, strict=True)}
@@ -157,19 +154,19 @@ class PiercedPlate(RoomEffect):
         )
 
 
-def _spread_m(circumstances: Circumstances) -> Float[Tensor, "3"]:
-    """Range of the sensors' positions along each axis of the world."""
-    positions_m = circumstances.sensor_positions_m
-    return positions_m.max(0).values - positions_m.min(0).values
-
-
 def _between(circumstances: Circumstances) -> Iterator[tuple[int, float]]:
     """Axis and distance of planes between the sensors, across the axes along which these lie apart; the widest at least."""
-    spread_m, lowest_m = _spread_m(circumstances), circumstances.sensor_positions_m.min(0).values
-    least_m = min(float(spread_m.max()), LEAST_BETWEEN * circumstances.reach_m)
-    for axis, (low, spread) in enumerate(zip(lowest_m.tolist(), spread_m.tolist(), strict=True)):
+    low_m, high_m = _ends_m(circumstances)
+    least_m = min(float((high_m - low_m).max()), LEAST_BETWEEN * circumstances.reach_m)
+    for axis, (low, spread) in enumerate(zip(low_m.tolist(), (high_m - low_m).tolist(), strict=True)):
         if spread >= least_m:
             yield from ((axis, low + share * spread) for share in BETWEEN)
+
+
+def _ends_m(circumstances: Circumstances) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
+    """Lowest and highest position of the sensors along each axis of the world."""
+    positions_m = circumstances.sensor_positions_m
+    return positions_m.min(0).values, positions_m.max(0).values
 
 
 def _ring_m(
@@ -216,16 +213,6 @@ def _sheet(
     return -torch.where(is_behind, field, turned)
 
 
-def dipole(
-    from_body_m: Float[Tensor, "*#batch #pose 3"], at_body: Float[Tensor, "*#batch #pose 3"]
-) -> Float[Tensor, "*batch pose 3"]:
-    """Field of a ball of unit radius that a field magnetises (Jackson, Classical Electrodynamics, 3rd ed., section 5.11)."""
-    square = (from_body_m**2).sum(-1, keepdim=True)
-    along = (from_body_m * at_body).sum(-1, keepdim=True)
-    field: Tensor = (3.0 * from_body_m * along - square * at_body) * square**-2.5
-    return field
-
-
 def _somewhere_near(extent: Extent) -> Quantities:
     """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
     near_m = NEAR * extent.reach_m
@@ -241,17 +228,14 @@ def _somewhere_near(extent: Extent) -> Quantities:
 def _around(circumstances: Circumstances) -> Starts:
     """Around the middle of coils and sensors, at two distances."""
     middle = circumstances.positions_m.mean(0)
-    directions = [
-        (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)
-    ]
     starts = []
-    for direction in directions:
+    for direction in (each for each in product((-1, 0, 1), repeat=3) if any(each)):
         along = middle.new_tensor(direction)
         along = along / along.norm()
         farthest_m = float(((circumstances.positions_m - middle) @ along).max())
         for gap in (0.4, 1.2):
             point = middle + along * (farthest_m + gap * circumstances.reach_m)
-            starts.append({f"{axis}_m": float(v) for axis, v in zip("xyz", point, strict=True)})
+            starts.append(dict(zip(("x_m", "y_m", "z_m"), point.tolist(), strict=True)))
     return tuple(starts)
 
 
@@ -274,7 +258,7 @@ def _dipole_of_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fi
     """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
     body_m = vector(theta, "xyz", "_m")
     at_body = per_ampere.at_each(body_m)[..., 0, :]
-    return theta["volume_m3"][..., None, None] * dipole(points_m - body_m, at_body)
+    return theta["volume_m3"][..., None, None] * dipole_field(points_m - body_m, at_body)
 
 
 @RoomEffect.cause(

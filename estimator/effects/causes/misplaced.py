@@ -10,13 +10,14 @@ import math
 
 from jaxtyping import Float
 
-from estimator.effects.base import Kind, Quantities, Theta, normal, triple, vector
+from estimator.effects.base import Kind, Quantities, Theta, triple, vector
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import ElementEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.rig.rig import Body, MotionKind, Rig, SidedCoil
-from estimator.tensors import Tensor, torch
+from estimator.tensors import Tensor
 
+ELEMENTS = tuple(f"{element}_at_{axis}_m" for element in "xyz" for axis in "xyz")
 ASKEW_KEYS = frozenset(("rx_rad", "ry_rad"))  # as `mount_tilt` has them
 
 
@@ -84,7 +85,7 @@ def coil_misplaced(theta: Theta) -> Transform:
     words="the sensor's three elements sit at different positions",
     source="probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm",
     # Position of each element from where the sensor is said to be, in the sensor frame.
-    quantities=tuple(normal(f"{element}_at_{axis}_m", "m", 500e-6) for element in "xyz" for axis in "xyz"),
+    quantities=triple(ELEMENTS, "", "m", 500e-6),
 )
 def element_displacement(theta: Theta) -> Float[Tensor, "*batch 3 3"]:
     """The elements of the three axes sit at different positions in the probe.
@@ -92,5 +93,5 @@ def element_displacement(theta: Theta) -> Float[Tensor, "*batch 3 3"]:
     A shift that all three share looks like another place of the sensor. So each number by itself stays as wide as its prior where that
     place is free, and differences such as `z_at_x_m - x_at_x_m` are known far better.
     """
-    rows = [torch.stack([theta[f"{e}_at_{axis}_m"] for axis in "xyz"], dim=-1) for e in "xyz"]
-    return torch.stack(rows, dim=-2)
+    at_m: Tensor = vector(theta, ELEMENTS)[..., 0, :].unflatten(-1, (3, 3))
+    return at_m

@@ -9,7 +9,14 @@ from jaxtyping import Float
 
 from estimator.effects.base import Kind, Quantity, Theta
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import FEWEST_COMPONENTS, Deviations, NoiseEffect, NoiseEstimate, Prediction
+from estimator.effects.stages import (
+    FEWEST_COMPONENTS,
+    Deviations,
+    Errors,
+    NoiseEffect,
+    NoiseEstimate,
+    Prediction,
+)
 from estimator.rig.parameters import LogNormal, Uniform
 from estimator.tensors import Tensor, torch
 
@@ -75,9 +82,7 @@ def _mixture(z: Tensor, ratio: float) -> tuple[float, float, float, float]:
     return share, wide, narrow, log_likelihood - one_normal
 
 
-def _some_wild(
-    error_T: Float[Tensor, "reading 3"], theta: Theta, rng: np.random.Generator
-) -> Float[Tensor, "reading 3"]:
+def _some_wild(error_T: Errors, theta: Theta, rng: np.random.Generator) -> Errors:
     """Errors of which a share grows."""
     is_wild = torch.from_numpy(rng.random(size=tuple(error_T.shape))).to(error_T) < theta["share"]
     return torch.where(is_wild, theta["ratio"] * error_T, error_T)
@@ -116,12 +121,8 @@ def noise_grows(sigma_T: Deviations, exposure: Float[Tensor, " component"], thet
 
 
 def _moved(
-    error_T: Float[Tensor, "reading 3"],
-    prediction: Prediction,
-    theta: Theta,
-    place: str,
-    rng: np.random.Generator,
-) -> Float[Tensor, "reading 3"]:
+    error_T: Errors, prediction: Prediction, theta: Theta, place: str, rng: np.random.Generator
+) -> Errors:
     """Errors with one displacement per reading, which moves its three components together."""
     off_m = torch.from_numpy(rng.normal(size=tuple(error_T.shape))).to(error_T) * theta["sd_m"]
     return error_T + torch.einsum("rij,rj->ri", prediction.gradient_T_per_m(place), off_m)

@@ -6,12 +6,11 @@ Each is there or not, and makes the readings absurd unless undone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import cache
 from itertools import permutations, product
 
-from estimator.effects.base import Starts, Theta, box, switch, vector
-from estimator.effects.causes.connections import is_no_sign
+from estimator.effects.base import POSITIVE, SIGN, Starts, Theta, box, switch, vector, whole
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
@@ -23,6 +22,7 @@ LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)
 # Orders in which turns about fixed axes follow one another, the first one first.
 ORDERS = tuple(permutations((0, 1, 2)))
 REVERSED, IN_DEGREES = len(ORDERS) + 1, len(ORDERS) + 2
+A_CONVENTION = whole(f"must be a whole number from 0 to {IN_DEGREES}", 0.0, IN_DEGREES)
 SMALLEST_TURN_RAD = math.radians(15.0)
 FACTORS = tuple(f"{axis}_factor" for axis in "xyz")
 SIGNS = tuple(f"{axis}_sign" for axis in "xyz")
@@ -54,11 +54,10 @@ def _usual_slips(circumstances: Circumstances, place: str) -> Starts:
 @MotionEffect.cause(
     words="positions are recorded in another unit than stated, along one axis or all",
     source="powers of ten between m, cm and mm; inches",
-    quantities=tuple(switch(key, 0.0, 1e9, 1.0) for key in FACTORS),  # recorded over true positions
+    quantities=tuple(switch(key, 0.0, 1e9, 1.0, POSITIVE) for key in FACTORS),  # recorded over true positions
     places=lambda rig: tuple(mover.name for mover in rig.movers if mover.table is None),
     starts=_usual_slips,
     concerns=lambda circumstances, place: bool(_moved(circumstances, place)),
-    positive=FACTORS,
     is_record_mistake=True,
 )
 def position_unit(pose: Transform, theta: Theta) -> Transform:
@@ -66,21 +65,15 @@ def position_unit(pose: Transform, theta: Theta) -> Transform:
     return Transform(pose.rotation, pose.translation_m / vector(theta, FACTORS))
 
 
-def _is_no_convention(values: Mapping[str, float]) -> tuple[str, str] | None:
-    is_known = values["convention"] in range(IN_DEGREES + 1)
-    return None if is_known else ("convention", f"must be a whole number from 0 to {IN_DEGREES}")
-
-
 @MotionEffect.cause(
     words="rotations are recorded in another convention than rotation vectors",
     source="angles about the axes in each of 6 orders, the inverse rotation, degrees",
     # 0: a rotation vector; 1 to 6: angles about fixed axes, in the order xyz, xzy, yxz, yzx, zxy, zyx; 7: the inverse; 8: degrees.
-    quantities=(switch("convention", 0.0, float(IN_DEGREES), 0.0),),
+    quantities=(switch("convention", 0.0, float(IN_DEGREES), 0.0, A_CONVENTION),),
     places=_that_report(MotionKind.DISPLACEMENT, MotionKind.POSE),
     starts=tuple({"convention": float(i)} for i in range(1, IN_DEGREES + 1)),
     concerns=lambda circumstances, place: bool(circumstances.observations.history.motion[place][:, 3:].any()),
     columns=lambda circumstances, mover: circumstances.observations.motion[mover][:, 3:],
-    broken_rule=_is_no_convention,
     is_record_mistake=True,
 )
 def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Transform:
@@ -100,13 +93,12 @@ def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Tran
 @MotionEffect.cause(
     words="one axis of the displacements is reversed: their frame is left-handed",
     source="3 axes",
-    quantities=tuple(switch(key, -1.0, 1.0, 1.0) for key in SIGNS),
+    quantities=tuple(switch(key, -1.0, 1.0, 1.0, SIGN) for key in SIGNS),
     # Each axis alone, and all.
     starts=(
         *({key: -1.0 if key == reversed_key else 1.0 for key in SIGNS} for reversed_key in SIGNS),
         dict.fromkeys(SIGNS, -1.0),
     ),
-    broken_rule=is_no_sign,
     is_record_mistake=True,
 )
 def left_handed(pose: Transform, theta: Theta) -> Transform:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 from jaxtyping import Int
 
-from estimator.effects.base import Quantities, Starts, Theta, switch
-from estimator.effects.causes.connections import TWO_BODIES, are_no_bodies, exchanged, pairs
-from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.base import POSITIVE, Starts, Theta, switch, whole
+from estimator.effects.causes.connections import TWO_BODIES, exchanged, pairs
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during
-from estimator.effects.stages import Components, Currents, Deviations, RecordEffect
+from estimator.effects.stages import Components, RecordEffect
 from estimator.tensors import Tensor
 
 FIELD_FACTORS = (1e3, 1e6, 1e4, 10.0, 0.1, 1e-3)  # mT, uT and G under T; G under mT; mT under G; T under mT
 CURRENT_FACTORS = (1e3, 1e-3)  # mA under A, A under mA
 MOST_ROWS = 2  # that a logger runs late or early
+ROWS = whole(f"must be a whole number from {-MOST_ROWS} to {MOST_ROWS}", -MOST_ROWS, MOST_ROWS)
 
 
 @RecordEffect.cause(
@@ -26,7 +26,6 @@ MOST_ROWS = 2  # that a logger runs late or early
     quantities=TWO_BODIES,
     places=lambda rig: ("record",) if len(rig.sensors) > 1 else (),
     starts=lambda circumstances: pairs(len(circumstances.rig.sensors)),
-    broken_rule=are_no_bodies,
 )
 def sensors_exchanged(sensor: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
     """Two sensors stand at each other's places, or their cables are exchanged."""
@@ -39,20 +38,13 @@ def _late_and_early(circumstances: Circumstances) -> Starts:
     return tuple({"rows": float(sign * n)} for n in range(1, most + 1) for sign in (1, -1))
 
 
-def _are_no_rows(values: Mapping[str, float]) -> tuple[str, str] | None:
-    rows = values["rows"]
-    is_row = math.isfinite(rows) and rows.is_integer() and abs(rows) <= MOST_ROWS
-    return None if is_row else ("rows", f"must be a whole number from {-MOST_ROWS} to {MOST_ROWS}")
-
-
 @RecordEffect.cause(
     "rows_late",
     words="fields stand some rows beside the poses and currents that they belong to",
     source=f"buffers of loggers, {MOST_ROWS} readings at most",
     # Rows by which fields come late; negative where they come early.
-    quantities=(switch("rows", -float(MOST_ROWS), float(MOST_ROWS), 0.0),),
+    quantities=(switch("rows", -float(MOST_ROWS), float(MOST_ROWS), 0.0, ROWS),),
     starts=_late_and_early,
-    broken_rule=_are_no_rows,
 )
 def rows_shifted(values: Mapping[str, float]) -> int:
     """Fields were written down some rows late or early: each belongs to the pose and the currents of another row."""
@@ -71,31 +63,20 @@ rows_shifted_since = during(
 )
 
 
-class UnitError(RecordEffect):
+@RecordEffect.cause(
+    "recorded_T",
+    words="fields or currents are in another unit than stated",
+    source="powers of ten between T, G, mT, uT and between A, mA",
+    # Recorded over true fields, which scales the noise too; recorded over true currents.
+    quantities=tuple(switch(key, 0.0, 1e9, 1.0, POSITIVE) for key in ("field_factor", "current_factor")),
+    # The usual slips between units.
+    starts=(
+        *({"field_factor": factor, "current_factor": 1.0} for factor in FIELD_FACTORS),
+        *({"field_factor": 1.0, "current_factor": factor} for factor in CURRENT_FACTORS),
+    ),
+    commanded_A=lambda recorded_A, theta: recorded_A / theta["current_factor"][..., None, None],
+    recorded_error_T=lambda error_T, theta: error_T * theta["field_factor"][..., None],
+)
+def unit_error(field_sensor_T: Components, theta: Theta) -> Components:
     """Fields or currents are in another unit than the file says."""
-
-    name = "unit_error"
-    words = "fields or currents are in another unit than stated"
-    source = "powers of ten between T, G, mT, uT and between A, mA"
-    positive = ("field_factor", "current_factor")
-
-    def quantities(self, extent: Extent) -> Quantities:
-        """Recorded over true fields, which scales the noise too; recorded over true currents."""
-        return tuple(switch(key, 0.0, 1e9, 1.0) for key in self.positive)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Factors of the usual slips between units."""
-        fields = [{"field_factor": factor, "current_factor": 1.0} for factor in FIELD_FACTORS]
-        return (*fields, *({"field_factor": 1.0, "current_factor": factor} for factor in CURRENT_FACTORS))
-
-    def commanded_A(self, recorded_A: Currents, theta: Theta) -> Currents:
-        """Commanded currents behind the recorded ones."""
-        return recorded_A / theta["current_factor"][..., None, None]
-
-    def recorded_T(self, field_sensor_T: Components, theta: Theta) -> Components:
-        """Components in the unit of the record."""
-        return field_sensor_T * theta["field_factor"][..., None, None]
-
-    def recorded_error_T(self, error_T: Deviations, theta: Theta) -> Deviations:
-        """Errors in the unit of the record."""
-        return error_T * theta["field_factor"][..., None]
+    return field_sensor_T * theta["field_factor"][..., None, None]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from estimator.effects.base import Quantities, Theta, normal, triple, vector
+from estimator.effects.base import Theta, normal, triple, vector
 from estimator.effects.causes.misplaced import elsewhere, of_numbers
-from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during, spell
-from estimator.effects.segments import WHICH, extent_of_segments, in_each_segment, is_several, of_segment
+from estimator.effects.segments import each_segment, is_several, of_segment
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
@@ -200,19 +200,12 @@ mover_spell = spell(
 )
 
 
-def _set_up_anew(extent: Extent) -> Quantities:
-    """Shift and rotation vector in the frame that the mover reports in, segment by segment."""
-    return in_each_segment(extent, elsewhere(1e-3, math.radians(0.5)))
-
-
 @MotionEffect.cause(
     words="in each segment of the session the mover stands elsewhere, or turned",
     source="feet, stops and references are found again to about 1 mm and 0.5 degree",
-    quantities=_set_up_anew,
-    extent_of=extent_of_segments,
+    **each_segment(elsewhere(1e-3, math.radians(0.5))),  # in the frame that the mover reports in
     concerns=lambda circumstances: is_several(circumstances.extent.segments),
     columns=lambda circumstances: circumstances.segment.to(circumstances.current_A.dtype)[:, None],
-    depends_on=WHICH,
 )
 def segment_misplaced(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     """The mover was set up anew before each segment, and stands elsewhere each time, or turned."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import permutations
+from typing import Any
 
 from jaxtyping import Float
 
@@ -12,30 +13,22 @@ from estimator.effects.base import (
     Quantity,
     Starts,
     Theta,
+    at_most,
     fixed,
     normal,
-    shape,
     triple,
     vector,
 )
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.during import during, instants_within, spell, spells_of
-from estimator.effects.segments import (
-    WHICH,
-    extent_of_segments,
-    in_each_segment,
-    is_several,
-    of_segment,
-    segments_of,
-)
+from estimator.effects.segments import each_segment, in_each_segment, is_several, of_segment, segments_of
 from estimator.effects.stages import Components, Current, ReadingEffect
 from estimator.rig.parameters import LogNormal
 from estimator.tensors import Tensor, torch
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
-PAIRS = tuple(
-    "".join(pair) for pair in permutations("xyz", 2)
-)  # xy: what the x axis picks up of the y component
+# xy: what the x axis picks up of the y component.
+PAIRS = tuple("".join(pair) for pair in permutations("xyz", 2))
 LEAST_SHARE = 0.2  # of a sensor's readings that each of two exchanged sensors has
 CUTS = 6  # parts of the readings, between which a side may begin
 LEAST_WAY = 1e-3  # of the longest: along shorter ways there are no sides
@@ -188,6 +181,12 @@ def _quantities_of(parts: Sequence[ReadingEffect], extent: Extent) -> Quantities
     return tuple(quantity for part in parts for quantity in part.quantities(extent))
 
 
+def _in_turn(parts: Sequence[ReadingEffect], field_sensor_T: Components, *rest: Any) -> Components:
+    for part in parts:
+        field_sensor_T = part.apply(field_sensor_T, *rest)
+    return field_sensor_T
+
+
 ANOTHER = (cross_axis, axis_gain, sensor_offset)  # of a sensor, in the order in which they act
 CONTACT = (axis_gain, sensor_offset)  # of a contact, likewise
 
@@ -201,9 +200,7 @@ def _another_sensor(
     field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
 ) -> Components:
     """Another sensor, with gains, mixings and a zero of its own against this one."""
-    for part in ANOTHER:
-        field_sensor_T = part.apply(field_sensor_T, theta, circumstances, sensor)
-    return field_sensor_T
+    return _in_turn(ANOTHER, field_sensor_T, theta, circumstances, sensor)
 
 
 sensor_exchanged = during(
@@ -277,41 +274,31 @@ def sensor_contact(
     at_m = circumstances.mover_of_sensor_m(sensor)
     if at_m is None:
         return field_sensor_T
-    changed_T = field_sensor_T
-    for part in CONTACT:
-        changed_T = part.apply(changed_T, theta, circumstances, sensor)
+    changed_T = _in_turn(CONTACT, field_sensor_T, theta, circumstances, sensor)
     along_m = at_m.T[theta["along"].long()]
     is_there = theta["side"][..., None] * (along_m - theta["beyond_m"][..., None]) > 0.0
     return torch.where(is_there[..., None], changed_T, field_sensor_T)
 
 
-def _was_read_in_several(circumstances: Circumstances, place: str) -> bool:
-    """Whether the sensor was read in several segments, and not in more than can be asked."""
-    return is_several(circumstances.segments_of(place))
+def _in_segments(quantities: Quantities) -> dict[str, Any]:
+    """What a sensor declares that has these quantities in every segment."""
 
+    def was_read_in_several(circumstances: Circumstances, place: str) -> bool:
+        return is_several(circumstances.segments_of(place))
 
-def _not_read(quantities: Quantities) -> Callable[[Circumstances, str], frozenset[str]]:
-    """Quantities of segments in which the sensor was not read."""
-
-    def unseen(circumstances: Circumstances, place: str) -> frozenset[str]:
+    def not_read(circumstances: Circumstances, place: str) -> frozenset[str]:
+        """Quantities of segments in which the sensor was not read."""
         read = set(circumstances.segments_of(place))
         keys = [quantity.key for quantity in in_each_segment(circumstances.extent, quantities)]
         return frozenset(key for key in keys if not set(segments_of([key])) <= read)
 
-    return unseen
-
-
-SEGMENT_GAIN, SEGMENT_ZERO = (normal("gain", "1", 0.01),), triple("xyz", "_T", "T", 50e-6)
+    return each_segment(quantities) | {"concerns": was_read_in_several, "unseen": not_read}
 
 
 @ReadingEffect.cause(
     words="in each segment of the session the sensor has another gain",
     source="ranges and excitation currents of Hall teslameters agree to 0.1 to 1 %",
-    quantities=lambda extent: in_each_segment(extent, SEGMENT_GAIN),
-    extent_of=extent_of_segments,
-    concerns=_was_read_in_several,
-    unseen=_not_read(SEGMENT_GAIN),
-    depends_on=WHICH,
+    **_in_segments((normal("gain", "1", 0.01),)),
 )
 def segment_gain(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
     """The sensor has another gain in each segment: another range, excitation or day."""
@@ -321,21 +308,11 @@ def segment_gain(field_sensor_T: Components, theta: Theta, circumstances: Circum
 @ReadingEffect.cause(
     words="in each segment of the session the sensor shows another constant in no field",
     source="zeroing in a chamber or in the field of the room leaves as much as sensor_offset says",
-    quantities=lambda extent: in_each_segment(extent, SEGMENT_ZERO),
-    extent_of=extent_of_segments,
-    concerns=_was_read_in_several,
-    unseen=_not_read(SEGMENT_ZERO),
-    depends_on=WHICH,
+    **_in_segments(triple("xyz", "_T", "T", 50e-6)),
 )
 def segment_zero(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
     """The sensor was zeroed anew before each segment."""
     return field_sensor_T + of_segment(theta, ("x_T", "y_T", "z_T"), circumstances.segment)
-
-
-def _largest_shown(extent: Extent) -> Quantities:
-    largest_T = extent.largest_field_T
-    clipped = shape("limit_T", "T", 0.2 * largest_T, 3.0 * largest_T)
-    return (Quantity("limit_T", "T", clipped.prior, 3.0 * largest_T),)
 
 
 def _inside_the_largest(circumstances: Circumstances, place: str) -> Starts:
@@ -347,7 +324,7 @@ def _inside_the_largest(circumstances: Circumstances, place: str) -> Starts:
 @ReadingEffect.cause(
     words="components beyond the sensor's range are cut off",
     source="any range; the readings show where it ends",
-    quantities=_largest_shown,
+    quantities=lambda extent: (at_most("limit_T", "T", 0.2, 3.0, extent.largest_field_T),),
     starts=_inside_the_largest,
 )
 def range_clipping(field_sensor_T: Components, theta: Theta) -> Components:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from jaxtyping import Float
 
-from estimator.effects.base import Kind, Quantities, Quantity, Starts, Theta, fixed, normal, shape
+from estimator.effects.base import Quantities, Quantity, Starts, Theta, at_most, fixed, normal
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.during import during, spell
 from estimator.effects.stages import Current, CurrentEffect, Currents, OneCoilCurrent
@@ -102,12 +102,6 @@ def current_compression(current_A: Current, theta: Theta) -> Current:
     return current_A * (1.0 - theta["loss_per_A2"][..., None] * current_A**2)
 
 
-def _largest_current(extent: Extent) -> Quantities:
-    most_A = NO_LIMIT * extent.largest_current_A
-    limited = shape("limit_A", "A", 0.1 * extent.largest_current_A, most_A)
-    return (Quantity("limit_A", "A", limited.prior, most_A),)
-
-
 def _shares_of_the_largest(circumstances: Circumstances, place: str) -> Starts:
     sizes_A = _sizes_A(circumstances, place)
     largest_A = float(sizes_A[-1]) if len(sizes_A) else circumstances.largest_current_A
@@ -117,7 +111,7 @@ def _shares_of_the_largest(circumstances: Circumstances, place: str) -> Starts:
 @OneCoilCurrent.cause(
     words="beyond some current the supply delivers no more, as at the limit of its voltage",
     source="any limit; the largest currents of the session show where it is",
-    quantities=_largest_current,
+    quantities=lambda extent: (at_most("limit_A", "A", 0.1, NO_LIMIT, extent.largest_current_A),),
     starts=_shares_of_the_largest,
     concerns=_has_sizes,
     is_linear=False,
@@ -245,7 +239,6 @@ def coil_heating(current_A: Current, theta: Theta, circumstances: Circumstances,
     words="this coil carries a share of its neighbours' currents",
     source="wide: nothing is specified for wiring",
     quantities=(normal("share", "1", 0.05),),  # of the summed current of the other coils
-    kind=Kind.COIL,
     places=lambda rig: tuple(coil.name for coil in rig.coils) if len(rig.coils) > 1 else (),
     couples_coils=True,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields
 
 import numpy as np
 
@@ -43,17 +44,10 @@ def _wire_of_an_open_pitch(circumstances: Circumstances, place: str) -> frozense
 )
 def winding_misstated(winding: Winding, theta: Theta) -> Winding:
     """The winding has another radius, wire or number of loops than the rig file says."""
-    radius, wire, axial, radial = (
-        1.0 + theta[key] for key in ("radius", "wire", "axial_loops", "radial_loops")
-    )
-    numbers = (
-        winding.radius_m * radius,
-        winding.axial_loops * axial,
-        winding.radial_loops * radial,
-        winding.axial_pitch_m * wire,
-        winding.radial_pitch_m * wire,
-    )
-    return Winding(*torch.broadcast_tensors(*numbers))
+    keys = ("radius", "axial_loops", "radial_loops", "wire", "wire")
+    numbers = (getattr(winding, field.name) for field in fields(winding))
+    factors = (1.0 + theta[key] for key in keys)
+    return Winding(*torch.broadcast_tensors(*(n * f for n, f in zip(numbers, factors, strict=True))))
 
 
 def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from jaxtyping import Float
 
-from estimator.effects.base import Effect, Quantities, Theta, normal, vector
+from estimator.effects.base import POSITIVE, Effect, Quantities, Starts, Theta, fixed, normal, vector, written
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.frames import Transform
 from estimator.rig.rig import AnyCoil
@@ -41,11 +41,44 @@ class Limit:
     words: str = ""
 
 
+@dataclass(frozen=True)
+class Scale:
+    """A number in units of which a correction has its terms, and which a fit leaves as a session has given it.
+
+    Attributes:
+        key, unit: As of a quantity.
+        most: Largest value in a session like this one.
+        here: Value in a session, at a place.
+    """
+
+    key: str
+    unit: str
+    most: Callable[[Extent], float]
+    here: Callable[[Circumstances, str], float]
+
+
+RANGE_T = Scale(
+    "range_T",
+    "T",
+    lambda extent: 2.0 * extent.largest_field_T,
+    lambda circumstances, sensor: circumstances.largest_of_sensor_T(sensor),
+)
+"""The largest component that a sensor read."""
+RANGE_A = Scale(
+    "range_A",
+    "A",
+    lambda extent: 100.0 * extent.largest_current_A,
+    lambda circumstances, _: circumstances.largest_current_A,
+)
+"""The largest current of the session."""
+
+
 class Correction(Effect):
     """A smooth field or response. Subclasses say of what, beside one of the stages.
 
     Attributes:
         components: What each of its functions is of, as names of the terms of every degree.
+        scales: What its terms are in units of.
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
@@ -55,6 +88,7 @@ class Correction(Effect):
     is_correction = True
     source = "what the causes leave: a diagnosis chooses the width that has most evidence"
     components: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    scales: ClassVar[tuple[Scale, ...]] = ()
     lowest: ClassVar[int] = 1
     highest: ClassVar[int] = 5
     unit: ClassVar[str] = "T"
@@ -67,7 +101,11 @@ class Correction(Effect):
 
     def shapes(self, extent: Extent) -> Quantities:
         """What its terms are functions of, in units of what: fixed numbers."""
-        return ()
+        return tuple(fixed(s.key, s.unit, 0.0, s.most(extent), POSITIVE) for s in self.scales)
+
+    def starts(self, circumstances: Circumstances, place: str) -> Starts:
+        """The scales of this session."""
+        return (written({scale.key: scale.here(circumstances, place) for scale in self.scales}),)
 
     @abstractmethod
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
@@ -89,8 +127,8 @@ class Correction(Effect):
         return TYPICAL_SHARE * extent.largest_field_T / per
 
     def relative_width(self, degree: int) -> float:
-        """Width of the amplitudes of a degree over that of the first."""
-        return 1.0 if self.falloff == 0.0 else float(degree**-self.falloff)
+        """Width of the amplitudes of a degree over that of the first, which degree 0 has too."""
+        return 1.0 if self.falloff == 0.0 else float(max(degree, 1) ** -self.falloff)
 
     def key(self, degree: int, term: str) -> str:
         """Key of an amplitude; pure numbers have no suffix."""

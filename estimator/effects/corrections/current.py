@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from estimator.effects.base import Quantities, Starts, Theta, fixed, written
-from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit
+from estimator.effects.base import Theta
+from estimator.effects.circumstances import LEAST_STEP, Circumstances
+from estimator.effects.corrections.correction import RANGE_A, Correction, Limit
 from estimator.effects.corrections.in_time import CurrentShare, Steps, Swings, Waves
 from estimator.effects.stages import Current, OneCoilCurrent
 from estimator.tensors import torch
@@ -47,15 +47,7 @@ class CurrentRemembered(Correction, OneCoilCurrent):
     unit = "1"
     components = ("share",)  # of the largest current of the session
     highest = 4
-    positive = ("range_A",)
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """Unit of the amplitudes: the largest current of the session, in A."""
-        return (fixed("range_A", "A", 0.0, 100.0 * extent.largest_current_A),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Largest current of this session, in A."""
-        return (written({"range_A": circumstances.largest_current_A}),)
+    scales = (RANGE_A,)
 
     def beyond_the_moment(self, key: str) -> str | None:
         """But for the sign, the way to a current is history."""

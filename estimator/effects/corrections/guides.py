@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from jaxtyping import Float
 
-from estimator.effects.base import Quantities, Starts, Theta, box, fixed, shape, vector, written
+from estimator.effects.base import Quantities, Starts, Theta, box, shape, vector
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
+from estimator.effects.corrections.correction import Correction, Limit, Scale, limit_of_number
 from estimator.effects.corrections.in_time import MOST_HALF_CYCLES, Guides, Periodic, Steps, Waves
 from estimator.effects.corrections.way import SMALLEST_SPAN, AlongWay
 from estimator.effects.stages import Columns, MotionEffect
@@ -23,7 +23,6 @@ BY_MOVE, BY_SIDE, BY_MOVE_AND_TIME = 1, 2, 3
 N_DIRECTIONS = 48  # of a half sphere: any direction is within 15 degrees of one of them
 LEAST_MOVE = 1e-3  # of a typical move: less is rounding
 UNIT = ("unit_x", "unit_y", "unit_z")
-HOW_IT_CAME = "how the mover came to where it stands"
 
 
 class GuideErrors(AlongWay, MotionEffect):
@@ -132,7 +131,34 @@ class GuidesStep(Guides, Steps):
     highest = 4
 
 
-class MovesRemembered(Correction, MotionEffect):
+def _rms_of_moves_m(circumstances: Circumstances, mover: str) -> float:
+    """The rms of the last moves."""
+    rms_m = float(circumstances.last_move_m(mover).square().sum(-1).mean().sqrt())
+    return max(rms_m, LEAST_LENGTH_M)
+
+
+def _far_m(extent: Extent) -> float:
+    return 100.0 * extent.reach_m
+
+
+MOVE = Scale("move_m", "m", _far_m, _rms_of_moves_m)  # a typical move
+REACH = Scale(
+    "reach_m", "m", _far_m, lambda circumstances, _: max(circumstances.reach_m, LEAST_LENGTH_M)
+)  # of arcs
+
+
+class AfterMoves(Correction, MotionEffect):
+    """Where a mover stands after its last move: play, overshoot, loose mounts, and clocks that do not agree."""
+
+    unit = "m"
+    depends_on = "how the mover came to where it stands"
+
+    def concerns(self, circumstances: Circumstances, place: str) -> bool:
+        """Whether the mover moved."""
+        return bool((circumstances.last_move_m(place) != 0.0).any())
+
+
+class MovesRemembered(AfterMoves):
     """The mover stands elsewhere, and is turned, by an amount that depends on the move that led there.
 
     Degree 1 is proportional to the last move, degree 2 depends on the side from which each axis came, and degree 3 is proportional to the
@@ -141,29 +167,13 @@ class MovesRemembered(Correction, MotionEffect):
 
     name = "moves_remembered"
     words = "where the mover stands depends on the move that led there"
-    unit = "m"
+    scales = (MOVE, REACH)
     highest = 3
-    positive = ("move_m", "reach_m")
-    depends_on = HOW_IT_CAME
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """What errs after a move along which axis: `z_after_x`; `rz_after_x` turns, as an arc at the reach."""
         kinds = ("", "r") if degree == BY_SIDE else ("",)
         return tuple(f"{kind}{axis}_after_{way}" for kind in kinds for axis in "xyz" for way in "xyz")
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """A typical move, and the radius of the arcs."""
-        return tuple(fixed(key, "m", 0.0, 100.0 * extent.reach_m) for key in self.positive)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """The rms of the last moves; the reach of the session."""
-        rms_m = float(circumstances.last_move_m(place).square().sum(-1).mean().sqrt())
-        lengths_m = (max(length_m, LEAST_LENGTH_M) for length_m in (rms_m, circumstances.reach_m))
-        return (written(dict(zip(self.positive, lengths_m, strict=True))),)
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the mover moved."""
-        return bool((circumstances.last_move_m(place) != 0.0).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """Highest degree that the number of different moves determines."""
@@ -191,7 +201,7 @@ class MovesRemembered(Correction, MotionEffect):
         return Transform(rotation, pose.translation_m + shift_m)
 
 
-class SidesRemembered(Correction, MotionEffect):
+class SidesRemembered(AfterMoves):
     """What is loose along one direction: the mover stands, and is turned, to the side that its last move along that direction left.
 
     The direction need not be an axis of the mover. It is one of a set that covers the half sphere.
@@ -199,22 +209,20 @@ class SidesRemembered(Correction, MotionEffect):
 
     name = "sides_remembered"
     words = "the mover stands on the side that its last move along some direction left"
-    unit = "m"
     components = ("x", "y", "z", "rx", "ry", "rz")  # shifts, and turns as arcs at the reach
+    scales = (REACH,)
     highest = 1
-    positive = ("reach_m",)
-    depends_on = HOW_IT_CAME
 
     def shapes(self, extent: Extent) -> Quantities:
         """The direction, and the radius of the arcs."""
-        return (*box(UNIT, "", "1", 1.0, is_fixed=True), fixed("reach_m", "m", 0.0, 100.0 * extent.reach_m))
+        return (*box(UNIT, "", "1", 1.0, is_fixed=True), *super().shapes(extent))
 
     def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """One for each way in which the moves of the session can be divided; the first of alike ones."""
         _, first = _distinct_rows(_sides(circumstances, place).T)
-        reach = written({"reach_m": max(circumstances.reach_m, LEAST_LENGTH_M)})
         units = directions()[first.tolist()].tolist()
-        return tuple({**dict(zip(UNIT, unit, strict=True)), **reach} for unit in units)
+        [scales] = super().starts(circumstances, place)
+        return tuple(dict(zip(UNIT, unit, strict=True)) | scales for unit in units)
 
     def factors(
         self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
@@ -223,10 +231,6 @@ class SidesRemembered(Correction, MotionEffect):
         units = circumstances.hours.new_tensor([[start[key] for key in UNIT] for start in starts])
         sides = _sides(circumstances, place)[:, _nearest(units)].T
         return sides * sides[0]
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the mover moved."""
-        return bool((circumstances.last_move_m(place) != 0.0).any())
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """Highest degree that the number of readings determines; 0 where all moves left the mover on one side."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import ClassVar
 
 from jaxtyping import Float
 
-from estimator.effects.base import WHEN, Quantities, Starts, Theta, fixed, shape, written
+from estimator.effects.base import WHEN, Quantities, Starts, Theta, fixed, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
+from estimator.effects.corrections.correction import Correction, Limit, Scale, limit_of_number
 from estimator.effects.stages import (
     Columns,
     Components,
@@ -28,6 +29,15 @@ from estimator.tensors import Tensor, torch
 
 MOST_HALF_CYCLES = 320  # over the session or the range; sessions with fewer readings have fewer
 COS_AND_SIN = ("cos", "sin")
+
+
+DURATION = Scale(
+    "duration_h",
+    "h",
+    lambda extent: 2.0 * extent.duration_h,
+    lambda circumstances, _: circumstances.duration_h,
+)
+"""Duration of the session, from its first reading on."""
 
 
 class InTime(Correction):
@@ -56,16 +66,9 @@ class InTime(Correction):
 class Waves(InTime):
     """Cosines of half waves over the session. Their amplitudes fall with the number, as of what wanders."""
 
+    scales: ClassVar[tuple[Scale, ...]] = (DURATION,)
     highest = 20
     falloff = 1.0
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """Duration of the session, from its first reading on."""
-        return (fixed("duration_h", "h", 0.0, 2.0 * extent.duration_h),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Duration of this session, in h."""
-        return (written({"duration_h": circumstances.duration_h}),)
 
     def value(
         self, hours: Float[Tensor, " reading"], theta: Theta

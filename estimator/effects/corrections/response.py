@@ -9,11 +9,11 @@ from itertools import combinations_with_replacement
 
 from jaxtyping import Float
 
-from estimator.effects.base import Quantities, Starts, Theta, fixed, shape, switch, written
+from estimator.effects.base import Quantities, Starts, Theta, fixed, shape, switch
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
+from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Correction, Limit, limit_of_number
 from estimator.effects.corrections.in_time import MOST_HALF_CYCLES, Periodic
-from estimator.effects.corrections.way import SPAN, AlongWay
+from estimator.effects.corrections.way import AlongWay
 from estimator.effects.stages import Components, ReadingEffect
 from estimator.tensors import Tensor, torch
 
@@ -44,13 +44,7 @@ class OfShown(Correction, ReadingEffect):
 class OverRange(OfShown):
     """A function of what the sensor shows, in units of its largest component."""
 
-    def shapes(self, extent: Extent) -> Quantities:
-        """Unit of the response: the largest component that the sensor read, in T."""
-        return (fixed("range_T", "T", 0.0, 2.0 * extent.largest_field_T),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """The largest component that the sensor read."""
-        return (written({"range_T": circumstances.largest_of_sensor_T(place)}),)
+    scales = (RANGE_T,)
 
     def curve(self, way: Tensor, theta: Theta) -> Tensor:
         """Sum of half waves times their amplitudes, component by component.
@@ -107,17 +101,12 @@ class ResponseByPlace(AlongWay, ReadingEffect):
     )
     highest = 8
     falloff = 1.0
-    positive = ("range_T", *SPAN)
+    scales = (RANGE_T,)
 
     def shapes(self, extent: Extent) -> Quantities:
         """The field in units of which gains are told, where the way along each axis begins, and how long it is."""
         begin, length = self.ends(extent)
-        return (fixed("range_T", "T", 0.0, 2.0 * extent.largest_field_T), *begin, *length)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """The largest component that the sensor read, and the box that the mover went through."""
-        largest = written({"range_T": circumstances.largest_of_sensor_T(place)})
-        return tuple(largest | start for start in super().starts(circumstances, place))
+        return (*Correction.shapes(self, extent), *begin, *length)
 
     def at_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
         """Reported positions of the mover, in m."""
@@ -252,15 +241,8 @@ class CurrentPickup(Correction, ReadingEffect):
 
     name = "current_pickup"
     words = "the sensor shows something of the currents themselves"
+    scales = (RANGE_A,)
     highest = 3
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """The current in units of which powers are taken."""
-        return (fixed("range_A", "A", 0.0, 100.0 * extent.largest_current_A),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Largest current of the session, in A."""
-        return (written({"range_A": circumstances.largest_current_A}),)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """Highest degree that the number of different currents besides 0 determines, of those while the sensor was read."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from jaxtyping import Float
 
-from estimator.effects.base import Quantities, Starts, Theta, box, fixed, written
+from estimator.effects.base import Quantities, Starts, Theta, box
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit, limit_of_number
-from estimator.effects.corrections.in_time import Response, Steps, Swings, Waves, Zero
+from estimator.effects.corrections.correction import RANGE_T, Correction, Limit, limit_of_number
+from estimator.effects.corrections.in_time import DURATION, Response, Steps, Swings, Waves, Zero
 from estimator.effects.stages import Components, ReadingEffect
 from estimator.frames import vector_from_rotation
 from estimator.geometry.motion import base_from_motion
@@ -25,16 +25,8 @@ class ResponseWanders(Response, Waves):
 
     name = "response_wanders"
     words = "gains and axes of the sensor, or how it is turned, wander with time"
+    scales = (DURATION, RANGE_T)
     highest = 6
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """Duration of the session, and the field in units of which components are taken."""
-        return (*super().shapes(extent), fixed("range_T", "T", 0.0, 2.0 * extent.largest_field_T))
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Duration of this session, in h, and the largest component that the sensor read, in T."""
-        largest = written({"range_T": circumstances.largest_of_sensor_T(place)})
-        return tuple({**start, **largest} for start in super().starts(circumstances, place))
 
 
 class TurnsWander(Waves, ReadingEffect):
@@ -45,10 +37,6 @@ class TurnsWander(Waves, ReadingEffect):
     unit = "1"
     lowest = 0
     highest = 8
-
-    def relative_width(self, degree: int) -> float:
-        """Width of the amplitudes of a degree over that of the first; degree 0 has that of the first."""
-        return super().relative_width(max(degree, 1))
 
     def apply(
         self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str

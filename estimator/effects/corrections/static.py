@@ -9,7 +9,7 @@ from abc import abstractmethod
 
 from jaxtyping import Float
 
-from estimator.effects.base import Kind, Quantities, Starts, Theta, box, fixed, written
+from estimator.effects.base import POSITIVE, Kind, Quantities, Starts, Theta, box, fixed, written
 from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
 from estimator.effects.corrections.correction import Correction, Limit, limit_of_places, positions_m
 from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect, SourceEffect
@@ -55,8 +55,6 @@ class StaticField(Correction):
 class Ball(StaticField):
     """Solid harmonics about a middle and in units of a reach, which stay as they are: of sources outside the ball."""
 
-    positive = ("reach_m",)
-
     def terms(self, degree: int) -> tuple[str, ...]:
         """Cosines and sines about the z axis."""
         return terms(degree)
@@ -64,7 +62,7 @@ class Ball(StaticField):
     def shapes(self, extent: Extent) -> Quantities:
         """Middle and radius of the ball of reference, in the frame of the field."""
         middle = box(MIDDLE, "", "m", 100.0 * extent.reach_m, is_fixed=True)
-        return (*middle, fixed("reach_m", "m", 0.0, 2.0 * extent.reach_m))
+        return (*middle, fixed("reach_m", "m", 0.0, 2.0 * extent.reach_m, POSITIVE))
 
     def around(self, places_m: Float[Tensor, "reading 3"]) -> dict[str, float]:
         """The ball about all places."""
@@ -92,10 +90,11 @@ def in_reach(points_m: Points, theta: Theta) -> Points:
     return (points_m - middle_m) / theta["reach_m"].flatten()[0]
 
 
-class OfCoil(StaticField, SourceEffect):
-    """A field that moves with a coil and is proportional to its current."""
+class PerAmpereOfCoil(StaticField):
+    """A field that goes with the current of a coil."""
 
     unit = "T/A"
+    kind = Kind.COIL
     needs_winding = False
 
     def places(self, rig: Rig) -> tuple[str, ...]:
@@ -107,10 +106,21 @@ class OfCoil(StaticField, SourceEffect):
         return circumstances.has_current(place)
 
     def read_at_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
-        """Positions of the readings with current in the coil, in the coil's frame, in m."""
-        number = circumstances.coil_number(place)
-        has_current = circumstances.current_A[:, number] != 0.0
-        return positions_m(circumstances, circumstances.rig.coils[number])[has_current]
+        """Positions of the readings with current in the coil, in m."""
+        has_current = circumstances.current_A[:, circumstances.coil_number(place)] != 0.0
+        return self.positions_m(circumstances, place)[has_current]
+
+    @abstractmethod
+    def positions_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
+        """Positions of all readings, in the frame of the field."""
+
+
+class OfCoil(PerAmpereOfCoil, SourceEffect):
+    """A field that moves with a coil and is proportional to its current."""
+
+    def positions_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
+        """Positions of all readings in the frame of the coil."""
+        return positions_m(circumstances, circumstances.rig.coils[circumstances.coil_number(place)])
 
     def apply(self, points_coil_m: Points, winding: AnyWinding, rule: Rule, theta: Theta) -> Field:
         """Field in the coil frame per ampere."""
@@ -136,20 +146,13 @@ class OfRoom(StaticField, RoomEffect):
         return self.field(points_m, theta)
 
 
-class Answer(StaticField, RoomEffect):
+class Answer(PerAmpereOfCoil, RoomEffect):
     """A field that stays in the room and answers the current of a coil."""
-
-    kind = Kind.COIL
-    unit = "T/A"
-
-    def places(self, rig: Rig) -> tuple[str, ...]:
-        """Coils with a winding of any shape."""
-        return tuple(coil.name for coil in rig.wound)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether the coil carried current and is carried by a mover; of one that stands still, this is the coil's own field."""
         coil = circumstances.rig.coils[circumstances.coil_number(place)]
-        return circumstances.has_current(place) and bool(coil.carried_by)
+        return super().concerns(circumstances, place) and bool(coil.carried_by)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """Highest degree that the places of the readings in the room determine; at least the uniform part, for which one place is enough.
@@ -159,10 +162,9 @@ class Answer(StaticField, RoomEffect):
         limit = super().limit(circumstances, place)
         return Limit(max(limit.degree, self.lowest), limit.words)
 
-    def read_at_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
-        """Positions of the readings with current in the coil, in the room, in m."""
-        has_current = circumstances.current_A[:, circumstances.coil_number(place)] != 0.0
-        return positions_m(circumstances)[has_current]
+    def positions_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
+        """Positions of all readings in the room."""
+        return positions_m(circumstances)
 
     def response(self, per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
         """Field in the world frame per ampere."""
