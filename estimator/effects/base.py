@@ -169,6 +169,7 @@ class Effect(ABC):
         kind: What it belongs to.
         words: What has happened, in a few words, for reports.
         source: Where the width of its priors comes from.
+        changes_field: It changes the field that a calibration predicts; else only how readings of it came about.
         is_record_mistake: It is there or not, and makes the readings absurd unless undone. All its starts are tried before any other cause.
         is_structural: The source is built otherwise than described.
         is_linear: The field stays proportional to the currents.
@@ -187,6 +188,7 @@ class Effect(ABC):
     kind: ClassVar[Kind]
     words: ClassVar[str]
     source: ClassVar[str]
+    changes_field: ClassVar[bool] = False
     is_record_mistake: ClassVar[bool] = False
     is_structural: ClassVar[bool] = False
     is_linear: ClassVar[bool] = True
@@ -285,9 +287,8 @@ class Effect(ABC):
         quantities = self.quantities(Extent())
         rules = {quantity.key: quantity.rule for quantity in quantities if quantity.rule}
         if rules:
-            return next(
-                ((key, rule.words) for key, rule in rules.items() if not rule.holds(values[key])), None
-            )
+            broken = ((key, rule.words) for key, rule in rules.items() if not rule.holds(values[key]))
+            return next(broken, None)
         for quantity in quantities:
             low, high = quantity.prior.lower, quantity.prior.upper
             is_bounded = quantity.is_fixed and quantity.unit == "1"

@@ -118,9 +118,8 @@ class Circumstances:
     def world_from(self, body: AnyCoil | Sensor) -> Transform:
         """Pose of a body at each reading, or one for all where it stands still, as the rig file describes it."""
         values, flange = self._nominal
-        return world_from_body(
-            self.rig, body, "sensor" if isinstance(body, Sensor) else "coil", flange, values
-        )
+        kind = "sensor" if isinstance(body, Sensor) else "coil"
+        return world_from_body(self.rig, body, kind, flange, values)
 
     def world_from_base(self, mover: str) -> Transform:
         """Pose of the base of a mover, as the rig file describes it."""
@@ -176,6 +175,11 @@ class Circumstances:
         middle_m = (x, y, z)
         strength = self.largest_current_A, self.largest_field_T
         return Extent(self.duration_h, *strength, self.reach_m, middle_m, self.interval_h, self.segments_of())
+
+    def frequencies(self, most: int) -> tuple[dict[str, float], ...]:
+        """Frequencies that are looked for in time, from half a cycle per session on, half a cycle apart."""
+        spacing, n = self.extent.frequencies_per_h(most)
+        return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
 
     @property
     def segment(self) -> Int[Tensor, " reading"]:
@@ -336,6 +340,14 @@ class Circumstances:
         if mover is None:
             return None
         return self.positions_of_m(mover)
+
+    def moved_between(self, sensor: str) -> bool:
+        """Whether that mover moved from one reading of the sensor to another."""
+        at_m = self.mover_of_sensor_m(sensor)
+        if at_m is None:
+            return False
+        own_m = at_m[self.is_of(sensor)]
+        return bool((own_m != own_m[:1]).any())
 
     def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
         """Low-passed square of the commanded current; the time constant is that of the thermal mass."""

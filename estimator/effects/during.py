@@ -5,7 +5,9 @@ Instants lie between two readings. The column of what ends is that of the change
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import inspect
+from collections.abc import Callable, Mapping
+from itertools import combinations
 from typing import Any, ClassVar, cast
 
 from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantities, Starts, Theta, since, until
@@ -54,29 +56,32 @@ class During(Effect):
         return self.base.broken_rule({key: v for key, v in values.items() if key not in (SINCE, UNTIL)})
 
 
-def during(base: Effect, *, name: str, explanation: str, **declared: Any) -> During:
-    """An effect that is there from one instant on.
+def during(base: Effect, **declared: Any) -> Callable[[Callable[[], None]], During]:
+    """Make an effect that is there from one instant on, of an empty function, which has its name and explains it.
 
     Args:
         base: What is there from then on. It need not be a cause by itself.
-        name, explanation: As with any effect.
-        **declared: `words`, and others as `Effect.cause` has them; the source of its priors is that of the effect unless said otherwise.
+        **declared: `words`, and others as `Effect.cause` has them; the source of its priors is that of the base unless said otherwise.
     """
     of_base = ("kind", "source", "is_record_mistake", "places", "concerns")
     inherited = {key: getattr(base, key) for key in of_base}
     stage = next(stage for acts_on, stage in _STAGES.items() if isinstance(base, acts_on))
-    return made(stage, name, {**inherited, **declared, "base": base}, type(base).__module__, explanation)
+
+    def joined(function: Callable[[], None]) -> During:
+        name, explanation = function.__name__, inspect.getdoc(function)
+        return made(stage, name, inherited | declared | {"base": base}, function.__module__, explanation)
+
+    return joined
 
 
-def spell(stays: During, *, name: str, explanation: str, **declared: Any) -> During:
-    """An effect that is there for a while.
+def spell(stays: During, **declared: Any) -> Callable[[Callable[[], None]], During]:
+    """Make an effect that is there for a while, as `during` does.
 
     Args:
         stays: What begins alike and does not end.
-        name, explanation, **declared: As with `during`.
+        **declared: As with `during`.
     """
-    inherited = {"source": stays.source, "stays": stays, "ends": True}
-    return during(stays.base, name=name, explanation=explanation, **inherited | declared)
+    return during(stays.base, **{"source": stays.source, "stays": stays, "ends": True} | declared)
 
 
 def from_instants(shapes: Starts, circumstances: Circumstances) -> Starts:
@@ -107,11 +112,7 @@ def spells_of(circumstances: Circumstances, sensor: str | None = None, has_ends:
     instants_h = circumstances.coarse_instants_h
     if has_ends:
         instants_h = (0.0, *instants_h, AFTER * circumstances.duration_h)
-    spells = [
-        {SINCE: begin_h, UNTIL: end_h}
-        for i, begin_h in enumerate(instants_h)
-        for end_h in instants_h[i + 1 :]
-    ]
+    spells = [{SINCE: begin_h, UNTIL: end_h} for begin_h, end_h in combinations(instants_h, 2)]
     n_meanwhile = [int(((hours >= each[SINCE]) & (hours < each[UNTIL])).sum()) for each in spells]
     return tuple(each for each, n in zip(spells, n_meanwhile, strict=True) if 0 < n < len(hours))
 

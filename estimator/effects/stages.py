@@ -30,9 +30,7 @@ Current = Float[Tensor, "*#batch reading"]  # A, of one coil
 Points = Float[Tensor, "*#batch pose 3"]  # m
 Field = Float[Tensor, "*#batch pose 3"]  # T or T/A, at points
 Components = Float[Tensor, "*#batch reading 3"]  # T, along the axes of a sensor or of the room
-Columns = Float[
-    Tensor, "*#batch row column"
-]  # what an error of a pose depends on, by reading or by distinct pose
+Columns = Float[Tensor, "*#batch row column"]  # what an error of a pose depends on, by reading or pose
 Deviations = Float[Tensor, "*#batch component"]  # T, errors or standard deviations
 Vector = Float[Tensor, "*batch 3"]
 Errors = Float[Tensor, "reading 3"]  # T, of all components of all readings
@@ -49,6 +47,7 @@ class CurrentEffect(Effect):
     """
 
     kind = Kind.COIL
+    changes_field = True
     couples_coils: ClassVar[bool] = False
     exchanges_coils: ClassVar[bool] = False
 
@@ -76,6 +75,7 @@ class WindingEffect(Effect):
     """Changes the geometry of a winding."""
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
 
     @abstractmethod
@@ -87,6 +87,7 @@ class SidesEffect(Effect):
     """Changes the geometry of a winding with straight sides."""
 
     kind = Kind.COIL
+    changes_field = True
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Coils with straight sides."""
@@ -105,6 +106,7 @@ class SourceEffect(Effect):
     """
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
     is_permanent: ClassVar[bool] = False
 
@@ -141,6 +143,7 @@ class WindingMagnetisation(Effect):
     """Magnetises a winding in some patterns, each driven by currents or always there."""
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
 
     @abstractmethod
@@ -156,6 +159,7 @@ class CoreMagnetisation(Effect):
     """Puts a body of iron into the bore of a coil, which answers all coils and the other bodies (`model.cores`)."""
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
     is_linear: ClassVar[bool] = False
 
@@ -201,6 +205,7 @@ class RoomEffect(Effect):
     """
 
     kind = Kind.ROOM
+    changes_field = True
     is_background: ClassVar[bool] = False
 
     def steady_T(self, points_m: Points, theta: Theta) -> Field | None:

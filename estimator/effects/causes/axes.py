@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import permutations, product
+from operator import mul
 
 from jaxtyping import Float
 
@@ -26,15 +27,10 @@ REVERSAL = dict(zip(READS, (-1.0, -2.0, -3.0), strict=True))  # of all three axe
 
 def _signed_permutations() -> Starts:
     """All signed permutations of the axes but the right one and its reversal."""
-    each = (
-        dict(
-            zip(READS, (float(sign * column) for sign, column in zip(signs, order, strict=True)), strict=True)
-        )
-        for order in permutations((1, 2, 3))
-        for signs in product((1, -1), repeat=3)
-    )
+    each = product(permutations((1.0, 2.0, 3.0)), product((1.0, -1.0), repeat=3))
+    starts = (dict(zip(READS, map(mul, order, signs), strict=True)) for order, signs in each)
     right = {key: -value for key, value in REVERSAL.items()}
-    return tuple(start for start in each if start not in (right, REVERSAL))
+    return tuple(start for start in starts if start not in (right, REVERSAL))
 
 
 def _reads_one_twice(values: Mapping[str, float]) -> tuple[str, str] | None:
@@ -60,14 +56,14 @@ def axes_swapped(field_sensor_T: Components, theta: Theta) -> Components:
     return (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
 
 
-axes_swapped_since = during(
+@during(
     axes_swapped,
-    name="axes_swapped_since",
     words="from one instant on the sensor's axes are in another order or direction",
     source="47 signed permutations",
-    explanation="From one instant on the sensor's axes are in another order or direction: it was taken out and put back turned over.",
     starts=lambda circumstances: from_instants((*_signed_permutations(), REVERSAL), circumstances),
 )
+def axes_swapped_since() -> None:
+    """From one instant on the sensor's axes are in another order or direction: it was taken out and put back turned over."""
 
 
 def _turns(

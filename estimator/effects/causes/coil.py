@@ -107,14 +107,10 @@ def lead_wire(points_coil_m: Points, winding: Winding, theta: Theta) -> Field:
 def _rod_per_moment(points_coil_m: Points, winding: Winding) -> Field:
     """Field of a rod in the bore, as long as the winding and magnetised along the axis, in units of the winding's own moment."""
     pole = (MU0_OVER_4PI * winding.moment_m2 / winding.length_m)[..., None, None]
-    front = points_coil_m
-    length_m = winding.length_m[..., None]
-    back = torch.stack(
-        torch.broadcast_tensors(front[..., 0], front[..., 1], front[..., 2] + length_m), dim=-1
-    )
-    field: Tensor = (
-        front / front.norm(dim=-1, keepdim=True) ** 3 - back / back.norm(dim=-1, keepdim=True) ** 3
-    )
+    up = points_coil_m.new_tensor([0.0, 0.0, 1.0])
+    front_m, back_m = points_coil_m, points_coil_m + winding.length_m[..., None, None] * up
+    from_front, from_back = (r / r.norm(dim=-1, keepdim=True) ** 3 for r in (front_m, back_m))
+    field: Tensor = from_front - from_back
     return pole * field
 
 

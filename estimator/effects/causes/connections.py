@@ -74,14 +74,14 @@ def _exchanged_with_a_later_one(current_A: Currents, theta: Theta, coil: int) ->
     return _of_others(current_A, torch.where(index == coil, other, torch.where(index == other, coil, index)))
 
 
-coils_exchanged_since = during(
+@during(
     _exchanged_with_a_later_one,
-    name="coils_exchanged_since",
     words="from one instant on this coil and another are connected in each other's place",
-    explanation="From one instant on two coils are connected in each other's place.",
     starts=_later_coils,
     exchanges_coils=True,
 )
+def coils_exchanged_since() -> None:
+    """From one instant on two coils are connected in each other's place."""
 
 
 @OneCoilCurrent.cause(
@@ -97,15 +97,17 @@ def current_sign(current_A: Current, theta: Theta) -> Current:
     return theta["sign"][..., None] * current_A
 
 
-current_sign_since = during(
+@during(
     current_sign,
-    name="current_sign_since",
     words="from one instant on the coil is connected the other way round",
-    explanation="From one instant on the leads of a coil are exchanged.",
 )
-current_sign_spell = spell(
+def current_sign_since() -> None:
+    """From one instant on the leads of a coil are exchanged."""
+
+
+@spell(
     current_sign_since,
-    name="current_sign_spell",
     words="for a while the coil is connected the other way round",
-    explanation="For a while the leads of a coil are exchanged, or its current is written with the other sign.",
 )
+def current_sign_spell() -> None:
+    """For a while the leads of a coil are exchanged, or its current is written with the other sign."""

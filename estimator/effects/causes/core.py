@@ -17,9 +17,8 @@ SHAPES = ((0.9, 1.0, 0.0), (0.7, 1.4, 0.1))
 
 def _another_has_current(circumstances: Circumstances, place: str) -> bool:
     """Whether another coil carries current; one coil alone cannot show more than `iron_core` and `core_saturation` say."""
-    return any(
-        circumstances.commanded_A(coil.name).any() for coil in circumstances.rig.coils if coil.name != place
-    )
+    others = (coil.name for coil in circumstances.rig.coils if coil.name != place)
+    return any(bool(circumstances.commanded_A(coil).any()) for coil in others)
 
 
 def _in_the_bore(circumstances: Circumstances, place: str) -> Starts:

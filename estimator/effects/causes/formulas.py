@@ -8,7 +8,6 @@ from estimator.field.dipole import dipole_field
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.straight import MU0_OVER_4PI
 from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
-from estimator.tensors import torch
 
 WEIGHT = (normal("weight", "1", 1.0),)  # of the other formula against the right one
 
@@ -38,11 +37,8 @@ def spherical_sum(points_coil_m: Points, winding: Winding, rule: Rule, theta: Th
 )
 def dipole_model(points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
     """The readings follow a point dipole at the middle of the winding instead of loops."""
-    zero = torch.zeros_like(winding.moment_m2)
-    moment_m2, half_m = (
-        torch.stack((zero, zero, along), dim=-1)[..., None, :]
-        for along in (winding.moment_m2, 0.5 * winding.length_m)
-    )
-    dipole = MU0_OVER_4PI * dipole_field(points_coil_m + half_m, moment_m2)
+    up = points_coil_m.new_tensor([0.0, 0.0, 1.0])
+    from_middle_m = points_coil_m + 0.5 * winding.length_m[..., None, None] * up
+    dipole = MU0_OVER_4PI * dipole_field(from_middle_m, winding.moment_m2[..., None, None] * up)
     loops = field_of_loops(points_coil_m, loops_of(winding, rule), rule.steps)
     return theta["weight"][..., None, None] * (dipole - loops)

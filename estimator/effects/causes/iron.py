@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from itertools import product
 
 from jaxtyping import Float
@@ -83,84 +82,78 @@ def iron_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     return theta["strength"][..., None, None] * _sheet(per_ampere, points_m, across, depth_m, coil_m)
 
 
-class PiercedPlate(RoomEffect):
+def _planes_between(circumstances: Circumstances) -> Starts:
+    """Planes across the world's axes along which the sensors lie apart, and the widest, open as wide as these lie about their middle."""
+    low_m, high_m = _ends_m(circumstances)
+    spread_m, starts = high_m - low_m, []
+    least_m = min(float(spread_m.max()), LEAST_BETWEEN * circumstances.reach_m)
+    for axis, share in product((spread_m >= least_m).nonzero().flatten().tolist(), BETWEEN):
+        middle_m = 0.5 * (low_m + high_m)
+        beside_m = circumstances.sensor_positions_m - middle_m
+        middle_m[axis], beside_m[:, axis] = float(low_m[axis]) + share * float(spread_m[axis]), 0.0
+        wide_m = float(beside_m.norm(dim=-1).max())
+        middle = {f"{name}_m": at_m for name, at_m in zip("xyz", middle_m.tolist(), strict=True)}
+        radius_m = max(WIDER * wide_m, 2.0 * LEAST_OPENING * circumstances.reach_m)
+        starts.append(_in_axis(axis, **middle, radius_m=radius_m))
+    return tuple(starts)
+
+
+def _is_between_sensors(theta: Theta, circumstances: Circumstances) -> bool:
+    """Whether sensors are on both of its sides: from far away its step is a field of the room."""
+    from_middle_m = circumstances.sensor_positions_m - vector(theta, "xyz", "_m")
+    depth_m = (from_middle_m * _across(theta)).sum(-1)
+    return bool(depth_m.min() < 0.0 < depth_m.max())
+
+
+def _step_T(points_m: Points, theta: Theta) -> Field:
+    """Field in the world frame, in T: half of the step on each side, and what the opening lets through of it."""
+    across, half_T = _across(theta), 0.5 * theta["step_T"][..., None]
+    from_middle_m = points_m - vector(theta, "xyz", "_m")
+    side = torch.where((from_middle_m * across).sum(-1) < 0.0, -1.0, 1.0)
+    leak = through_opening(from_middle_m, across, theta["radius_m"], half_T, half_T)
+    return (side * half_T)[..., None] * across + leak
+
+
+def _lie_apart(circumstances: Circumstances) -> bool:
+    """Whether the sensors' positions spread far enough for a plate between them."""
+    low_m, high_m = _ends_m(circumstances)
+    return float((high_m - low_m).max()) > LEAST_BETWEEN * circumstances.reach_m
+
+
+@RoomEffect.cause(
+    "response",
+    words="a plate of iron with a round opening stands between the readings",
+    source="1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11)",
+    # Share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening.
+    quantities=lambda extent: (
+        Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=MOST_STRENGTH)),
+        normal("step_T", "T", 3e-4),
+        *DIRECTION,
+        *box("xyz", "_m", "m", 8.0 * extent.reach_m),
+        shape("radius_m", "m", LEAST_OPENING * extent.reach_m, 8.0 * extent.reach_m),
+    ),
+    concerns=_lie_apart,
+    starts=_planes_between,
+    is_itself=_is_between_sensors,
+    steady_T=_step_T,
+)
+def pierced_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """A large plate of iron with a round opening, through which sensors reached both of its sides.
 
     It answers the coils, and the room's own field across it may differ from one side to the other.
     """
-
-    name = "pierced_plate"
-    words = "a plate of iron with a round opening stands between the readings"
-    source = "1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11)"
-
-    def quantities(self, extent: Extent) -> Quantities:
-        """Share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening."""
-        ends_m = 8.0 * extent.reach_m
-        return (
-            Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=MOST_STRENGTH)),
-            normal("step_T", "T", 3e-4),
-            *DIRECTION,
-            *box("xyz", "_m", "m", ends_m),
-            shape("radius_m", "m", LEAST_OPENING * extent.reach_m, ends_m),
-        )
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the sensors' positions spread far enough for a plate between them."""
-        low_m, high_m = _ends_m(circumstances)
-        return float((high_m - low_m).max()) > LEAST_BETWEEN * circumstances.reach_m
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Planes across the world's axes between the sensors, open as wide as these lie about their middle."""
-        starts = []
-        low_m, high_m = _ends_m(circumstances)
-        for axis, distance_m in _between(circumstances):
-            middle_m = 0.5 * (low_m + high_m)
-            beside_m = circumstances.sensor_positions_m - middle_m
-            middle_m[axis], beside_m[:, axis] = distance_m, 0.0
-            wide_m = float(beside_m.norm(dim=-1).max())
-            middle = {f"{name}_m": float(at_m) for name, at_m in zip("xyz", middle_m, strict=True)}
-            radius_m = max(WIDER * wide_m, 2.0 * LEAST_OPENING * circumstances.reach_m)
-            starts.append(_in_axis(axis, **middle, radius_m=radius_m))
-        return tuple(starts)
-
-    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
-        """While sensors are on both of its sides: from far away its step is a field of the room."""
-        from_middle_m = circumstances.sensor_positions_m - vector(theta, "xyz", "_m")
-        depth_m = (from_middle_m * _across(theta)).sum(-1)
-        return bool(depth_m.min() < 0.0 < depth_m.max())
-
-    def steady_T(self, points_m: Points, theta: Theta) -> Field:
-        """Field in the world frame, in T: half of the step on each side, and what the opening lets through of it."""
-        across, half_T = _across(theta), 0.5 * theta["step_T"][..., None]
-        from_middle_m = points_m - vector(theta, "xyz", "_m")
-        side = torch.where((from_middle_m * across).sum(-1) < 0.0, -1.0, 1.0)
-        leak = through_opening(from_middle_m, across, theta["radius_m"], half_T, half_T)
-        return (side * half_T)[..., None] * across + leak
-
-    def response(self, per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-        """A plate without opening, and what the opening lets through (see `through_opening`)."""
-        across = _across(theta)
-        middle_m = vector(theta, "xyz", "_m")
-        depth_m = ((points_m - middle_m) * across).sum(-1)
-        coil_m = ((per_ampere.position_m - middle_m) * across).sum(-1)
-        towards_coil = torch.where(coil_m < 0.0, -1.0, 1.0)[..., None] * across
-        at_m = torch.cat((middle_m, _ring_m(middle_m, across, theta["radius_m"])), dim=-2)
-        there_T = (per_ampere.at_each(at_m) * towards_coil[..., None, :]).sum(-1)
-        leak = through_opening(
-            points_m - middle_m, towards_coil, theta["radius_m"], there_T[..., 1:].mean(-1), there_T[..., 0]
-        )
-        return theta["strength"][..., None, None] * (
-            _sheet(per_ampere, points_m, across, depth_m, coil_m) + leak
-        )
-
-
-def _between(circumstances: Circumstances) -> Iterator[tuple[int, float]]:
-    """Axis and distance of planes between the sensors, across the axes along which these lie apart; the widest at least."""
-    low_m, high_m = _ends_m(circumstances)
-    least_m = min(float((high_m - low_m).max()), LEAST_BETWEEN * circumstances.reach_m)
-    for axis, (low, spread) in enumerate(zip(low_m.tolist(), (high_m - low_m).tolist(), strict=True)):
-        if spread >= least_m:
-            yield from ((axis, low + share * spread) for share in BETWEEN)
+    # A plate without opening, and what the opening lets through (see `through_opening`).
+    across = _across(theta)
+    middle_m = vector(theta, "xyz", "_m")
+    depth_m = ((points_m - middle_m) * across).sum(-1)
+    coil_m = ((per_ampere.position_m - middle_m) * across).sum(-1)
+    towards_coil = torch.where(coil_m < 0.0, -1.0, 1.0)[..., None] * across
+    at_m = torch.cat((middle_m, _ring_m(middle_m, across, theta["radius_m"])), dim=-2)
+    there_T = (per_ampere.at_each(at_m) * towards_coil[..., None, :]).sum(-1)
+    leak = through_opening(
+        points_m - middle_m, towards_coil, theta["radius_m"], there_T[..., 1:].mean(-1), there_T[..., 0]
+    )
+    return theta["strength"][..., None, None] * (_sheet(per_ampere, points_m, across, depth_m, coil_m) + leak)
 
 
 def _ends_m(circumstances: Circumstances) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
@@ -176,8 +169,7 @@ def _ring_m(
 ) -> Float[Tensor, "*batch 3 3"]:
     """Points over which the field in the opening is averaged: a third of a turn apart, so that slopes and saddles cancel."""
     axes = torch.eye(3, dtype=across.dtype, device=across.device)
-    along = torch.linalg.cross(across, axes[across.abs().argmin(-1)])
-    along = along / along.norm(dim=-1, keepdim=True)
+    along = torch.nn.functional.normalize(torch.linalg.cross(across, axes[across.abs().argmin(-1)]), dim=-1)
     beside = torch.linalg.cross(across, along)
     turn = across.new_tensor([0.0, 1.0, 2.0])[:, None] * 2.0 * math.pi / 3.0
     ring = torch.cos(turn) * along + torch.sin(turn) * beside
@@ -230,8 +222,7 @@ def _around(circumstances: Circumstances) -> Starts:
     middle = circumstances.positions_m.mean(0)
     starts = []
     for direction in (each for each in product((-1, 0, 1), repeat=3) if any(each)):
-        along = middle.new_tensor(direction)
-        along = along / along.norm()
+        along = torch.nn.functional.normalize(middle.new_tensor(direction), dim=0)
         farthest_m = float(((circumstances.positions_m - middle) @ along).max())
         for gap in (0.4, 1.2):
             point = middle + along * (farthest_m + gap * circumstances.reach_m)

@@ -32,7 +32,7 @@ def of_numbers(theta: Theta) -> Transform:
     return Transform(rotation_from_vector(turn_rad)[..., None, :, :], vector(theta, "xyz", "_m"))
 
 
-def _is_displaced(rig: Rig, body: Body) -> bool:
+def is_displaced(rig: Rig, body: Body) -> bool:
     """Whether a mover carries the body and reports displacements."""
     return body.carried_by is not None and rig.mover(body.carried_by).motion is MotionKind.DISPLACEMENT
 
@@ -42,7 +42,7 @@ def _askew(circumstances: Circumstances, place: str) -> frozenset[str]:
     rig = circumstances.rig
     bodies = [("coil", coil) for coil in rig.coils] + [("sensor", sensor) for sensor in rig.sensors]
     kind, body = next((kind, body) for kind, body in bodies if body.name == place)
-    if not _is_displaced(rig, body):
+    if not is_displaced(rig, body):
         return frozenset()
     pose0 = f"{place}.world_from_{kind}0"
     priors = [rig.parameters[f"{pose0}.{key}"].prior for key in ("tilt_x_rad", "tilt_y_rad")]
@@ -65,7 +65,7 @@ def sensor_misplaced(theta: Theta) -> Transform:
 def _askew_or_about_the_axis(circumstances: Circumstances, place: str) -> frozenset[str]:
     """Nor a turn about the axis of a round coil, or one without a winding, that is not displaced: nobody could tell."""
     coil = circumstances.rig.coils[circumstances.coil_number(place)]
-    can_show = _is_displaced(circumstances.rig, coil) or isinstance(coil, SidedCoil)
+    can_show = is_displaced(circumstances.rig, coil) or isinstance(coil, SidedCoil)
     return _askew(circumstances, place) | frozenset(() if can_show else ("rz_rad",))
 
 

@@ -6,11 +6,11 @@ import math
 from collections.abc import Mapping
 
 from estimator.effects.base import WHEN, Kind, Theta, since, triple, vector
+from estimator.effects.causes.misplaced import is_displaced
 from estimator.effects.circumstances import SINCE, Circumstances
 from estimator.effects.during import from_instants
 from estimator.effects.stages import Columns, MountEffect
 from estimator.frames import Transform, rotation_from_vector
-from estimator.rig.rig import MotionKind, Rig
 from estimator.tensors import Tensor, torch
 
 
@@ -19,19 +19,13 @@ def shift(shift_m: Tensor) -> Transform:
     return Transform(torch.eye(3, dtype=shift_m.dtype, device=shift_m.device).expand(1, 3, 3), shift_m)
 
 
-def _displaced_bodies(rig: Rig) -> tuple[str, ...]:
-    """Bodies that a mover carries which reports displacements."""
-    carried = [body for body in (*rig.coils, *rig.sensors) if body.carried_by is not None]
-    return tuple(b.name for b in carried if rig.mover(str(b.carried_by)).motion is MotionKind.DISPLACEMENT)
-
-
 @MountEffect.cause(
     words="the body sits askew on its flange: displacements run in other directions than assumed",
     source="a printed or bolted mount, 1 to 2 degrees",
     # Rotation vector across the body's axis; a turn about it is absorbed by the pose (docs/explanation/field-model.md).
     quantities=triple("xy", "_rad", "rad", math.radians(1.5)),
     kind=Kind.MOVER,
-    places=_displaced_bodies,
+    places=lambda rig: tuple(body.name for body in (*rig.coils, *rig.sensors) if is_displaced(rig, body)),
     is_at_reference=True,
 )
 def mount_tilt(theta: Theta) -> Transform:

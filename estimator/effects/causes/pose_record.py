@@ -78,12 +78,8 @@ def position_unit(pose: Transform, theta: Theta) -> Transform:
 )
 def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     """The three columns of a rotation are no rotation vector: angles about three axes, the inverse rotation, or degrees."""
-    about = [
-        rotation_from_vector(
-            columns[:, i : i + 1] * torch.eye(3, dtype=columns.dtype, device=columns.device)[i]
-        )
-        for i in range(3)
-    ]
+    axes = torch.eye(3).to(columns)
+    about = [rotation_from_vector(columns[:, i : i + 1] * axes[i]) for i in range(3)]
     as_angles = [about[third] @ about[second] @ about[first] for first, second, third in ORDERS]
     rotation = rotation_from_vector(columns)
     each = torch.stack((rotation, *as_angles, rotation.mT, rotation_from_vector(torch.deg2rad(columns))))

@@ -51,16 +51,13 @@ def rows_shifted(values: Mapping[str, float]) -> int:
     return round(values["rows"])
 
 
-rows_shifted_since = during(
+@during(
     rows_shifted,
-    name="rows_shifted_since",
     words="from one instant on fields stand some rows beside the poses and currents that they belong to",
     source="readings lost (negative) or written twice (positive), two at most",
-    explanation=(
-        "From one instant on fields stand beside other rows: "
-        "a trigger was missed, or a reading written twice, when two files were joined."
-    ),
 )
+def rows_shifted_since() -> None:
+    """From one instant on fields stand beside other rows: a trigger was missed, or a reading written twice, when two files were joined."""
 
 
 @RecordEffect.cause(

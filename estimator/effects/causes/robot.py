@@ -182,22 +182,21 @@ def _mover_off(pose: Transform, theta: Theta) -> Transform:
     return _shifted(pose, vector(theta, "xyz", "_m"))
 
 
-mover_slipped = during(
+@during(
     _mover_off,
-    name="mover_slipped",
     words="from one instant on the mover stands elsewhere than it says",
-    explanation="The mover lost steps, or its feet were pushed: from one instant on it stands elsewhere than it says, as far everywhere.",
 )
-mover_spell = spell(
+def mover_slipped() -> None:
+    """The mover lost steps, or its feet were pushed: from one instant on it stands elsewhere than it says, as far everywhere."""
+
+
+@spell(
     mover_slipped,
-    name="mover_spell",
     words="for a while the mover stands elsewhere than it says",
     source="another tool or work frame in part of a program, 0.1 to 1 mm",
-    explanation=(
-        "For a while the mover stands elsewhere than it says, as far everywhere: "
-        "another tool frame, a wrong height in part of a record."
-    ),
 )
+def mover_spell() -> None:
+    """For a while the mover stands elsewhere than it says, as far everywhere: another tool frame, a wrong height in part of a record."""
 
 
 @MotionEffect.cause(

@@ -6,8 +6,6 @@ from collections.abc import Sequence
 from itertools import permutations
 from typing import Any
 
-from jaxtyping import Float
-
 from estimator.effects.base import (
     Quantities,
     Quantity,
@@ -24,7 +22,7 @@ from estimator.effects.during import during, instants_within, spell, spells_of
 from estimator.effects.segments import each_segment, in_each_segment, is_several, of_segment, segments_of
 from estimator.effects.stages import Components, Current, ReadingEffect
 from estimator.rig.parameters import LogNormal
-from estimator.tensors import Tensor, torch
+from estimator.tensors import torch
 
 CLIPPED_AT = (0.999, 0.99, 0.98, 0.97, 0.95, 0.92, 0.88, 0.82, 0.75, 0.65, 0.5)
 # xy: what the x axis picks up of the y component.
@@ -57,17 +55,18 @@ def axis_gain(field_sensor_T: Components, theta: Theta) -> Components:
     return field_sensor_T * (1.0 + vector(theta, "xyz"))
 
 
-gain_spell = during(
+@during(
     axis_gain,
-    name="gain_spell",
     words="for a while the sensor's axes have other gains",
     source="ranges of one amplifier agree to 0.1 to 2 %",
-    explanation="""For a while the sensor's axes have other gains: another range, or numbers in another unit.
-
-No cause says that gains alone change and stay, so a spell may begin with the session or last until after it.""",
     ends=True,
     starts=lambda circumstances, place: spells_of(circumstances, place, has_ends=True),
 )
+def gain_spell() -> None:
+    """For a while the sensor's axes have other gains: another range, or numbers in another unit.
+
+    No cause says that gains alone change and stay, so a spell may begin with the session or last until after it.
+    """
 
 
 @ReadingEffect.cause(
@@ -160,21 +159,23 @@ def offset_drift(field_sensor_T: Components, theta: Theta, circumstances: Circum
     return field_sensor_T + vector(theta, "xyz", "_T_per_h") * circumstances.hours[:, None]
 
 
-offset_step = during(
+@during(
     sensor_offset,
-    name="offset_step",
     words="from one instant on the sensor shows another constant in no field",
     source="contacts and amplifiers that were switched, as sensor_offset: 10 to 100 uT",
-    explanation="From one instant on the zero of the sensor is another: it was plugged in again, or its amplifier changed range.",
     starts=instants_within,  # elsewhere the step is nothing, or an offset of all its readings
 )
-offset_spell = spell(
+def offset_step() -> None:
+    """From one instant on the zero of the sensor is another: it was plugged in again, or its amplifier changed range."""
+
+
+@spell(
     offset_step,
-    name="offset_spell",
     words="for a while the sensor shows another constant in no field",
     source="another range of the amplifier, a contact: 10 to 100 uT",
-    explanation="For a while the zero of the sensor is another.",
 )
+def offset_spell() -> None:
+    """For a while the zero of the sensor is another."""
 
 
 def _quantities_of(parts: Sequence[ReadingEffect], extent: Extent) -> Quantities:
@@ -203,14 +204,14 @@ def _another_sensor(
     return _in_turn(ANOTHER, field_sensor_T, theta, circumstances, sensor)
 
 
-sensor_exchanged = during(
+@during(
     _another_sensor,
-    name="sensor_exchanged",
     words="from one instant on another sensor reads, with gains and a zero of its own",
-    explanation="From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own.",
     # Enough readings of either sensor to tell its constants: fewer readings follow any twelve numbers.
     starts=lambda circumstances, place: instants_within(circumstances, place, LEAST_SHARE),
 )
+def sensor_exchanged() -> None:
+    """From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own."""
 
 
 def _contact(extent: Extent) -> Quantities:
@@ -224,25 +225,11 @@ def _contact(extent: Extent) -> Quantities:
     return (*_quantities_of(CONTACT, extent), *sides)
 
 
-def _own_m(circumstances: Circumstances, sensor: str) -> Float[Tensor, "own 3"] | None:
-    """Positions of the mover at the sensor's own readings, in m; None where nothing moves.
-
-    With all of these on one side, a contact would be a gain and a zero.
-    """
-    at_m = circumstances.mover_of_sensor_m(sensor)
-    return None if at_m is None else at_m[circumstances.is_of(sensor)]
-
-
-def _moves_between_readings(circumstances: Circumstances, place: str) -> bool:
-    """Whether a mover moved from one reading of the sensor to another."""
-    at_m = _own_m(circumstances, place)
-    return at_m is not None and bool((at_m != at_m[:1]).any())
-
-
 def _sides(circumstances: Circumstances, place: str) -> Starts:
     """Either side of places that part the sensor's own readings evenly, along each axis along which the mover went between them."""
-    at_m = _own_m(circumstances, place)
-    assert at_m is not None  # see `_moves_between_readings`
+    at_m = circumstances.mover_of_sensor_m(place)
+    assert at_m is not None  # see `concerns`
+    at_m = at_m[circumstances.is_of(place)]
     way_m = at_m.max(0).values - at_m.min(0).values
     starts = []
     for axis in range(3):
@@ -261,7 +248,8 @@ def _sides(circumstances: Circumstances, place: str) -> Starts:
     words="on one side of the mover's way the sensor has other gains and another zero",
     source="a worn cable or plug: per mille to per cents of a gain, and zeros as sensor_offset says",
     quantities=_contact,
-    concerns=_moves_between_readings,
+    # Readings all on one side would have another gain and another zero.
+    concerns=lambda circumstances, place: circumstances.moved_between(place),
     starts=_sides,
 )
 def sensor_contact(

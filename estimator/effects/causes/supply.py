@@ -16,6 +16,7 @@ from estimator.tensors import Tensor, torch
 # Of the largest current; a twentieth apart, so that one lies near any limit between two settings.
 LIMITED_AT = (0.99, 0.95, 0.9, 0.87, 0.83, 0.8, 0.75, 0.7, 0.65, 0.6, 0.55, 0.5, 0.45)
 NO_LIMIT = 3.0  # times the largest current: beyond what the session commanded
+WHOLE_SESSION = "the currents of a whole session, where loss_per_K depends on the temperature"
 RANGES = 12  # steps of the largest current at which a range may end
 
 
@@ -163,19 +164,21 @@ def _current_loss(current_A: Current, theta: Theta) -> Current:
     return current_A * (1.0 - theta["step"][..., None])
 
 
-current_step = during(
+@during(
     _current_loss,
-    name="current_step",
     words="from one instant on the coil carries less current, as after a shorted turn",
-    explanation="From one instant on the coil carries less current, or has fewer turns that count.",
 )
-current_spell = spell(
+def current_step() -> None:
+    """From one instant on the coil carries less current, or has fewer turns that count."""
+
+
+@spell(
     current_step,
-    name="current_spell",
     words="for a while the coil carries another share of its current",
     source="a supply in another range, a contact that warms: 0.1 to 2 %",
-    explanation="For a while the coil carries less current: another range of its supply, a bad contact.",
 )
+def current_spell() -> None:
+    """For a while the coil carries less current: another range of its supply, a bad contact."""
 
 
 @OneCoilCurrent.cause(
@@ -206,12 +209,6 @@ def _unseen_losses(circumstances: Circumstances, place: str) -> frozenset[str]:
     return frozenset({"loss_per_A2", "tau_h"} if has_warmed else {"loss_per_K"})
 
 
-def _currents_before(key: str) -> str | None:
-    """Losses depend on the past; a thermometer reads the present."""
-    past = "the currents of a whole session, where loss_per_K depends on the temperature"
-    return None if key == "loss_per_K" else past
-
-
 @OneCoilCurrent.cause(
     words="the current sags while the coil warms up by its own losses",
     source="copper gains 0.39 % of resistance a kelvin; coils of this size warm up by some kelvins",
@@ -220,7 +217,8 @@ def _currents_before(key: str) -> str | None:
         {"tau_h": share * circumstances.duration_h} for share in (0.08, 0.3, 1.0, 3.0)
     ),
     unseen=_unseen_losses,
-    beyond_the_moment=_currents_before,
+    # Losses depend on the past; a thermometer reads the present.
+    beyond_the_moment=lambda key: None if key == "loss_per_K" else WHOLE_SESSION,
     never_negative=("loss_per_K", "loss_per_A2"),
 )
 def coil_heating(current_A: Current, theta: Theta, circumstances: Circumstances, coil: int) -> Current:

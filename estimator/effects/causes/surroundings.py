@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from estimator.effects.base import Quantities, Starts, Theta, shape, triple, vector
+from estimator.effects.base import Quantities, Theta, shape, triple, vector
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.during import during, spell
 from estimator.effects.stages import Components, Field, Points, RoomEffect
@@ -59,20 +59,22 @@ def background_drift(theta: Theta, circumstances: Circumstances) -> Components:
     return vector(theta, "xyz", "_T_per_h") * circumstances.hours[:, None]
 
 
-background_step = during(
+@during(
     background_field,
-    name="background_step",
     words="from one instant on the field of the room is another",
     source="a steel door or a chair that was moved, a magnet that was put down: 1 to 50 uT",
-    explanation="From one instant on the field of the room is another, everywhere alike.",
 )
-background_spell = spell(
+def background_step() -> None:
+    """From one instant on the field of the room is another, everywhere alike."""
+
+
+@spell(
     background_step,
-    name="background_spell",
     words="for a while the field of the room is another",
     source="a door, a lift or a trolley that came and went, another coil that was on: 1 to 50 uT",
-    explanation="For a while the field of the room is another, everywhere alike.",
 )
+def background_spell() -> None:
+    """For a while the field of the room is another, everywhere alike."""
 
 
 def _swing(extent: Extent) -> Quantities:
@@ -83,18 +85,12 @@ def _swing(extent: Extent) -> Quantities:
     return (*triple(parts, "_T", "T", 20e-6), frequency)
 
 
-def _frequencies(circumstances: Circumstances) -> Starts:
-    """Frequencies from half a cycle per session on, half a cycle apart."""
-    spacing, n = circumstances.extent.frequencies_per_h(MOST_FREQUENCIES)
-    return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
-
-
 @RoomEffect.cause(
     "drifting_T",
     words="the field of the room swings periodically",
     source="mains and machines nearby, 1 to 50 uT; their beat with the clock of the readings",
     quantities=_swing,
-    starts=_frequencies,
+    starts=lambda circumstances: circumstances.frequencies(MOST_FREQUENCIES),
 )
 def periodic_interference(theta: Theta, circumstances: Circumstances) -> Components | None:
     """The field of the room swings with a period of its own, everywhere alike.

@@ -97,9 +97,8 @@ class Cylinder(StaticField):
 
 def _in_radii(points_m: Points, cylinder: Theta) -> Points:
     """Points about the middle of a cylinder, z along it, in units of its radius."""
-    local: Tensor = (points_m - vector(cylinder, MIDDLE)[0]) @ _rotation(
-        cylinder["along_x"], cylinder["along_y"]
-    )
+    turn = _rotation(cylinder["along_x"], cylinder["along_y"])
+    local: Tensor = (points_m - vector(cylinder, MIDDLE)[0]) @ turn
     return local / cylinder["radius_m"]
 
 

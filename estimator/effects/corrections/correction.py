@@ -57,20 +57,13 @@ class Scale:
     here: Callable[[Circumstances, str], float]
 
 
+# The largest component that a sensor read, and the largest current of the session.
 RANGE_T = Scale(
-    "range_T",
-    "T",
-    lambda extent: 2.0 * extent.largest_field_T,
-    lambda circumstances, sensor: circumstances.largest_of_sensor_T(sensor),
+    "range_T", "T", lambda extent: 2.0 * extent.largest_field_T, Circumstances.largest_of_sensor_T
 )
-"""The largest component that a sensor read."""
 RANGE_A = Scale(
-    "range_A",
-    "A",
-    lambda extent: 100.0 * extent.largest_current_A,
-    lambda circumstances, _: circumstances.largest_current_A,
+    "range_A", "A", lambda extent: 100.0 * extent.largest_current_A, lambda now, _: now.largest_current_A
 )
-"""The largest current of the session."""
 
 
 class Correction(Effect):

@@ -137,14 +137,11 @@ def _rms_of_moves_m(circumstances: Circumstances, mover: str) -> float:
     return max(rms_m, LEAST_LENGTH_M)
 
 
-def _far_m(extent: Extent) -> float:
-    return 100.0 * extent.reach_m
-
-
-MOVE = Scale("move_m", "m", _far_m, _rms_of_moves_m)  # a typical move
+# A typical move, and the radius of arcs.
+MOVE = Scale("move_m", "m", lambda extent: 100.0 * extent.reach_m, _rms_of_moves_m)
 REACH = Scale(
-    "reach_m", "m", _far_m, lambda circumstances, _: max(circumstances.reach_m, LEAST_LENGTH_M)
-)  # of arcs
+    "reach_m", "m", lambda extent: 100.0 * extent.reach_m, lambda now, _: max(now.reach_m, LEAST_LENGTH_M)
+)
 
 
 class AfterMoves(Correction, MotionEffect):

@@ -31,13 +31,8 @@ MOST_HALF_CYCLES = 320  # over the session or the range; sessions with fewer rea
 COS_AND_SIN = ("cos", "sin")
 
 
-DURATION = Scale(
-    "duration_h",
-    "h",
-    lambda extent: 2.0 * extent.duration_h,
-    lambda circumstances, _: circumstances.duration_h,
-)
-"""Duration of the session, from its first reading on."""
+# From the first reading of the session on.
+DURATION = Scale("duration_h", "h", lambda extent: 2.0 * extent.duration_h, lambda now, _: now.duration_h)
 
 
 class InTime(Correction):
@@ -156,8 +151,7 @@ class Swings(InTime, Periodic):
 
     def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """Frequencies half a cycle per session apart: between them a fifth of the power is lost at most."""
-        spacing, n = circumstances.extent.frequencies_per_h(MOST_HALF_CYCLES)
-        return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
+        return circumstances.frequencies(MOST_HALF_CYCLES)
 
     def value(
         self, hours: Float[Tensor, " reading"], theta: Theta

@@ -30,9 +30,8 @@ class OfShown(Correction, ReadingEffect):
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """Highest degree that the number of different readings of the sensor determines."""
-        return limit_of_number(
-            self, len(torch.unique(_shown_T(circumstances, place), dim=0)), "different readings"
-        )
+        n_different = len(torch.unique(_shown_T(circumstances, place), dim=0))
+        return limit_of_number(self, n_different, "different readings")
 
     def apply(
         self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
@@ -116,10 +115,7 @@ class ResponseByPlace(AlongWay, ReadingEffect):
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether a mover moved from one reading of the sensor to another."""
-        if circumstances.mover_of_sensor_m(place) is None:
-            return False
-        own_m = self.at_m(circumstances, place)[circumstances.is_of(place)]
-        return bool((own_m != own_m[:1]).any())
+        return circumstances.moved_between(place)
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """Highest degree that the number of different positions of the mover at the sensor's own readings determines."""

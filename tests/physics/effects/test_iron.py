@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
-from estimator.effects.causes.iron import PiercedPlate, iron_body, iron_plate
+from estimator.effects.causes.iron import iron_body, iron_plate, pierced_plate
 from estimator.effects.circumstances import Circumstances
 from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
@@ -190,7 +190,7 @@ def test_pierced_plate_beside_all_readings_is_a_field_of_the_room_and_no_plate(h
     """As a search took one for it, in an axis scan of a coil with a background of 77 uT."""
     circumstances = Circumstances(rig_from_text(RIG), readings(AROUND_M))
     theta = {key: torch.tensor(value) for key, value in (PIERCED | {"z_m": height_m}).items()}
-    assert PiercedPlate().is_itself(theta, circumstances) is is_between
+    assert pierced_plate.is_itself(theta, circumstances) is is_between
     if not is_between:
         field = added_T(
             readings(AROUND_M, (0.0, 0.0)),
