@@ -13,7 +13,9 @@ Function = Callable[..., Any]
 S = TypeVar("S")  # a stage
 
 
-def made(stage: type[S], name: str, declared: Mapping[str, Any], module: str, explanation: str | None) -> S:
+def made(
+    stage: type[S], name: str, declared: Mapping[str, Any], module: str | None, explanation: str | None
+) -> S:
     """The effect of a stage with these attributes and functions; what else is called is of the stage.
 
     Args:

@@ -145,7 +145,7 @@ REACH = Scale(
 
 
 class AfterMoves(Correction, MotionEffect):
-    """Where a mover stands after its last move: play, overshoot, loose mounts, and clocks that do not agree."""
+    """Place of a mover after its last move: play, overshoot, loose mounts, and clocks that do not agree."""
 
     unit = "m"
     depends_on = "how the mover came to where it stands"
