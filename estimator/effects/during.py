@@ -23,6 +23,7 @@ from estimator.effects.stages import (
     RecordEffect,
     RoomEffect,
 )
+from estimator.errors import InvalidInput
 from estimator.frames import Transform
 from estimator.tensors import torch
 
@@ -60,12 +61,15 @@ def during(base: Effect, **declared: Any) -> Callable[[Callable[[], None]], Duri
     """Make an effect that is there from one instant on, of an empty function, which has its name and explains it.
 
     Args:
-        base: What is there from then on. It need not be a cause by itself.
+        base: What is there from then on: of a current, what a sensor says, a steady field that is the same at every point, the place of a
+            mover, or rows of the record. It need not be a cause by itself.
         **declared: `words`, and others as `Effect.cause` has them; the source of its priors is that of the base unless said otherwise.
+    Raises:
+        InvalidInput: The base is none of these, or the declaration is wrong.
     """
     of_base = ("kind", "source", "is_record_mistake", "places", "concerns")
     inherited = {key: getattr(base, key) for key in of_base}
-    stage = next(stage for acts_on, stage in _STAGES.items() if isinstance(base, acts_on))
+    stage = _stage_of(base)
 
     def joined(function: Callable[[], None]) -> During:
         name, explanation = function.__name__, inspect.getdoc(function)
@@ -142,15 +146,16 @@ class _Room(During, RoomEffect):
 
 
 class _Motion(During, MotionEffect):
-    """A shift of a mover that does not turn it."""
-
     def columns(self, circumstances: Circumstances, mover: str) -> Columns:
-        return circumstances.hours_for_instants[:, None]
+        own = cast(MotionEffect, self.base).columns(circumstances, mover)
+        return torch.cat((circumstances.hours_for_instants[:, None], own), dim=-1)
 
     def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
-        moved = cast(MotionEffect, self.base).apply(pose, columns, theta)
+        rotation, moved = pose.rotation, cast(MotionEffect, self.base).apply(pose, columns[:, 1:], theta)
         is_there = is_meanwhile(columns[:, 0], theta)[..., None]
-        return Transform(pose.rotation, torch.where(is_there, moved.translation_m, pose.translation_m))
+        if moved.rotation is not rotation:
+            rotation = torch.where(is_there[..., None], moved.rotation, rotation)
+        return Transform(rotation, torch.where(is_there, moved.translation_m, pose.translation_m))
 
 
 class _Record(During, RecordEffect):
@@ -161,10 +166,18 @@ class _Record(During, RecordEffect):
         return values[SINCE]
 
 
-_STAGES: dict[type[Effect], type[During]] = {
-    CurrentEffect: _Current,
-    ReadingEffect: _Reading,
-    RoomEffect: _Room,
-    MotionEffect: _Motion,
-    RecordEffect: _Record,
-}
+def _stage_of(base: Effect) -> type[During]:
+    """How an effect acts for a part of a session."""
+    stages: tuple[tuple[type[Effect], str, type[During]], ...] = (
+        (CurrentEffect, "apply", _Current),
+        (ReadingEffect, "apply", _Reading),
+        (RoomEffect, "steady_T", _Room),
+        (MotionEffect, "apply", _Motion),
+        (RecordEffect, "rows_late", _Record),
+    )
+    for stage, method, meanwhile in stages:
+        if isinstance(base, stage) and getattr(type(base), method) is not getattr(stage, method):
+            return meanwhile
+    raise InvalidInput(
+        f"{base.name} must be of a current, a reading, a steady field, a mover or rows to be there for a part of a session"
+    )

@@ -8,11 +8,14 @@ from jaxtyping import Int
 
 from estimator.effects.base import SIGN, Starts, Theta, switch, whole
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.during import during, from_instants, spell
+from estimator.effects.during import during, spell
 from estimator.effects.stages import Current, CurrentEffect, Currents, OneCoilCurrent, RecordEffect
 from estimator.tensors import Tensor, torch
 
 MOST_BODIES = 1000.0
+COILS_LATER = whole(
+    "must be a whole number of coils, from 0", 0.0
+)  # at which the other stands in the rig file
 A_BODY = whole("must be the number of a body, from 1", 1.0)
 TWO_BODIES = tuple(switch(key, 1.0, MOST_BODIES, 1.0, A_BODY) for key in ("first", "second"))
 """Two bodies, from 1 in the order of the rig file; a body exchanged with itself is where it should be."""
@@ -52,19 +55,17 @@ def coils_exchanged(recorded_A: Currents, theta: Theta) -> Currents:
 
 
 def _later_coils(circumstances: Circumstances, place: str) -> Starts:
-    """Each of the coils that come later in the rig file, from each instant on."""
+    """Each of the coils that come later in the rig file."""
     n_later = len(circumstances.rig.coils) - 1 - circumstances.coil_number(place)
-    return from_instants(tuple({"later_by": float(n)} for n in range(1, n_later + 1)), circumstances)
+    return tuple({"later_by": float(n)} for n in range(1, n_later + 1))
 
 
 @CurrentEffect.cause(
     words="this coil and another are connected in each other's place",
     source="any two coils",
-    # How many entries later the other coil stands in the rig file.
-    quantities=(
-        switch("later_by", 0.0, MOST_BODIES, 0.0, whole("must be a whole number of coils, from 0", 0.0)),
-    ),
+    quantities=(switch("later_by", 0.0, MOST_BODIES, 0.0, COILS_LATER),),
     places=lambda rig: tuple(coil.name for coil in rig.coils[:-1]),
+    starts=_later_coils,
     is_record_mistake=True,
 )
 def _exchanged_with_a_later_one(current_A: Currents, theta: Theta, coil: int) -> Currents:
@@ -77,7 +78,6 @@ def _exchanged_with_a_later_one(current_A: Currents, theta: Theta, coil: int) ->
 @during(
     _exchanged_with_a_later_one,
     words="from one instant on this coil and another are connected in each other's place",
-    starts=_later_coils,
     exchanges_coils=True,
 )
 def coils_exchanged_since() -> None:
@@ -97,17 +97,11 @@ def current_sign(current_A: Current, theta: Theta) -> Current:
     return theta["sign"][..., None] * current_A
 
 
-@during(
-    current_sign,
-    words="from one instant on the coil is connected the other way round",
-)
+@during(current_sign, words="from one instant on the coil is connected the other way round")
 def current_sign_since() -> None:
     """From one instant on the leads of a coil are exchanged."""
 
 
-@spell(
-    current_sign_since,
-    words="for a while the coil is connected the other way round",
-)
+@spell(current_sign_since, words="for a while the coil is connected the other way round")
 def current_sign_spell() -> None:
     """For a while the leads of a coil are exchanged, or its current is written with the other sign."""

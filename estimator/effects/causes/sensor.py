@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import permutations
 from typing import Any
 
@@ -178,40 +177,37 @@ def offset_spell() -> None:
     """For a while the zero of the sensor is another."""
 
 
-def _quantities_of(parts: Sequence[ReadingEffect], extent: Extent) -> Quantities:
-    return tuple(quantity for part in parts for quantity in part.quantities(extent))
+def _in_turn(*parts: ReadingEffect) -> ReadingEffect:
+    """Effects of a sensor as one, in the order in which they act."""
 
+    @ReadingEffect.cause(
+        words=" and ".join(part.words for part in parts),
+        source="; ".join(part.source for part in parts),
+        quantities=lambda extent: tuple(each for part in parts for each in part.quantities(extent)),
+    )
+    def together(
+        field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+    ) -> Components:
+        """One after the other."""
+        for part in parts:
+            field_sensor_T = part.apply(field_sensor_T, theta, circumstances, sensor)
+        return field_sensor_T
 
-def _in_turn(parts: Sequence[ReadingEffect], field_sensor_T: Components, *rest: Any) -> Components:
-    for part in parts:
-        field_sensor_T = part.apply(field_sensor_T, *rest)
-    return field_sensor_T
-
-
-ANOTHER = (cross_axis, axis_gain, sensor_offset)  # of a sensor, in the order in which they act
-CONTACT = (axis_gain, sensor_offset)  # of a contact, likewise
-
-
-@ReadingEffect.cause(
-    words="another sensor reads, with gains and a zero of its own",
-    source="sensors of one make differ as axis_gain, cross_axis and sensor_offset say",
-    quantities=lambda extent: _quantities_of(ANOTHER, extent),
-)
-def _another_sensor(
-    field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
-) -> Components:
-    """Another sensor, with gains, mixings and a zero of its own against this one."""
-    return _in_turn(ANOTHER, field_sensor_T, theta, circumstances, sensor)
+    return together
 
 
 @during(
-    _another_sensor,
+    _in_turn(cross_axis, axis_gain, sensor_offset),
     words="from one instant on another sensor reads, with gains and a zero of its own",
+    source="sensors of one make differ as axis_gain, cross_axis and sensor_offset say",
     # Enough readings of either sensor to tell its constants: fewer readings follow any twelve numbers.
     starts=lambda circumstances, place: instants_within(circumstances, place, LEAST_SHARE),
 )
 def sensor_exchanged() -> None:
     """From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own."""
+
+
+_CONTACT = _in_turn(axis_gain, sensor_offset)
 
 
 def _contact(extent: Extent) -> Quantities:
@@ -222,7 +218,7 @@ def _contact(extent: Extent) -> Quantities:
         fixed("beyond_m", "m", -ends_m, ends_m),
         fixed("side", "1", -1.0, 1.0),
     )
-    return (*_quantities_of(CONTACT, extent), *sides)
+    return (*_CONTACT.quantities(extent), *sides)
 
 
 def _sides(circumstances: Circumstances, place: str) -> Starts:
@@ -262,7 +258,7 @@ def sensor_contact(
     at_m = circumstances.mover_of_sensor_m(sensor)
     if at_m is None:
         return field_sensor_T
-    changed_T = _in_turn(CONTACT, field_sensor_T, theta, circumstances, sensor)
+    changed_T = _CONTACT.apply(field_sensor_T, theta, circumstances, sensor)
     along_m = at_m.T[theta["along"].long()]
     is_there = theta["side"][..., None] * (along_m - theta["beyond_m"][..., None]) > 0.0
     return torch.where(is_there[..., None], changed_T, field_sensor_T)

@@ -14,7 +14,7 @@ from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
 from estimator.effects.during import During, during, spell
 from estimator.effects.stages import CurrentEffect, MotionEffect, ReadingEffect, RecordEffect, RoomEffect
 from estimator.errors import InvalidInput
-from estimator.frames import Transform
+from estimator.frames import Transform, rotation_from_vector
 from estimator.readings.observations import Observations
 from estimator.rig_files.read import rig_from_text
 
@@ -79,6 +79,10 @@ def test_function_gives_name_and_explanation_and_takes_what_it_needs(circumstanc
             "starts of bent must take some of circumstances, place; received rig",
         ),
         (
+            lambda: during(EFFECTS["iron_body"], words="iron that comes"),
+            "iron_body must be of a current, a reading, a steady field, a mover or rows to be there",
+        ),
+        (
             lambda: RecordEffect.cause(**BENT)(bent),
             "bent must say which method of RecordEffect it is; received no name, and open are none",
         ),
@@ -132,6 +136,14 @@ def farther(pose, theta):
     return Transform(pose.rotation, pose.translation_m + theta["size"][..., None, None])
 
 
+@of_stage(MotionEffect, columns=lambda circumstances: circumstances.hours[:, None] + 1.0)
+def turned(pose, columns, theta):
+    """It turns, and stands farther with time."""
+    size = theta["size"][..., None, None]
+    turn = rotation_from_vector(size * torch.tensor([0.0, 0.0, 1.0]).double())
+    return Transform(turn, pose.translation_m + size * columns / columns)
+
+
 def added(effect: During, theta, circumstances: Circumstances) -> torch.Tensor:
     """What an effect adds at each reading."""
     zero = torch.zeros(N, 3, dtype=torch.float64)
@@ -145,7 +157,9 @@ def added(effect: During, theta, circumstances: Circumstances) -> torch.Tensor:
     return effect.apply(Transform(eye, zero), effect.columns(circumstances, "mapper"), theta).translation_m
 
 
-@pytest.mark.parametrize("base", [more_shown, more_current, more_field, farther], ids=lambda each: each.name)
+@pytest.mark.parametrize(
+    "base", [more_shown, more_current, more_field, farther, turned], ids=lambda each: each.name
+)
 def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances) -> None:
     @during(base, words="since")
     def since():
