@@ -28,6 +28,11 @@ def made(
     Raises:
         InvalidInput: The stage has no such attribute, or a function takes an argument that the stage does not give.
     """
+    known = {*dir(stage), *(key for each in stage.__mro__ for key in getattr(each, "__annotations__", ()))}
+    for key in declared.keys() - known:
+        raise InvalidInput(
+            f"{name} must declare attributes of {stage.__name__}; received {key}{closest(key, known)}"
+        )
     attributes = {key: _attribute(stage, key, value, name) for key, value in declared.items()}
     attributes |= {"name": name, "__module__": module, "__doc__": explanation, "__reduce__": _reduced}
     declared_class: Any = types.new_class(name, (stage,), exec_body=lambda body: body.update(attributes))
@@ -36,11 +41,6 @@ def made(
 
 
 def _attribute(stage: type, key: str, value: Any, name: str) -> Any:
-    known = {*dir(stage), *(key for each in stage.__mro__ for key in getattr(each, "__annotations__", ()))}
-    if key not in known:
-        raise InvalidInput(
-            f"{name} must declare attributes of {stage.__name__}; received {key}{closest(key, known)}"
-        )
     method = getattr(stage, key, None)
     if not inspect.isfunction(method):
         return value

@@ -180,3 +180,17 @@ def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances) -
         assert change.shape[0] == 2
         assert (change[1] == 2.0 * is_there[:, None]).all()
         assert effect.starts(circumstances, effect.places(circumstances.rig)[0])
+
+
+def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances) -> None:
+    @during(turned, words="since")
+    def since():
+        """Since."""
+
+    theta = {"size": torch.tensor(0.5).double(), SINCE: torch.tensor(0.6).double()}
+    eye = torch.eye(3, dtype=torch.float64).expand(N, 3, 3)
+    columns = since.columns(circumstances, "mapper")
+    moved = since.apply(Transform(eye, torch.zeros(N, 3, dtype=torch.float64)), columns, theta)
+    is_turned = (moved.rotation[:, 0, 0] - torch.cos(theta["size"])).abs() < 1e-12
+    assert is_turned.tolist() == (circumstances.hours >= 0.6).tolist()
+    assert (moved.rotation[~is_turned] == eye[~is_turned]).all()
