@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from estimator.effects.base import WHEN, Quantities, Starts, Theta, fixed, shape
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit, Scale, limit_of_number
+from estimator.effects.corrections.correction import RANGE_T, Correction, Limit, Scale, limit_of_number
 from estimator.effects.stages import (
     Columns,
     Components,
@@ -218,7 +218,7 @@ class Response(InTime, ReadingEffect):
     ) -> Components:
         """Components as they are read."""
         matrix = self.value(circumstances.hours_for_instants, theta).unflatten(-1, (3, 3))
-        if self.unit == "T":
+        if RANGE_T in self.scales:
             matrix = matrix / theta["range_T"].flatten()[0]
         added_T: Tensor = (matrix @ field_sensor_T[..., None])[..., 0]
         return field_sensor_T + added_T
