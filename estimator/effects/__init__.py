@@ -30,6 +30,7 @@ from estimator.effects.causes import (
     robot,
     sensor,
     sensor_history,
+    sensor_parts,
     superconductor,
     supply,
     surroundings,
@@ -46,7 +47,7 @@ CURRENTS = (connections, supply)
 COILS = (winding, coil, core, formulas, carried, superconductor)
 ROOM = (surroundings, iron)
 PLACES = (pose_record, robot, mount, holder, force, misplaced)
-SENSORS = (sensor, axes, sensor_history)
+SENSORS = (sensor, sensor_parts, axes, sensor_history)
 RECORD = (record, noise)
 CORRECTIONS = (current, fields, guides, response, sensor_in_time)
 

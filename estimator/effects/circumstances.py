@@ -247,14 +247,6 @@ class Circumstances:
         """Readings from an instant on."""
         return self.hours >= instant_h[..., None]
 
-    def is_meanwhile(self, theta: Mapping[str, Tensor]) -> Bool[Tensor, "*batch reading"]:
-        """Readings while something is otherwise; see `is_meanwhile`.
-
-        Args:
-            theta: Quantities of the cause.
-        """
-        return is_meanwhile(self.hours, theta)
-
     def row_before(self, sensor: str) -> Int[Tensor, " history"]:
         """Row of the history of the reading that a sensor took before each; its own where none was."""
         history = self.observations.history

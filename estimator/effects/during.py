@@ -124,7 +124,7 @@ def spells_of(circumstances: Circumstances, sensor: str | None = None, has_ends:
 class _Current(During, CurrentEffect):
     def apply(self, current_A: Currents, theta: Theta, circumstances: Circumstances, coil: int) -> Currents:
         changed_A = cast(CurrentEffect, self.base).apply(current_A, theta, circumstances, coil)
-        return torch.where(circumstances.is_meanwhile(theta)[..., None], changed_A, current_A)
+        return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed_A, current_A)
 
 
 class _Reading(During, ReadingEffect):
@@ -132,7 +132,7 @@ class _Reading(During, ReadingEffect):
         self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
     ) -> Components:
         changed_T = cast(ReadingEffect, self.base).apply(field_sensor_T, theta, circumstances, sensor)
-        return torch.where(circumstances.is_meanwhile(theta)[..., None], changed_T, field_sensor_T)
+        return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed_T, field_sensor_T)
 
 
 class _Room(During, RoomEffect):
@@ -142,7 +142,7 @@ class _Room(During, RoomEffect):
         anywhere_m = circumstances.hours.new_zeros(1, 3)
         field_T = cast(RoomEffect, self.base).steady_T(anywhere_m, theta)
         assert field_T is not None
-        return field_T * circumstances.is_meanwhile(theta)[..., None]
+        return field_T * is_meanwhile(circumstances.hours, theta)[..., None]
 
 
 class _Motion(During, MotionEffect):
