@@ -7,283 +7,66 @@ Names are stable. Packages outside this repository add causes of their own by th
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from importlib.metadata import entry_points
+from types import ModuleType
 
 from estimator.effects.base import Effect
-from estimator.effects.causes.carried import MagnetisedLink
-from estimator.effects.causes.core import CoreRemanence, CrossMagnetisation
-from estimator.effects.causes.force import CoilPulled
-from estimator.effects.causes.iron import IronBody, IronOnSensor, IronPlate, PiercedPlate, SecondIronBody
-from estimator.effects.causes.noise import NoiseGrows, Outliers, PositionJitter
-from estimator.effects.causes.pose_record import PositionUnit, RotationConvention, RowsShifted
-from estimator.effects.causes.record import (
-    AxesSwapped,
-    CoilsExchanged,
-    CurrentSign,
-    DisplacementFrameError,
-    LeftHanded,
-    SensorsExchanged,
-    UnitError,
-)
-from estimator.effects.causes.record_frame import FieldFrame
-from estimator.effects.causes.record_since import (
-    AxesSwappedSince,
-    CoilsExchangedSince,
-    CurrentSignSince,
-    RowsShiftedSince,
-)
-from estimator.effects.causes.robot import (
-    Backlash,
-    JointSag,
-    JointZeros,
-    MountTilt,
-    MoverSlipped,
-    PositionLag,
-    RobotScale,
-    RobotShear,
-    SensorBumped,
-)
-from estimator.effects.causes.segments import SegmentGain, SegmentMisplaced, SegmentZero
-from estimator.effects.causes.sensor import (
-    AxisGain,
-    CrossAxis,
-    CubicResponse,
-    ElementDisplacement,
-    OffsetDrift,
-    PlanarHall,
-    RangeClipping,
-    SensorOffset,
-    TemperatureDrift,
-)
-from estimator.effects.causes.sensor_history import (
-    ChannelCrosstalk,
-    OffsetStep,
-    SensorExchanged,
-    SensorLag,
-    ThermalLag,
-)
-from estimator.effects.causes.sensor_place import SensorContact
-from estimator.effects.causes.spells import (
-    BackgroundSpell,
-    CurrentSignSpell,
-    CurrentSpell,
-    GainSpell,
-    MoverSpell,
-    OffsetSpell,
-)
-from estimator.effects.causes.stated import (
-    BaseMisplaced,
-    CoilMisplaced,
-    NoiseMisstated,
-    SensorMisplaced,
-    SidesMisstated,
-    WindingMisstated,
-)
-from estimator.effects.causes.structure import HiddenWinding, ReversedLayer
-from estimator.effects.causes.superconductor import FilamentMagnetisation
-from estimator.effects.causes.supply import (
-    CoilHeating,
-    CurrentAsymmetry,
-    CurrentCompression,
-    CurrentDeadBand,
-    CurrentGain,
-    CurrentLimit,
-    CurrentOffset,
-    CurrentRange,
-    CurrentRemanence,
-    CurrentStep,
-    NeighbourCoil,
-)
-from estimator.effects.causes.surroundings import (
-    BackgroundDrift,
-    BackgroundField,
-    BackgroundGradient,
-    BackgroundStep,
-    PeriodicInterference,
-)
-from estimator.effects.causes.winding import (
-    AxialPitch,
-    CoilOvality,
-    CoreSaturation,
-    DipoleModel,
-    IronCore,
-    LeadWire,
-    RadialPitch,
-    ShortLayer,
-    SphericalSum,
-    TurnsGradient,
-    WindingSheared,
+from estimator.effects.causes import (
+    axes,
+    carried,
+    coil,
+    connections,
+    core,
+    force,
+    formulas,
+    holder,
+    iron,
+    misplaced,
+    mount,
+    noise,
+    pose_record,
+    record,
+    robot,
+    sensor,
+    sensor_history,
+    sensor_parts,
+    superconductor,
+    supply,
+    surroundings,
+    winding,
 )
 from estimator.effects.circumstances import Extent
-from estimator.effects.corrections.bore import CoilBore, RoomBore
-from estimator.effects.corrections.drift import (
-    CurrentWanders,
-    GuidesWander,
-    ResponseWanders,
-    RoomWanders,
-    TurnsWander,
-    ZeroWanders,
-)
-from estimator.effects.corrections.guide import GuideErrors
-from estimator.effects.corrections.harmonics import (
-    CoilHarmonics,
-    CoilMultipoles,
-    RoomAnswers,
-    RoomHarmonics,
-)
-from estimator.effects.corrections.history import CurrentRemembered, FieldRemembered, SidesRemembered
-from estimator.effects.corrections.levels import AxisSteps, GainSteps
-from estimator.effects.corrections.memory import MovesRemembered
-from estimator.effects.corrections.periodic import CurrentSwings, GuideSwings, ReadingRipples, ZeroSwings
-from estimator.effects.corrections.place import ResponseByPlace
-from estimator.effects.corrections.response import AxisCurves, CurrentPickup, GainCurve, SensorResponse
-from estimator.effects.corrections.steps import (
-    CurrentSteps,
-    GuidesStep,
-    ResponseSteps,
-    RoomSteps,
-    ZeroSteps,
-)
-from estimator.effects.corrections.turning import TurnsByAngle
+from estimator.effects.corrections import current, fields, guides, response
+from estimator.effects.corrections import sensor as sensor_in_time
 from estimator.effects.stages import CurrentEffect
 from estimator.errors import InvalidInput, closest, quoted
 
-# In the order in which a reading comes about; those of one stage are applied in this order.
-EFFECTS: dict[str, Effect] = {
-    effect.name: effect
-    for effect in (
-        CoilsExchanged(),
-        CoilsExchangedSince(),
-        CurrentSign(),
-        CurrentSignSince(),
-        CurrentSignSpell(),
-        CurrentGain(),
-        CurrentOffset(),
-        CurrentDeadBand(),
-        CurrentAsymmetry(),
-        CurrentCompression(),
-        CurrentLimit(),
-        CurrentRange(),
-        CurrentStep(),
-        CurrentSpell(),
-        CurrentRemanence(),
-        CoilHeating(),
-        NeighbourCoil(),
-        WindingMisstated(),
-        SidesMisstated(),
-        AxialPitch(),
-        RadialPitch(),
-        TurnsGradient(),
-        ShortLayer(),
-        ReversedLayer(),
-        HiddenWinding(),
-        CoilOvality(),
-        WindingSheared(),
-        LeadWire(),
-        IronCore(),
-        CoreSaturation(),
-        CrossMagnetisation(),
-        CoreRemanence(),
-        SphericalSum(),
-        DipoleModel(),
-        MagnetisedLink(),
-        FilamentMagnetisation(),
-        BackgroundField(),
-        BackgroundGradient(),
-        BackgroundDrift(),
-        BackgroundStep(),
-        BackgroundSpell(),
-        PeriodicInterference(),
-        IronPlate(),
-        PiercedPlate(),
-        IronBody(),
-        SecondIronBody(),
-        PositionUnit(),
-        RotationConvention(),
-        LeftHanded(),
-        DisplacementFrameError(),
-        RobotScale(),
-        RobotShear(),
-        PositionLag(),
-        Backlash(),
-        JointZeros(),
-        JointSag(),
-        BaseMisplaced(),
-        MoverSlipped(),
-        MoverSpell(),
-        SegmentMisplaced(),
-        MountTilt(),
-        SensorBumped(),
-        IronOnSensor(),
-        CoilPulled(),
-        SensorMisplaced(),
-        CoilMisplaced(),
-        ElementDisplacement(),
-        CrossAxis(),
-        AxisGain(),
-        GainSpell(),
-        CubicResponse(),
-        PlanarHall(),
-        TemperatureDrift(),
-        ThermalLag(),
-        SensorOffset(),
-        OffsetDrift(),
-        OffsetStep(),
-        OffsetSpell(),
-        SensorExchanged(),
-        SensorContact(),
-        SegmentGain(),
-        SegmentZero(),
-        RangeClipping(),
-        AxesSwapped(),
-        AxesSwappedSince(),
-        FieldFrame(),
-        SensorLag(),
-        ChannelCrosstalk(),
-        SensorsExchanged(),
-        RowsShifted(),
-        RowsShiftedSince(),
-        UnitError(),
-        NoiseMisstated(),
-        Outliers(),
-        NoiseGrows(),
-        PositionJitter(),
-        CurrentWanders(),
-        CurrentSwings(),
-        CurrentSteps(),
-        CurrentRemembered(),
-        CoilHarmonics(),
-        CoilMultipoles(),
-        CoilBore(),
-        RoomHarmonics(),
-        RoomBore(),
-        RoomAnswers(),
-        RoomWanders(),
-        RoomSteps(),
-        GuideErrors(),
-        GuidesWander(),
-        GuideSwings(),
-        GuidesStep(),
-        MovesRemembered(),
-        SidesRemembered(),
-        SensorResponse(),
-        ResponseByPlace(),
-        AxisCurves(),
-        GainCurve(),
-        AxisSteps(),
-        GainSteps(),
-        CurrentPickup(),
-        ReadingRipples(),
-        ResponseWanders(),
-        TurnsWander(),
-        TurnsByAngle(),
-        ZeroWanders(),
-        ZeroSwings(),
-        ZeroSteps(),
-        ResponseSteps(),
-        FieldRemembered(),
-    )
-}
+# In the order in which a reading comes about. Effects of one stage are applied in this order, and in that within a module.
+CURRENTS = (connections, supply)
+COILS = (winding, coil, core, formulas, carried, superconductor)
+ROOM = (surroundings, iron)
+PLACES = (pose_record, robot, mount, holder, force, misplaced)
+SENSORS = (sensor, sensor_parts, axes, sensor_history)
+RECORD = (record, noise)
+CORRECTIONS = (current, fields, guides, response, sensor_in_time)
+
+
+def _declared(module: ModuleType) -> Iterator[Effect]:
+    """Effects, and classes of effects that have a name, in the order of a module; what begins with `_` is its own."""
+    for name, value in vars(module).items():
+        if name.startswith("_"):
+            continue
+        if isinstance(value, Effect):
+            yield value
+        elif isinstance(value, type) and issubclass(value, Effect) and hasattr(value, "name"):
+            yield value()
+
+
+EFFECTS: dict[str, Effect] = {}
+for _module in (*CURRENTS, *COILS, *ROOM, *PLACES, *SENSORS, *RECORD, *CORRECTIONS):
+    for _effect in _declared(_module):
+        EFFECTS.setdefault(_effect.name, _effect)  # a module may name those of modules before
 ORDER = {name: i for i, name in enumerate(EFFECTS)}
 ENTRY_POINTS = "coilcal.effects"
 NAME = re.compile(r"[a-z][a-z0-9_]*")  # of causes, as rig files write them
@@ -300,7 +83,7 @@ def register_effect(effect: object) -> None:
     Raises:
         InvalidInput: It is no effect of a stage, its declaration is incomplete, or its name is taken.
     Examples:
-        >>> register_effect(CurrentGain())
+        >>> register_effect(EFFECTS["current_gain"])
         Traceback (most recent call last):
         estimator.errors.InvalidInput: effect must have a name of its own; received 'current_gain', which is taken
     """

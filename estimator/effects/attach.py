@@ -45,6 +45,5 @@ def with_effect(
         )
         for quantity in effect.quantities(extent)
     ]
-    return (
-        rig.with_correction(cause, parameters) if effect.is_correction else rig.with_cause(cause, parameters)
-    )
+    extended = rig.with_correction if effect.is_correction else rig.with_cause
+    return extended(cause, parameters)

@@ -9,10 +9,10 @@ from functools import cached_property
 from jaxtyping import Bool, Float, Int
 
 from estimator.frames import Transform
-from estimator.geometry.motion import base_from_motion, nominal_positions_m
+from estimator.geometry.motion import base_from_motion, nominal_positions_m, pose_of, world_from_body
 from estimator.readings.observations import SECONDS_PER_HOUR, Observations
 from estimator.readings.segments import NO_SEGMENT
-from estimator.rig.rig import Rig
+from estimator.rig.rig import AnyCoil, Rig, Sensor
 from estimator.tensors import Tensor, torch
 
 MOST_TIME_STEPS = 300  # of a heating curve
@@ -72,6 +72,11 @@ class Circumstances:
         return other
 
     @property
+    def of_history(self) -> Circumstances:
+        """Circumstances of all readings of the session."""
+        return Circumstances(self.rig, self.observations.history)
+
+    @property
     def sensor(self) -> Int[Tensor, " reading"]:
         """Index of the sensor of each reading."""
         return self.observations.sensor
@@ -81,14 +86,55 @@ class Circumstances:
         """Commanded currents."""
         return self.observations.current_A
 
+    def sensor_number(self, sensor: str) -> int:
+        """Index of a sensor in the rig."""
+        return [each.name for each in self.rig.sensors].index(sensor)
+
+    def coil_number(self, coil: str) -> int:
+        """Index of a coil in the rig."""
+        return [each.name for each in self.rig.coils].index(coil)
+
     def is_of(self, sensor: str) -> Bool[Tensor, " reading"]:
         """Readings of one sensor."""
-        return self.sensor == [each.name for each in self.rig.sensors].index(sensor)
+        return self.sensor == self.sensor_number(sensor)
 
     def has_current(self, coil: str) -> bool:
         """Whether a coil was to carry current at any reading."""
-        number = [each.name for each in self.rig.coils].index(coil)
-        return bool((self.current_A[:, number] != 0.0).any())
+        return bool((self.current_A[:, self.coil_number(coil)] != 0.0).any())
+
+    def commanded_A(self, coil: str) -> Float[Tensor, " history"]:
+        """Commanded current of one coil at each reading of the whole session."""
+        return self.observations.history.current_A[:, self.coil_number(coil)]
+
+    def winding_m(self, coil: str) -> tuple[float, float, float]:
+        """External radius, radius of the bore, and length of a round winding as the rig file describes it."""
+        nominal = self.rig.nominal_values()
+        length_m, thickness_m = (
+            nominal[f"{coil}.{way}_loops"] * nominal[f"{coil}.{way}_pitch_m"] for way in ("axial", "radial")
+        )
+        radius_m = nominal[f"{coil}.radius_m"]
+        return radius_m, radius_m - thickness_m, length_m
+
+    def world_from(self, body: AnyCoil | Sensor) -> Transform:
+        """Pose of a body at each reading, or one for all where it stands still, as the rig file describes it."""
+        values, flange = self._nominal
+        kind = "sensor" if isinstance(body, Sensor) else "coil"
+        return world_from_body(self.rig, body, kind, flange, values)
+
+    def world_from_base(self, mover: str) -> Transform:
+        """Pose of the base of a mover, as the rig file describes it."""
+        return pose_of(f"{mover}.world_from_base", self._nominal[0])
+
+    @cached_property
+    def _nominal(self) -> tuple[dict[str, Tensor], dict[str, Transform]]:
+        """Nominal values of the rig, and pose of each mover's flange in its base."""
+        values = {name: self.current_A.new_tensor(v) for name, v in self.rig.nominal_values().items()}
+        motion = self.observations.motion
+        return values, {mover.name: base_from_motion(mover, motion[mover.name]) for mover in self.rig.movers}
+
+    def has_turned_back(self, coil: str) -> bool:
+        """Whether the current of a coil has turned back."""
+        return bool(self.last_turn_A(self.coil_number(coil)).any())
 
     @cached_property
     def largest_current_A(self) -> float:
@@ -103,7 +149,7 @@ class Circumstances:
     def largest_of_sensor_T(self, sensor: str) -> float:
         """Largest component that one sensor read in the session."""
         history = self.observations.history
-        is_sensor = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        is_sensor = history.sensor == self.sensor_number(sensor)
         shown_T = history.field_sensor_T[is_sensor].nan_to_num().abs().flatten()
         return max(float(shown_T.max()), 1e-9) if len(shown_T) else 1e-9
 
@@ -130,6 +176,11 @@ class Circumstances:
         strength = self.largest_current_A, self.largest_field_T
         return Extent(self.duration_h, *strength, self.reach_m, middle_m, self.interval_h, self.segments_of())
 
+    def frequencies(self, most: int) -> tuple[dict[str, float], ...]:
+        """Frequencies that are looked for in time, from half a cycle per session on, half a cycle apart."""
+        spacing, n = self.extent.frequencies_per_h(most)
+        return tuple({"frequency_per_h": (i + 1) * spacing} for i in range(n))
+
     @property
     def segment(self) -> Int[Tensor, " reading"]:
         """Number of the segment of each reading; `NO_SEGMENT` outside any."""
@@ -140,8 +191,14 @@ class Circumstances:
         history = self.observations.history
         numbers = history.segment
         if sensor is not None:
-            numbers = numbers[history.sensor == [s.name for s in self.rig.sensors].index(sensor)]
+            numbers = numbers[history.sensor == self.sensor_number(sensor)]
         return tuple(numbers[numbers != NO_SEGMENT].unique().tolist())
+
+    @cached_property
+    def _history_h(self) -> Float[Tensor, " history"]:
+        """Time of each reading of the session since it began."""
+        time_s = self.observations.history.time_s
+        return (time_s - time_s.min()) / SECONDS_PER_HOUR
 
     @cached_property
     def hours(self) -> Float[Tensor, " reading"]:
@@ -175,15 +232,9 @@ class Circumstances:
     @cached_property
     def instants_h(self) -> tuple[float, ...]:
         """Instants between readings, spread over the session, from which on something may be otherwise."""
-        time_h = (
-            self.observations.history.time_s - self.observations.history.time_s.min()
-        ) / SECONDS_PER_HOUR
-        rows = (
-            torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2, device=time_h.device)
-            .round()
-            .long()[1:-1]
-            .unique()
-        )
+        time_h = self._history_h
+        spread = torch.linspace(0, len(time_h) - 1, N_INSTANTS + 2, device=time_h.device)
+        rows = spread.round().long()[1:-1].unique()
         rows = rows[rows > 0]
         return tuple((0.5 * (time_h[rows - 1] + time_h[rows])).tolist())
 
@@ -196,20 +247,17 @@ class Circumstances:
         """Readings from an instant on."""
         return self.hours >= instant_h[..., None]
 
-    def is_meanwhile(self, theta: Mapping[str, Tensor]) -> Bool[Tensor, "*batch reading"]:
-        """Readings while something is otherwise; see `is_meanwhile`.
-
-        Args:
-            theta: Quantities of the cause.
-        """
-        return is_meanwhile(self.hours, theta)
+    def row_before(self, sensor: str) -> Int[Tensor, " history"]:
+        """Row of the history of the reading that a sensor took before each; its own where none was."""
+        history = self.observations.history
+        own = (history.sensor == self.sensor_number(sensor)).nonzero().flatten()
+        row = torch.arange(len(history), device=history.device)
+        row[own[1:]] = own[:-1]
+        return row
 
     def previous(self, sensor: str) -> tuple[Int[Tensor, " reading"], Float[Tensor, " reading"]]:
         """Row in the history of the reading that a sensor took before, and how long before; its own row and `LONG_AGO_S` where none was."""
-        history = self.observations.history
-        own = (history.sensor == [s.name for s in self.rig.sensors].index(sensor)).nonzero().flatten()
-        row = torch.arange(len(history), device=history.device)
-        row[own[1:]] = own[:-1]
+        history, row = self.observations.history, self.row_before(sensor)
         ago_s = history.time_s - history.time_s[row]
         ago_s = torch.where(ago_s > 0.0, ago_s, LONG_AGO_S)
         return row[self.observations.row], ago_s[self.observations.row].to(history.dtype)
@@ -218,7 +266,7 @@ class Circumstances:
         """Row in the history of the reading just before each one of a sensor, where that was of another sensor; -1 where it was not."""
         history = self.observations.history
         row = torch.arange(-1, len(history) - 1, device=history.device)
-        is_own = history.sensor == [s.name for s in self.rig.sensors].index(sensor)
+        is_own = history.sensor == self.sensor_number(sensor)
         is_of_another = is_own & ~is_own.roll(1) & (row >= 0)
         return torch.where(is_of_another, row, -1)[self.observations.row]
 
@@ -236,50 +284,62 @@ class Circumstances:
         celsius = self.observations.temperature_C.get(place)
         if celsius is None:
             return None
-        everywhere = self.observations.history.temperature_C[place]
-        known = everywhere[~torch.isnan(everywhere)]
-        mean = known.mean() if len(known) else everywhere.new_zeros(())
-        return torch.nan_to_num(celsius - mean)
+        known = self._known_C(place)
+        return torch.nan_to_num(celsius - (known.mean() if len(known) else 0.0))
 
     def warming_K(self, place: str) -> Float[Tensor, " reading"] | None:
         """Temperature of a coil or sensor above the coolest of the session; None without a thermometer."""
         kelvin = self.temperature_K(place)
         if kelvin is None:
             return None
-        celsius = self.observations.history.temperature_C[place]
-        known = celsius[~torch.isnan(celsius)]
+        known = self._known_C(place)
         return kelvin + (known.mean() - known.min()) if len(known) else kelvin
+
+    def _known_C(self, place: str) -> Float[Tensor, " known"]:
+        """Temperatures that were read in the session."""
+        celsius = self.observations.history.temperature_C[place]
+        return celsius[~torch.isnan(celsius)]
 
     def moves_m(self, mover: str) -> Float[Tensor, "history 3"]:
         """Translation of the mover from each row of the session's history to the next; zero at the first."""
-        here = self._poses(mover).translation_m
+        here = self.of_history.positions_of_m(mover)
         return torch.diff(here, dim=0, prepend=here[:1])
 
     def last_move_m(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Translation of the mover by its last move; zero before it first moved."""
-        here = self._poses(mover).translation_m
-        step = torch.diff(here, dim=0, prepend=here[:1])
+        step = self.moves_m(mover)
         has_moved = (step.abs() > SMALLEST_MOVE_M).any(-1)
-        last = torch.cummax(torch.arange(len(here), device=here.device) * has_moved, dim=0).values
+        last = torch.cummax(torch.arange(len(step), device=step.device) * has_moved, dim=0).values
         return step[last][self.observations.row]
 
     def approach(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Sign of the last move along each axis; 0 before the first."""
-        here = self._poses(mover).translation_m
-        sign = torch.diff(here, dim=0, prepend=here[:1])
-        sign = torch.where(sign.abs() > SMALLEST_MOVE_M, torch.sign(sign), torch.zeros_like(sign))
-        last = torch.arange(len(here), device=here.device)[:, None] * (sign != 0.0)
+        step = self.moves_m(mover)
+        sign = torch.where(step.abs() > SMALLEST_MOVE_M, torch.sign(step), torch.zeros_like(step))
+        last = torch.arange(len(step), device=step.device)[:, None] * (sign != 0.0)
         return torch.gather(sign, 0, torch.cummax(last, dim=0).values)[self.observations.row]
 
-    def mover_of_sensor_m(self, sensor: str) -> Float[Tensor, "reading 3"] | None:
-        """Reported positions of the mover that carries a sensor, else of the first that carries a coil; None where nothing moves."""
-        own = next(s.carried_by for s in self.rig.sensors if s.name == sensor)
-        mover = own or next((coil.carried_by for coil in self.rig.coils if coil.carried_by is not None), None)
-        if mover is None:
-            return None
+    def positions_of_m(self, mover: str) -> Float[Tensor, "reading 3"]:
+        """Reported positions of a mover."""
         motion = self.observations.motion[mover]
         at_m: Tensor = base_from_motion(self.rig.mover(mover), motion).translation_m
         return at_m
+
+    def mover_of_sensor_m(self, sensor: str) -> Float[Tensor, "reading 3"] | None:
+        """Reported positions of the mover that carries a sensor, else of the first that carries a coil; None where nothing moves."""
+        own = self.rig.sensors[self.sensor_number(sensor)].carried_by
+        mover = own or next((coil.carried_by for coil in self.rig.coils if coil.carried_by is not None), None)
+        if mover is None:
+            return None
+        return self.positions_of_m(mover)
+
+    def moved_between(self, sensor: str) -> bool:
+        """Whether that mover moved from one reading of the sensor to another."""
+        at_m = self.mover_of_sensor_m(sensor)
+        if at_m is None:
+            return False
+        own_m = at_m[self.is_of(sensor)]
+        return bool((own_m != own_m[:1]).any())
 
     def heat_A2(self, coil: int, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"]:
         """Low-passed square of the commanded current; the time constant is that of the thermal mass."""
@@ -287,22 +347,16 @@ class Circumstances:
 
     def lagged_K(self, place: str, tau_h: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch reading"] | None:
         """`temperature_K`, low-passed from the first reading on; None without a thermometer."""
-        kelvin = Circumstances(self.rig, self.observations.history).temperature_K(place)
+        kelvin = self.of_history.temperature_K(place)
         return None if kelvin is None else kelvin[0] + self._low_passed(kelvin - kelvin[0], tau_h)
 
     def _low_passed(
         self, values: Float[Tensor, " history"], tau_h: Float[Tensor, "*batch"]
     ) -> Float[Tensor, "*batch reading"]:
         """Values of the history, each held until the next, through a low pass that begins at 0."""
-        history = self.observations.history
-        time_h = ((history.time_s - history.time_s.min()) / SECONDS_PER_HOUR).to(values.dtype)
-        edges = torch.linspace(
-            0.0,
-            self.duration_h,
-            min(len(time_h), MOST_TIME_STEPS) + 1,
-            dtype=time_h.dtype,
-            device=time_h.device,
-        )
+        time_h = self._history_h.to(values.dtype)
+        n_edges = min(len(time_h), MOST_TIME_STEPS) + 1
+        edges = torch.linspace(0.0, self.duration_h, n_edges, dtype=time_h.dtype, device=time_h.device)
         bin_of = torch.searchsorted(edges[1:-1].contiguous(), time_h.contiguous(), right=True)
         held = torch.searchsorted(time_h.contiguous(), edges[:-1].contiguous(), right=True).clamp(min=1) - 1
         step_h = self.duration_h / (len(edges) - 1)
@@ -313,9 +367,6 @@ class Circumstances:
             passed = torch.cat((passed[..., :reach], passed[..., reach:] + earlier), dim=-1)
             remaining, reach = remaining.square(), 2 * reach
         return passed[..., bin_of[self.observations.row]]
-
-    def _poses(self, mover: str) -> Transform:
-        return base_from_motion(self.rig.mover(mover), self.observations.history.motion[mover])
 
 
 def is_meanwhile(

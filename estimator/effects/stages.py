@@ -25,6 +25,16 @@ from estimator.frames import Transform
 from estimator.rig.rig import Coil, Rig, SidedCoil
 from estimator.tensors import Tensor, torch
 
+Currents = Float[Tensor, "*#batch reading coil"]  # A, of all coils
+Current = Float[Tensor, "*#batch reading"]  # A, of one coil
+Points = Float[Tensor, "*#batch pose 3"]  # m
+Field = Float[Tensor, "*#batch pose 3"]  # T or T/A, at points
+Components = Float[Tensor, "*#batch reading 3"]  # T, along the axes of a sensor or of the room
+Columns = Float[Tensor, "*#batch row column"]  # what an error of a pose depends on, by reading or pose
+Deviations = Float[Tensor, "*#batch component"]  # T, errors or standard deviations
+Vector = Float[Tensor, "*batch 3"]
+Errors = Float[Tensor, "reading 3"]  # T, of all components of all readings
+
 FEWEST_COMPONENTS = 10  # from which on a sensor's residuals say anything of its scatter
 
 
@@ -36,42 +46,24 @@ class CurrentEffect(Effect):
         exchanges_coils: A coil may carry current where the record says that it has none.
     """
 
+    kind = Kind.COIL
+    changes_field = True
     couples_coils: ClassVar[bool] = False
     exchanges_coils: ClassVar[bool] = False
 
     @abstractmethod
-    def apply(
-        self,
-        current_A: Float[Tensor, "*#batch reading coil"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading coil"]:
+    def apply(self, current_A: Currents, theta: Theta, circumstances: Circumstances, coil: int) -> Currents:
         """Delivered currents."""
 
 
 class OneCoilCurrent(CurrentEffect):
     """Changes the current of one coil and leaves the others."""
 
-    kind = Kind.COIL
-
     @abstractmethod
-    def delivered(
-        self,
-        current_A: Float[Tensor, "*#batch reading"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading"]:
+    def delivered(self, current_A: Current, theta: Theta, circumstances: Circumstances, coil: int) -> Current:
         """Current in the coil."""
 
-    def apply(
-        self,
-        current_A: Float[Tensor, "*#batch reading coil"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading coil"]:
+    def apply(self, current_A: Currents, theta: Theta, circumstances: Circumstances, coil: int) -> Currents:
         """Delivered currents."""
         delivered_A = self.delivered(current_A[..., coil], theta, circumstances, coil)
         current_A = current_A.expand(*delivered_A.shape, current_A.shape[-1])
@@ -83,6 +75,7 @@ class WindingEffect(Effect):
     """Changes the geometry of a winding."""
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
 
     @abstractmethod
@@ -94,6 +87,7 @@ class SidesEffect(Effect):
     """Changes the geometry of a winding with straight sides."""
 
     kind = Kind.COIL
+    changes_field = True
 
     def places(self, rig: Rig) -> tuple[str, ...]:
         """Coils with straight sides."""
@@ -112,18 +106,15 @@ class SourceEffect(Effect):
     """
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
     is_permanent: ClassVar[bool] = False
 
     @abstractmethod
-    def apply(
-        self, points_coil_m: Float[Tensor, "*#batch pose 3"], winding: Winding, rule: Rule, theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
+    def apply(self, points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
         """Additional field in the coil frame per unit of `drive`."""
 
-    def drive(
-        self, current_A: Float[Tensor, "*#batch reading"], theta: Theta
-    ) -> Float[Tensor, "*#batch reading"]:
+    def drive(self, current_A: Current, theta: Theta) -> Current:
         """What the additional field is proportional to: the coil's current, or 1 where it is permanent, unless said otherwise."""
         return torch.ones_like(current_A) if self.is_permanent else current_A
 
@@ -136,13 +127,8 @@ class AddedLoops(SourceEffect):
         """The loops in the coil frame, on a grid of two node axes, and the AGM steps of each."""
 
     def apply(
-        self,
-        points_coil_m: Float[Tensor, "*#batch pose 3"],
-        winding: Winding,
-        rule: Rule,
-        theta: Theta,
-        mode: SumMode = SumMode.PLAIN,
-    ) -> Float[Tensor, "*#batch pose 3"]:
+        self, points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta, mode: SumMode = SumMode.PLAIN
+    ) -> Field:
         """Field of the loops per ampere.
 
         Args:
@@ -157,6 +143,7 @@ class WindingMagnetisation(Effect):
     """Magnetises a winding in some patterns, each driven by currents or always there."""
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
 
     @abstractmethod
@@ -164,9 +151,7 @@ class WindingMagnetisation(Effect):
         """Rings of the winding in its frame, and the patterns: mu0 M outwards and along the axis, in T."""
 
     @abstractmethod
-    def drives(
-        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
-    ) -> Float[Tensor, "*#batch reading pattern"]:
+    def drives(self, current_A: Currents, theta: Theta) -> Float[Tensor, "*#batch reading pattern"]:
         """How strongly each pattern is there, given the currents of all coils."""
 
 
@@ -174,6 +159,7 @@ class CoreMagnetisation(Effect):
     """Puts a body of iron into the bore of a coil, which answers all coils and the other bodies (`model.cores`)."""
 
     kind = Kind.COIL
+    changes_field = True
     needs_winding: ClassVar[bool] = True
     is_linear: ClassVar[bool] = False
 
@@ -190,9 +176,7 @@ class CoreMemory(Effect):
     is_linear: ClassVar[bool] = False
 
     @abstractmethod
-    def lag_A(
-        self, theta: Theta, circumstances: Circumstances, coil: int
-    ) -> Float[Tensor, "*#batch reading"]:
+    def lag_A(self, theta: Theta, circumstances: Circumstances, coil: int) -> Current:
         """What the body takes the coil's current for, less that current."""
 
 
@@ -205,7 +189,7 @@ class PerAmpere(ABC):
         """Position of the coil in the world frame, in m."""
 
     @abstractmethod
-    def at(self, points_m: Float[Tensor, "*#batch pose 3"]) -> Float[Tensor, "*#batch pose 3"]:
+    def at(self, points_m: Points) -> Field:
         """Field in the world frame at one point per distinct pose."""
 
     @abstractmethod
@@ -221,23 +205,18 @@ class RoomEffect(Effect):
     """
 
     kind = Kind.ROOM
+    changes_field = True
     is_background: ClassVar[bool] = False
 
-    def steady_T(
-        self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"] | None:
+    def steady_T(self, points_m: Points, theta: Theta) -> Field | None:
         """Field in the world frame that is there without current."""
         return None
 
-    def drifting_T(
-        self, theta: Theta, circumstances: Circumstances
-    ) -> Float[Tensor, "*#batch reading 3"] | None:
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Components | None:
         """Field in the world frame that comes and goes with time, everywhere the same."""
         return None
 
-    def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"] | None:
+    def response(self, per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field | None:
         """Field in the world frame per ampere in a coil."""
         return None
 
@@ -247,12 +226,12 @@ class MotionEffect(Effect):
 
     kind = Kind.MOVER
 
-    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+    def columns(self, circumstances: Circumstances, mover: str) -> Columns:
         """What the error depends on besides the pose."""
         return circumstances.current_A.new_zeros(len(circumstances), 0)
 
     @abstractmethod
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
         """Real pose of the flange, or real displacement."""
 
 
@@ -265,24 +244,20 @@ class MountEffect(Effect):
         goes_with_current: It depends on the currents of the moment, so that a prediction asks for its columns at each.
     """
 
-    is_at_reference: ClassVar[bool]
+    is_at_reference: ClassVar[bool] = False
     is_step: ClassVar[bool] = False
     goes_with_current: ClassVar[bool] = False
 
-    def columns(
-        self, circumstances: Circumstances, theta: Mapping[str, float]
-    ) -> Float[Tensor, "reading column"]:
+    def columns(self, circumstances: Circumstances, theta: Mapping[str, float]) -> Columns:
         """What the error depends on besides the pose; shapes that are fixed come as plain numbers."""
         return circumstances.current_A.new_zeros(len(circumstances), 0)
 
-    def columns_of(
-        self, circumstances: Circumstances, theta: Mapping[str, float], body: str
-    ) -> Float[Tensor, "reading column"]:
+    def columns_of(self, circumstances: Circumstances, theta: Mapping[str, float], body: str) -> Columns:
         """Columns of one body; those of `columns` unless it matters which body it is."""
         return self.columns(circumstances, theta)
 
     @abstractmethod
-    def apply(self, columns: Float[Tensor, "*#batch pose column"], theta: Theta) -> Transform:
+    def apply(self, columns: Columns, theta: Theta) -> Transform:
         """nominal_from_real of the body."""
 
 
@@ -302,13 +277,11 @@ class HolderEffect(Effect):
     kind = Kind.SENSOR
 
     @abstractmethod
-    def place_m(self, theta: Theta) -> Float[Tensor, "*batch 3"]:
+    def place_m(self, theta: Theta) -> Vector:
         """Its place in the sensor frame."""
 
     @abstractmethod
-    def answer_T(
-        self, field_there_T: Float[Tensor, "*#batch reading 3"], theta: Theta
-    ) -> Float[Tensor, "*batch reading 3"]:
+    def answer_T(self, field_there_T: Components, theta: Theta) -> Components:
         """Field that it adds at the sensor, in the sensor frame.
 
         Args:
@@ -324,12 +297,8 @@ class ReadingEffect(Effect):
 
     @abstractmethod
     def apply(
-        self,
-        field_sensor_T: Float[Tensor, "*#batch reading 3"],
-        theta: Theta,
-        circumstances: Circumstances,
-        sensor: str,
-    ) -> Float[Tensor, "*#batch reading 3"]:
+        self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+    ) -> Components:
         """Components as they are read."""
 
 
@@ -368,25 +337,19 @@ class NoiseEffect(Effect):
     simulation, predictive density and the tests of agreement all follow from these.
     """
 
+    kind = Kind.SENSOR
+    depends_on: ClassVar[str | None] = "the noise, which simulators make themselves"
+
     @property
     def is_contaminating(self) -> bool:
         """Whether readings with it are not normally distributed."""
         return type(self).contamination is not NoiseEffect.contamination
 
-    def beyond_the_moment(self, key: str) -> str | None:
-        """Scatter is no property of a field."""
-        return "the noise, which simulators make themselves"
-
     def exposure(self, prediction: Prediction, place: str) -> Float[Tensor, "reading 3"]:
         """What the standard deviation of each component depends on besides the quantities; 1 unless said otherwise."""
         return torch.ones_like(prediction.field_sensor_T)
 
-    def sigma_T(
-        self,
-        sigma_T: Float[Tensor, "*#batch component"],
-        exposure: Float[Tensor, " component"],
-        theta: Theta,
-    ) -> Float[Tensor, "*#batch component"]:
+    def sigma_T(self, sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
         """Standard deviation of the components that it concerns, given the one without it."""
         return sigma_T
 
@@ -409,13 +372,13 @@ class NoiseEffect(Effect):
 
     def disturbed_T(
         self,
-        error_T: Float[Tensor, "reading 3"],
-        sigma_T: Float[Tensor, "reading 3"],
+        error_T: Errors,
+        sigma_T: Errors,
         prediction: Prediction,
         theta: Theta,
         place: str,
         rng: np.random.Generator,
-    ) -> Float[Tensor, "reading 3"]:
+    ) -> Errors:
         """Errors of simulated readings, given those without it and their standard deviation: the variance that it adds, drawn normally."""
         wider_T = self.sigma_T(sigma_T.flatten(), self.exposure(prediction, place).flatten(), theta)
         added_T = torch.sqrt((wider_T.view_as(sigma_T) ** 2 - sigma_T**2).clamp(min=0.0))
@@ -433,9 +396,7 @@ class RecordEffect(Effect):
     is_record_mistake: ClassVar[bool] = True
     exchanges_coils: ClassVar[bool] = False
 
-    def commanded_A(
-        self, recorded_A: Float[Tensor, "*#batch reading coil"], theta: Theta
-    ) -> Float[Tensor, "*#batch reading coil"]:
+    def commanded_A(self, recorded_A: Currents, theta: Theta) -> Currents:
         """Commanded currents behind the recorded ones."""
         return recorded_A
 
@@ -451,14 +412,10 @@ class RecordEffect(Effect):
         """Index of the sensor at whose place each reading was taken, given that of the sensor in the record."""
         return sensor
 
-    def recorded_T(
-        self, field_sensor_T: Float[Tensor, "*#batch reading 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch reading 3"]:
+    def recorded_T(self, field_sensor_T: Components, theta: Theta) -> Components:
         """Components as they are recorded, given what the sensors said."""
         return field_sensor_T
 
-    def recorded_error_T(
-        self, error_T: Float[Tensor, "*#batch component"], theta: Theta
-    ) -> Float[Tensor, "*#batch component"]:
+    def recorded_error_T(self, error_T: Deviations, theta: Theta) -> Deviations:
         """Errors, or standard deviations, of recorded components, given those of what the sensors said."""
         return error_T

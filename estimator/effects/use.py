@@ -12,31 +12,12 @@ from jaxtyping import Bool
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import (
-    CoreMagnetisation,
-    CurrentEffect,
-    MotionEffect,
-    RecordEffect,
-    RoomEffect,
-    SidesEffect,
-    SourceEffect,
-    WindingEffect,
-    WindingMagnetisation,
-)
+from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Body, Cause, Mover, Rig
 from estimator.tensors import Tensor, torch
 
-OF_FIELD = (
-    CurrentEffect,
-    WindingEffect,
-    SidesEffect,
-    SourceEffect,
-    WindingMagnetisation,
-    CoreMagnetisation,
-    RoomEffect,
-)
 E_co = TypeVar("E_co", bound=Effect, covariant=True)
 
 
@@ -115,7 +96,7 @@ def is_in_field(rig: Rig, cause: Cause) -> bool:
     if isinstance(effect, MotionEffect):
         carriers = [{body.carried_by for body in bodies} for bodies in (rig.coils, rig.sensors)]
         return cause.place in carriers[0] - carriers[1]
-    return isinstance(effect, OF_FIELD)
+    return effect.changes_field
 
 
 def as_meant(rig: Rig, observations: Observations) -> Observations:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+import re
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,7 @@ from estimator.cli.main import main as coilcal
 from estimator.effects import EFFECTS
 from estimator.effects.base import Effect, Kind
 from estimator.effects.circumstances import Extent
+from estimator.effects.during import During
 from estimator.effects.stages import CurrentEffect, MountEffect, NoiseEffect
 from estimator.reporting.plots.style import COMPONENT, COMPONENT_MARKER, GREY, NOISE, figure, styled
 from scripts.documentation.cause_patterns import MOST_ALIKE, NOISE_T, Pattern, grounds, pattern
@@ -60,6 +62,7 @@ BOOKKEEPING = (
     "extent_of",
     "beyond_the_moment",
 )
+DECLARATION = re.compile(r"\A@.*?^(?=def )", re.DOTALL | re.MULTILINE)  # what stands before a function
 LARGE_T = 1e-3  # a field from which on it is told in millitesla
 HIDDEN_SHARE = 0.2  # of the noise, below which nothing of a cause is left
 
@@ -154,10 +157,10 @@ def in_words(field_T: float) -> str:
 
 
 def formula(effect: Effect) -> str:
-    """The methods of its stage, as the declaration has them."""
+    """The functions of its stage, as the declaration has them; those of what is there meanwhile, for a part of a session."""
     own = [
-        textwrap.dedent(inspect.getsource(method)).rstrip()
-        for name, method in vars(type(effect)).items()
+        DECLARATION.sub("", textwrap.dedent(inspect.getsource(method))).rstrip()
+        for name, method in vars(type(effect.base if isinstance(effect, During) else effect)).items()
         if inspect.isfunction(method) and not name.startswith("_") and name not in BOOKKEEPING
     ]
     return "\n\n".join(own)

@@ -67,6 +67,12 @@ HIDDEN = {
     "noisy_axis.extra_T": 6e-5,
     "peak_to_peak_current.factor": 2.0,
 }
+DECLARED = [
+    value() if isinstance(value, type) else value
+    for value in vars(lab_effects).values()
+    if isinstance(value, Effect)
+    or (isinstance(value, type) and issubclass(value, Effect) and hasattr(value, "name"))
+]
 QUICK = ("field_gradient.vertical_T_per_m",)
 MAKES_FIELD = ("dead_band", "swollen_wire", "iron_beside", "field_gradient")
 
@@ -82,9 +88,8 @@ def files(tmp_path: Path) -> Path:
 def registered() -> Iterator[None]:
     """The outside effects in this process, until the test ends."""
     known = dict(EFFECTS), dict(ORDER)
-    for declared in vars(lab_effects).values():
-        if isinstance(declared, type) and declared.__module__ == lab_effects.__name__:
-            register_effect(declared())
+    for effect in DECLARED:
+        register_effect(effect)
     yield
     for registry, before in zip((EFFECTS, ORDER), known, strict=True):
         registry.clear()
@@ -126,8 +131,7 @@ def field_of(rig, point_m):
 def test_every_stage_has_an_outside_effect() -> None:
     """A stage that is added to the contract needs a line here."""
     stages = {stage for stage in Effect.__subclasses__() if stage.__module__ == "estimator.effects.stages"}
-    declared = [d for d in vars(lab_effects).values() if isinstance(d, type) and issubclass(d, Effect)]
-    used = {stage for stage in stages if any(issubclass(d, stage) and d is not stage for d in declared)}
+    used = {stage for stage in stages if any(isinstance(effect, stage) for effect in DECLARED)}
     inside = {
         "WindingMagnetisation",
         "CoreMagnetisation",
@@ -191,11 +195,7 @@ def test_commands_know_the_causes_of_an_installed_package(files: Path, hidden: s
     assert len((files / "field.csv").read_text().splitlines()) > 3
 
 
-EXPLANATION = {
-    declared.name: declared.words
-    for declared in vars(lab_effects).values()
-    if isinstance(declared, type) and declared.__module__ == lab_effects.__name__
-}
+EXPLANATION = {effect.name: effect.words for effect in DECLARED}
 
 
 class _WithoutUnit(CurrentEffect):
@@ -223,4 +223,4 @@ def test_a_package_that_does_not_load_is_named(tmp_path: Path) -> None:
         [sys.executable, "-c", "import estimator.effects"],
         env=environment, capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert "plug-in 'dead_band' of coilcal.effects must load (lab_effects:DeadBand)" in done.stderr
+    assert "plug-in 'dead_band' of coilcal.effects must load (lab_effects:dead_band)" in done.stderr

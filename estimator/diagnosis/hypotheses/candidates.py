@@ -15,8 +15,8 @@ from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.base import Quantity
-from estimator.effects.causes.segments import split_key
 from estimator.effects.circumstances import SINCE, UNTIL
+from estimator.effects.segments import split_key
 from estimator.effects.stages import MountEffect, NoiseEffect, ReadingEffect
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig

@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import ClassVar
+from itertools import product
 
 from jaxtyping import Float
 
-from estimator.effects.base import Quantity, Theta, at_least_zero, normal, shape
+from estimator.effects.base import (
+    Quantities,
+    Quantity,
+    Starts,
+    Theta,
+    at_least_zero,
+    box,
+    fixed,
+    normal,
+    shape,
+    vector,
+)
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import HolderEffect, PerAmpere, RoomEffect
+from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect
+from estimator.field.dipole import dipole_field
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
@@ -22,162 +33,133 @@ BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the positions beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
 NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
-ON_HOLDER_RADIUS_M = 4e-3  # likely, of an equivalent ball of iron
-MOST_OF_DISTANCE = 0.4  # from the sensor, for its radius: it adds a sixth of the field at most
-FARTHEST_ON_HOLDER_M, DISTANCES_ON_HOLDER_M = 0.06, (0.012, 0.035)  # from the sensor
 LIKELY_RADIUS_M, LIKELY_RADIUS = 0.03, 0.3  # of an equivalent ball of iron; the second of the reach
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
+# The world's axis nearest to a normal (0 x, 1 y, 2 z), and tilts of the normal towards the next two (x, y, z, x, y).
+DIRECTION = (fixed("axis", "1", 0.0, 2.0), *box(("tilt_1", "tilt_2"), "_rad", "rad", 0.5 * math.pi))
 
 
-class IronPlate(RoomEffect):
+def _in_axis(axis: int, **numbers: float) -> dict[str, float]:
+    """Shapes of a plane across an axis of the world."""
+    return {"axis": float(axis), "tilt_1_rad": 0.0, "tilt_2_rad": 0.0, **numbers}
+
+
+def _planes_about(circumstances: Circumstances) -> Starts:
+    """Planes across the world's axes, before and behind all coils and sensors."""
+    positions_m, reach_m = circumstances.positions_m, circumstances.reach_m
+    return tuple(
+        _in_axis(axis, distance_m=float(at_m[axis]) + side * gap * reach_m)
+        for axis in range(3)
+        for at_m, side in ((positions_m.max(0).values, 1.0), (positions_m.min(0).values, -1.0))
+        for gap in GAPS
+    )
+
+
+def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
+    """Whether no sensor went through the plane: all were on one of its sides."""
+    along_m = (circumstances.sensor_positions_m * _across(theta)).sum(-1)
+    return not bool(along_m.min() < theta["distance_m"] < along_m.max())
+
+
+@RoomEffect.cause(
+    "response",
+    words="a plate of iron mirrors the coils",
+    source="strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less",
+    # Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
+    quantities=lambda extent: (
+        Quantity("strength", "1", Normal(0.0, 0.5, lower=0.0, upper=MOST_STRENGTH)),
+        *DIRECTION,
+        shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
+    ),
+    starts=_planes_about,
+    is_itself=_is_beside_sensors,
+)
+def iron_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """A large plate of iron mirrors the coils and shields what is behind it."""
-
-    name: ClassVar[str] = "iron_plate"
-    words: ClassVar[str] = "a plate of iron mirrors the coils"
-    source: ClassVar[str] = "strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin."""
-        return (
-            Quantity("strength", "1", Normal(0.0, 0.5, lower=0.0, upper=MOST_STRENGTH)),
-            *_direction(),
-            shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
-        )
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Planes across the world's axes, before and behind all coils and sensors."""
-        return tuple(
-            {
-                "axis": float(axis),
-                "tilt_1_rad": 0.0,
-                "tilt_2_rad": 0.0,
-                "distance_m": at_m + gap * circumstances.reach_m,
-            }
-            for axis in range(3)
-            for at_m, gaps in (
-                (float(circumstances.positions_m[:, axis].max()), GAPS),
-                (float(circumstances.positions_m[:, axis].min()), [-gap for gap in GAPS]),
-            )
-            for gap in gaps
-        )
-
-    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
-        """While no sensor went through it: all were on one of its sides."""
-        along_m = (circumstances.sensor_positions_m * _across(theta)).sum(-1)
-        return not bool(along_m.min() < theta["distance_m"] < along_m.max())
-
-    def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """Field of the sheet in the world frame, in T/A: in front the image of the coil, behind so much less of its field."""
-        across = _across(theta)
-        depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
-        coil_m = (per_ampere.position_m * across).sum(-1) - theta["distance_m"][..., None]
-        return theta["strength"][..., None, None] * _sheet(per_ampere, points_m, across, depth_m, coil_m)
+    across = _across(theta)
+    depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
+    coil_m = (per_ampere.position_m * across).sum(-1) - theta["distance_m"][..., None]
+    return theta["strength"][..., None, None] * _sheet(per_ampere, points_m, across, depth_m, coil_m)
 
 
-class PiercedPlate(RoomEffect):
+def _planes_between(circumstances: Circumstances) -> Starts:
+    """Planes across the world's axes along which the sensors lie apart, and the widest, open as wide as these lie about their middle."""
+    low_m, high_m = _ends_m(circumstances)
+    spread_m, starts = high_m - low_m, []
+    least_m = min(float(spread_m.max()), LEAST_BETWEEN * circumstances.reach_m)
+    for axis, share in product((spread_m >= least_m).nonzero().flatten().tolist(), BETWEEN):
+        middle_m = 0.5 * (low_m + high_m)
+        beside_m = circumstances.sensor_positions_m - middle_m
+        middle_m[axis], beside_m[:, axis] = float(low_m[axis]) + share * float(spread_m[axis]), 0.0
+        wide_m = float(beside_m.norm(dim=-1).max())
+        middle = {f"{name}_m": at_m for name, at_m in zip("xyz", middle_m.tolist(), strict=True)}
+        radius_m = max(WIDER * wide_m, 2.0 * LEAST_OPENING * circumstances.reach_m)
+        starts.append(_in_axis(axis, **middle, radius_m=radius_m))
+    return tuple(starts)
+
+
+def _is_between_sensors(theta: Theta, circumstances: Circumstances) -> bool:
+    """Whether sensors are on both of its sides: from far away its step is a field of the room."""
+    from_middle_m = circumstances.sensor_positions_m - vector(theta, "xyz", "_m")
+    depth_m = (from_middle_m * _across(theta)).sum(-1)
+    return bool(depth_m.min() < 0.0 < depth_m.max())
+
+
+def _step_T(points_m: Points, theta: Theta) -> Field:
+    """Field in the world frame, in T: half of the step on each side, and what the opening lets through of it."""
+    across, half_T = _across(theta), 0.5 * theta["step_T"][..., None]
+    from_middle_m = points_m - vector(theta, "xyz", "_m")
+    side = torch.where((from_middle_m * across).sum(-1) < 0.0, -1.0, 1.0)
+    leak = through_opening(from_middle_m, across, theta["radius_m"], half_T, half_T)
+    return (side * half_T)[..., None] * across + leak
+
+
+def _lie_apart(circumstances: Circumstances) -> bool:
+    """Whether the sensors' positions spread far enough for a plate between them."""
+    low_m, high_m = _ends_m(circumstances)
+    return float((high_m - low_m).max()) > LEAST_BETWEEN * circumstances.reach_m
+
+
+@RoomEffect.cause(
+    "response",
+    words="a plate of iron with a round opening stands between the readings",
+    source="1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11)",
+    # Share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening.
+    quantities=lambda extent: (
+        Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=MOST_STRENGTH)),
+        normal("step_T", "T", 3e-4),
+        *DIRECTION,
+        *box("xyz", "_m", "m", 8.0 * extent.reach_m),
+        shape("radius_m", "m", LEAST_OPENING * extent.reach_m, 8.0 * extent.reach_m),
+    ),
+    concerns=_lie_apart,
+    starts=_planes_between,
+    is_itself=_is_between_sensors,
+    steady_T=_step_T,
+)
+def pierced_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """A large plate of iron with a round opening, through which sensors reached both of its sides.
 
     It answers the coils, and the room's own field across it may differ from one side to the other.
     """
-
-    name: ClassVar[str] = "pierced_plate"
-    words: ClassVar[str] = "a plate of iron with a round opening stands between the readings"
-    source: ClassVar[str] = (
-        "1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11)"
+    # A plate without opening, and what the opening lets through (see `through_opening`).
+    across = _across(theta)
+    middle_m = vector(theta, "xyz", "_m")
+    depth_m = ((points_m - middle_m) * across).sum(-1)
+    coil_m = ((per_ampere.position_m - middle_m) * across).sum(-1)
+    towards_coil = torch.where(coil_m < 0.0, -1.0, 1.0)[..., None] * across
+    at_m = torch.cat((middle_m, _ring_m(middle_m, across, theta["radius_m"])), dim=-2)
+    there_T = (per_ampere.at_each(at_m) * towards_coil[..., None, :]).sum(-1)
+    leak = through_opening(
+        points_m - middle_m, towards_coil, theta["radius_m"], there_T[..., 1:].mean(-1), there_T[..., 0]
     )
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening."""
-        ends_m = 8.0 * extent.reach_m
-        return (
-            Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=MOST_STRENGTH)),
-            normal("step_T", "T", 3e-4),
-            *_direction(),
-            *(shape(f"{axis}_m", "m", -ends_m, ends_m) for axis in "xyz"),
-            shape("radius_m", "m", LEAST_OPENING * extent.reach_m, ends_m),
-        )
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the sensors' positions spread far enough for a plate between them."""
-        return float(_spread_m(circumstances).max()) > LEAST_BETWEEN * circumstances.reach_m
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Planes across the world's axes between the sensors, open as wide as these lie about their middle."""
-        starts = []
-        for axis, distance_m in _between(circumstances):
-            low_m, high_m = (
-                circumstances.sensor_positions_m.min(0).values,
-                circumstances.sensor_positions_m.max(0).values,
-            )
-            middle_m = 0.5 * (low_m + high_m)
-            beside_m = circumstances.sensor_positions_m - middle_m
-            middle_m[axis], beside_m[:, axis] = distance_m, 0.0
-            wide_m = float(beside_m.norm(dim=-1).max())
-            starts.append(
-                {
-                    "axis": float(axis),
-                    "tilt_1_rad": 0.0,
-                    "tilt_2_rad": 0.0,
-                    **{f"{name}_m": float(middle) for name, middle in zip("xyz", middle_m, strict=True)},
-                    "radius_m": max(WIDER * wide_m, 2.0 * LEAST_OPENING * circumstances.reach_m),
-                }
-            )
-        return tuple(starts)
-
-    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
-        """While sensors are on both of its sides: from far away its step is a field of the room."""
-        depth_m = ((circumstances.sensor_positions_m - _middle_m(theta)) * _across(theta)).sum(-1)
-        return bool(depth_m.min() < 0.0 < depth_m.max())
-
-    def steady_T(
-        self, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """Field in the world frame, in T: half of the step on each side, and what the opening lets through of it."""
-        across, half_T = _across(theta), 0.5 * theta["step_T"][..., None]
-        from_middle_m = points_m - _middle_m(theta)
-        side = torch.where((from_middle_m * across).sum(-1) < 0.0, -1.0, 1.0)
-        leak = through_opening(from_middle_m, across, theta["radius_m"], half_T, half_T)
-        return (side * half_T)[..., None] * across + leak
-
-    def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """A plate without opening, and what the opening lets through (see `through_opening`)."""
-        across = _across(theta)
-        middle_m = _middle_m(theta)
-        depth_m = ((points_m - middle_m) * across).sum(-1)
-        coil_m = ((per_ampere.position_m - middle_m) * across).sum(-1)
-        towards_coil = torch.where(coil_m < 0.0, -1.0, 1.0)[..., None] * across
-        at_m = torch.cat((middle_m, _ring_m(middle_m, across, theta["radius_m"])), dim=-2)
-        there_T = (per_ampere.at_each(at_m) * towards_coil[..., None, :]).sum(-1)
-        leak = through_opening(
-            points_m - middle_m, towards_coil, theta["radius_m"], there_T[..., 1:].mean(-1), there_T[..., 0]
-        )
-        return theta["strength"][..., None, None] * (
-            _sheet(per_ampere, points_m, across, depth_m, coil_m) + leak
-        )
+    return theta["strength"][..., None, None] * (_sheet(per_ampere, points_m, across, depth_m, coil_m) + leak)
 
 
-def _middle_m(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
-    """Middle of the opening in the world frame, in m."""
-    return torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
-
-
-def _spread_m(circumstances: Circumstances) -> Float[Tensor, "3"]:
-    """Range of the sensors' positions along each axis of the world."""
+def _ends_m(circumstances: Circumstances) -> tuple[Float[Tensor, "3"], Float[Tensor, "3"]]:
+    """Lowest and highest position of the sensors along each axis of the world."""
     positions_m = circumstances.sensor_positions_m
-    return positions_m.max(0).values - positions_m.min(0).values
-
-
-def _between(circumstances: Circumstances) -> Iterator[tuple[int, float]]:
-    """Axis and distance of planes between the sensors, across the axes along which these lie apart; the widest at least."""
-    spread_m, lowest_m = _spread_m(circumstances), circumstances.sensor_positions_m.min(0).values
-    least_m = min(float(spread_m.max()), LEAST_BETWEEN * circumstances.reach_m)
-    for axis, (low, spread) in enumerate(zip(lowest_m.tolist(), spread_m.tolist(), strict=True)):
-        if spread >= least_m:
-            yield from ((axis, low + share * spread) for share in BETWEEN)
+    return positions_m.min(0).values, positions_m.max(0).values
 
 
 def _ring_m(
@@ -187,22 +169,12 @@ def _ring_m(
 ) -> Float[Tensor, "*batch 3 3"]:
     """Points over which the field in the opening is averaged: a third of a turn apart, so that slopes and saddles cancel."""
     axes = torch.eye(3, dtype=across.dtype, device=across.device)
-    along = torch.linalg.cross(across, axes[across.abs().argmin(-1)])
-    along = along / along.norm(dim=-1, keepdim=True)
+    along = torch.nn.functional.normalize(torch.linalg.cross(across, axes[across.abs().argmin(-1)]), dim=-1)
     beside = torch.linalg.cross(across, along)
     turn = across.new_tensor([0.0, 1.0, 2.0])[:, None] * 2.0 * math.pi / 3.0
     ring = torch.cos(turn) * along + torch.sin(turn) * beside
     ring_m: Tensor = RING * radius_m[..., None, None] * ring
     return middle_m + ring_m
-
-
-def _direction() -> tuple[Quantity, ...]:
-    """The world's axis nearest to a normal (0 x, 1 y, 2 z), and tilts of the normal towards the next two (x, y, z, x, y)."""
-    return (
-        shape("axis", "1", 0.0, 2.0, is_fixed=True),
-        shape("tilt_1_rad", "rad", -0.5 * math.pi, 0.5 * math.pi),
-        shape("tilt_2_rad", "rad", -0.5 * math.pi, 0.5 * math.pi),
-    )
 
 
 def _across(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
@@ -217,7 +189,7 @@ def _across(theta: Theta) -> Float[Tensor, "*batch 1 3"]:
 
 def _sheet(
     per_ampere: PerAmpere,
-    points_m: Float[Tensor, "*#batch pose 3"],
+    points_m: Points,
     across: Float[Tensor, "*#batch 1 3"],
     depth_m: Float[Tensor, "*#batch pose"],
     coil_m: Float[Tensor, "*#batch #pose"],
@@ -233,127 +205,65 @@ def _sheet(
     return -torch.where(is_behind, field, turned)
 
 
-class IronOnSensor(HolderEffect):
-    """A small piece of soft iron on the sensor's holder is magnetised by the field there and answers as a dipole."""
-
-    name: ClassVar[str] = "iron_on_sensor"
-    words: ClassVar[str] = "a piece of iron moves with the sensor"
-    source: ClassVar[str] = "a screw or a nut of a probe's holder is like a ball of 1 to 4 mm"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Radius cubed of an equivalent ball of iron, and where it sits in the sensor's frame."""
-        return (
-            at_least_zero("radius_cubed_m3", "m3", ON_HOLDER_RADIUS_M**3),
-            *(shape(f"{axis}_m", "m", -FARTHEST_ON_HOLDER_M, FARTHEST_ON_HOLDER_M) for axis in "xyz"),
-        )
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the sensor moved; what moves with one that stands still stands in the room."""
-        sensor = next(sensor for sensor in circumstances.rig.sensors if sensor.name == place)
-        if sensor.carried_by is None:
-            return False
-        motion = circumstances.observations.motion[sensor.carried_by]
-        return bool((motion != motion[:1]).any())
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Along the axes of the sensor's frame and between each three of them, at two distances."""
-        signs = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-        directions = [each for each in signs if sum(map(abs, each)) in (1, 3)]
-        return tuple(
-            {
-                f"{axis}_m": distance_m * each / math.hypot(*direction)
-                for axis, each in zip("xyz", direction, strict=True)
-            }
-            for direction in directions
-            for distance_m in DISTANCES_ON_HOLDER_M
-        )
-
-    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
-        """While it is far smaller than its distance: a ball beside which the sensor reads some other field altogether is no screw."""
-        largest_m = MOST_OF_DISTANCE * float(self.place_m(theta).norm())
-        return float(theta["radius_cubed_m3"]) < largest_m**3
-
-    def place_m(self, theta: Theta) -> Float[Tensor, "*batch 3"]:
-        """Place of its middle, in the sensor frame."""
-        return torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)
-
-    def answer_T(
-        self, field_there_T: Float[Tensor, "*#batch reading 3"], theta: Theta
-    ) -> Float[Tensor, "*batch reading 3"]:
-        """Field of the dipole 4 pi a^3 / mu0 times the field there."""
-        return theta["radius_cubed_m3"][..., None, None] * _dipole(
-            -self.place_m(theta)[..., None, :], field_there_T
-        )
+def _somewhere_near(extent: Extent) -> Quantities:
+    """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
+    near_m = NEAR * extent.reach_m
+    return (
+        at_least_zero("volume_m3", "m3", max(LIKELY_RADIUS_M, LIKELY_RADIUS * extent.reach_m) ** 3),
+        *(
+            shape(f"{axis}_m", "m", middle_m - near_m, middle_m + near_m)
+            for axis, middle_m in zip("xyz", extent.middle_m, strict=True)
+        ),
+    )
 
 
-class _SoftIron(RoomEffect):
-    """A small piece of soft iron is magnetised by the coils and answers as a dipole."""
-
-    source: ClassVar[str] = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Radius cubed of an equivalent ball of iron, and where it lies in the world."""
-        near_m = NEAR * extent.reach_m
-        return (
-            at_least_zero("volume_m3", "m3", max(LIKELY_RADIUS_M, LIKELY_RADIUS * extent.reach_m) ** 3),
-            *(
-                shape(f"{axis}_m", "m", middle_m - near_m, middle_m + near_m)
-                for axis, middle_m in zip("xyz", extent.middle_m, strict=True)
-            ),
-        )
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Around the middle of coils and sensors, at two distances."""
-        middle = circumstances.positions_m.mean(0)
-        directions = [
-            (x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1) if (x, y, z) != (0, 0, 0)
-        ]
-        starts = []
-        for direction in directions:
-            along = middle.new_tensor(direction)
-            along = along / along.norm()
-            farthest_m = float(((circumstances.positions_m - middle) @ along).max())
-            for gap in (0.4, 1.2):
-                point = middle + along * (farthest_m + gap * circumstances.reach_m)
-                starts.append({f"{axis}_m": float(v) for axis, v in zip("xyz", point, strict=True)})
-        return tuple(starts)
-
-    def response(
-        self, per_ampere: PerAmpere, points_m: Float[Tensor, "*#batch pose 3"], theta: Theta
-    ) -> Float[Tensor, "*#batch pose 3"]:
-        """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
-        body_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
-        at_body = per_ampere.at_each(body_m)[..., 0, :]
-        return theta["volume_m3"][..., None, None] * _dipole(points_m - body_m, at_body)
+def _around(circumstances: Circumstances) -> Starts:
+    """Around the middle of coils and sensors, at two distances."""
+    middle = circumstances.positions_m.mean(0)
+    starts = []
+    for direction in (each for each in product((-1, 0, 1), repeat=3) if any(each)):
+        along = torch.nn.functional.normalize(middle.new_tensor(direction), dim=0)
+        farthest_m = float(((circumstances.positions_m - middle) @ along).max())
+        for gap in (0.4, 1.2):
+            point = middle + along * (farthest_m + gap * circumstances.reach_m)
+            starts.append(dict(zip(("x_m", "y_m", "z_m"), point.tolist(), strict=True)))
+    return tuple(starts)
 
 
-def _dipole(
-    from_body_m: Float[Tensor, "*#batch #pose 3"], at_body: Float[Tensor, "*#batch #pose 3"]
-) -> Float[Tensor, "*batch pose 3"]:
-    """Field of a ball of unit radius that a field magnetises (Jackson, Classical Electrodynamics, 3rd ed., section 5.11)."""
-    square = (from_body_m**2).sum(-1, keepdim=True)
-    along = (from_body_m * at_body).sum(-1, keepdim=True)
-    field: Tensor = (3.0 * from_body_m * along - square * at_body) * square**-2.5
-    return field
+IRON = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
 
 
-class IronBody(_SoftIron):
+@RoomEffect.cause(
+    "response",
+    words="a piece of iron in the room answers the coils",
+    source=IRON,
+    quantities=_somewhere_near,
+    starts=_around,
+)
+def iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """One small piece of iron in the room."""
-
-    name: ClassVar[str] = "iron_body"
-    words: ClassVar[str] = "a piece of iron in the room answers the coils"
+    return _dipole_of_body(per_ampere, points_m, theta)
 
 
-class SecondIronBody(_SoftIron):
+def _dipole_of_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
+    """Dipole 4 pi a^3 / mu0 times the coil's field at the body (Jackson, section 5.11)."""
+    body_m = vector(theta, "xyz", "_m")
+    at_body = per_ampere.at_each(body_m)[..., 0, :]
+    return theta["volume_m3"][..., None, None] * dipole_field(points_m - body_m, at_body)
+
+
+@RoomEffect.cause(
+    "response",
+    words="a second piece of iron in the room answers the coils",
+    source=IRON,
+    quantities=_somewhere_near,
+    starts=_around,
+    concerns=lambda circumstances, place: Cause(iron_body.name, place) in circumstances.rig.effects,
+)
+def second_iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """Another piece beside the one that the rig has; they do not answer each other.
 
     It is asked once a first piece is there, for before that both would be the same cause twice. It is no second picture of the first, as a
     plate would be.
     """
-
-    name: ClassVar[str] = "second_iron_body"
-    words: ClassVar[str] = "a second piece of iron in the room answers the coils"
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the rig has a first piece already."""
-        return Cause(IronBody.name, place) in circumstances.rig.effects
+    return _dipole_of_body(per_ampere, points_m, theta)

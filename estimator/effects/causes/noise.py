@@ -3,141 +3,65 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
 from estimator.effects.base import Kind, Quantity, Theta
-from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import FEWEST_COMPONENTS, NoiseEffect, NoiseEstimate, Prediction
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import (
+    FEWEST_COMPONENTS,
+    Deviations,
+    Errors,
+    NoiseEffect,
+    NoiseEstimate,
+    Prediction,
+)
 from estimator.rig.parameters import LogNormal, Uniform
 from estimator.tensors import Tensor, torch
 
+LOOSE_NOISE = 0.2  # relative width of a prior from which on the noise follows the readings by itself
 EM_STEPS = 60
 MOST_SHARE = 0.1  # of readings that an instrument spoils, as `source` has it
 FIRST_RATIOS = (4.0, 10.0, 25.0)  # widths of outliers that the estimate starts from, in units of the noise
 
 
-class Outliers(NoiseEffect):
-    """A share of the readings is wrong: a contaminated normal distribution with a wide second component."""
-
-    name: ClassVar[str] = "outliers"
-    kind: ClassVar[Kind] = Kind.SENSOR
-    words: ClassVar[str] = "a share of the readings is wrong"
-    source: ClassVar[str] = "dropped bits, late triggers: some per mille to 10 %"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Share of wrong components and their scatter in units of the noise."""
-        return (
-            Quantity("share", "1", Uniform(0.0, 0.5), 0.0, is_fixed=True),
-            Quantity("ratio", "1", Uniform(1.0, 1e4), 1.0, is_shape=True, is_fixed=True),
-        )
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Width of the outliers' errors: ten times the noise."""
-        return ({"ratio": 10.0},)
-
-    def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
-        """Whether the share is one that instruments have; a larger one says that the model is wrong."""
-        return float(theta["share"]) <= MOST_SHARE
-
-    def contamination(self, theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-        """Share of outliers, and width of their errors over the noise."""
-        return theta["share"], theta["ratio"]
-
-    def estimate(self, whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
-        """Share and width by expectation and maximisation, from several widths."""
-        if len(whitened) <= FEWEST_COMPONENTS:
-            return None
-        mixtures = [_mixture(whitened, ratio) for ratio in FIRST_RATIOS]
-        share, wide, narrow, gain = max(mixtures, key=lambda mixture: mixture[3])
-        return NoiseEstimate({"share": share, "ratio": wide / narrow}, narrow, gain)
-
-    def disturbed_T(
-        self,
-        error_T: Float[Tensor, "reading 3"],
-        sigma_T: Float[Tensor, "reading 3"],
-        prediction: Prediction,
-        theta: Theta,
-        place: str,
-        rng: np.random.Generator,
-    ) -> Float[Tensor, "reading 3"]:
-        """A share of the errors grows."""
-        is_wild = torch.from_numpy(rng.random(size=tuple(error_T.shape))).to(error_T) < theta["share"]
-        return torch.where(is_wild, theta["ratio"] * error_T, error_T)
+def _is_stated(circumstances: Circumstances, place: str) -> bool:
+    """Whether the noise is fixed, or known tightly."""
+    prior = circumstances.rig.parameters[f"{place}.noise_T"].prior
+    return prior is None or prior.sd < LOOSE_NOISE * prior.centre
 
 
-class NoiseGrows(NoiseEffect):
-    """The sensor scatters by a share of what each axis shows, beside its noise: too few digits, an unsteady supply or amplifier."""
-
-    name: ClassVar[str] = "noise_grows"
-    kind: ClassVar[Kind] = Kind.SENSOR
-    words: ClassVar[str] = "the readings scatter the more, the larger they are"
-    source: ClassVar[str] = "two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Standard deviation over the component that is read."""
-        return (Quantity("share", "1", LogNormal(3e-3, 1.0), 0.0),)
-
-    def exposure(self, prediction: Prediction, place: str) -> Float[Tensor, "reading 3"]:
-        """Size of each component, in T."""
-        return prediction.field_sensor_T.abs()
-
-    def sigma_T(
-        self,
-        sigma_T: Float[Tensor, "*#batch component"],
-        exposure: Float[Tensor, " component"],
-        theta: Theta,
-    ) -> Float[Tensor, "*#batch component"]:
-        """Noise and scatter of the response, which are independent."""
-        return torch.sqrt(sigma_T**2 + (theta["share"][..., None] * exposure) ** 2)
+def _rms(whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
+    """Noise over the stated one, by the rms of the whitened residual."""
+    if len(whitened) <= FEWEST_COMPONENTS:
+        return None
+    mean_square = float(whitened.square().mean())
+    gain = 0.5 * len(whitened) * (mean_square - 1.0 - math.log(mean_square))
+    return NoiseEstimate({"factor": math.sqrt(mean_square)}, 1.0, gain)
 
 
-class PositionJitter(NoiseEffect):
-    """The mover scatters about its target; the field's gradient turns that into scatter of the reading."""
+@NoiseEffect.cause(
+    "sigma_T",
+    words="the readings scatter more, or less, than the noise that is stated",
+    source="data sheets give the noise of another bandwidth: a factor of two either way",
+    quantities=(Quantity("factor", "1", LogNormal(1.0, 0.7), 1.0),),
+    concerns=_is_stated,
+    estimate=_rms,
+    disturbed_T=lambda error_T, theta: error_T * theta["factor"],
+)
+def noise_misstated(sigma_T: Deviations, theta: Theta) -> Deviations:
+    """A sensor's readings scatter by a multiple of what the rig file says."""
+    return sigma_T * theta["factor"][..., None]
 
-    name: ClassVar[str] = "position_jitter"
-    kind: ClassVar[Kind] = Kind.MOVER
-    words: ClassVar[str] = "the mover scatters about its targets"
-    source: ClassVar[str] = "repeatability of small arms, 10 to 100 um"
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Standard deviation of the position along each axis."""
-        return (Quantity("sd_m", "m", LogNormal(50e-6, 1.0), 0.0),)
-
-    def exposure(self, prediction: Prediction, place: str) -> Float[Tensor, "reading 3"]:
-        """Steepness of each component, in T/m."""
-        steepness: Tensor = prediction.gradient_T_per_m(place).norm(dim=-1)
-        return steepness
-
-    def sigma_T(
-        self,
-        sigma_T: Float[Tensor, "*#batch component"],
-        exposure: Float[Tensor, " component"],
-        theta: Theta,
-    ) -> Float[Tensor, "*#batch component"]:
-        """Noise and scatter of the position, to first order."""
-        return torch.sqrt(sigma_T**2 + (theta["sd_m"][..., None] * exposure) ** 2)
-
-    def directions_T(
-        self, prediction: Prediction, theta: Theta, place: str
-    ) -> Float[Tensor, "reading 3 direction"]:
-        """One displacement per reading, which moves its three components together."""
-        return prediction.gradient_T_per_m(place) * theta["sd_m"]
-
-    def disturbed_T(
-        self,
-        error_T: Float[Tensor, "reading 3"],
-        sigma_T: Float[Tensor, "reading 3"],
-        prediction: Prediction,
-        theta: Theta,
-        place: str,
-        rng: np.random.Generator,
-    ) -> Float[Tensor, "reading 3"]:
-        """One displacement per reading, which moves its three components together."""
-        off_m = torch.from_numpy(rng.normal(size=tuple(error_T.shape))).to(error_T) * theta["sd_m"]
-        return error_T + torch.einsum("rij,rj->ri", prediction.gradient_T_per_m(place), off_m)
+def _share_and_ratio(whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
+    """Share and width by expectation and maximisation, from several widths."""
+    if len(whitened) <= FEWEST_COMPONENTS:
+        return None
+    mixtures = [_mixture(whitened, ratio) for ratio in FIRST_RATIOS]
+    share, wide, narrow, gain = max(mixtures, key=lambda mixture: mixture[3])
+    return NoiseEstimate({"share": share, "ratio": wide / narrow}, narrow, gain)
 
 
 def _mixture(z: Tensor, ratio: float) -> tuple[float, float, float, float]:
@@ -156,3 +80,64 @@ def _mixture(z: Tensor, ratio: float) -> tuple[float, float, float, float]:
     rms = float(z.square().mean().sqrt())
     one_normal = -0.5 * len(z) - len(z) * math.log(rms)
     return share, wide, narrow, log_likelihood - one_normal
+
+
+def _some_wild(error_T: Errors, theta: Theta, rng: np.random.Generator) -> Errors:
+    """Errors of which a share grows."""
+    is_wild = torch.from_numpy(rng.random(size=tuple(error_T.shape))).to(error_T) < theta["share"]
+    return torch.where(is_wild, theta["ratio"] * error_T, error_T)
+
+
+@NoiseEffect.cause(
+    "contamination",
+    words="a share of the readings is wrong",
+    source="dropped bits, late triggers: some per mille to 10 %",
+    # Share of wrong components and their scatter in units of the noise.
+    quantities=(
+        Quantity("share", "1", Uniform(0.0, 0.5), 0.0, is_fixed=True),
+        Quantity("ratio", "1", Uniform(1.0, 1e4), 1.0, is_shape=True, is_fixed=True),
+    ),
+    starts=({"ratio": 10.0},),
+    # A larger share says that the model is wrong.
+    is_itself=lambda theta: float(theta["share"]) <= MOST_SHARE,
+    estimate=_share_and_ratio,
+    disturbed_T=_some_wild,
+)
+def outliers(theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
+    """A share of the readings is wrong: a contaminated normal distribution with a wide second component."""
+    return theta["share"], theta["ratio"]
+
+
+@NoiseEffect.cause(
+    "sigma_T",
+    words="the readings scatter the more, the larger they are",
+    source="two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading",
+    quantities=(Quantity("share", "1", LogNormal(3e-3, 1.0), 0.0),),  # of the component that is read
+    exposure=lambda prediction: prediction.field_sensor_T.abs(),
+)
+def noise_grows(sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
+    """The sensor scatters by a share of what each axis shows, beside its noise: too few digits, an unsteady supply or amplifier."""
+    return torch.sqrt(sigma_T**2 + (theta["share"][..., None] * exposure) ** 2)
+
+
+def _moved(
+    error_T: Errors, prediction: Prediction, theta: Theta, place: str, rng: np.random.Generator
+) -> Errors:
+    """Errors with one displacement per reading, which moves its three components together."""
+    off_m = torch.from_numpy(rng.normal(size=tuple(error_T.shape))).to(error_T) * theta["sd_m"]
+    return error_T + torch.einsum("rij,rj->ri", prediction.gradient_T_per_m(place), off_m)
+
+
+@NoiseEffect.cause(
+    "sigma_T",
+    words="the mover scatters about its targets",
+    source="repeatability of small arms, 10 to 100 um",
+    quantities=(Quantity("sd_m", "m", LogNormal(50e-6, 1.0), 0.0),),  # along each axis
+    kind=Kind.MOVER,
+    exposure=lambda prediction, place: prediction.gradient_T_per_m(place).norm(dim=-1),
+    directions_T=lambda prediction, theta, place: prediction.gradient_T_per_m(place) * theta["sd_m"],
+    disturbed_T=_moved,
+)
+def position_jitter(sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
+    """The mover scatters about its target; the field's gradient turns that into scatter of the reading."""
+    return torch.sqrt(sigma_T**2 + (theta["sd_m"][..., None] * exposure) ** 2)

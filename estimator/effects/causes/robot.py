@@ -1,16 +1,16 @@
-"""How the real pose of a mover or a mount differs from what the record and the rig file say."""
+"""How the real pose of a mover differs from what it reports."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import ClassVar
 
-from jaxtyping import Float
-
-from estimator.effects.base import WHEN, Kind, Quantity, Theta, normal, since, triple
-from estimator.effects.circumstances import Circumstances, Extent, is_meanwhile
-from estimator.effects.stages import MotionEffect, MountEffect
+from estimator.effects.base import Theta, normal, triple, vector
+from estimator.effects.causes.misplaced import elsewhere, of_numbers
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.during import during, spell
+from estimator.effects.segments import each_segment, is_several, of_segment
+from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
 from estimator.geometry.motion import base_from_motion, ends_of
@@ -25,160 +25,72 @@ SAGGING: dict[str, tuple[int, int | None]] = {
     "shoulder_rad_per_m": (1, None),
     "elbow_rad_per_m": (2, None),
 }
+BEFORE = "where the mover came from"
+SHIFT, TURN = ("x_m", "y_m", "z_m"), ("rx_rad", "ry_rad", "rz_rad")
 
 
 def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
     return Transform(pose.rotation, pose.translation_m + shift_m)
 
 
-class RobotScale(MotionEffect):
+@MotionEffect.cause(
+    words="the robot's axes have a wrong scale",
+    source="uncalibrated arms err by 1 mm in 0.5 m; worn screws by per mille",
+    quantities=triple("xyz", "", "1", 0.005),
+)
+def robot_scale(pose: Transform, theta: Theta) -> Transform:
     """The robot moves a fixed multiple of what it says, axis by axis."""
-
-    name: ClassVar[str] = "robot_scale"
-    words: ClassVar[str] = "the robot's axes have a wrong scale"
-    source: ClassVar[str] = "uncalibrated arms err by 1 mm in 0.5 m; worn screws by per mille"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Relative excess of each axis."""
-        return triple("xyz", "", "1", 0.005)
-
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose."""
-        scale = torch.stack([theta[axis] for axis in "xyz"], dim=-1)[..., None, :]
-        return _shifted(pose, scale * pose.translation_m)
+    return _shifted(pose, vector(theta, "xyz") * pose.translation_m)
 
 
-class RobotShear(MotionEffect):
+@MotionEffect.cause(
+    words="the robot's axes are not at right angles",
+    source="portal axes are squared to 1 mrad and better; arms err as in robot_scale",
+    # How far x leans along y, x along z, and y along z.
+    quantities=triple(("xy", "xz", "yz"), "", "1", 0.005),
+)
+def robot_shear(pose: Transform, theta: Theta) -> Transform:
     """The robot's axes are not at right angles."""
-
-    name: ClassVar[str] = "robot_shear"
-    words: ClassVar[str] = "the robot's axes are not at right angles"
-    source: ClassVar[str] = "portal axes are squared to 1 mrad and better; arms err as in robot_scale"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """How far x leans along y, x along z, and y along z."""
-        return tuple(normal(key, "1", 0.005) for key in ("xy", "xz", "yz"))
-
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose."""
-        _, y, z = pose.translation_m.unbind(-1)
-        xy, xz, yz = (theta[key][..., None] for key in ("xy", "xz", "yz"))
-        shift = torch.broadcast_tensors(xy * y + xz * z, yz * z, torch.zeros_like(z))
-        return _shifted(pose, torch.stack(shift, dim=-1))
+    _, y, z = pose.translation_m.unbind(-1)
+    xy, xz, yz = (theta[key][..., None] for key in ("xy", "xz", "yz"))
+    shift = torch.broadcast_tensors(xy * y + xz * z, yz * z, torch.zeros_like(z))
+    return _shifted(pose, torch.stack(shift, dim=-1))
 
 
-class PositionLag(MotionEffect):
+def _direction_of_last_move(circumstances: Circumstances, mover: str) -> Columns:
+    return torch.nn.functional.normalize(circumstances.last_move_m(mover), dim=-1, eps=1e-12)
+
+
+@MotionEffect.cause(
+    words="the mover stops short along its last move",
+    source="in-position windows of controllers, 10 to 100 um",
+    quantities=(normal("lag_m", "m", 200e-6),),
+    columns=_direction_of_last_move,
+    depends_on=BEFORE,
+)
+def position_lag(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     """The mover stops short of its target by a fixed length, along its last move."""
-
-    name: ClassVar[str] = "position_lag"
-    words: ClassVar[str] = "the mover stops short along its last move"
-    source: ClassVar[str] = "in-position windows of controllers, 10 to 100 um"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Distance short of the target, in m."""
-        return (normal("lag_m", "m", 200e-6),)
-
-    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
-        """Direction of the last move."""
-        return torch.nn.functional.normalize(circumstances.last_move_m(mover), dim=-1, eps=1e-12)
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """The way to a position is history."""
-        return "where the mover came from"
-
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose."""
-        return _shifted(pose, -theta["lag_m"][..., None, None] * columns)
+    return _shifted(pose, -theta["lag_m"][..., None, None] * columns)
 
 
-class Backlash(MotionEffect):
+@MotionEffect.cause(
+    words="the axes have play: the position depends on the side it was reached from",
+    source="spindles and gears, 10 to 200 um",
+    quantities=triple("xyz", "_m", "m", 200e-6),
+    columns=lambda circumstances, mover: circumstances.approach(mover),
+    depends_on=BEFORE,
+)
+def backlash(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     """Each axis stands half its play short of its target, on the side it came from."""
-
-    name: ClassVar[str] = "backlash"
-    words: ClassVar[str] = "the axes have play: the position depends on the side it was reached from"
-    source: ClassVar[str] = "spindles and gears, 10 to 200 um"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Play of each axis."""
-        return triple("xyz", "_m", "m", 200e-6)
-
-    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
-        """Side from which each axis was reached."""
-        return circumstances.approach(mover)
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """The way to a position is history."""
-        return "where the mover came from"
-
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose."""
-        play_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
-        return _shifted(pose, -0.5 * play_m * columns)
+    return _shifted(pose, -0.5 * vector(theta, "xyz", "_m") * columns)
 
 
-class JointZeros(MotionEffect):
-    """The encoders of an arm's joints do not read zero where its kinematics have their zeros."""
-
-    name: ClassVar[str] = "joint_zeros"
-    words: ClassVar[str] = "the joints' encoders have other zeros than the arm's kinematics"
-    source: ClassVar[str] = "UR arms whose factory calibration is not used, about 2 mrad a joint"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """How far each joint stands beyond its reading."""
-        return tuple(normal(f"q{i}_rad", "rad", 2e-3) for i in range(N_JOINTS))
-
-    def places(self, rig: Rig) -> tuple[str, ...]:
-        """Arms that report joint angles."""
-        return tuple(mover.name for mover in rig.movers if mover.table is not None)
-
-    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
-        """Axis of every joint in the base frame, and a point on it."""
-        return _joint_axes(circumstances, mover)
-
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose."""
-        return _turned(pose, columns, {i: theta[f"q{i}_rad"][..., None] for i in range(N_JOINTS)})
+def _arms(rig: Rig) -> tuple[str, ...]:
+    """Arms that report joint angles."""
+    return tuple(mover.name for mover in rig.movers if mover.table is not None)
 
 
-class JointSag(MotionEffect):
-    """The gears of shoulder and elbow give way under the weight of the arm and of what it carries, so that it sags with its reach.
-
-    A joint turns by its compliance times the torque, the lever of each weight about it: weights sit at the elbow and at the flange.
-    The base stands upright; where it hangs, sizes are negative.
-    """
-
-    name: ClassVar[str] = "joint_sag"
-    words: ClassVar[str] = "shoulder and elbow of the arm give way under its weight"
-    source: ClassVar[str] = (
-        "gears of 10 kN m/rad under 30 N: 3 mrad for each metre of lever; light arms with belts several times that"
-    )
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Angle by which a joint gives way for each metre of lever: the shoulder under either, the elbow under that at the flange."""
-        return tuple(normal(key, "rad/m", 0.01) for key in SAGGING)
-
-    def places(self, rig: Rig) -> tuple[str, ...]:
-        """Arms that report joint angles."""
-        return tuple(mover.name for mover in rig.movers if mover.table is not None)
-
-    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
-        """Axis of every joint in the base frame, and a point on it."""
-        return _joint_axes(circumstances, mover)
-
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose, to first order in the angles."""
-        turns_rad: dict[int, Tensor] = {}
-        for key, (joint, weight) in SAGGING.items():
-            axis, on_axis_m = columns[:, 6 * joint : 6 * joint + 3], columns[:, 6 * joint + 3 : 6 * joint + 6]
-            at_m = pose.translation_m if weight is None else columns[:, 6 * weight + 3 : 6 * weight + 6]
-            x_m, y_m, _ = (at_m - on_axis_m).unbind(-1)
-            lever_m = axis[:, 1] * x_m - axis[:, 0] * y_m  # of a weight along -z
-            turn_rad = theta[key][..., None] * lever_m
-            turns_rad[joint] = turns_rad[joint] + turn_rad if joint in turns_rad else turn_rad
-        return _turned(pose, columns, turns_rad)
-
-
-def _joint_axes(circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
+def _joint_axes(circumstances: Circumstances, mover: str) -> Columns:
     """Axis of every joint of an arm in its base frame, and a point on it."""
     arm = circumstances.rig.mover(mover)
     assert arm.table is not None  # see `places`
@@ -189,9 +101,7 @@ def _joint_axes(circumstances: Circumstances, mover: str) -> Float[Tensor, "read
     return torch.cat([v.expand(len(circumstances), 3) for line in lines for v in line], dim=-1)
 
 
-def _turned(
-    pose: Transform, columns: Float[Tensor, "pose column"], turns_rad: Mapping[int, Tensor]
-) -> Transform:
+def _turned(pose: Transform, columns: Columns, turns_rad: Mapping[int, Tensor]) -> Transform:
     """Pose with joints turned further: the last turns first, so that each turns about where its nominal axis is."""
     for i in sorted(turns_rad, reverse=True):
         axis, on_axis_m = columns[:, 6 * i : 6 * i + 3], columns[:, 6 * i + 3 : 6 * i + 6]
@@ -200,107 +110,104 @@ def _turned(
     return pose
 
 
-class MoverSlipped(MotionEffect):
+@MotionEffect.cause(
+    words="the joints' encoders have other zeros than the arm's kinematics",
+    source="UR arms whose factory calibration is not used, about 2 mrad a joint",
+    # How far each joint stands beyond its reading.
+    quantities=tuple(normal(f"q{i}_rad", "rad", 2e-3) for i in range(N_JOINTS)),
+    places=_arms,
+    columns=_joint_axes,
+)
+def joint_zeros(pose: Transform, columns: Columns, theta: Theta) -> Transform:
+    """The encoders of an arm's joints do not read zero where its kinematics have their zeros."""
+    return _turned(pose, columns, {i: theta[f"q{i}_rad"][..., None] for i in range(N_JOINTS)})
+
+
+@MotionEffect.cause(
+    words="shoulder and elbow of the arm give way under its weight",
+    source="gears of 10 kN m/rad under 30 N: 3 mrad for each metre of lever; light arms with belts several times that",
+    # Angle by which a joint gives way for each metre of lever: the shoulder under either, the elbow under that at the flange.
+    quantities=tuple(normal(key, "rad/m", 0.01) for key in SAGGING),
+    places=_arms,
+    columns=_joint_axes,
+)
+def joint_sag(pose: Transform, columns: Columns, theta: Theta) -> Transform:
+    """The gears of shoulder and elbow give way under the weight of the arm and of what it carries, so that it sags with its reach.
+
+    A joint turns by its compliance times the torque, the lever of each weight about it: weights sit at the elbow and at the flange.
+    The base stands upright; where it hangs, sizes are negative.
+    """
+    turns_rad: dict[int, Tensor] = {}
+    for key, (joint, weight) in SAGGING.items():
+        axis, on_axis_m = columns[:, 6 * joint : 6 * joint + 3], columns[:, 6 * joint + 3 : 6 * joint + 6]
+        at_m = pose.translation_m if weight is None else columns[:, 6 * weight + 3 : 6 * weight + 6]
+        x_m, y_m, _ = (at_m - on_axis_m).unbind(-1)
+        lever_m = axis[:, 1] * x_m - axis[:, 0] * y_m  # of a weight along -z
+        turn_rad = theta[key][..., None] * lever_m
+        turns_rad[joint] = turns_rad[joint] + turn_rad if joint in turns_rad else turn_rad
+    return _turned(pose, columns, turns_rad)
+
+
+@MotionEffect.cause(
+    words="the base of the mover stands elsewhere in the room, or turned",
+    source="bases are placed by tape and level to about 2 mm and 0.5 degree",
+    quantities=elsewhere(2e-3, math.radians(0.5)),  # in the frame of the base as stated
+    # Displacements begin wherever the reference pose is.
+    places=lambda rig: tuple(m.name for m in rig.movers if m.motion is not MotionKind.DISPLACEMENT),
+)
+def base_misplaced(pose: Transform, theta: Theta) -> Transform:
+    """The base of an arm or a mapper stands elsewhere in the room, or turned."""
+    return of_numbers(theta) @ pose
+
+
+def _is_no_bump(circumstances: Circumstances, place: str) -> bool:
+    """Whether the slip differs from a bump of one sensor: several sensors see the shift, or one that the mover turned."""
+    rig, history = circumstances.rig, circumstances.observations.history
+    carries_coil = any(coil.carried_by == place for coil in rig.coils)
+    read = [rig.sensors[i] for i in history.sensor.unique().tolist()]
+    shifted = [sensor for sensor in read if carries_coil or sensor.carried_by == place]
+    turn = base_from_motion(rig.mover(place), history.motion[place]).rotation
+    is_turned = bool((turn - turn[0]).abs().max() > LEAST_TURN)
+    return len(shifted) > 1 or (is_turned and any(sensor.carried_by == place for sensor in shifted))
+
+
+@MotionEffect.cause(
+    words="the mover stands elsewhere than it says",
+    source="lost steps of a motor and pushed feet, 0.1 to 1 mm",
+    quantities=triple("xyz", "_m", "m", 500e-6),  # in the frame that the mover reports in
+    concerns=_is_no_bump,
+)
+def _mover_off(pose: Transform, theta: Theta) -> Transform:
+    """The mover stands elsewhere than it says, as far everywhere."""
+    return _shifted(pose, vector(theta, "xyz", "_m"))
+
+
+@during(
+    _mover_off,
+    words="from one instant on the mover stands elsewhere than it says",
+)
+def mover_slipped() -> None:
     """The mover lost steps, or its feet were pushed: from one instant on it stands elsewhere than it says, as far everywhere."""
 
-    name: ClassVar[str] = "mover_slipped"
-    words: ClassVar[str] = "from one instant on the mover stands elsewhere than it says"
-    source: ClassVar[str] = "lost steps of a motor and pushed feet, 0.1 to 1 mm"
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Shift in the frame that the mover reports in, and the time since the session began at which it happened."""
-        return (*triple("xyz", "_m", "m", 500e-6), since(extent))
-
-    def concerns(self, circumstances: Circumstances, mover: str) -> bool:
-        """Whether the slip differs from a bump of one sensor: several sensors see the shift, or one that the mover turned."""
-        rig, history = circumstances.rig, circumstances.observations.history
-        carries_coil = any(coil.carried_by == mover for coil in rig.coils)
-        read = [rig.sensors[i] for i in history.sensor.unique().tolist()]
-        shifted = [sensor for sensor in read if carries_coil or sensor.carried_by == mover]
-        turn = base_from_motion(rig.mover(mover), history.motion[mover]).rotation
-        is_turned = bool((turn - turn[0]).abs().max() > LEAST_TURN)
-        return len(shifted) > 1 or (is_turned and any(sensor.carried_by == mover for sensor in shifted))
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Instants with enough readings before and after."""
-        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
-
-    def columns(self, circumstances: Circumstances, mover: str) -> Float[Tensor, "reading column"]:
-        """Time since the session began."""
-        return circumstances.hours_for_instants[:, None]
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """An instant needs a session to lie in."""
-        return WHEN
-
-    def apply(self, pose: Transform, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """Real pose, or real displacement."""
-        is_elsewhere = is_meanwhile(columns[:, 0], theta)
-        shift_m = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :]
-        return _shifted(pose, is_elsewhere[..., None] * shift_m)
+@spell(
+    mover_slipped,
+    words="for a while the mover stands elsewhere than it says",
+    source="another tool or work frame in part of a program, 0.1 to 1 mm",
+)
+def mover_spell() -> None:
+    """For a while the mover stands elsewhere than it says, as far everywhere: another tool frame, a wrong height in part of a record."""
 
 
-class MountTilt(MountEffect):
-    """The body sits turned on its flange, so that the mover's displacements run askew in its frame."""
-
-    name: ClassVar[str] = "mount_tilt"
-    is_at_reference: ClassVar[bool] = True
-    kind: ClassVar[Kind] = Kind.MOVER
-    words: ClassVar[str] = (
-        "the body sits askew on its flange: displacements run in other directions than assumed"
-    )
-    source: ClassVar[str] = "a printed or bolted mount, 1 to 2 degrees"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Rotation vector across the body's axis; a turn about it is absorbed by the pose (docs/explanation/field-model.md)."""
-        return (normal("x_rad", "rad", math.radians(1.5)), normal("y_rad", "rad", math.radians(1.5)))
-
-    def places(self, rig: Rig) -> tuple[str, ...]:
-        """Bodies that a displaced or joint-driven mover carries."""
-        carried = [body for body in (*rig.coils, *rig.sensors) if body.carried_by is not None]
-        return tuple(
-            b.name for b in carried if rig.mover(str(b.carried_by)).motion is MotionKind.DISPLACEMENT
-        )
-
-    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """nominal_from_real of the mount."""
-        zero = torch.zeros_like(theta["x_rad"])
-        rotation = rotation_from_vector(torch.stack((theta["x_rad"], theta["y_rad"], zero), dim=-1))
-        return Transform(rotation[..., None, :, :], rotation.new_zeros(1, 3))
-
-
-class SensorBumped(MountEffect):
-    """Somebody touched the sensor: from one instant on it sits elsewhere."""
-
-    name: ClassVar[str] = "sensor_bumped"
-    is_at_reference: ClassVar[bool] = False
-    is_step: ClassVar[bool] = True
-    kind: ClassVar[Kind] = Kind.SENSOR
-    words: ClassVar[str] = "from one instant on the sensor sits elsewhere"
-    source: ClassVar[str] = "a touch moves a clamped probe by 0.1 to 1 mm"
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Shift in the sensor's frame, and the time since the session began at which it happened."""
-        return (
-            *triple("xyz", "_m", "m", 500e-6),
-            since(extent),
-        )
-
-    def starts(self, circumstances: Circumstances, place: str) -> tuple[dict[str, float], ...]:
-        """Instants with enough readings before and after."""
-        return tuple({"since_h": instant_h} for instant_h in circumstances.instants_h)
-
-    def columns(
-        self, circumstances: Circumstances, theta: Mapping[str, float]
-    ) -> Float[Tensor, "reading column"]:
-        """1 at readings from the instant on, else 0."""
-        return (circumstances.hours >= theta["since_h"]).to(circumstances.hours)[:, None]
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """An instant needs a session to lie in."""
-        return WHEN
-
-    def apply(self, columns: Float[Tensor, "pose column"], theta: Theta) -> Transform:
-        """nominal_from_real of the sensor."""
-        shift = torch.stack([theta[f"{axis}_m"] for axis in "xyz"], dim=-1)[..., None, :] * columns
-        return Transform(torch.eye(3, dtype=shift.dtype, device=shift.device).expand(1, 3, 3), shift)
+@MotionEffect.cause(
+    words="in each segment of the session the mover stands elsewhere, or turned",
+    source="feet, stops and references are found again to about 1 mm and 0.5 degree",
+    **each_segment(elsewhere(1e-3, math.radians(0.5))),  # in the frame that the mover reports in
+    concerns=lambda circumstances: is_several(circumstances.extent.segments),
+    columns=lambda circumstances: circumstances.segment.to(circumstances.current_A.dtype)[:, None],
+)
+def segment_misplaced(pose: Transform, columns: Columns, theta: Theta) -> Transform:
+    """The mover was set up anew before each segment, and stands elsewhere each time, or turned."""
+    segment = columns[:, 0].long()
+    turn = rotation_from_vector(of_segment(theta, TURN, segment))
+    return Transform(turn, of_segment(theta, SHIFT, segment)) @ pose

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import lru_cache
-from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
 
-from estimator.effects.base import Kind, Quantity, Theta, triple
-from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import WindingMagnetisation
+from estimator.effects.base import Quantity, Theta, triple, vector
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import Currents, WindingMagnetisation
 from estimator.field.magnetised import Rings, field_inside_per_ampere
 from estimator.field.winding import Rule, Winding, winding_field_per_ampere
 from estimator.frames import Transform
@@ -24,62 +23,6 @@ LEFT = ("axial", "radial", "fan")  # what an earlier field leaves of itself
 AZIMUTHS = 4  # of a ring, over which the field of another coil is averaged
 SOURCE_RULE = Rule(64, 8, 7)
 Numbers = tuple[float, ...]
-
-
-class FilamentMagnetisation(WindingMagnetisation):
-    """Persistent currents in a superconductor's filaments magnetise its winding: against the field, and as an earlier field has left it.
-
-    The field is that of the windings as the rig file describes them, averaged around this one: its own, and those of coils that do
-    not move relative to it.
-    """
-
-    name: ClassVar[str] = "filament_magnetisation"
-    kind: ClassVar[Kind] = Kind.COIL
-    words: ClassVar[str] = "currents that persist in the superconductor's filaments magnetise the winding"
-    source: ClassVar[str] = (
-        "Bean's model: 2/(3 pi) mu0 Jc d of the superconductor, 5 to 100 mT for filaments of 10 to 50 um below 1 T, times its share of "
-        "the winding; twice that share answers a small change (Wilson, Superconducting Magnets, 1983, chapter 8)"
-    )
-
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
-        """Share of the present field that is turned against it; mu0 M that an earlier field has left.
-
-        What is left is taken to first order along the winding: along the axis, outwards, and fanned out (outwards at the front face,
-        inwards at the back).
-        """
-        return (
-            Quantity("susceptibility", "1", Normal(0.0, 0.3, lower=0.0, upper=1.0)),
-            *triple(LEFT, "_T", "T", 0.02),
-        )
-
-    def places(self, rig: Rig) -> tuple[str, ...]:
-        """Coils that the rig file calls superconducting."""
-        return tuple(coil.name for coil in rig.round if coil.is_superconducting)
-
-    def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
-        """The susceptibility, where no coil carries any current: then nothing is screened."""
-        has_current = bool((circumstances.observations.history.current_A != 0.0).any())
-        return frozenset() if has_current else frozenset({"susceptibility"})
-
-    def rings(self, rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:
-        """Patterns: against one ampere in each coil that has a winding, along the axis, outwards, and fanned out."""
-        target = _described(rig, coil)
-        sources = tuple(
-            _described(rig, source)
-            if isinstance(source, Coil) and source.carried_by == coil.carried_by
-            else None
-            for source in rig.coils
-        )
-        return _rings(target, sources)
-
-    def drives(
-        self, current_A: Float[Tensor, "*#batch reading coil"], theta: Theta
-    ) -> Float[Tensor, "*#batch reading pattern"]:
-        """Strength of each pattern: screened current of each coil in A, then what an earlier field has left, in T."""
-        screened = theta["susceptibility"][..., None, None] * current_A
-        left = torch.stack([theta[f"{key}_T"] for key in LEFT], dim=-1)[..., None, :]
-        batch = np.broadcast_shapes(screened.shape[:-1], left.shape[:-1])
-        return torch.cat((screened.expand(*batch, -1), left.expand(*batch, -1)), dim=-1)
 
 
 def _described(rig: Rig, coil: Coil) -> Numbers:
@@ -128,3 +71,48 @@ def _winding(numbers: Numbers) -> Winding:
 def _pose(numbers: Numbers) -> Transform:
     pose = torch.tensor(numbers[-len(POSE_KEYS) :], dtype=torch.float64)
     return pose_of("coil", {f"coil.{key}": value for key, value in zip(POSE_KEYS, pose, strict=True)})
+
+
+def _patterns(rig: Rig, coil: Coil) -> tuple[Rings, Float[Tensor, "pattern ring 2"]]:
+    """Patterns: against one ampere in each coil that has a winding, along the axis, outwards, and fanned out."""
+    sources = tuple(
+        _described(rig, source) if isinstance(source, Coil) and source.carried_by == coil.carried_by else None
+        for source in rig.coils
+    )
+    return _rings(_described(rig, coil), sources)
+
+
+def _unscreened(circumstances: Circumstances) -> frozenset[str]:
+    """The susceptibility, where no coil carries any current: then nothing is screened."""
+    has_current = bool((circumstances.observations.history.current_A != 0.0).any())
+    return frozenset(() if has_current else ("susceptibility",))
+
+
+@WindingMagnetisation.cause(
+    "drives",
+    words="currents that persist in the superconductor's filaments magnetise the winding",
+    source=(
+        "Bean's model: 2/(3 pi) mu0 Jc d of the superconductor, 5 to 100 mT for filaments of 10 to 50 um below 1 T, times its share of "
+        "the winding; twice that share answers a small change (Wilson, Superconducting Magnets, 1983, chapter 8)"
+    ),
+    # Share of the present field that is turned against it; mu0 M that an earlier field has left. That is taken to first order along the
+    # winding: along the axis, outwards, and fanned out (outwards at the front face, inwards at the back).
+    quantities=(
+        Quantity("susceptibility", "1", Normal(0.0, 0.3, lower=0.0, upper=1.0)),
+        *triple(LEFT, "_T", "T", 0.02),
+    ),
+    places=lambda rig: tuple(coil.name for coil in rig.round if coil.is_superconducting),
+    unseen=_unscreened,
+    rings=_patterns,
+)
+def filament_magnetisation(current_A: Currents, theta: Theta) -> Float[Tensor, "*#batch reading pattern"]:
+    """Persistent currents in a superconductor's filaments magnetise its winding: against the field, and as an earlier field has left it.
+
+    The field is that of the windings as the rig file describes them, averaged around this one: its own, and those of coils that do
+    not move relative to it.
+    """
+    # Screened current of each coil in A, then what an earlier field has left, in T.
+    screened = theta["susceptibility"][..., None, None] * current_A
+    left = vector(theta, LEFT, "_T")
+    batch = np.broadcast_shapes(screened.shape[:-1], left.shape[:-1])
+    return torch.cat((screened.expand(*batch, -1), left.expand(*batch, -1)), dim=-1)

@@ -9,18 +9,16 @@ from __future__ import annotations
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from jaxtyping import Float
 
-from estimator.effects.base import WHEN, Effect, Quantity, Theta, normal
+from estimator.effects.base import POSITIVE, Effect, Quantities, Starts, Theta, fixed, normal, vector, written
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.stages import OneCoilCurrent
 from estimator.frames import Transform
-from estimator.geometry.motion import base_from_motion, world_from_body
-from estimator.rig.rig import Body
+from estimator.rig.rig import AnyCoil
 from estimator.tensors import Tensor, torch
 
 KEY = re.compile(r"degree(?P<degree>\d+)_\w+")
@@ -43,10 +41,37 @@ class Limit:
     words: str = ""
 
 
+@dataclass(frozen=True)
+class Scale:
+    """A number in units of which a correction has its terms, and which a fit leaves as a session has given it.
+
+    Attributes:
+        key, unit: As of a quantity.
+        most: Largest value in a session like this one.
+        here: Value in a session, at a place.
+    """
+
+    key: str
+    unit: str
+    most: Callable[[Extent], float]
+    here: Callable[[Circumstances, str], float]
+
+
+# The largest component that a sensor read, and the largest current of the session.
+RANGE_T = Scale(
+    "range_T", "T", lambda extent: 2.0 * extent.largest_field_T, Circumstances.largest_of_sensor_T
+)
+RANGE_A = Scale(
+    "range_A", "A", lambda extent: 100.0 * extent.largest_current_A, lambda now, _: now.largest_current_A
+)
+
+
 class Correction(Effect):
     """A smooth field or response. Subclasses say of what, beside one of the stages.
 
     Attributes:
+        components: What each of its functions is of, as names of the terms of every degree.
+        scales: What its terms are in units of.
         lowest, highest: Degrees that it may have; beyond the highest it is not smooth.
         asked_from: Lowest degree that a diagnosis asks for, where lower ones are a cause with a name.
         unit: Of its amplitudes.
@@ -54,8 +79,10 @@ class Correction(Effect):
         single: Name of the cause that one step alone is.
     """
 
-    is_correction: ClassVar[bool] = True
-    source: ClassVar[str] = "what the causes leave: a diagnosis chooses the width that has most evidence"
+    is_correction = True
+    source = "what the causes leave: a diagnosis chooses the width that has most evidence"
+    components: ClassVar[tuple[str, ...]] = ("x", "y", "z")
+    scales: ClassVar[tuple[Scale, ...]] = ()
     lowest: ClassVar[int] = 1
     asked_from: ClassVar[int] = 0
     highest: ClassVar[int] = 5
@@ -63,13 +90,17 @@ class Correction(Effect):
     falloff: ClassVar[float] = 0.0
     single: ClassVar[str | None] = None
 
-    @abstractmethod
     def terms(self, degree: int) -> tuple[str, ...]:
         """Names of the terms of a degree."""
+        return self.components
 
-    @abstractmethod
-    def shapes(self, extent: Extent) -> tuple[Quantity, ...]:
+    def shapes(self, extent: Extent) -> Quantities:
         """What its terms are functions of, in units of what: fixed numbers."""
+        return tuple(fixed(s.key, s.unit, 0.0, s.most(extent), POSITIVE) for s in self.scales)
+
+    def starts(self, circumstances: Circumstances, place: str) -> Starts:
+        """The scales of this session."""
+        return (written({scale.key: scale.here(circumstances, place) for scale in self.scales}),)
 
     @abstractmethod
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
@@ -91,15 +122,15 @@ class Correction(Effect):
         return TYPICAL_SHARE * extent.largest_field_T / per
 
     def relative_width(self, degree: int) -> float:
-        """Width of the amplitudes of a degree over that of the first."""
-        return 1.0 if self.falloff == 0.0 else float(degree**-self.falloff)
+        """Width of the amplitudes of a degree over that of the first, which degree 0 has too."""
+        return 1.0 if self.falloff == 0.0 else float(max(degree, 1) ** -self.falloff)
 
     def key(self, degree: int, term: str) -> str:
         """Key of an amplitude; pure numbers have no suffix."""
         suffix = "" if self.unit == "1" else f"_{self.unit.replace('/', '_per_')}"
         return f"degree{degree}_{term}{suffix}"
 
-    def quantities(self, extent: Extent) -> tuple[Quantity, ...]:
+    def quantities(self, extent: Extent) -> Quantities:
         """Its fixed numbers, then the amplitudes up to the extent's degree."""
         width = self.typical_width(extent)
         return (
@@ -119,72 +150,21 @@ class Correction(Effect):
         """Amplitudes by degree."""
         degrees = sorted({int(match["degree"]) for match in map(KEY.fullmatch, theta) if match})
         return {
-            degree: torch.stack([theta[self.key(degree, term)] for term in self.terms(degree)], dim=-1)
+            degree: vector(theta, [self.key(degree, term) for term in self.terms(degree)])[..., 0, :]
             for degree in degrees
         }
 
 
-class InTime(Correction):
-    """A function of the time in one session."""
-
-    def beyond_the_moment(self, key: str) -> str | None:
-        """A moment has no time."""
-        return WHEN
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the session lasts longer than a moment."""
-        return not circumstances.is_moment
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """Highest degree that the number of different times determines; for a sensor, only its own readings count."""
-        sensors = [sensor.name for sensor in circumstances.rig.sensors]
-        time_s = circumstances.observations.time_s
-        if place in sensors:
-            time_s = time_s[circumstances.sensor == sensors.index(place)]
-        return limit_of_number(self, len(torch.unique(time_s)), "readings one after another")
-
-
-class ShareOfCurrent(InTime, OneCoilCurrent):
-    """A share of the current of a coil, or of the field that an ampere makes, as a function of time."""
-
-    unit: ClassVar[str] = "1"
-
-    @abstractmethod
-    def share(self, theta: Theta, circumstances: Circumstances) -> Float[Tensor, "*batch reading 1"]:
-        """How much more there is than the commanded current, as a share of it."""
-
-    def terms(self, degree: int) -> tuple[str, ...]:
-        """The only term of a degree: a share of the current."""
-        return ("share",)
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the session lasts longer than a moment, and the coil carried current."""
-        return super().concerns(circumstances, place) and circumstances.has_current(place)
-
-    def delivered(
-        self,
-        current_A: Float[Tensor, "*#batch reading"],
-        theta: Theta,
-        circumstances: Circumstances,
-        coil: int,
-    ) -> Float[Tensor, "*#batch reading"]:
-        """Current in the coil, in A."""
-        return current_A * (1.0 + self.share(theta, circumstances)[..., 0])
-
-
-def positions_m(circumstances: Circumstances, coil: Body | None = None) -> Float[Tensor, "reading 3"]:
+def positions_m(circumstances: Circumstances, coil: AnyCoil | None = None) -> Float[Tensor, "reading 3"]:
     """Nominal position of the sensor at each reading, in the frame of a coil or in the room."""
-    rig, observations = circumstances.rig, circumstances.observations
-    values = {name: observations.current_A.new_tensor(v) for name, v in rig.nominal_values().items()}
-    flange = {m.name: base_from_motion(m, observations.motion[m.name]) for m in rig.movers}
-    n = len(observations)
-    each = [world_from_body(rig, sensor, "sensor", flange, values).translation_m for sensor in rig.sensors]
-    world_m = torch.stack([position.expand(n, 3) for position in each])[
-        observations.sensor, torch.arange(n, device=observations.device)
+    n = len(circumstances)
+    each = [
+        circumstances.world_from(sensor).translation_m.expand(n, 3) for sensor in circumstances.rig.sensors
     ]
+    world_m = torch.stack(each)[circumstances.sensor, torch.arange(n, device=circumstances.sensor.device)]
     if coil is None:
         return world_m
-    world_from_coil = world_from_body(rig, coil, "coil", flange, values)
+    world_from_coil = circumstances.world_from(coil)
     turns = Transform(world_from_coil.rotation.expand(n, 3, 3), world_from_coil.translation_m.expand(n, 3))
     return turns.inverse().apply(world_m)
 

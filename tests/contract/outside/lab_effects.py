@@ -1,5 +1,7 @@
 """Causes that coilcal does not know: a package of a laboratory, outside the repository, with one effect per stage.
 
+Most are a declaration and a function; some are classes, as what needs several functions may be.
+
 Tests copy it to a folder of its own, where its entry points make it known (`entry_points.txt` beside this file).
 """
 
@@ -7,14 +9,14 @@ from __future__ import annotations
 
 import torch
 
-from estimator.effects.base import Kind, Quantity, normal
+from estimator.effects.base import Kind, Quantity, normal, switch
 from estimator.effects.stages import (
-    CurrentEffect,
     ElementEffect,
     HolderEffect,
     MotionEffect,
     MountEffect,
     NoiseEffect,
+    OneCoilCurrent,
     ReadingEffect,
     RecordEffect,
     RoomEffect,
@@ -23,25 +25,17 @@ from estimator.effects.stages import (
 )
 from estimator.field.winding import Winding
 from estimator.frames import Transform
-from estimator.rig.parameters import LogNormal, Uniform
+from estimator.rig.parameters import LogNormal
 
 
-class DeadBand(CurrentEffect):
+@OneCoilCurrent.cause(
+    words="the supply leaves out a fixed current around zero",
+    source="class B output stages without bias, 10 to 100 mA",
+    quantities=(normal("width_A", "A", 0.05),),  # missing current
+)
+def dead_band(current_A, theta):
     """The supply leaves out a fixed current around zero."""
-
-    name, kind = "dead_band", Kind.COIL
-    words = "the supply leaves out a fixed current around zero"
-    source = "class B output stages without bias, 10 to 100 mA"
-
-    def quantities(self, extent):
-        """Missing current."""
-        return (normal("width_A", "A", 0.05),)
-
-    def apply(self, current_A, theta, circumstances, coil):
-        """Less by the width, whichever its sign."""
-        missing_A = theta["width_A"][..., None] * torch.sign(current_A[..., coil])
-        is_own = (torch.arange(current_A.shape[-1]) == coil).to(current_A.dtype)
-        return current_A - missing_A[..., None] * is_own
+    return current_A - theta["width_A"][..., None] * torch.sign(current_A)
 
 
 class SwollenWire(WindingEffect):
@@ -90,39 +84,30 @@ class IronBeside(SourceEffect):
         return torch.stack(torch.broadcast_tensors(*parts), dim=-1)
 
 
-class FieldGradient(RoomEffect):
-    """A magnet far away adds a gradient to the field of the room."""
-
-    name = "field_gradient"
-    words = "the field of the room has a gradient"
-    source = "a magnet some metres away, up to 1 mT/m"
-
-    def quantities(self, extent):
-        """Gradient of the vertical component."""
-        return (normal("vertical_T_per_m", "T/m", 5e-4),)
-
-    def steady_T(self, points_m, theta):
-        """Free of sources: (-x/2, -y/2, z)."""
-        shape = torch.tensor([-0.5, -0.5, 1.0], dtype=points_m.dtype)
-        return theta["vertical_T_per_m"][..., None, None] * shape * points_m
+@RoomEffect.cause(
+    "steady_T",
+    words="the field of the room has a gradient",
+    source="a magnet some metres away, up to 1 mT/m",
+    quantities=(normal("vertical_T_per_m", "T/m", 5e-4),),
+)
+def field_gradient(points_m, theta):
+    """A magnet far away adds a gradient to the field of the room, free of sources: (-x/2, -y/2, z)."""
+    shape = torch.tensor([-0.5, -0.5, 1.0], dtype=points_m.dtype)
+    return theta["vertical_T_per_m"][..., None, None] * shape * points_m
 
 
-class ArmSag(MotionEffect):
-    """The arm sags the further it reaches."""
-
-    name = "arm_sag"
-    words = "the arm sags the further it reaches"
-    source = "bending of light arms, 0.1 mm at 0.1 m and more"
-
-    def quantities(self, extent):
-        """Sag at a metre, which grows with the square of the reach."""
-        return (normal("curvature_per_m", "1/m", 0.05),)
-
-    def apply(self, pose, columns, theta):
-        """Lower by the square of the horizontal reach."""
-        x, y, z = pose.translation_m.unbind(-1)
-        sag_m = theta["curvature_per_m"][..., None] * (x**2 + y**2)
-        return Transform(pose.rotation, torch.stack(torch.broadcast_tensors(x, y, z - sag_m), dim=-1))
+@MotionEffect.cause(
+    words="the arm sags the further it reaches",
+    source="bending of light arms, 0.1 mm at 0.1 m and more",
+    quantities=(
+        normal("curvature_per_m", "1/m", 0.05),
+    ),  # sag at a metre, which grows with the square of the reach
+)
+def arm_sag(pose, theta):
+    """The arm sags the further it reaches: lower by the square of the horizontal reach."""
+    x, y, z = pose.translation_m.unbind(-1)
+    sag_m = theta["curvature_per_m"][..., None] * (x**2 + y**2)
+    return Transform(pose.rotation, torch.stack(torch.broadcast_tensors(x, y, z - sag_m), dim=-1))
 
 
 class HolderCreep(MountEffect):
@@ -148,60 +133,45 @@ class HolderCreep(MountEffect):
         return Transform(eye, torch.stack((zero, zero, along_m), dim=-1))
 
 
-class FerriteBead(HolderEffect):
+def ahead_m(theta):
+    """Two and a half centimetres ahead."""
+    ahead = torch.tensor([0.0, 0.0, 0.025], dtype=torch.float64)
+    return torch.ones_like(theta["share"])[..., None] * ahead
+
+
+@HolderEffect.cause(
+    "answer_T",
+    words="a ferrite bead sits on the sensor's holder",
+    source="some per cent at a centimetre or two",
+    quantities=(normal("share", "1", 0.05),),  # of the axial field at the bead
+    place_m=ahead_m,
+)
+def ferrite_bead(field_there_T, theta):
     """A bead on the holder, ahead of the sensor, adds to the field along the sensor's axis."""
-
-    name = "ferrite_bead"
-    words = "a ferrite bead sits on the sensor's holder"
-    source = "some per cent at a centimetre or two"
-
-    def quantities(self, extent):
-        """Share of the axial field at the bead."""
-        return (normal("share", "1", 0.05),)
-
-    def place_m(self, theta):
-        """Two and a half centimetres ahead."""
-        ahead = torch.tensor([0.0, 0.0, 0.025], dtype=torch.float64)
-        return torch.ones_like(theta["share"])[..., None] * ahead
-
-    def answer_T(self, field_there_T, theta):
-        """Along the axis."""
-        axis = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
-        return theta["share"][..., None, None] * field_there_T * axis
+    axis = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    return theta["share"][..., None, None] * field_there_T * axis
 
 
-class ElementRing(ElementEffect):
-    """The elements sit on a ring about the sensor's axis."""
-
-    name = "element_ring"
-    words = "the elements sit on a ring"
-    source = "dies on a printed board, 0.1 to 1 mm apart"
-
-    def quantities(self, extent):
-        """Radius of the ring."""
-        return (normal("radius_m", "m", 5e-4),)
-
-    def apply(self, theta):
-        """A third of a turn apart."""
-        angle = 2.0 * torch.pi / 3.0 * torch.arange(3, dtype=torch.float64)
-        ring = torch.stack((torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)), dim=-1)
-        return theta["radius_m"][..., None, None] * ring
+@ElementEffect.cause(
+    words="the elements sit on a ring",
+    source="dies on a printed board, 0.1 to 1 mm apart",
+    quantities=(normal("radius_m", "m", 5e-4),),
+)
+def element_ring(theta):
+    """The elements sit on a ring about the sensor's axis, a third of a turn apart."""
+    angle = 2.0 * torch.pi / 3.0 * torch.arange(3, dtype=torch.float64)
+    ring = torch.stack((torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)), dim=-1)
+    return theta["radius_m"][..., None, None] * ring
 
 
-class QuadraticResponse(ReadingEffect):
+@ReadingEffect.cause(
+    words="both signs of a large field read too much",
+    source="amplifiers of this kind, 2 % at the end of the range",
+    quantities=lambda extent: (normal("excess_per_T", "1/T", 0.02 / extent.largest_field_T),),
+)
+def quadratic_response(field_sensor_T, theta):
     """The amplifier bends: both signs of the field read too much."""
-
-    name = "quadratic_response"
-    words = "both signs of a large field read too much"
-    source = "amplifiers of this kind, 2 % at the end of the range"
-
-    def quantities(self, extent):
-        """Relative excess per tesla."""
-        return (normal("excess_per_T", "1/T", 0.02 / extent.largest_field_T),)
-
-    def apply(self, field_sensor_T, theta, circumstances, sensor):
-        """Components as they are read."""
-        return field_sensor_T + theta["excess_per_T"][..., None, None] * field_sensor_T**2
+    return field_sensor_T + theta["excess_per_T"][..., None, None] * field_sensor_T**2
 
 
 class NoisyAxis(NoiseEffect):
@@ -225,21 +195,13 @@ class NoisyAxis(NoiseEffect):
         return torch.sqrt(sigma_T**2 + (theta["extra_T"][..., None] * exposure) ** 2)
 
 
-class PeakToPeakCurrent(RecordEffect):
+@RecordEffect.cause(
+    "commanded_A",
+    words="currents are recorded from peak to peak",
+    source="there or not",
+    quantities=(switch("factor", 0.1, 10.0, 1.0),),  # recorded over real current
+    starts=({"factor": 2.0},),  # twice the amplitude
+)
+def peak_to_peak_current(recorded_A, theta):
     """Currents are recorded from peak to peak."""
-
-    name = "peak_to_peak_current"
-    words = "currents are recorded from peak to peak"
-    source = "there or not"
-
-    def quantities(self, extent):
-        """Recorded over real current."""
-        return (Quantity("factor", "1", Uniform(0.1, 10.0), 1.0, is_shape=True, is_fixed=True),)
-
-    def starts(self, circumstances, place):
-        """Twice the amplitude."""
-        return ({"factor": 2.0},)
-
-    def commanded_A(self, recorded_A, theta):
-        """Amplitudes."""
-        return recorded_A / theta["factor"][..., None, None]
+    return recorded_A / theta["factor"][..., None, None]

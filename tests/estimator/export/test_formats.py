@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from estimator.calibration.result import Calibration
-from estimator.effects.causes.supply import CurrentOffset
-from estimator.effects.causes.surroundings import BackgroundField
+from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
 from estimator.export.plain_model import plain_model
 from estimator.rig.rig import Rig
@@ -59,7 +58,7 @@ def test_supply_that_is_not_linear_is_named(rig_text: str, monkeypatch: pytest.M
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     plain_model(rig, values, "cpp")
     bent = staticmethod(lambda current_A, *_: current_A + 1e-3 * current_A**2)
-    monkeypatch.setattr(CurrentOffset, "delivered", bent)
+    monkeypatch.setattr(type(EFFECTS["current_offset"]), "delivered", bent)
     with pytest.raises(InvalidInput, match=r"for current_offset\[coil1\] of"):
         plain_model(rig, values, "cpp")
 
@@ -68,6 +67,8 @@ def test_room_that_is_not_uniform_is_named(rig_text: str, monkeypatch: pytest.Mo
     rig = rig_from_text(f"{rig_text}effects:\n  background_field[room]: {{x_T: 1e-5, y_T: 0, z_T: 0}}")
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     assert plain_model(rig, values, "cpp").background_T.tolist() == [1e-5, 0.0, 0.0]
-    monkeypatch.setattr(BackgroundField, "steady_T", lambda _self, points_m, _theta: 1e-3 * points_m)
+    monkeypatch.setattr(
+        type(EFFECTS["background_field"]), "steady_T", lambda _self, points_m, _theta: 1e-3 * points_m
+    )
     with pytest.raises(InvalidInput, match=r"for background_field\[room\] of"):
         plain_model(rig, values, "cpp")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.effects.causes.robot import JointZeros
+from estimator.effects.causes.robot import joint_zeros
 from estimator.effects.circumstances import Circumstances
 from estimator.errors import InvalidInput
 from estimator.export.plain_model import plain_model
@@ -139,11 +139,10 @@ def test_zeros_of_its_joints_move_it_as_their_readings_would(rig: Rig):
         none,
         {},
     )
-    effect = JointZeros()
-    columns = effect.columns(Circumstances(rig, observations), "arm")
+    columns = joint_zeros.columns(Circumstances(rig, observations), "arm")
     zeros_rad = torch.tensor([2e-3, -1e-3, 3e-3, 1e-3, -2e-3, 2e-3], dtype=torch.float64)
     theta = {f"q{i}_rad": zeros_rad[i] for i in range(6)}
-    moved = effect.apply(base_from_motion(rig.movers[0], motion), columns, theta)
+    moved = joint_zeros.apply(base_from_motion(rig.movers[0], motion), columns, theta)
     expected = base_from_motion(rig.movers[0], motion + zeros_rad)
     torch.testing.assert_close(moved.translation_m, expected.translation_m, rtol=0.0, atol=1e-12)
 

@@ -10,7 +10,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from estimator.effects.attach import with_effect
-from estimator.effects.corrections.history import directions
+from estimator.effects.corrections.guides import directions
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause

@@ -9,7 +9,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
-from estimator.effects.causes.iron import IronBody, IronPlate, PiercedPlate
+from estimator.effects.causes.iron import iron_body, iron_plate, pierced_plate
 from estimator.effects.circumstances import Circumstances
 from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
@@ -190,7 +190,7 @@ def test_pierced_plate_beside_all_readings_is_a_field_of_the_room_and_no_plate(h
     """As a search took one for it, in an axis scan of a coil with a background of 77 uT."""
     circumstances = Circumstances(rig_from_text(RIG), readings(AROUND_M))
     theta = {key: torch.tensor(value) for key, value in (PIERCED | {"z_m": height_m}).items()}
-    assert PiercedPlate().is_itself(theta, circumstances) is is_between
+    assert pierced_plate.is_itself(theta, circumstances) is is_between
     if not is_between:
         field = added_T(
             readings(AROUND_M, (0.0, 0.0)),
@@ -280,7 +280,7 @@ def test_a_piece_of_iron_is_looked_for_around_the_session_wherever_the_world_beg
     )
     for axis, shift_m in zip("xyz", far_m, strict=True):
         near, far = (
-            next(q.prior for q in IronBody().quantities(circumstances.extent) if q.key == f"{axis}_m")
+            next(q.prior for q in iron_body.quantities(circumstances.extent) if q.key == f"{axis}_m")
             for circumstances in (here, there)
         )
         assert far.lower - near.lower == pytest.approx(shift_m, abs=1e-9)
@@ -320,7 +320,7 @@ def test_a_plate_is_itself_while_no_sensor_went_through_it(share, is_clear):
     along_m = POINTS_M @ ACROSS
     distance_m = along_m.min() + share * np.ptp(along_m)
     theta = {key: torch.tensor(value) for key, value in (turned | {"distance_m": distance_m}).items()}
-    assert IronPlate().is_itself(theta, Circumstances(rig_from_text(RIG), ONE)) is is_clear
+    assert iron_plate.is_itself(theta, Circumstances(rig_from_text(RIG), ONE)) is is_clear
 
 
 def test_iron_on_the_sensor_is_magnetised_where_the_sensor_takes_it():

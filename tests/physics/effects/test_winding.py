@@ -6,7 +6,7 @@ import magpylib
 import numpy as np
 import pytest
 
-from estimator.effects.causes import winding as causes_of_winding
+from estimator.effects.causes import coil as causes_of_coil
 from tests.physics.effects.laboratory import (
     MU0_RATIO,
     POINTS_M,
@@ -95,7 +95,7 @@ def test_coil_ovality_is_the_slope_of_wires_bent_to_r_a_1_plus_e_cos_2_phi(axis)
 def test_oval_coil_is_summed_for_some_points_at_a_time(monkeypatch: pytest.MonkeyPatch):
     oval = {"coil_ovality[coil]": {"cos2": 0.01, "sin2": 0.02}}
     together_T = added_T(ONE_FAR, oval)
-    monkeypatch.setattr(causes_of_winding, "POINTS_AT_ONCE", 3)
+    monkeypatch.setattr(causes_of_coil, "POINTS_AT_ONCE", 3)
     assert_same_field(added_T(ONE_FAR, oval), together_T, 1e-9)
 
 

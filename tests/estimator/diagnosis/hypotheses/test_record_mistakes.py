@@ -20,7 +20,6 @@ from estimator.diagnosis.mixture.comparison import Left
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.causes.record import DisplacementFrameError
 from estimator.effects.use import shifts_rows
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
@@ -43,7 +42,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     monkeypatch.setattr(record_mistakes, "EFFECTS", {"displacement_frame": EFFECTS["displacement_frame"]})
     monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
     turned = {"rx_rad": 0.0, "ry_rad": 0.0, "rz_rad": 0.25 * math.pi}
-    monkeypatch.setattr(DisplacementFrameError, "starts", lambda *_: (turned,))
+    monkeypatch.setattr(type(EFFECTS["displacement_frame"]), "starts", lambda *_: (turned,))
     truth_rig = small_rig.with_values(small_truth)
     cause = Cause("sensor_offset", "hall")
     readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration

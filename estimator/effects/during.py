@@ -1,0 +1,183 @@
+"""An effect that is there for a part of a session: from one instant on, or for a while.
+
+Instants lie between two readings. The column of what ends is that of the change at its beginning less that of the change at its end.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from itertools import combinations
+from typing import Any, ClassVar, cast
+
+from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantities, Starts, Theta, since, until
+from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent, is_meanwhile
+from estimator.effects.declaring import made
+from estimator.effects.stages import (
+    Columns,
+    Components,
+    CurrentEffect,
+    Currents,
+    MotionEffect,
+    ReadingEffect,
+    RecordEffect,
+    RoomEffect,
+)
+from estimator.errors import InvalidInput
+from estimator.frames import Transform
+from estimator.tensors import torch
+
+
+class During(Effect):
+    """An effect that is there from one instant on and, where it ends, until another.
+
+    Attributes:
+        base: What is there meanwhile; it says which places and sessions can have it.
+        ends: It ends at an instant of its own.
+    """
+
+    base: ClassVar[Effect]
+    ends: ClassVar[bool] = False
+    depends_on: ClassVar[str | None] = WHEN
+
+    def quantities(self, extent: Extent) -> Quantities:
+        """Quantities of the effect, and the times since the session began at which it begins and ends, in h."""
+        return (*self.base.quantities(extent), since(extent), *((until(extent),) if self.ends else ()))
+
+    def starts(self, circumstances: Circumstances, place: str) -> Starts:
+        """Shapes of the effect, each from every instant on, or in every spell."""
+        shapes = self.base.starts(circumstances, place)
+        if not self.ends:
+            return from_instants(shapes, circumstances)
+        spells = spells_of(circumstances, place if self.kind is Kind.SENSOR else None)
+        return tuple({**start, **spell} for start in shapes for spell in spells)
+
+    def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
+        """The rule of the effect that its values break."""
+        return self.base.broken_rule({key: v for key, v in values.items() if key not in (SINCE, UNTIL)})
+
+
+def during(base: Effect, **declared: Any) -> Callable[[Callable[[], None]], During]:
+    """Make an effect that is there from one instant on, of an empty function, which has its name and explains it.
+
+    Args:
+        base: What is there from then on: of a current, what a sensor says, a steady field that is the same at every point, the place of a
+            mover, or rows of the record. It need not be a cause by itself.
+        **declared: `words`, and others as `Effect.cause` has them; the source of its priors is that of the base unless said otherwise.
+    Raises:
+        InvalidInput: The base is none of these, or the declaration is wrong.
+    """
+    of_base = ("kind", "source", "is_record_mistake", "places", "concerns")
+    inherited = {key: getattr(base, key) for key in of_base}
+    stage = _stage_of(base)
+
+    def joined(function: Callable[[], None]) -> During:
+        name, explanation = function.__name__, inspect.getdoc(function)
+        return made(stage, name, inherited | declared | {"base": base}, function.__module__, explanation)
+
+    return joined
+
+
+def spell(stays: During, **declared: Any) -> Callable[[Callable[[], None]], During]:
+    """Make an effect that is there for a while, as `during` does.
+
+    Args:
+        stays: What begins alike and does not end.
+        **declared: As with `during`.
+    """
+    return during(stays.base, **{"source": stays.source, "stays": stays, "ends": True} | declared)
+
+
+def from_instants(shapes: Starts, circumstances: Circumstances) -> Starts:
+    """Each of some starts from every instant on; from every other one where there are shapes, and so many starts."""
+    has_shapes = any(shapes)
+    instants_h = circumstances.coarse_instants_h if has_shapes else circumstances.instants_h
+    return tuple({**start, SINCE: instant_h} for start in shapes for instant_h in instants_h)
+
+
+def instants_within(circumstances: Circumstances, place: str, least_share: float = 0.0) -> Starts:
+    """Instants with a reading of the sensor, and at least such a share of its readings, before and after."""
+    hours = circumstances.hours[circumstances.is_of(place)]
+    least = max(1.0, least_share * len(hours))
+    n_after = [int((hours >= instant_h).sum()) for instant_h in circumstances.instants_h]
+    each = zip(circumstances.instants_h, n_after, strict=True)
+    return tuple({SINCE: instant_h} for instant_h, n in each if least <= n <= len(hours) - least)
+
+
+def spells_of(circumstances: Circumstances, sensor: str | None = None, has_ends: bool = False) -> Starts:
+    """Spells that causes start from: every two of some instants, with a reading between and one outside.
+
+    Args:
+        circumstances: Of the readings.
+        sensor: Whose readings count; all by default.
+        has_ends: Whether one may begin with the session or last until after it.
+    """
+    hours = circumstances.hours if sensor is None else circumstances.hours[circumstances.is_of(sensor)]
+    instants_h = circumstances.coarse_instants_h
+    if has_ends:
+        instants_h = (0.0, *instants_h, AFTER * circumstances.duration_h)
+    spells = [{SINCE: begin_h, UNTIL: end_h} for begin_h, end_h in combinations(instants_h, 2)]
+    n_meanwhile = [int(((hours >= each[SINCE]) & (hours < each[UNTIL])).sum()) for each in spells]
+    return tuple(each for each, n in zip(spells, n_meanwhile, strict=True) if 0 < n < len(hours))
+
+
+class _Current(During, CurrentEffect):
+    def apply(self, current_A: Currents, theta: Theta, circumstances: Circumstances, coil: int) -> Currents:
+        changed_A = cast(CurrentEffect, self.base).apply(current_A, theta, circumstances, coil)
+        return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed_A, current_A)
+
+
+class _Reading(During, ReadingEffect):
+    def apply(
+        self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
+    ) -> Components:
+        changed_T = cast(ReadingEffect, self.base).apply(field_sensor_T, theta, circumstances, sensor)
+        return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed_T, field_sensor_T)
+
+
+class _Room(During, RoomEffect):
+    """A field that is the same at every point."""
+
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Components:
+        anywhere_m = circumstances.hours.new_zeros(1, 3)
+        field_T = cast(RoomEffect, self.base).steady_T(anywhere_m, theta)
+        assert field_T is not None
+        return field_T * is_meanwhile(circumstances.hours, theta)[..., None]
+
+
+class _Motion(During, MotionEffect):
+    def columns(self, circumstances: Circumstances, mover: str) -> Columns:
+        own = cast(MotionEffect, self.base).columns(circumstances, mover)
+        return torch.cat((circumstances.hours_for_instants[:, None], own), dim=-1)
+
+    def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
+        rotation, moved = pose.rotation, cast(MotionEffect, self.base).apply(pose, columns[:, 1:], theta)
+        is_there = is_meanwhile(columns[:, 0], theta)[..., None]
+        if moved.rotation is not rotation:
+            rotation = torch.where(is_there[..., None], moved.rotation, rotation)
+        return Transform(rotation, torch.where(is_there, moved.translation_m, pose.translation_m))
+
+
+class _Record(During, RecordEffect):
+    def rows_late(self, values: Mapping[str, float]) -> int:
+        return cast(RecordEffect, self.base).rows_late(values)
+
+    def late_since_h(self, values: Mapping[str, float]) -> float:
+        return values[SINCE]
+
+
+def _stage_of(base: Effect) -> type[During]:
+    """How an effect acts for a part of a session."""
+    stages: tuple[tuple[type[Effect], str, type[During]], ...] = (
+        (CurrentEffect, "apply", _Current),
+        (ReadingEffect, "apply", _Reading),
+        (RoomEffect, "steady_T", _Room),
+        (MotionEffect, "apply", _Motion),
+        (RecordEffect, "rows_late", _Record),
+    )
+    for stage, method, meanwhile in stages:
+        if isinstance(base, stage) and getattr(type(base), method) is not getattr(stage, method):
+            return meanwhile
+    raise InvalidInput(
+        f"{base.name} must be of a current, a reading, a steady field, a mover or rows to be there for a part of a session"
+    )
