@@ -1,12 +1,13 @@
 """How often something that no list holds takes the name of a listed cause: the weights of `mixture/imitation.py`.
 
 Sessions with listed causes, with something unlisted, and with both are asked what is wrong. Every name that the readings hold for sure is
-right or not; a logistic regression on how clear it is, and beside what, gives the weights. A tenth of the sessions at a time is kept out of
-it to judge the others' weights.
+right or not; relatives of a listed cause that is there do not count. A logistic regression on how clear a name is, and beside what, gives
+the weights. A tenth of the names at a time is kept out of it to judge the others' weights.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from itertools import pairwise
 
 import numpy as np
@@ -21,8 +22,8 @@ from estimator.diagnosis.mixture.imitation import WEIGHTS
 from estimator.diagnosis.mixture.scatter import answer_beside_scatter
 from estimator.diagnosis.result import Question
 from estimator.effects import EFFECTS
-from scripts.studies.hidden_cases import Row, label, options_of, rows_of, session_of
-from tests.hidden.study import draw_case, is_same
+from scripts.studies.hidden_cases import Row, label, options_of, read, rows_of, session_of
+from tests.hidden.study import draw_case, is_relative, is_same
 
 # How often sessions of each kind are supposed to come: real rigs have something unlisted beside one or two listed flaws, or two of these.
 WORLD = {"mixed": 1.0, "single": 0.5, "pair": 0.5, "unknown8": 0.05, "unknown12": 0.05, "unknown30": 0.05}
@@ -36,8 +37,8 @@ def main() -> None:
     options = options_of(__doc__, tuple(WORLD), 40, 630_000, "out/imitations.jsonl").parse_args()
     seeds = range(options.first_seed, options.first_seed + options.cases)
     cases = [(kind, seed) for seed in seeds for kind in options.kinds.split(",")]
-    rows = rows_of(cases, run_case, options.out, options.workers, lambda row: f"{row['kind']} {row['seed']}")
-    show([row for row in rows if "error" not in row])
+    rows_of(cases, run_case, options.out, options.workers, lambda row: f"{row['kind']} {row['seed']}")
+    show([row for row in read(options.out).values() if "error" not in row])
 
 
 def run_case(kind: str, seed: int) -> Row:
@@ -52,14 +53,15 @@ def run_case(kind: str, seed: int) -> Row:
 
 
 def names_in(answer: Answer, truths: list[str]) -> list[Row]:
-    """Every set of an answer that is sure and not refused: whether a listed cause that is there belongs to it, and its features."""
+    """Every set of an answer that is sure: whether a listed cause that is there belongs to it, and its features."""
     rows = []
     for entry in answer.found:
         listed = [p.cause for p in entry.possibilities if p.is_listed]
-        if entry.with_all < SURE or not listed or listed[0] in answer.refused:
+        is_right = any(is_same(cause.name, truth) for cause in listed for truth in truths)
+        is_like = any(is_relative(c.name, truth) for c in listed for truth in truths if truth in EFFECTS)
+        if entry.with_all < SURE or not listed or (is_like and not is_right):
             continue
         standing = answer.standing(listed[0], [p.cause for p in entry.possibilities])
-        is_right = any(is_same(cause.name, truth) for cause in listed for truth in truths)
         names = [cause.label for cause in listed]
         rows.append({"names": names, "is_right": is_right, "features": standing.features})
     return rows
@@ -69,14 +71,13 @@ def show(rows: list[Row]) -> None:
     """Print the weights, and what names are worth that got each probability."""
     names = [(i, row["kind"], name) for i, row in enumerate(rows) for name in row["names"]]
     fold = np.array([i % N_FOLDS for i, _, _ in names])
-    counts = np.array([WORLD[kind] for _, kind, _ in names])
+    of_kind = Counter(row["kind"] for row in rows)
+    counts = np.array([WORLD[kind] * len(rows) / (len(of_kind) * of_kind[kind]) for _, kind, _ in names])
     features = np.array([name["features"] for _, _, name in names])
     is_right = np.array([name["is_right"] for _, _, name in names], dtype=float)
     for kind in WORLD:
-        own = [name["is_right"] for _, of_kind, name in names if of_kind == kind]
-        print(
-            f"{kind}: {len(own)} names in {sum(row['kind'] == kind for row in rows)} sessions, {sum(own)} right"
-        )
+        own = [name["is_right"] for _, its_kind, name in names if its_kind == kind]
+        print(f"{kind}: {len(own)} names in {of_kind[kind]} sessions, {sum(own)} right")
     weights = ", ".join(f"{w:.2f}" for w in weights_of(features, is_right, counts))
     print(f"weights {weights}; in use {WEIGHTS}")
     probability = np.empty(len(names))

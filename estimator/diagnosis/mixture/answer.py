@@ -197,8 +197,7 @@ class Answer:
         items, leading = self.asked.dictionary.items, self.asked.leading
         rest = [i for i in leading if items[i].cause not in alternatives]
         of_others = sum(self._evidence(i, [j for j in leading if j != i]) for i in rest)
-        is_beside_departure = any(not items[i].is_listed for i in rest)
-        return Standing(self._evidence(self.item_of(cause), rest), of_others, is_beside_departure)
+        return Standing(self._evidence(self.item_of(cause), rest), of_others)
 
     def _evidence(self, item: int, rest: Sequence[int]) -> float:
         """Log Bayes factor of an item beside some others."""

@@ -112,7 +112,7 @@ class Asked:
 
     @cached_property
     def log_density(self) -> float:
-        """Of the readings and the leading set of items."""
+        """Log density of the readings and the leading set of items."""
         return self.log_density_of(self.leading)
 
     def log_density_of(self, model: Sequence[int]) -> float:

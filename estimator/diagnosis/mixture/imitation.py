@@ -1,8 +1,8 @@
 """How probable it is that what looks like a listed cause is something that no list holds.
 
 Something unlisted takes the name of the cause that it resembles most, and readings cannot always tell the two apart. How often it does was
-counted in sessions of known truth (`make study NAME=imitations`, docs/results.md): the less evidence a name has, the more often; more often
-beside something else that is clear; and seldom where a departure already stands for what no list holds.
+counted in sessions of known truth (`make study NAME=imitations`, docs/results.md): beside other things that are clear, the more often the
+less evidence a name has.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 LEAST_LOG_BAYES_FACTOR = 1.0  # below it a name is as doubtful as at it
 CLEAR = 15.0  # log Bayes factor from which something else counts
-WEIGHTS = (-3.3, 1.4, 2.0, -2.5)  # of the `features` of a name, in its log odds
+WEIGHTS = (2.3, -1.6, 0.8)  # of the `features` of a name, in its log odds
 
 
 class Standing(NamedTuple):
@@ -21,28 +21,27 @@ class Standing(NamedTuple):
     Attributes:
         log_bayes_factor: Of the set against nothing, beside all else.
         of_others: Of everything else together.
-        is_beside_departure: Whether a departure leads beside it.
     """
 
     log_bayes_factor: float
     of_others: float
-    is_beside_departure: bool
 
     @property
     def p_imitation(self) -> float:
         """Probability that, if something acts there, it is something else that no list holds.
 
         Examples:
-            >>> Standing(30.0, 0.0, False).p_imitation < 0.2 < Standing(30.0, 200.0, False).p_imitation
+            >>> Standing(30.0, 0.0).p_imitation < 0.2 < Standing(30.0, 200.0).p_imitation
             True
-            >>> Standing(200.0, 200.0, False).p_imitation > Standing(200.0, 200.0, True).p_imitation
+            >>> Standing(30.0, 200.0).p_imitation > Standing(300.0, 200.0).p_imitation
             True
         """
         log_odds = sum(weight * number for weight, number in zip(WEIGHTS, self.features, strict=True))
         return 1.0 / (1.0 + math.exp(log_odds))
 
     @property
-    def features(self) -> tuple[float, ...]:
-        """What the log odds of a name are linear in."""
+    def features(self) -> tuple[float, float, float]:
+        """What the log odds of a name are linear in: whether it is alone, whether it is not, and then its evidence."""
+        is_beside = float(self.of_others > CLEAR)
         evidence = math.log(max(self.log_bayes_factor, LEAST_LOG_BAYES_FACTOR))
-        return 1.0, evidence, float(self.is_beside_departure), float(self.of_others > CLEAR)
+        return 1.0 - is_beside, is_beside, is_beside * evidence
