@@ -94,14 +94,7 @@ def test_the_limit_is_named_with_its_size_and_handed_out(diagnosis, calibration)
     [
         (1.8, 1),
         (2.2, 3),
-        pytest.param(
-            2.6,
-            2,
-            marks=pytest.mark.xfail(
-                reason="a first joint fit of four causes is worse than none, and excludes all four",
-                strict=True,
-            ),
-        ),
+        (2.6, 2),
     ],
 )
 def test_a_limit_among_many_settings_is_named_wherever_it_lies(limit_A, seed, tmp_path):

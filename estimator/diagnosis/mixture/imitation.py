@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 LEAST_LOG_BAYES_FACTOR = 1.0  # below it a name is as doubtful as at it
 CLEAR = 15.0  # log Bayes factor from which something else counts
-WEIGHTS = (2.3, -1.6, 0.8)  # of the `features` of a name, in its log odds
+WEIGHTS = (-0.2, -1.2, 0.7)  # of the `features` of a name, in its log odds
 
 
 class Standing(NamedTuple):
@@ -41,7 +41,7 @@ class Standing(NamedTuple):
 
     @property
     def features(self) -> tuple[float, float, float]:
-        """What the log odds of a name are linear in: whether it is alone, whether it is not, and then its evidence."""
+        """What the log odds of a name are linear in: whether it is alone, whether it is not, and the logarithm of its evidence."""
         is_beside = float(self.of_others > CLEAR)
         evidence = math.log(max(self.log_bayes_factor, LEAST_LOG_BAYES_FACTOR))
-        return 1.0 - is_beside, is_beside, is_beside * evidence
+        return 1.0 - is_beside, is_beside, evidence

@@ -11,7 +11,8 @@ import click
 import pytest
 from click.testing import Result
 
-from estimator.cli import calibrate, diagnose
+from estimator.cli import calibrate
+from estimator.diagnosis import report
 
 Run = Callable[..., Result]
 DRAWN = "pages are drawn now"
@@ -24,7 +25,7 @@ def _drawing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
         click.echo(DRAWN)
 
     monkeypatch.setattr(calibrate, "_write_report", drawn)
-    monkeypatch.setattr(diagnose, "_write_reports", drawn)
+    monkeypatch.setattr(report, "write_reports", drawn)
 
 
 def test_calibrate_prints_its_numbers_before_the_report(workspace: Path, run: Run, tmp_path: Path) -> None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from estimator.diagnosis import outcome
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture import imitation
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.scatter import BesideScatter
 from estimator.diagnosis.outcome import Outcome
@@ -25,7 +28,11 @@ GAIN = Cause("axis_gain", "hall")
 
 @pytest.fixture(scope="module")
 def before(of_dipole: Answer) -> Outcome:
-    return Outcome.of(of_dipole.plain, BesideScatter(of_dipole, ()), (), is_record_wrong=False)
+    """What is said where every name is known to be an imitation: a part of the arm that is magnetised looks like the dipoles."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(imitation, "WEIGHTS", (-50.0, -50.0, 0.0))
+        answer = replace(of_dipole)
+        return Outcome.of(of_dipole.plain, BesideScatter(answer, ()), (), is_record_wrong=False)
 
 
 def test_unseen_readings_keep_a_correction_or_drop_it_with_its_covariance(

@@ -53,7 +53,7 @@ from estimator.store.session import Session
 from tests.estimator.diagnosis.mixture.hand_made import Drawn, said
 from tests.estimator.diagnosis.small_fits import with_wrong
 
-pytestmark = pytest.mark.whole
+pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("names_are_right")]
 
 OFFSET, HEATING = Cause("sensor_offset", "hall"), Cause("coil_heating", "coil1")
 OFFSET_T = 2e-4

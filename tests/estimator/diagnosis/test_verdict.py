@@ -21,7 +21,7 @@ from estimator.store.session import Session
 from tests.estimator.diagnosis.mixture.hand_made import said
 from tests.estimator.diagnosis.small_fits import answered, fit_of
 
-pytestmark = pytest.mark.whole
+pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("names_are_right")]
 
 OFFSET, GAIN = Cause("sensor_offset", "hall"), Cause("axis_gain", "hall")
 CROSS, ROOM = Cause("cross_axis", "hall"), Cause("background_field", "room")
@@ -137,22 +137,6 @@ def test_causes_of_scatter_are_named_beside_the_others(asked):
     outcome = outcome_of(said(asked, {(GAIN,): 100}), scattering=(jitter,))
     assert outcome.verdict is Verdict.NAMED
     assert [named.cause for named in outcome.named] == [GAIN, jitter.cause]
-
-
-def test_an_imitation_that_halves_do_not_have_loses_its_name_where_something_unlisted_acts(asked):
-    """Without anything unlisted a half that is too small to show a cause says nothing against it."""
-    halves = [{(WANDERS,): 50, (GAIN, WANDERS): 50}, {(WANDERS,): 100}]
-    beside, alone = (
-        said(
-            asked,
-            {(GAIN, *rest): 100},
-            in_halves=[{(*model[:-1], *rest): n for model, n in h.items()} for h in halves],
-        )
-        for rest in ((WANDERS,), ())
-    )
-    assert outcome_of(beside).named == []
-    (named,) = outcome_of(alone).named
-    assert named.cause == GAIN
 
 
 def test_alternative_says_what_the_readings_should_tell_of_it(small_rig: Rig, of_two_causes: Answer):

@@ -105,9 +105,9 @@ def test_interference_swings_about_its_phase_at_the_beginning_of_the_session():
     np.testing.assert_allclose(part_T, expected[3:], rtol=0.0, atol=1e-14)
 
 
-def test_interference_is_looked_for_up_to_half_a_cycle_between_readings_and_80_in_a_session():
+def test_interference_is_looked_for_up_to_half_a_cycle_between_readings_and_160_in_a_session():
     effect, rig = EFFECTS["periodic_interference"], rig_from_text(RIG)
-    for n, n_starts in ((7, 6), (101, 100), (400, 160)):
+    for n, n_starts in ((7, 6), (101, 100), (400, 320)):
         session = readings(np.repeat(POINTS_M[:1], n, axis=0), time_s=60.0 * np.arange(n))
         starts = effect.starts(Circumstances(rig, session), "room")
         cycles = [start["frequency_per_h"] * (n - 1) / 60.0 for start in starts]
