@@ -120,7 +120,7 @@ def test_where_all_slots_are_full_a_cause_must_outweigh_what_any_further_item_co
 
 
 def test_probabilities_of_a_set_add_up_in_its_record_but_for_imitations():
-    record = answered(samples(MODELS, BOTH), evidence=1e9).to_json()
+    record = answered(samples(MODELS, BOTH), evidence=1e15).to_json()
     for one in record["found"]:
         assert sum(each["probability"] for each in one["is_one_of"]) == pytest.approx(one["probability"])
     assert record["unlisted"] == pytest.approx({"response": 0.98})
