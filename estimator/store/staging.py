@@ -299,14 +299,15 @@ def _stages(output: Path) -> list[Path]:
     text = MARK_TEXT.format(name=output.name).encode()
     stages = []
     for folder in map(output.with_name, names):
-        if kind_of(folder) != "a folder" or folder.stat().st_uid != os.getuid():
-            continue
-        mark = folder / MARK
-        content = mark.read_bytes() if kind_of(mark) == "a file" else b""
-        if content == text:
-            stages.append(folder)
-        elif text.startswith(content) and {path.name for path in folder.iterdir()} <= {MARK}:
-            _remove(folder)
+        with suppress(FileNotFoundError):  # its writer has just ended
+            if kind_of(folder) != "a folder" or folder.stat().st_uid != os.getuid():
+                continue
+            mark = folder / MARK
+            content = mark.read_bytes() if kind_of(mark) == "a file" else b""
+            if content == text:
+                stages.append(folder)
+            elif text.startswith(content) and {path.name for path in folder.iterdir()} <= {MARK}:
+                _remove(folder)
     return stages
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from estimator.errors import DiskFull, InvalidInput
+from estimator.store import staging
 from estimator.store.files import append_text, write_text
 from estimator.store.made import Made
 from estimator.store.staging import MARK, OutputBusy, clear, only_writer, staged, write_output
@@ -282,6 +283,23 @@ except Exception as error:
     print(error)
     sys.exit(2)
 """
+
+
+def test_a_writer_that_ends_while_another_looks_is_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its folder is gone between the look at its kind and the look into it."""
+    output = tmp_path / "result"
+    folder = output.with_name(staging.unfinished_name(output.name))
+    folder.mkdir()
+
+    def gone(_: Path) -> str:
+        if folder.exists():
+            folder.rmdir()
+        return "a folder"
+
+    monkeypatch.setattr(staging, "kind_of", gone)
+    assert staging._stages(output) == []
 
 
 @pytest.mark.parametrize("n_writers", [2, 4])
