@@ -24,6 +24,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
 
 MOST_IN_ALL_ORDERS, N_ORDERS = 3, 2  # causes; orders of more, each with its reverse
+NEGLIGIBLE = 0.01  # share of the misfit
 N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
 Squares = Float[np.ndarray, " reading"]
 
@@ -64,6 +65,10 @@ class Budget:
     causes: Mapping[Cause, Share]
     shared: Share
     left: Share
+
+    def is_negligible(self, cause: Cause) -> bool:
+        """Whether the interval of a cause's share ends below `NEGLIGIBLE`; not where it has none."""
+        return cause in self.causes and self.causes[cause].ci90[1] < NEGLIGIBLE
 
     def to_json(self) -> dict[str, Any]:
         """Content of `budget` in `diagnosis.json`."""

@@ -14,14 +14,12 @@ from estimator.calibration.calibrate import Stage
 from estimator.calibration.result import Calibration, remove_calibration
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
-from estimator.diagnosis.budget import budget
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
     leaves_much_of_the_field,
@@ -258,6 +256,7 @@ def _judged(
         outcome = outcome.corrected(unseen, limits, tell)
     elif outcome.verdict.leaves_something:
         outcome = outcome.widened(unseen)
+    outcome = outcome.accounted_for(unseen, seed)
     named, extended = outcome.named, outcome.extended
     before = symptoms()
     diagnosis = Diagnosis(
@@ -282,7 +281,7 @@ def _judged(
             after=before if extended is plain else Symptoms.of(extended, seed),
             improvement=outcome.improvement,
             correction=outcome.correction,
-            budget=budget(outcome.answer.plain, extended, on_known_sides(extended, unseen), seed),
+            budget=outcome.budget,
         ),
         left_open=LeftOpen(
             visible=tuple(said.visible),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import pytest
+import torch
 
 from estimator.diagnosis import outcome
 from estimator.diagnosis.limits import Limits
@@ -97,6 +98,20 @@ def test_a_cause_that_unseen_readings_refute_loses_its_name(
     assert {each.cause for each in refuted.named} == named - {GAIN}
     monkeypatch.setattr(outcome, "is_refuted", lambda fit, cause, unseen: True)
     nothing = said.checked_by(two_causes.validation)
+    assert (nothing.verdict, nothing.named) == (Verdict.UNEXPLAINED, [])
+
+
+def test_a_cause_that_accounts_for_next_to_nothing_loses_its_name(
+    of_two_causes: Answer, two_causes: Observations
+) -> None:
+    """Readings that something else moves by 3 mT say nothing of a gain of 5 % and a zero of 100 uT."""
+    said = Outcome.of(of_two_causes.plain, BesideScatter(of_two_causes, ()), (), is_record_wrong=False)
+    unseen = two_causes.validation
+    with_budget = said.accounted_for(unseen, seed=1)
+    assert with_budget.budget is not None
+    assert (with_budget.verdict, with_budget.named) == (said.verdict, said.named)
+    moved_T = unseen.field_sensor_T + torch.tensor([0.0, 3e-3, 0.0], dtype=torch.float64)
+    nothing = said.accounted_for(unseen.with_field(moved_T), seed=1)
     assert (nothing.verdict, nothing.named) == (Verdict.UNEXPLAINED, [])
 
 
