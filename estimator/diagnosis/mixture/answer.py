@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -201,11 +200,10 @@ class Answer:
 
     def _evidence(self, item: int, rest: Sequence[int]) -> float:
         """Log Bayes factor of an item beside some others."""
-        products, noise = self.asked.slots.products, torch.tensor([self.asked.noise], dtype=torch.float64)
-        with_it, without = (products.log_likelihood(some, noise) for some in ([*rest, item], rest))
-        return float(with_it - without)
+        few = self.asked.slots.products.among([*rest, item])
+        return float(few.beside(range(len(rest)), self.asked.noise)[-1])
 
-    @property
+    @cached_property
     def is_full(self) -> bool:
         """Whether the leading set fills all slots and one more would be filled too: more is wrong at once than is asked for."""
         asked = self.asked
@@ -215,7 +213,7 @@ class Answer:
             return False
         return float(asked.slots.conditional(asked.leading, asked.noise_number)[-1]) < 0.5
 
-    @property
+    @cached_property
     def stated(self) -> tuple[Found, ...]:
         """Sets that are there at `STATED` or more and are rather a listed cause."""
         return tuple(
@@ -253,12 +251,12 @@ class Answer:
         is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
         return None if is_clear else least
 
-    @property
+    @cached_property
     def beside(self) -> tuple[Found, ...]:
         """Other sets that are rather there than not."""
         return tuple(entry for entry in self.found if entry not in self.stated and entry.probability > 0.5)
 
-    @property
+    @cached_property
     def unlisted(self) -> dict[Link, float]:
         """Probability of each link that something acts there which no list holds, beside the causes."""
         items = self.asked.dictionary.items
