@@ -25,7 +25,9 @@ from estimator.rig.rig import EVERYWHERE, Cause, Rig
 
 MOST_IN_ALL_ORDERS = 3  # causes; of more in one order and its reverse
 NEGLIGIBLE = 0.01  # share of the misfit
-SHARE_OF_WHOLE = 1e-3  # of the rise in log density that all causes bring, at which fits with some of them stop
+SHARE_OF_WHOLE = (
+    1e-3  # of the rise in log density that all causes bring, at which fits with some of them stop
+)
 N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
 Squares = Float[np.ndarray, " reading"]
 

@@ -251,12 +251,11 @@ def _judged(
     unseen, judging_flags = first.judging(outcome.extended)
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
-        outcome = outcome.checked_by(unseen)
     if outcome.verdict.leaves_something and has_corrections:
         outcome = outcome.corrected(unseen, limits, tell)
     elif outcome.verdict.leaves_something:
         outcome = outcome.widened(unseen)
-    outcome = outcome.accounted_for(unseen, seed)
+    outcome = outcome.checked_by(unseen).accounted_for(unseen, seed)
     named, extended = outcome.named, outcome.extended
     before = symptoms()
     diagnosis = Diagnosis(

@@ -23,7 +23,6 @@ from estimator.diagnosis.validation import (
     Improvement,
     improvement_between,
     improvement_of,
-    is_refuted,
     validation_scores,
 )
 from estimator.diagnosis.verdict import NamedCause, Verdict
@@ -97,23 +96,18 @@ class Outcome:
         return replace(self, before=before, after=after)
 
     def checked_by(self, unseen: Observations) -> Outcome:
-        """The outcome after readings that no fit has seen.
+        """The outcome after readings that no fit has seen: a rig that predicts them worse than the one described does not replace it.
 
-        A cause that they refute stands in for something else. A rig that predicts worse than the one described does not replace it.
+        Args:
+            unseen: The readings; may be empty.
         """
-        told = on_known_sides(self.after, unseen)
-        improvement = improvement_of(self.before, self.after, told)
-        named = [each for each in self.named if not is_refuted(self.after, each.cause, told)]
-        checked = replace(self._naming(named), improvement=improvement)
-        if improvement.is_loss:
-            checked = replace(checked, verdict=_leaving_something(named))
-        if not improvement.is_loss or named:
-            return checked
+        scored = self if self.improvement is not None else self._scored_by(unseen)
+        if scored.improvement is None or not scored.improvement.is_loss:
+            return scored
         base, readings = self.answer.plain, self.before.observations
         after = base if readings is base.observations else _fitted_to(readings, base)
-        return replace(
-            checked, extended=base, after=after, improvement=improvement_of(self.before, after, unseen)
-        )
+        without = replace(self._naming(()), verdict=Verdict.UNEXPLAINED, extended=base, after=after)
+        return replace(without, correction=None).widened(unseen)
 
     def accounted_for(self, unseen: Observations, seed: int) -> Outcome:
         """The outcome with the error budget, and without causes that account for next to nothing of it.
@@ -128,7 +122,9 @@ class Outcome:
         if shares is None:
             return self
         named = [each for each in self.named if not shares.is_negligible(each.cause)]
-        return replace(self._naming(named), budget=shares)
+        result = replace(self._naming(named), budget=shares)
+        is_open = result.verdict.leaves_something and result.widening is None
+        return result.widened(unseen) if is_open else result
 
     def _naming(self, named: Sequence[NamedCause]) -> Outcome:
         """This outcome with some of its named causes; what the others stood for is unexplained."""
