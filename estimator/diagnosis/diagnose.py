@@ -255,7 +255,7 @@ def _judged(
         outcome = outcome.corrected(unseen, limits, tell)
     elif outcome.verdict.leaves_something:
         outcome = outcome.widened(unseen)
-    outcome = outcome.checked_by(unseen).accounted_for(unseen, seed)
+    outcome = outcome.checked_by(unseen, seed)
     named, extended = outcome.named, outcome.extended
     before = symptoms()
     diagnosis = Diagnosis(

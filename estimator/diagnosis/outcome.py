@@ -95,36 +95,35 @@ class Outcome:
         before, after = (_fitted_to(readings, fit) for fit in (self.before, self.extended))
         return replace(self, before=before, after=after)
 
-    def checked_by(self, unseen: Observations) -> Outcome:
-        """The outcome after readings that no fit has seen: a rig that predicts them worse than the one described does not replace it.
-
-        Args:
-            unseen: The readings; may be empty.
-        """
-        scored = self if self.improvement is not None else self._scored_by(unseen)
-        if scored.improvement is None or not scored.improvement.is_loss:
-            return scored
-        base, readings = self.answer.plain, self.before.observations
-        after = base if readings is base.observations else _fitted_to(readings, base)
-        without = replace(self._naming(()), verdict=Verdict.UNEXPLAINED, extended=base, after=after)
-        return replace(without, correction=None).widened(unseen)
-
-    def accounted_for(self, unseen: Observations, seed: int) -> Outcome:
+    def checked_by(self, unseen: Observations, seed: int) -> Outcome:
         """The outcome with the error budget, and without causes that account for next to nothing of it.
 
-        Where other things move the readings a hundred times as much, what is as small as that may be any of many things.
+        Where other things move the readings a hundred times as much, what is as small as that may be any of many things. A rig that
+        predicts these readings worse than the one described does not replace it.
 
         Args:
             unseen: Readings that no fit has seen; may be empty.
             seed: Of the choice of readings for the intervals of the shares.
         """
+        scored = self if self.improvement is not None else self._scored_by(unseen)
         shares = budget(self.answer.plain, self.extended, on_known_sides(self.extended, unseen), seed)
-        if shares is None:
-            return self
-        named = [each for each in self.named if not shares.is_negligible(each.cause)]
-        result = replace(self._naming(named), budget=shares)
+        named = [each for each in self.named if shares is None or not shares.is_negligible(each.cause)]
+        result = replace(scored._naming(named), budget=shares)
+        if result.improvement is not None and result.improvement.is_loss:
+            return result._by_names_alone(named if len(named) < len(self.named) else ()).checked_by(
+                unseen, seed
+            )
         is_open = result.verdict.leaves_something and result.widening is None
         return result.widened(unseen) if is_open else result
+
+    def _by_names_alone(self, named: Sequence[NamedCause]) -> Outcome:
+        """This outcome with nothing but some of its named causes, to be scored and widened anew."""
+        base = self.answer.plain
+        extended = self.answer.fit_with([each.cause for each in named if each.cause not in base.rig.acting])
+        readings = self.before.observations
+        after = extended if readings is base.observations else _fitted_to(readings, extended)
+        verdict = _leaving_something(named)
+        return Outcome(self.answer, self.scatter, self.pull, verdict, named, extended, self.before, after)
 
     def _naming(self, named: Sequence[NamedCause]) -> Outcome:
         """This outcome with some of its named causes; what the others stood for is unexplained."""
