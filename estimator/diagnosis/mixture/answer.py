@@ -195,8 +195,9 @@ class Answer:
         """
         items, leading = self.asked.dictionary.items, self.asked.leading
         rest = [i for i in leading if items[i].cause not in alternatives]
-        of_others = sum(self._evidence(i, [j for j in leading if j != i]) for i in rest)
-        return Standing(self._evidence(self.item_of(cause), rest), of_others)
+        of_rest = {i: self._evidence(i, [j for j in leading if j != i]) for i in rest}
+        of_departures = sum(value for i, value in of_rest.items() if not items[i].is_listed)
+        return Standing(self._evidence(self.item_of(cause), rest), sum(of_rest.values()), of_departures)
 
     def _evidence(self, item: int, rest: Sequence[int]) -> float:
         """Log Bayes factor of an item beside some others."""
