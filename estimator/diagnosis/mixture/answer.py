@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,6 +16,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
@@ -34,71 +35,6 @@ OUTWEIGHS = (
     2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
 )
 ASKED = 0.2  # probability of a cause from which on a set is made about it
-
-
-@dataclass(frozen=True)
-class Possibility:
-    """One thing that a slot holds in some draws.
-
-    Attributes:
-        cause: A listed cause, or the departure that stands for something unlisted.
-        is_listed: Whether it is listed.
-        link: Where in the chain it acts.
-        share: Of the draws of the set; of a listed cause less what only imitates it.
-    """
-
-    cause: Cause
-    is_listed: bool
-    link: Link
-    share: float
-
-
-@dataclass(frozen=True)
-class Found:
-    """A set of alternatives, of which one is there, or something that no list holds and that looks like it.
-
-    Attributes:
-        possibilities: Most probable first.
-        probability: That one of them is there, or something that looks like it, beside everything else: that with all readings, and less
-            where halves say less than half of what is expected of them.
-        with_all, in_halves: With all readings; the mean over halves of them.
-        expected: What is expected in halves of what is there as all readings have it.
-    """
-
-    possibilities: tuple[Possibility, ...]
-    probability: float
-    with_all: float
-    in_halves: float
-    expected: float
-
-    @property
-    def first(self) -> Possibility:
-        """The most probable possibility."""
-        return self.possibilities[0]
-
-    @property
-    def first_listed(self) -> Cause:
-        """The most probable listed cause."""
-        return next(possibility.cause for possibility in self.possibilities if possibility.is_listed)
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `causes` or `departures` in `diagnosis.json`."""
-        return {
-            "probability": self.probability,
-            "with_all_readings": self.with_all,
-            "in_halves": self.in_halves,
-            "expected_in_halves": self.expected,
-            "is_one_of": [
-                {
-                    "name": possibility.cause.name,
-                    "place": possibility.cause.place,
-                    "is_listed": possibility.is_listed,
-                    "link": possibility.link.value,
-                    "probability": self.probability * possibility.share,
-                }
-                for possibility in self.possibilities
-            ],
-        }
 
 
 @dataclass(frozen=True)
@@ -221,7 +157,7 @@ class Answer:
             entry
             for entry in self.found
             if entry.probability >= STATED
-            and _listed(entry.possibilities) > 0.5
+            and entry.listed_share > 0.5
             and (not self.is_full or self._outweighs_the_rest(entry))
         )
 
@@ -368,10 +304,6 @@ class Answer:
             "found": [entry.to_json() for entry in self.found],
             "unlisted": {link.value: probability for link, probability in self.unlisted.items()},
         }
-
-
-def _listed(possibilities: Iterable[Possibility]) -> float:
-    return sum(possibility.share for possibility in possibilities if possibility.is_listed)
 
 
 def answer(

@@ -14,7 +14,8 @@ from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.corrections.result import Correction, Part, extent_of
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer, Found
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.mixture.links import Link
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
