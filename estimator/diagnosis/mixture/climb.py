@@ -16,7 +16,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.departures import Changes, departures
 from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
-from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.mixture.expansion import CERTAIN, Expansion
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
@@ -119,8 +119,10 @@ class Asked:
         """Log density of the readings and a set of items, up to a constant that all expansions of one session share."""
         fit, always = self.expansion.fit, self.expansion.always
         precision = always.jacobian.T @ always.jacobian + self.expansion.prior_precision
+        n_certain = sum(self.dictionary.items[i].cause in self.expansion.limiting for i in model)
         return (
             self.slots.log_density(model)
+            - CERTAIN * n_certain
             + float(fit.whitening_per_T.clamp(min=1e-300).log().sum())
             - 0.5 * float(torch.logdet(precision))
         )

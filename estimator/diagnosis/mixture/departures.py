@@ -14,6 +14,7 @@ from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
 from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.following import stalled
 from estimator.diagnosis.mixture.links import Link, link_of
 from estimator.effects.corrections.correction import Correction
 from estimator.rig.rig import EVERYWHERE, Cause
@@ -80,9 +81,11 @@ class Changes:
         return cls(fit, kinds, tuple(columns), tuple(candidates(fit, list(causes))))
 
     def is_near(self, fit: Fit) -> bool:
-        """Whether the predictions of a fit are nearly those of this one."""
+        """Whether the predictions of a fit are nearly those of this one, and follow the rig's numbers as well."""
         apart = (fit.predicted_T - self.fit.predicted_T).square().sum()
-        return float(apart) < NEAR**2 * float(self.fit.predicted_T.square().sum())
+        if float(apart) >= NEAR**2 * float(self.fit.predicted_T.square().sum()):
+            return False
+        return not bool(stalled(self.fit, fit).any())
 
     def lighter(self, fit: Fit) -> Float[Tensor, " component"]:
         """Factor from what is whitened here to what a fit has whitened."""
