@@ -64,17 +64,10 @@ class Winding:
         rms2 = self.mean_radius_m**2 + self.radial_pitch_m**2 * (self.radial_loops**2 - 1.0) / 12.0
         return math.pi * rms2 * self.axial_loops * self.radial_loops
 
-    def with_pitches(self, axial: Tensor, radial: Tensor) -> Winding:
-        """This winding with each pitch multiplied by a factor of its own, which may carry a batch."""
-        radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m, _ = torch.broadcast_tensors(
-            self.radius_m,
-            self.axial_loops,
-            self.radial_loops,
-            self.axial_pitch_m * axial,
-            self.radial_pitch_m * radial,
-            axial * radial,
-        )
-        return Winding(radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m)
+    def scaled(self, **factors: Tensor) -> Winding:
+        """This winding with some of its numbers multiplied by factors, which may carry a batch."""
+        numbers = (getattr(self, each.name) * factors.get(each.name, 1.0) for each in fields(self))
+        return Winding(*torch.broadcast_tensors(*numbers))
 
     def with_integer_loops(self) -> Winding:
         """This winding with its loop counts rounded to the nearest whole numbers, at least 1."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from jaxtyping import Float
 
 from estimator.effects.base import Starts, Theta, at_least_zero, normal
-from estimator.effects.circumstances import LONG_AGO_S, Circumstances
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.history import LONG_AGO_S
 from estimator.effects.stages import Components, ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.tensors import Tensor, torch

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from jaxtyping import Float
 
 from estimator.effects.base import Quantities, Quantity, Starts, Theta, at_most, fixed, normal
-from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.during import during, spell
+from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Current, CurrentEffect, Currents, OneCoilCurrent
 from estimator.rig.parameters import LogNormal
 from estimator.tensors import Tensor, torch

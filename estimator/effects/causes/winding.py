@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 
 import numpy as np
 
@@ -47,10 +46,9 @@ def winding_misstated(winding: Winding, theta: Theta) -> Winding:
 
     Source: radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %.
     """
-    keys = ("radius", "axial_loops", "radial_loops", "wire", "wire")
-    numbers = (getattr(winding, field.name) for field in fields(winding))
-    factors = (1.0 + theta[key] for key in keys)
-    return Winding(*torch.broadcast_tensors(*(n * f for n, f in zip(numbers, factors, strict=True))))
+    keys = {"radius_m": "radius", "axial_pitch_m": "wire", "radial_pitch_m": "wire"}
+    numbers = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
+    return winding.scaled(**{number: 1.0 + theta[keys.get(number, number)] for number in numbers})
 
 
 def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]:
@@ -94,8 +92,7 @@ def axial_pitch(winding: Winding, theta: Theta) -> Winding:
 
     Source: play between turns of orthocyclic windings, 0 to 2 %.
     """
-    factor = 1.0 + theta["excess"]
-    return winding.with_pitches(factor, torch.ones_like(factor))
+    return winding.scaled(axial_pitch_m=1.0 + theta["excess"])
 
 
 @WindingEffect.cause(
@@ -108,8 +105,7 @@ def radial_pitch(winding: Winding, theta: Theta) -> Winding:
 
     Source: layers in each other's grooves: up to 13 % closer; the MICE coils 39 %.
     """
-    factor = 1.0 + theta["excess"]
-    return winding.with_pitches(torch.ones_like(factor), factor)
+    return winding.scaled(radial_pitch_m=1.0 + theta["excess"])
 
 
 # Quantities: relative excess of turns per length at the front face.

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from estimator.effects.base import Theta
-from estimator.effects.circumstances import LEAST_STEP, Circumstances
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.corrections.bases import Steps, Swings, Table, Wanders
 from estimator.effects.corrections.correction import RANGE_A, Limit, constant, correction
 from estimator.effects.corrections.targets import CurrentShare
+from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Current
 from estimator.tensors import Tensor, torch
 

@@ -9,10 +9,11 @@ from itertools import combinations_with_replacement
 from jaxtyping import Float
 
 from estimator.effects.base import Quantities, Starts, Theta, fixed, shape, switch
-from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.corrections.bases import MOST_HALF_CYCLES, AboveLevel, AlongWay, Periodic, Table, Waves
 from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Correction, Limit, constant, correction
 from estimator.effects.corrections.targets import Gain, Zero
+from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Components, ReadingEffect
 from estimator.tensors import Tensor, torch
 

@@ -10,8 +10,9 @@ from abc import abstractmethod
 from jaxtyping import Float
 
 from estimator.effects.base import POSITIVE, Kind, Quantities, Starts, Theta, box, fixed, written
-from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.corrections.correction import Correction, Limit, constant, constants
+from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect, SourceEffect
 from estimator.field import harmonics
 from estimator.field.coil import AnyWinding
