@@ -35,7 +35,7 @@ from estimator.devices import device_named, precision_named
 from estimator.effects.everywhere import WithEverywhere, with_everywhere
 from estimator.effects.use import as_meant
 from estimator.errors import CorruptStore, InvalidInput
-from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
+from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
 from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
@@ -150,7 +150,7 @@ def calibrate(
     lattice = start.posterior
 
     tell(Stage("posterior sampling with emcee"))
-    if isinstance(lattice, CollapsedPosterior) and not lattice.coordinates.n:
+    if lattice.amplitudes and not lattice.coordinates.n:
         samples = independent(lattice, settings)
     else:
         if backend is None:
