@@ -58,7 +58,7 @@ class Density(ABC):
         return self.coordinates.values(vector)
 
     def determined(self, vector: Float[Tensor, " coordinate"]) -> dict[str, tuple[int, int]]:
-        """By coil, how many amplitudes are integrated out, and how many combinations of them the readings tell better than the priors."""
+        """How many amplitudes of each coil are integrated out, and how many combinations of them the readings tell better than the priors."""
         return {}
 
     def drawn(
