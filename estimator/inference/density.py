@@ -58,7 +58,7 @@ class Density(ABC):
         return self.coordinates.values(vector)
 
     def determined(self, vector: Float[Tensor, " coordinate"]) -> dict[str, tuple[int, int]]:
-        """How many amplitudes of each coil are integrated out, and how many combinations of them the readings tell better than the priors."""
+        """Amplitudes of each coil that are integrated out, and combinations of them that the readings tell better than the priors."""
         return {}
 
     def drawn(
