@@ -24,7 +24,7 @@ from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.coil import AnyWinding
 from estimator.field.quadrature import DiscreteRule, discrete_gauss
-from estimator.field.winding import DEFAULT_TOLERANCE
+from estimator.field.winding_shape import DEFAULT_TOLERANCE
 from estimator.field.zones import rules_by_level
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.motion import ends_of, pose_of

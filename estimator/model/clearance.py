@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from jaxtyping import Bool, Float, Int
 
 from estimator.errors import InvalidInput
-from estimator.field.coil import AnyWinding, distance_to_coil
+from estimator.field.coil import AnyWinding
 from estimator.model.bodies import winding_of
 from estimator.model.unwound import CLEAR_SHARE, is_among_sources, is_beyond_box, is_near_multipole
 from estimator.rig.coordinates import Values
@@ -42,7 +42,7 @@ def _distance_m(model: MeasurementModel, coil: WoundCoil, rows: Int[Tensor, " ro
     """Distance of the sensor from a winding at distinct poses; one number where both stay where they are."""
     values = model.nominal
     points_m = model.in_coil(coil, rows, values).translation_m
-    return distance_to_coil(points_m, winding_of(model.rig, coil, values))
+    return winding_of(model.rig, coil, values).distance_m(points_m)
 
 
 def refuse_inside(
@@ -64,7 +64,7 @@ def refuse_inside(
     Raises:
         InvalidInput: A sensor stands there.
     """
-    inside = distance_to_coil(points_m, winding) <= 0.0
+    inside = winding.distance_m(points_m) <= 0.0
     _refuse(model, f"outside the winding of {coil.name}", rows, inside)
 
 

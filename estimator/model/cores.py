@@ -28,7 +28,8 @@ from estimator.field.core import (
 from estimator.field.first_order import first_order_field
 from estimator.field.node_sum import SumMode
 from estimator.field.saturation import polarisation_T
-from estimator.field.winding import Rule, Winding
+from estimator.field.winding import Winding
+from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.model.bodies import winding_of
 from estimator.rig.coordinates import Values

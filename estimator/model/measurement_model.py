@@ -28,10 +28,9 @@ from estimator.effects.stages import (
     SourceEffect,
 )
 from estimator.effects.use import as_meant, uses_of
-from estimator.field.coil import distance_to_coil, rule_of_coil
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
-from estimator.field.winding import DEFAULT_TOLERANCE, Rule
+from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
 from estimator.frames import Transform, first_derivatives_only
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of, winding_of
@@ -200,11 +199,11 @@ class MeasurementModel:
                 continue
             winding = winding_of(self.rig, coil, values)
             if is_idle:
-                points_m = points_m[distance_to_coil(points_m, winding) > 0.0]
+                points_m = points_m[winding.distance_m(points_m) > 0.0]
             else:
                 refuse_inside(self, coil, rows, points_m, winding)
             if len(points_m):
-                rules[coil.name] = rule_of_coil(winding, points_m, tolerance)
+                rules[coil.name] = choose_rule(winding, points_m, tolerance)
         return self.with_rules(rules)
 
     def predict(self, values: Values) -> Float[Tensor, "*batch reading 3"]:

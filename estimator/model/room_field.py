@@ -11,8 +11,7 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput, quoted
-from estimator.field.coil import distance_to_coil, rule_of_coil
-from estimator.field.winding import DEFAULT_TOLERANCE, Rule
+from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
 from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
@@ -21,7 +20,7 @@ from estimator.model.sources import Sources
 from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, FieldSum, Rig, UnwoundCoil
+from estimator.rig.rig import FieldSum, Rig, UnwoundCoil
 from estimator.tensors import Tensor, torch
 
 DRAWS_AND_POINTS = 20_000  # at a time: an oval coil holds a dozen arrays of 256 numbers for each
@@ -78,13 +77,13 @@ class RoomField:
                 inside |= is_among_sources(coil, points_coil_m, values)
                 continue
             winding = winding_of(rig, coil, values)
-            distance_m = distance_to_coil(points_coil_m.detach(), winding)
+            distance_m = winding.distance_m(points_coil_m.detach())
             inside |= distance_m <= 0.0
             if not (distance_m > 0.0).any():
                 continue
             # Zones are made for the correct sum.
-            if isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
-                rules[coil.name] = rule_of_coil(winding, points_coil_m[distance_m > 0.0], tolerance)
+            if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
+                rules[coil.name] = choose_rule(winding, points_coil_m[distance_m > 0.0], tolerance)
                 continue
             zones[coil.name] = zones_of(winding, distance_m, tolerance)
             rules[coil.name] = zones[coil.name][0].rule

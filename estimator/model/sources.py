@@ -33,7 +33,8 @@ from estimator.field.grid_map import GridMap
 from estimator.field.loop import NEAREST_STEPS
 from estimator.field.magnetised import field_of_rings, field_of_rings_to_first_order
 from estimator.field.node_sum import SumMode
-from estimator.field.winding import Rule, Winding
+from estimator.field.winding import Winding
+from estimator.field.winding_shape import Rule
 from estimator.field.zones import Zone
 from estimator.frames import Transform, turned, turned_back
 from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, ClassVar
 
 from estimator.errors import InvalidInput, closest
 from estimator.glance import Glance, Shown
@@ -163,10 +163,12 @@ class SidedCoil(Body):
     """A multi-layer winding with straight sides: rectangular loops, or racetracks, whose corners are arcs.
 
     Attributes:
+        field_sum: How its simulation adds loops.
         is_rounded: Corners are arcs, the wider the farther out the layer; else they are sharp in every layer.
         leads: Of its current, where they are described.
     """
 
+    field_sum: ClassVar[FieldSum] = FieldSum.VECTORS
     is_rounded: bool = False
     leads: Leads | None = field(default=None, repr=False)  # as of `Coil`
 

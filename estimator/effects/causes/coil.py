@@ -8,7 +8,8 @@ from estimator.effects.base import Quantity, Theta, normal, shape
 from estimator.effects.stages import Current, Field, Points, SourceEffect
 from estimator.field.node_sum import Nodes
 from estimator.field.straight import MU0_OVER_4PI, segment_field
-from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
+from estimator.field.winding import Winding, field_of_loops, loops_of
+from estimator.field.winding_shape import Rule
 from estimator.rig.parameters import LogNormal
 from estimator.tensors import Tensor, torch
 

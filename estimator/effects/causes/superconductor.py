@@ -12,7 +12,8 @@ from estimator.effects.base import Quantity, Theta, triple, vector
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Currents, WindingMagnetisation
 from estimator.field.magnetised import Rings, field_inside_per_ampere
-from estimator.field.winding import Rule, Winding, winding_field_per_ampere
+from estimator.field.winding import Winding, winding_field_per_ampere
+from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.geometry.motion import pose_of
 from estimator.rig.parameters import Normal

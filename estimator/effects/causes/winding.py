@@ -12,7 +12,8 @@ from estimator.effects.stages import AddedLoops, SidesEffect, WindingEffect
 from estimator.field.loop import FEWEST_STEPS
 from estimator.field.node_sum import Nodes
 from estimator.field.sided import SidedWinding
-from estimator.field.winding import Rule, Winding, loops_of
+from estimator.field.winding import Winding, loops_of
+from estimator.field.winding_shape import Rule
 from estimator.rig.parameters import LogNormal, Normal
 from estimator.tensors import Tensor, torch
 

@@ -16,7 +16,7 @@ from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect, SourceEffect
 from estimator.field import harmonics
 from estimator.field.coil import AnyWinding
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.rig.harmonic_terms import terms
 from estimator.rig.rig import AnyCoil, Rig
