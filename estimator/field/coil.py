@@ -19,34 +19,18 @@ from estimator.tensors import Tensor, torch
 AnyWinding = Winding | SidedWinding
 
 
-def coil_field_per_ampere(
-    coil: WoundCoil,
-    points_coil_m: Float[Tensor, "*#batch point 3"],
-    winding: AnyWinding,
-    rule: Rule,
-    mode: SumMode = SumMode.PLAIN,
-) -> Float[Tensor, "*batch point 3"]:
-    """Field of one ampere in the coil frame, in T/A, with that of its leads.
-
-    Args:
-        coil: `field_sum` of a round one selects the sum: the correct one, or the paper's as printed.
-        points_coil_m: Points in the coil frame, outside the winding.
-        winding: Geometry.
-        rule: Quadrature rule that stands for the loops.
-        mode: How loops are summed. The paper's sum ignores it: it always has all derivatives.
-    """
-    return field_of_coil(coil, winding, rule, mode)(points_coil_m)
-
-
 def field_of_coil(
     coil: WoundCoil, winding: AnyWinding, rule: Rule, mode: SumMode = SumMode.PLAIN
 ) -> Callable[[Tensor], Tensor]:
     """Field of one ampere in T/A, with that of the leads, as a function of points in the coil frame.
 
-    The loops that stand for the winding are found once.
+    The loops that stand for the winding are found once. Points lie outside the winding.
 
     Args:
-        coil, winding, rule, mode: As in `coil_field_per_ampere`.
+        coil: `field_sum` of a round one selects the sum: the correct one, or the paper's as printed.
+        winding: Geometry.
+        rule: Quadrature rule that stands for the loops.
+        mode: How loops are summed. The paper's sum ignores it: it always has all derivatives.
     """
     field: Callable[[Tensor], Tensor]
     if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS and isinstance(winding, Winding):

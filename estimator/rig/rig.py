@@ -116,8 +116,13 @@ class Mover:
 
 @dataclass(frozen=True)
 class Body:
-    """A coil or a sensor: fixed in the world, or carried by a mover."""
+    """A coil or a sensor: fixed in the world, or carried by a mover.
 
+    Attributes:
+        is_wound: A coil whose winding is described.
+    """
+
+    is_wound: ClassVar[bool] = False
     name: str
     carried_by: str | None = None
 
@@ -153,6 +158,7 @@ class Coil(Body):
         leads: Of its current, where they are described.
     """
 
+    is_wound = True
     field_sum: FieldSum = FieldSum.VECTORS
     is_superconducting: bool = False
     leads: Leads | None = field(default=None, repr=False)  # `Rig.hash` names them where they are
@@ -168,6 +174,7 @@ class SidedCoil(Body):
         leads: Of its current, where they are described.
     """
 
+    is_wound = True
     field_sum: ClassVar[FieldSum] = FieldSum.VECTORS
     is_rounded: bool = False
     leads: Leads | None = field(default=None, repr=False)  # as of `Coil`

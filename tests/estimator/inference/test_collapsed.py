@@ -17,8 +17,8 @@ from estimator.inference.ensemble import SamplerSettings, reported_parameters, s
 from estimator.inference.lattice import laplace_mixture
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
+from estimator.model.coil_field import unwound_field
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
-from estimator.model.unwound import unwound_field_per_ampere
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -101,7 +101,7 @@ def design(rig: Rig, observations: Observations) -> np.ndarray:
     names = [name for own in coil.amplitudes.values() for name in own]
     each = torch.eye(len(names), dtype=torch.float64)
     values = nominal_tensors(rig) | {name: each[i] for i, name in enumerate(names)}
-    field = unwound_field_per_ampere(coil, observations.motion["stage"][:, :3], values)
+    field = unwound_field(coil, values).by(None)(observations.motion["stage"][:, :3])
     return (field * observations.current_A[:, :1]).flatten(1).T.numpy()
 
 
