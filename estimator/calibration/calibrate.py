@@ -15,14 +15,9 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
+from estimator.calibration.files import CHAIN_STORE, SUMMARY_FILE, check_calibration, remove_calibration
 from estimator.calibration.notes import notes
-from estimator.calibration.result import (
-    CHAIN_STORE,
-    SUMMARY_FILE,
-    Calibration,
-    check_calibration,
-    remove_calibration,
-)
+from estimator.calibration.result import Calibration
 from estimator.calibration.starting_point import (
     StartingPoint,
     independent,

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import torch
 
 from estimator.calibration.calibrate import Stage
-from estimator.calibration.result import Calibration, remove_calibration
+from estimator.calibration.files import remove_calibration
+from estimator.calibration.result import Calibration
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.diagnosis.budget import budget
