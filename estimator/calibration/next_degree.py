@@ -12,11 +12,12 @@ from estimator.inference.density import Density
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import AnyCoil, EquivalentSourceCoil, HarmonicCoil
 from estimator.rig.charged_box import MOST_CHARGES, n_charges
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
-from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, HarmonicCoil, Rig
+from estimator.rig.rig import Rig
 
 CLOSER = 0.8  # of margin and spacing of charges: about a quarter more of them
 WIDTHS = (1.0, 0.1, 0.01)  # of what the priors say: too wide a prior hides a degree that is there but small

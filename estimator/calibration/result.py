@@ -24,8 +24,9 @@ from estimator.glance import Glance, Shown
 from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.points import given_motion, given_points
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import MotionKind
 from estimator.rig.coordinates import Coordinates
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.rig import Rig
 from estimator.units import LARGEST
 
 if TYPE_CHECKING:

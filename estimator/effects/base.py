@@ -20,8 +20,9 @@ from typing import Any, ClassVar, Self
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
 from estimator.effects.declaring import made
 from estimator.errors import InvalidInput
+from estimator.rig.bodies import Body, Mover
 from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
-from estimator.rig.rig import Body, Mover, Rig
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis

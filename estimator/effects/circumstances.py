@@ -13,7 +13,8 @@ from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion, nominal_positions_m, pose_of, world_from_body
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.readings.segments import NO_SEGMENT
-from estimator.rig.rig import AnyCoil, Rig, Sensor
+from estimator.rig.bodies import AnyCoil, Sensor
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 N_INSTANTS = 24  # at which something may have happened

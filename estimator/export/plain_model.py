@@ -32,18 +32,18 @@ from estimator.model.bodies import mount_of, winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
 from estimator.rig.arms import DenavitHartenberg
-from estimator.rig.coordinates import Values
-from estimator.rig.rig import (
+from estimator.rig.bodies import (
     Body,
     DisplacementFrame,
     FieldSum,
     MotionKind,
     Mover,
     Point,
-    Rig,
     SidedCoil,
     WoundCoil,
 )
+from estimator.rig.coordinates import Values
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 PROBES_A = (1.0, -3.0, 7.0)  # currents at which a supply shows whether it is linear

@@ -13,7 +13,7 @@ from estimator.field.sided import SidedWinding
 from estimator.field.straight import segment_field
 from estimator.field.winding import Winding
 from estimator.field.winding_shape import Rule
-from estimator.rig.rig import FieldSum, Leads, WoundCoil
+from estimator.rig.bodies import FieldSum, Leads, WoundCoil
 from estimator.tensors import Tensor, torch
 
 AnyWinding = Winding | SidedWinding

@@ -6,7 +6,7 @@ from jaxtyping import Float, Int
 
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
-from estimator.rig.rig import WoundCoil
+from estimator.rig.bodies import WoundCoil
 from estimator.tensors import Tensor, torch
 
 

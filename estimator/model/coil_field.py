@@ -18,17 +18,17 @@ from estimator.field.harmonics import exterior_field, interior_field
 from estimator.field.node_sum import SumMode
 from estimator.field.winding_shape import Rule
 from estimator.model.bodies import winding_of
-from estimator.rig.coordinates import Values
-from estimator.rig.rig import (
+from estimator.rig.bodies import (
     AnyCoil,
     EquivalentSourceCoil,
     FieldSum,
     HarmonicCoil,
     Region,
-    Rig,
     UnwoundCoil,
     WoundCoil,
 )
+from estimator.rig.coordinates import Values
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 # Share of the margin: 1.5 spacings off the charges, where they pass for a layer to a part in ten thousand.
@@ -68,7 +68,7 @@ class CoilField(ABC):
 
     @abstractmethod
     def rules(self, points_coil_m: Points) -> list[tuple[str, Forbidden]]:
-        """Where sensors must lie, in words, and which points do not."""
+        """Places where sensors must lie, in words, and which points do not lie there."""
 
 
 @dataclass(frozen=True)

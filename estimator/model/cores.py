@@ -32,8 +32,9 @@ from estimator.field.winding import Winding
 from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.model.bodies import winding_of
+from estimator.rig.bodies import Coil, WoundCoil
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, Rig, WoundCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 MOST_AXIAL_NODES, MOST_RADIAL_NODES, STEPS = 12, 3, 7  # of a winding as its core sees it: error 1e-4

@@ -37,8 +37,9 @@ from estimator.model.bodies import columns_of
 from estimator.model.coil_field import coil_field, refuse
 from estimator.model.sources import Sources
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import AnyCoil
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Rig
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 MOSTLY_APART = 0.75  # share of readings by sensors with elements apart from which on all are evaluated as such, in one call instead of two

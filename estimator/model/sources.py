@@ -39,8 +39,9 @@ from estimator.frames import Transform, turned, turned_back
 from estimator.model.bodies import WINDING_KEYS, world_from_body
 from estimator.model.coil_field import CoilField, coil_field
 from estimator.model.cores import Cores
+from estimator.rig.bodies import AnyCoil, Body
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Body, Rig
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 # Of points in a coil's frame, as `SourceEffect.apply`.

@@ -19,8 +19,9 @@ import torch
 
 from estimator.calibration.multipole_places import Found, PlaceSearch
 from estimator.model.coil_field import unwound_field
+from estimator.rig.bodies import EquivalentSourceCoil
 from estimator.rig.charged_box import Triple
-from estimator.rig.rig import EquivalentSourceCoil, Rig
+from estimator.rig.rig import Rig
 from scripts.studies.charges_on_a_box import (
     NOISE_T,
     RMS_T,

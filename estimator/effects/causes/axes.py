@@ -16,7 +16,7 @@ from estimator.effects.causes.pose_record import SMALLEST_TURN_RAD
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during, from_instants
 from estimator.effects.stages import Components, ReadingEffect
-from estimator.rig.rig import MotionKind
+from estimator.rig.bodies import MotionKind
 from estimator.tensors import Tensor, torch
 
 OWN, OF_BASE, OF_ROOM = range(3)  # axes in which fields are recorded

@@ -14,7 +14,8 @@ from estimator.effects.base import Kind, Quantities, Theta, triple, vector
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import ElementEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
-from estimator.rig.rig import Body, MotionKind, Rig, SidedCoil
+from estimator.rig.bodies import Body, MotionKind, SidedCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor
 
 ELEMENTS = tuple(f"{element}_at_{axis}_m" for element in "xyz" for axis in "xyz")

@@ -14,7 +14,8 @@ from estimator.effects.base import POSITIVE, SIGN, Starts, Theta, box, switch, v
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 from estimator.tensors import torch
 
 # mm under m, m under mm, mm under cm, ..., inch under mm.

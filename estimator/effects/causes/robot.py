@@ -15,7 +15,8 @@ from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
 from estimator.geometry.motion import base_from_motion, ends_of
 from estimator.rig.arms import N_JOINTS
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 LEAST_TURN = 1e-6  # of a rotation matrix: below, a mover only moves

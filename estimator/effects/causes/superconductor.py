@@ -16,8 +16,9 @@ from estimator.field.winding import Winding, winding_field_per_ampere
 from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.geometry.motion import pose_of
+from estimator.rig.bodies import POSE_KEYS, Coil
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import POSE_KEYS, Coil, Rig
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 LEFT = ("axial", "radial", "fan")  # what an earlier field leaves of itself

@@ -18,8 +18,9 @@ from estimator.field import harmonics
 from estimator.field.coil import AnyWinding
 from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
+from estimator.rig.bodies import AnyCoil
 from estimator.rig.harmonic_terms import terms
-from estimator.rig.rig import AnyCoil, Rig
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 LEAST_REACH_M = 1e-6

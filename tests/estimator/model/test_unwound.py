@@ -17,8 +17,8 @@ from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.model.room_field import RoomField
 from estimator.model.unit_gate import check_units
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import HarmonicCoil
 from estimator.rig.harmonic_terms import terms
-from estimator.rig.rig import HarmonicCoil
 from estimator.rig_files.read import rig_from_text
 
 RADIUS_M = 0.05
