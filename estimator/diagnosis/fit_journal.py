@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -69,7 +68,7 @@ class FitJournal:
         """The maximum that was found before, on the processor; None if there was none."""
         if key not in self._lines:
             return None
-        known = json.loads(self._lines[key])
+        known = json_object(self._lines[key], self.path, CorruptStore)
         vector, log_posterior, precision, information = map(_tensor, known["numbers"])
         return Optimum(
             vector,

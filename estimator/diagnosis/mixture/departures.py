@@ -19,7 +19,7 @@ from estimator.effects.corrections.correction import Correction
 from estimator.rig.rig import EVERYWHERE, Cause
 from estimator.side_by_side import each
 
-SAME = 1e-2  # of the square of columns: what is left of those that a listed cause has too
+SAME = 1e-2  # of the square of columns: what a listed cause leaves of those that it can change as well
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
 MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and at all together
@@ -102,7 +102,7 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
     Args:
         changes: Of the readings, about the fit or one nearby.
         fit: Whose residual is asked.
-        listed: Listed causes. A departure that changes the readings as one of them does is that one.
+        listed: Listed causes. A departure that changes the readings as one of them can is that one.
     """
     kinds = changes.kinds
     by_link: dict[Link, set[str]] = {}
@@ -110,8 +110,7 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
     for kind in kinds:
         by_link.setdefault(link_of(kind.effect), set()).add(kind.cause.name)
         places[kind.cause.name] = places.get(kind.cause.name, 0) + 1
-    result, bases = [], _bases(listed)
-    lighter = changes.lighter(fit)[:, None]
+    result, lighter = list[Departure](), changes.lighter(fit)[:, None]
     for kind, of_kind in zip(kinds, changes.columns, strict=True):
         n_places = places[kind.cause.name]
         n = len(by_link) * len(by_link[link_of(kind.effect)]) * (n_places + (n_places > 1) * n_places)
@@ -126,9 +125,9 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
                 share - math.log(n * len(priors.AMPLITUDES)),
             )
             for start, keys, columns, widths, share in _of_kind(fit, kind, of_kind * lighter)
-            if not _is_listed(columns[:, : len(keys)] * columns.new_tensor(widths), bases)
         ]
-    return [*result, *_everywhere(result, places)]
+    unlisted = _without_listed(result, listed)
+    return [*unlisted, *_everywhere(unlisted, places)]
 
 
 def _everywhere(made: Sequence[Departure], n_places: Mapping[str, int]) -> list[Departure]:
@@ -152,22 +151,35 @@ def _everywhere(made: Sequence[Departure], n_places: Mapping[str, int]) -> list[
     ]
 
 
-def _bases(listed: Sequence[Candidate]) -> dict[int, list[Tensor]]:
-    """Orthonormal bases of what listed causes change in the readings, by their number of columns."""
-    result: dict[int, list[Tensor]] = {}
-    for candidate in listed:
-        if candidate.is_at_null:
-            scale = candidate.columns.square().sum(0).sqrt().clamp(min=1e-300)
-            basis = torch.linalg.qr(candidate.columns / scale).Q
-            result.setdefault(basis.shape[1], []).append(basis)
-    return result
+def _without_listed(made: Sequence[Departure], listed: Sequence[Candidate]) -> list[Departure]:
+    """Departures that change the readings otherwise than a listed cause can, with all of its quantities."""
+    bases = [_basis(candidate) for candidate in listed]
+    most = max((basis.shape[1] for basis in bases), default=0)
+    some = [departure for departure in made if len(departure.keys) <= most]
+    if not some:
+        return list(made)
+    own = [d.blocks[0][:, : len(d.keys)] * d.blocks[0].new_tensor(d.widths) for d in some]
+    followed = _summed(_summed((torch.cat(bases, 1).T @ torch.cat(own, 1)).square(), bases).T, own)
+    square = torch.stack([columns.square().sum() for columns in own])
+    is_listed = (square - followed.amax(1) < SAME * square).tolist()
+    gone = {id(departure) for departure, is_gone in zip(some, is_listed, strict=True) if is_gone}
+    return [departure for departure in made if id(departure) not in gone]
 
 
-def _is_listed(columns: Float[Tensor, "component column"], bases: Mapping[int, Sequence[Tensor]]) -> bool:
-    """Whether a listed cause changes the readings in the same ways."""
-    square = float(columns.square().sum())
-    same = bases.get(columns.shape[1], ())
-    return any(square - float((basis.T @ columns).square().sum()) < SAME * square for basis in same)
+def _basis(candidate: Candidate) -> Float[Tensor, "component column"]:
+    """Orthonormal basis of what a listed cause changes in the readings, to first order about its start."""
+    columns = candidate.columns
+    if not candidate.is_at_null:
+        columns = torch.cat((columns, candidate.shift[:, None]), dim=1)
+    basis: Tensor = torch.linalg.qr(columns / columns.square().sum(0).sqrt().clamp(min=1e-300)).Q
+    return basis
+
+
+def _summed(rows: Float[Tensor, "row column"], blocks: Sequence[Tensor]) -> Float[Tensor, "block column"]:
+    """Sums of the rows that belong to each block's columns."""
+    number = torch.repeat_interleave(torch.tensor([block.shape[1] for block in blocks]))
+    sums: Tensor = rows.new_zeros(len(blocks), rows.shape[1]).index_add(0, number.to(rows.device), rows)
+    return sums
 
 
 _Made = tuple[dict[str, float], tuple[str, ...], Tensor, tuple[float, ...], float]

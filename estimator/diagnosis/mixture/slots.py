@@ -179,6 +179,7 @@ class Slots:
         names = {name: i for i, name in enumerate(dict.fromkeys(item.name for item in items))}
         self.name = np.array([names[item.name] for item in items], dtype=int)
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
+        self._densities: dict[tuple[int, ...], Tensor] = {}
 
     def conditional(self, rest: Sequence[int], noise: int) -> np.ndarray:
         """Probability of each item, and last of none, in one slot beside the items in the others."""
@@ -193,16 +194,21 @@ class Slots:
 
     def noise_of(self, chosen: Sequence[int]) -> np.ndarray:
         """Probability of each factor on the noise, given the items."""
-        density = self.products.log_likelihood(chosen, self.grid) + self.log_prior_noise
-        return torch.softmax(density, 0).numpy()
+        return torch.softmax(self._by_noise(chosen), 0).numpy()
+
+    def _by_noise(self, chosen: Sequence[int]) -> Float[Tensor, " noise"]:
+        """Log density of the readings with some items, and of each factor on the noise."""
+        key = tuple(sorted(chosen))
+        if key not in self._densities:
+            self._densities[key] = self.products.log_likelihood(key, self.grid) + self.log_prior_noise
+        return self._densities[key]
 
     def log_density(self, chosen: Sequence[int]) -> float:
         """Log density of the readings and of some items in any slots, the others empty, up to a constant."""
         n, n_empty = self.n_slots, self.n_slots - len(chosen)
         ways = math.lgamma(n + 1) - math.lgamma(n_empty + 1)
         prior = float(self.log_prior[list(chosen)].sum()) + n_empty * math.log(priors.EMPTY) + ways
-        density = self.products.log_likelihood(chosen, self.grid) + self.log_prior_noise
-        return float(torch.logsumexp(density, 0)) + prior
+        return float(torch.logsumexp(self._by_noise(chosen), 0)) + prior
 
     def climbed(self, begin: Sequence[int] = ()) -> tuple[list[int | None], int]:
         """Slots filled one by one with what is most probable beside the others, and the most probable noise.

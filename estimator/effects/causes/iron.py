@@ -102,10 +102,13 @@ def _planes_between(circumstances: Circumstances) -> Starts:
 
 
 def _is_between_sensors(theta: Theta, circumstances: Circumstances) -> bool:
-    """Whether sensors are on both of its sides: from far away its step is a field of the room."""
-    from_middle_m = circumstances.sensor_positions_m - vector(theta, "xyz", "_m")
-    depth_m = (from_middle_m * _across(theta)).sum(-1)
-    return bool(depth_m.min() < 0.0 < depth_m.max())
+    """Whether sensors are on both of its sides, and came there through the opening: from far away its step is a field of the room."""
+    from_middle_m, across = circumstances.sensor_positions_m - vector(theta, "xyz", "_m"), _across(theta)
+    depth_m = (from_middle_m * across).sum(-1)
+    if not bool(depth_m.min() < 0.0 < depth_m.max()):
+        return False
+    beside_m = from_middle_m - depth_m[:, None] * across
+    return bool(beside_m.mean(0).norm() < theta["radius_m"])
 
 
 def _step_T(points_m: Points, theta: Theta) -> Field:
