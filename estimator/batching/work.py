@@ -12,7 +12,7 @@ import torch
 from estimator.batching.jobs import Job, jobs_of, readings_and_rig, rig_to_fit
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
-from estimator.calibration.result import CALIBRATION, SUMMARY_FILE
+from estimator.calibration.files import CALIBRATION, SUMMARY_FILE
 from estimator.code_version import code_version
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit

@@ -21,7 +21,7 @@ from estimator.cli.words import motion_words
 from estimator.live.stream import Estimate
 from estimator.live.watch import Alarm
 from estimator.reporting.numbers import displays, to_digit_of, with_sd
-from estimator.rig.rig import Mover
+from estimator.rig.bodies import Mover
 
 if TYPE_CHECKING:
     from estimator.live.refresh import Refreshed

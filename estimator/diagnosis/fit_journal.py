@@ -21,7 +21,7 @@ from torch import Tensor
 from estimator.code_version import code_version
 from estimator.devices import numpy_of
 from estimator.errors import CorruptStore
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.given_files import MOST_TABLE_BYTES, read_given
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.json_files import json_object, sealed, unsealed

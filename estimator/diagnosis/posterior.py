@@ -11,7 +11,8 @@ import numpy as np
 import torch
 
 from estimator.calibration.calibrate import Stage, calibrate
-from estimator.calibration.result import Calibration, remove_calibration
+from estimator.calibration.files import remove_calibration
+from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits

@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.calibration.files import POSTERIOR_STORE, SUMMARY_FILE
+from estimator.calibration.result import Calibration
 from estimator.errors import CorruptStore, InvalidInput, quoted
 from estimator.given_files import (
     MOST_RESULT_BYTES,

@@ -192,7 +192,7 @@ def report_file(kind: str, folder: Path) -> Path:
 
 
 def _is_converged(out: Path) -> bool:
-    from estimator.calibration.result import SUMMARY_FILE
+    from estimator.calibration.files import SUMMARY_FILE
 
     summary = out / SUMMARY_FILE
     return summary.exists() and bool(read_json(summary, fault=CorruptStore)["is_converged"])

@@ -23,7 +23,8 @@ import numpy as np
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
 from estimator.glance import Glance, Shown
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Body, Mover, Rig
+from estimator.rig.bodies import Body, Mover
+from estimator.rig.rig import Rig
 from estimator.rig_files.devices import without_devices
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.rig_files.write import rig_text

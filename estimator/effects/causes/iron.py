@@ -61,11 +61,9 @@ def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
     return not bool(along_m.min() < theta["distance_m"] < along_m.max())
 
 
+# Quantities: strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
 @RoomEffect.cause(
     "response",
-    words="a plate of iron mirrors the coils",
-    source="strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less",
-    # Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
     quantities=lambda extent: (
         Quantity("strength", "1", Normal(0.0, 0.5, lower=0.0, upper=MOST_STRENGTH)),
         *DIRECTION,
@@ -75,7 +73,12 @@ def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
     is_itself=_is_beside_sensors,
 )
 def iron_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """A large plate of iron mirrors the coils and shields what is behind it."""
+    """A plate of iron mirrors the coils.
+
+    A large plate of iron mirrors the coils and shields what is behind it.
+
+    Source: strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less.
+    """
     across = _across(theta)
     depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
     coil_m = (per_ampere.position_m * across).sum(-1) - theta["distance_m"][..., None]
@@ -123,11 +126,9 @@ def _lie_apart(circumstances: Circumstances) -> bool:
     return float((high_m - low_m).max()) > LEAST_BETWEEN * circumstances.reach_m
 
 
+# Quantities: share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening.
 @RoomEffect.cause(
     "response",
-    words="a plate of iron with a round opening stands between the readings",
-    source="1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11)",
-    # Share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening.
     quantities=lambda extent: (
         Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=MOST_STRENGTH)),
         normal("step_T", "T", 3e-4),
@@ -141,9 +142,13 @@ def _lie_apart(circumstances: Circumstances) -> bool:
     steady_T=_step_T,
 )
 def pierced_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """A large plate of iron with a round opening, through which sensors reached both of its sides.
+    """A plate of iron with a round opening stands between the readings.
+
+    A large plate of iron with a round opening, through which sensors reached both of its sides.
 
     It answers the coils, and the room's own field across it may differ from one side to the other.
+
+    Source: 1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11).
     """
     # A plate without opening, and what the opening lets through (see `through_opening`).
     across = _across(theta)
@@ -236,15 +241,12 @@ def _around(circumstances: Circumstances) -> Starts:
 IRON = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
 
 
-@RoomEffect.cause(
-    "response",
-    words="a piece of iron in the room answers the coils",
-    source=IRON,
-    quantities=_somewhere_near,
-    starts=_around,
-)
+@RoomEffect.cause("response", source=IRON, quantities=_somewhere_near, starts=_around)
 def iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """One small piece of iron in the room."""
+    """A piece of iron in the room answers the coils.
+
+    One small piece of iron in the room.
+    """
     return _dipole_of_body(per_ampere, points_m, theta)
 
 
@@ -257,14 +259,15 @@ def _dipole_of_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fi
 
 @RoomEffect.cause(
     "response",
-    words="a second piece of iron in the room answers the coils",
     source=IRON,
     quantities=_somewhere_near,
     starts=_around,
     concerns=lambda circumstances, place: Cause(iron_body.name, place) in circumstances.rig.effects,
 )
 def second_iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """Another piece beside the one that the rig has; they do not answer each other.
+    """A second piece of iron in the room answers the coils.
+
+    Another piece beside the one that the rig has; they do not answer each other.
 
     It is asked once a first piece is there, for before that both would be the same cause twice. It is no second picture of the first, as a
     plate would be.

@@ -12,8 +12,9 @@ from pydantic import BaseModel, Field
 from sqlalchemy import select
 from starlette.responses import JSONResponse, Response
 
+from estimator.calibration.files import POSTERIOR_STORE, SUMMARY_FILE
 from estimator.calibration.panels import CalibrationPanels, calibration_panels
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.calibration.result import Calibration
 from estimator.code_version import code_version
 from estimator.rig_files.write import rig_text
 from estimator.service.archives import zipped

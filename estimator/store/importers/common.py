@@ -13,7 +13,8 @@ from torch import Tensor
 from estimator.errors import InvalidInput, Place, quoted
 from estimator.given_files import MOST_TABLE_BYTES, read_given_text
 from estimator.readings.observations import Observations
-from estimator.rig.rig import MotionKind, Mover, Rig
+from estimator.rig.bodies import MotionKind, Mover
+from estimator.rig.rig import Rig
 
 
 def finite_number(cell: str, name: str, location: str, place: Place | None = None) -> float:

@@ -25,7 +25,8 @@ from estimator.errors import Faults, InvalidInput, Place, in_order, quoted
 from estimator.readings.clock import Clock, jumps_back, read_clock
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
-from estimator.rig.rig import MotionKind, Mover, Rig
+from estimator.rig.bodies import MotionKind, Mover
+from estimator.rig.rig import Rig
 from estimator.store.importers.csv_table import read_table
 from estimator.store.importers.places import MOST_PLACES, left_out
 from estimator.store.importers.recorded import moment

@@ -6,7 +6,8 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 from estimator.store.importers.forms.layout import strip_brackets
 from estimator.store.importers.forms.units import FileUnit, split_file_unit, unit_named
 
