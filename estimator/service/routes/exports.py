@@ -22,7 +22,7 @@ from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
 from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
 from estimator.service.routes.calibrations import calibration_of
-from estimator.service.routes.predictions import MOST_COORDINATES
+from estimator.service.routes.predictions import MOST_COORDINATES, OfCoilsAlone
 
 router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
 BYTES = "application/octet-stream"
@@ -59,6 +59,7 @@ class ExportQuestion(BaseModel):
     motion: Annotated[
         dict[str, Six], Field(description="The six numbers of movers, in SI, where nothing moves.")
     ] = {}
+    is_of_coils_alone: OfCoilsAlone = False
 
 
 async def _room(core: CoreOf) -> AsyncIterator[None]:
@@ -78,6 +79,7 @@ def export_calibration(
     if body.to not in FORMATS:
         raise Problem(422, "to", f"must be one of {', '.join(FORMATS)}", body.to, "body")
     calibration = calibration_of(core, calibration_id)[2]
+    calibration = calibration.coils_alone() if body.is_of_coils_alone else calibration
     grid = None if body.grid is None else _grid_of(core, body.grid)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in body.motion.items()}
     with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:

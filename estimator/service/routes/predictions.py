@@ -27,6 +27,9 @@ from estimator.service.routes.calibrations import calibration_of
 router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
 Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector = list[float | None]
+OfCoilsAlone = Annotated[
+    bool, Field(description="Without what is there without current, such as the Earth's field.")
+]
 MOST_COORDINATES = 10_000  # of one axis
 JSON = "application/json"
 ARROW_RESPONSE: dict[str, Any] = {
@@ -48,9 +51,7 @@ class Wish(BaseModel):
     has_intervals: Annotated[
         bool, Field(description="With credible intervals, from 400 evenly spaced draws of the posterior.")
     ] = True
-    is_of_coils_alone: Annotated[
-        bool, Field(description="Without what is there without current, such as the Earth's field.")
-    ] = False
+    is_of_coils_alone: OfCoilsAlone = False
 
 
 class PointsQuestion(Wish):
