@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from fastapi import APIRouter, Depends
+from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
@@ -20,11 +20,11 @@ from estimator.export.request import Grid
 from estimator.service.core import Core
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
+from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.routes.calibrations import calibration_of
 from estimator.service.routes.predictions import MOST_COORDINATES, OfCoilsAlone
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
+router = router_of("/v1/calibrations", "calibrations")
 BYTES = "application/octet-stream"
 FILE: dict[str, Any] = {
     "response_class": Response,
@@ -62,7 +62,7 @@ class ExportQuestion(BaseModel):
     is_of_coils_alone: OfCoilsAlone = False
 
 
-async def _room(core: CoreOf) -> AsyncIterator[None]:
+async def _exporting(core: CoreOf) -> AsyncIterator[None]:
     async with core.exporting.taken():
         yield
 
@@ -70,10 +70,9 @@ async def _room(core: CoreOf) -> AsyncIterator[None]:
 @router.post("/{calibration_id}/export", **FILE)
 def export_calibration(
     core: CoreOf,
-    caller: Reader,  # noqa: ARG001
     calibration_id: Id,
     body: ExportQuestion,
-    room: Annotated[None, Depends(_room)],  # noqa: ARG001
+    turn: Annotated[None, Depends(_exporting)],  # noqa: ARG001
 ) -> Response:
     """The calibrated model as a file for another program; the header Content-Disposition has its usual name."""
     if body.to not in FORMATS:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import torch
-from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
@@ -21,10 +20,10 @@ from estimator.service.core import Core
 from estimator.service.predictions import BLOCK
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
+from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.routes.calibrations import calibration_of
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
+router = router_of("/v1/calibrations", "calibrations")
 Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector = list[float | None]
 OfCoilsAlone = Annotated[
@@ -98,19 +97,19 @@ class GridPrediction(Prediction):
 
 
 @router.post("/{calibration_id}/predict", response_model=Prediction, response_model_exclude_none=True)
-async def predict(core: CoreOf, caller: Reader, calibration_id: Id, body: PointsQuestion) -> Response:  # noqa: ARG001
+async def predict(core: CoreOf, calibration_id: Id, body: PointsQuestion) -> Response:
     """Field and gradient of the calibrated model at points."""
     return await _as_json(_blocks(core, calibration_id, _points_of(core, body), body), {})
 
 
 @router.post("/{calibration_id}/predict.arrow", **ARROW_RESPONSE)
-async def predict_arrow(core: CoreOf, caller: Reader, calibration_id: Id, body: PointsQuestion) -> Response:  # noqa: ARG001
+async def predict_arrow(core: CoreOf, calibration_id: Id, body: PointsQuestion) -> Response:
     """Field and gradient of the calibrated model at points, as an Arrow stream with a row for each point."""
     return await _as_arrow(_blocks(core, calibration_id, _points_of(core, body), body), calibration_id, body)
 
 
 @router.post("/{calibration_id}/grid", response_model=GridPrediction, response_model_exclude_none=True)
-async def predict_grid(core: CoreOf, caller: Reader, calibration_id: Id, body: GridQuestion) -> Response:  # noqa: ARG001
+async def predict_grid(core: CoreOf, calibration_id: Id, body: GridQuestion) -> Response:
     """Field and gradient of the calibrated model on a regular grid."""
     axes = _axes_of(core, body)
     blocks = _blocks(core, calibration_id, torch.cartesian_prod(*axes.values()), body)
@@ -120,7 +119,6 @@ async def predict_grid(core: CoreOf, caller: Reader, calibration_id: Id, body: G
 @router.post("/{calibration_id}/grid.arrow", **ARROW_RESPONSE)
 async def predict_grid_arrow(
     core: CoreOf,
-    caller: Reader,  # noqa: ARG001
     calibration_id: Id,
     body: GridQuestion,
 ) -> Response:
@@ -154,7 +152,7 @@ async def _blocks(
     folder = await run_in_threadpool(_checked_folder, core, calibration_id, wish)
     wanted = predictions.Wanted(wish.has_field, wish.has_gradient, wish.has_intervals, wish.is_of_coils_alone)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in wish.motion.items()}
-    with core.predictor.places.taken():
+    with core.predictor.limit.taken():
         for block in points_m.split(BLOCK):
             question = predictions.Question(block, wish.currents_A, motion, wish.level)
             yield block, await core.predictor.ask(folder, question, wanted)

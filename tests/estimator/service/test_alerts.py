@@ -18,6 +18,7 @@ from estimator.recalibration.conclusion import IS_CONVERGED
 from estimator.recalibration.registry import Entry, Registry
 from estimator.service import alerts, tasks
 from estimator.service.alerts import ALERTS, Alerts, leave_alert
+from estimator.service.assigned_job import AssignedJob
 from estimator.service.settings import load_settings
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK
@@ -101,10 +102,9 @@ def test_a_recalibration_leaves_a_conclusion_that_calls_for_action(
     Session(small_session.rig, wrong, "wrong unit").save(tmp_path / "abc.zarr")
     folder = tmp_path / "jobs" / "j"
     folder.mkdir(parents=True)
-    job = {"options": {"seed": 0, "settings": QUICK}, "registry": str(tmp_path / "registry"), "rig": None}
-    result = tasks.recalibrate_job(
-        {**job, "has_alerts": has_alerts}, folder, tmp_path / "abc.zarr", lambda *_: None
-    )
+    content = {"options": {"seed": 0, "settings": QUICK}, "registry": str(tmp_path / "registry"), "rig": None}
+    job = AssignedJob({**content, "has_alerts": has_alerts}, folder, tmp_path / "abc.zarr", lambda *_: None)
+    result = tasks.recalibrate_job(job)
     (entry,) = Registry(tmp_path / "registry").entries()
     assert result["conclusion"] == entry.conclusion == "rejected"
     left = [json.loads(path.read_text()) for path in (tmp_path / ALERTS).glob("*.json")]

@@ -156,7 +156,7 @@ def test_requests_readings_sessions_and_jobs_are_counted(
     client.get("/v1/sessions/" + "f" * 32)
     client.get("/v1/nothing/" + "f" * 32)
     client.request("STEAL", "/v1/state")
-    with client.app.state.core.predictor.places.taken():
+    with client.app.state.core.predictor.limit.taken():
         counted = samples(client)
 
     def requests(method: str, route: str, status: int) -> float:
@@ -193,7 +193,7 @@ def test_a_fault_of_the_service_is_counted_and_has_the_headers_of_every_answer(
     def fails(*_: object, **__: object) -> None:
         raise RuntimeError("a secret")
 
-    monkeypatch.setattr("estimator.service.requests.Listing.page", fails)
+    monkeypatch.setattr("estimator.service.answers.Listing.page", fails)
     client = idle()
     answer = client.get("/v1/rigs")
     told = refusal(answer, 500)

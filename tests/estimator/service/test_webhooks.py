@@ -368,7 +368,7 @@ def test_a_service_that_runs_tells_by_itself(
     monkeypatch.setattr(webhooks, "LOOK_EVERY_S", 0.05)
     app = create_app(Settings(data=tmp_path / "data", webhook_networks=LOOPBACK), has_workers=False)
     with TestClient(app, base_url="http://127.0.0.1:8765") as client:
-        client.app.state.core._tickers[0].start()
+        client.app.state.core.periodic.start()
         webhook = made(client, receiver.url)
         client.post(f"/v1/webhooks/{webhook['id']}/test")
         end_s = time.monotonic() + 20
