@@ -18,6 +18,7 @@ from estimator.cli.options import (
     as_described_option,
     ess_option,
     json_option,
+    option,
     other_rig_option,
     overwrite_option,
     prediction_options,
@@ -34,34 +35,33 @@ MOST_LISTED = 50  # amplitudes on the screen
 
 @click.command("calibrate", cls=CoilcalCommand, goes_on=True)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
+@option(
     "--out",
-    type=OutputPath(is_filled=True),
+    "Folder for summary.json, posterior.zarr and report.html.",
+    OutputPath(is_filled=True),
     required=True,
-    help="Folder for summary.json, posterior.zarr and report.html.",
 )
 @other_rig_option
 @seed_option
 @ess_option
-@click.option(
+@option(
     "--walkers",
-    type=click.IntRange(0, MOST_WALKERS),
+    "Walkers of the ensemble; 0 means 32, or two per free parameter if that is more.",
+    click.IntRange(0, MOST_WALKERS),
     default=0,
-    help="Walkers of the ensemble; 0 means 32, or two per free parameter if that is more.",
+    show_default=False,
 )
-@click.option(
+@option(
     "--max-steps",
-    type=click.IntRange(1, MOST_STEPS),
+    "Stop after this many steps of each walker, converged or not.",
+    click.IntRange(1, MOST_STEPS),
     default=20_000,
-    show_default=True,
-    help="Stop after this many steps of each walker, converged or not.",
 )
-@click.option(
+@option(
     "--counts",
-    type=click.Choice(["integer", "continuous"]),
+    "Treat free loop counts as whole numbers or as real numbers.",
+    click.Choice(["integer", "continuous"]),
     default="integer",
-    show_default=True,
-    help="Treat free loop counts as whole numbers or as real numbers.",
 )
 @as_described_option
 @prediction_options("readings", REFUSED_SINGLE)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import OutputPath, json_option, overwrite_option, seed_option
+from estimator.cli.options import PATH, OutputPath, json_option, option, overwrite_option, seed_option
 from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
 
@@ -25,26 +25,10 @@ Compared = tuple[dict[str, Any], list[str], str]  # as a record, as lines, and a
     required=True,
     type=click.Path(path_type=Path),
 )
-@click.option(
-    "--map", "map_path", type=click.Path(path_type=Path), help="Field map (CSV, COMSOL's too) on a full grid."
-)
-@click.option(
-    "--coil", metavar="NAME", help="Coil that the map describes; may be left out where there is one."
-)
-@click.option(
-    "--map-current",
-    "map_current_A",
-    type=float,
-    default=1.0,
-    show_default=True,
-    help="Current in ampere at which the map was computed.",
-)
-@click.option(
-    "--out",
-    type=OutputPath(is_filled=True),
-    required=True,
-    help="Folder for comparison.json and comparison.html.",
-)
+@option("--map map_path", "Field map (CSV, COMSOL's too) on a full grid.", PATH)
+@option("--coil", "Coil that the map describes; may be left out where there is one.", metavar="NAME")
+@option("--map-current map_current_A", "Current in ampere at which the map was computed.", float, default=1.0)
+@option("--out", "Folder for comparison.json and comparison.html.", OutputPath(is_filled=True), required=True)
 @seed_option
 @overwrite_option
 @json_option

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from estimator.cli.options import OutputPath, json_option, other_rig_option, overwrite_option
+from estimator.cli.options import OutputPath, json_option, option, other_rig_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
@@ -19,43 +19,23 @@ MOST_STOPS = 500
 
 @click.command("design", cls=CoilcalCommand)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
+@option(
     "--split",
+    "Cause to tell apart from the others given, as CAUSE or CAUSE[PLACE]. Give it two or more times.",
     multiple=True,
     metavar="CAUSE",
-    help="Cause to tell apart from the others given, as CAUSE or CAUSE[PLACE]. Give it two or more times.",
 )
-@click.option(
-    "--shrink",
-    metavar="PARAMETER",
-    help="Instead of --split: parameter of the rig whose interval shall shrink.",
+@option(
+    "--shrink", "Instead of --split: parameter of the rig whose interval shall shrink.", metavar="PARAMETER"
 )
-@click.option(
-    "--map",
-    "correction",
+@option(
+    "--map correction",
+    "Instead of --split: correction, such as coil_harmonics[coil1], that a map shall determine.",
     metavar="CORRECTION",
-    help="Instead of --split: correction, such as coil_harmonics[coil1], that a map shall determine.",
 )
-@click.option(
-    "--degree",
-    type=click.IntRange(1, 5),
-    default=3,
-    show_default=True,
-    help="With --map: highest degree of its terms.",
-)
-@click.option(
-    "--readings",
-    "n_readings",
-    type=click.IntRange(1, MOST_STOPS),
-    default=20,
-    show_default=True,
-    help="Number of readings to propose.",
-)
-@click.option(
-    "--out",
-    type=OutputPath(),
-    help="Plan to write (YAML), for coilcal simulate and coilcal acquire.",
-)
+@option("--degree", "With --map: highest degree of its terms.", click.IntRange(1, 5), default=3)
+@option("--readings n_readings", "Number of readings to propose.", click.IntRange(1, MOST_STOPS), default=20)
+@option("--out", "Plan to write (YAML), for coilcal simulate and coilcal acquire.", OutputPath())
 @other_rig_option
 @overwrite_option
 @json_option

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from drivers.errors import DriverError
-from estimator.cli.options import devices_option, json_option
+from estimator.cli.options import devices_option, json_option, option
 from estimator.cli.output import EXIT_DEVICE, CoilcalCommand, show
 
 if TYPE_CHECKING:
@@ -39,14 +39,7 @@ def devices_group() -> None:
 @devices_group.command("check", cls=CoilcalCommand)
 @click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
 @devices_option
-@click.option(
-    "--timeout",
-    "timeout_s",
-    type=click.FloatRange(min=0.1),
-    default=5.0,
-    show_default=True,
-    help="Seconds to wait for an answer.",
-)
+@option("--timeout timeout_s", "Seconds to wait for an answer.", click.FloatRange(min=0.1), default=5.0)
 @json_option
 def check_command(rig_path: Path, devices_path: Path | None, timeout_s: float, as_json: bool) -> None:
     """Open each device of RIG, identify it and read one value.

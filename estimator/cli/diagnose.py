@@ -15,9 +15,11 @@ import click
 from estimator.cli.command_line import command_of
 from estimator.cli.interruption import interrupt
 from estimator.cli.options import (
+    PATH,
     REFUSED_SINGLE,
     OutputPath,
     json_option,
+    option,
     other_rig_option,
     overwrite_option,
     prediction_options,
@@ -33,50 +35,40 @@ if TYPE_CHECKING:
 
 @click.command("diagnose", cls=CoilcalCommand, goes_on=True)
 @click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
-    "--validation",
-    "validation_path",
-    type=click.Path(path_type=Path),
-    help="Another session of the same rig, on which the extended model is judged. Without it: the readings marked as validation, or else a "
+@option(
+    "--validation validation_path",
+    "Another session of the same rig, on which the extended model is judged. Without it: the readings marked as validation, or else a "
     "fifth of the readings, in blocks.",
+    PATH,
 )
-@click.option(
-    "--out",
-    type=OutputPath(),
-    required=True,
-    help="Folder for diagnosis.json, rig_extended.yaml and report.html.",
-)
+@option("--out", "Folder for diagnosis.json, rig_extended.yaml and report.html.", OutputPath(), required=True)
 @other_rig_option
-@click.option(
-    "--posterior/--no-posterior",
-    "has_posterior",
+@option(
+    "--posterior/--no-posterior has_posterior",
+    "Sample the posterior of the extended rig into the subfolder calibration, if a cause was found or something remains unexplained.",
     default=True,
-    show_default=True,
-    help="Sample the posterior of the extended rig into the subfolder calibration, if a cause was found or something remains unexplained.",
 )
-@click.option(
-    "--corrections/--no-corrections",
-    "has_corrections",
+@option(
+    "--corrections/--no-corrections has_corrections",
+    "Correct predictions by what is left without a name. Without corrections their intervals are widened by it alone.",
     default=True,
-    show_default=True,
-    help="Correct predictions by what is left without a name. Without corrections their intervals are widened by it alone.",
 )
-@click.option(
+@option(
     "--minutes",
-    type=click.FloatRange(min=0.0),
+    "Time for search and corrections. When it is over, the best so far is reported; the same command goes on from there.",
+    click.FloatRange(min=0.0),
     default=math.inf,
-    help="Time for search and corrections. When it is over, the best so far is reported; the same command goes on from there.",
+    show_default=False,
 )
-@click.option(
+@option(
     "--most-causes",
-    type=click.IntRange(min=0),
-    help="Things that may be wrong at once; 6 by default, and one more for each further sensor and coil.",
+    "Things that may be wrong at once; 6 by default, and one more for each further sensor and coil.",
+    click.IntRange(min=0),
 )
-@click.option(
-    "--thin",
-    "most_readings",
-    type=click.IntRange(min=20),
-    help="Readings that causes are searched with, thinned evenly where there are more.",
+@option(
+    "--thin most_readings",
+    "Readings that causes are searched with, thinned evenly where there are more.",
+    click.IntRange(min=20),
 )
 @seed_option
 @prediction_options("readings", REFUSED_SINGLE)

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
-from estimator.cli.options import OutputPath, json_option, overwrite_option, prediction_options
+from estimator.cli.options import OutputPath, flag, json_option, option, overwrite_option, prediction_options
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 
 BLOCK = 2_000  # points predicted at once, with all draws of the posterior
@@ -23,38 +23,32 @@ HEADER = (
 
 @click.command("predict", cls=CoilcalCommand)
 @click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
-@click.option(
-    "--grid",
-    "axes",
+@option(
+    "--grid axes",
+    "Points along an axis of the world frame: x_mm=-50:50:11 is 11 of them, 10 mm apart. An axis left out is 0. Repeatable.",
     multiple=True,
     required=True,
     metavar="AXIS=FROM:TO:COUNT",
-    help="Points along an axis of the world frame: x_mm=-50:50:11 is 11 of them, 10 mm apart. An axis left out is 0. Repeatable.",
 )
-@click.option(
-    "--current",
-    "currents",
+@option(
+    "--current currents",
+    "Current of a coil, such as coil1=3. Repeatable.",
     multiple=True,
     required=True,
     metavar="COIL=AMPERE",
-    help="Current of a coil, such as coil1=3. Repeatable.",
 )
-@click.option(
-    "--motion",
-    "motions",
+@option(
+    "--motion motions",
+    "Pose of a mover: the six numbers of its columns, in SI units. Repeatable.",
     multiple=True,
     metavar="MOVER=V1,..,V6",
-    help="Pose of a mover: the six numbers of its columns, in SI units. Repeatable.",
 )
-@click.option(
-    "--level", type=float, default=0.9, show_default=True, help="Probability of the credible intervals."
-)
-@click.option(
+@option("--level", "Probability of the credible intervals.", float, default=0.9)
+@flag(
     "--coils-alone",
-    is_flag=True,
-    help="Leave out what is there without current, such as the Earth's field. It widens intervals where no sensor turned.",
+    "Leave out what is there without current, such as the Earth's field. It widens intervals where no sensor turned.",
 )
-@click.option("--out", type=OutputPath(), required=True, help="CSV file to write.")
+@option("--out", "CSV file to write.", OutputPath(), required=True)
 @prediction_options("points")
 @overwrite_option
 @json_option

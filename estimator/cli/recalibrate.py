@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import OutputPath, ess_option, json_option, seed_option
+from estimator.cli.options import PATH, OutputPath, ess_option, json_option, option, seed_option
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED, CoilcalCommand, show
 from estimator.errors import InvalidInput
 
@@ -23,47 +23,38 @@ PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 
 
 @click.command("recalibrate", cls=CoilcalCommand, goes_on=True)
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path),
-    help="Rig file, with the priors of the first calibration.",
-)
-@click.option(
-    "--inbox",
-    type=click.Path(path_type=Path),
-    help="Folder in which sessions (*.zarr) arrive; it is never changed.",
-)
-@click.option(
+@option("--rig rig_path", "Rig file, with the priors of the first calibration.", PATH)
+@option("--inbox", "Folder in which sessions (*.zarr) arrive; it is never changed.", PATH)
+@option(
     "--registry",
-    type=OutputPath(is_filled=True),
+    "Folder for versions, current, log.jsonl and history.html; made if it does not exist.",
+    OutputPath(is_filled=True),
     required=True,
-    help="Folder for versions, current, log.jsonl and history.html; made if it does not exist.",
 )
-@click.option(
+@option(
     "--every",
+    "Keep running and look into the inbox at this interval, such as 30s, 15m, 6h or 1d.",
     metavar="TIME",
-    help="Keep running and look into the inbox at this interval, such as 30s, 15m, 6h or 1d.",
 )
-@click.option(
+@option(
     "--rollback",
-    type=click.IntRange(1, 999_999),
+    "Make this earlier version current again, and do nothing else.",
+    click.IntRange(1, 999_999),
     metavar="VERSION",
-    help="Make this earlier version current again, and do nothing else.",
 )
-@click.option(
+@option(
     "--again",
+    "Judge this session of the inbox again although it is in the log. Repeatable.",
     multiple=True,
     metavar="NAME",
-    help="Judge this session of the inbox again although it is in the log. Repeatable.",
 )
-@click.option(
+@option(
     "--alert-command",
-    metavar="COMMAND",
-    help="Command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input. "
+    "Command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input. "
     "There is no shell: write \"sh -c 'cat >> alerts.jsonl'\" for pipes and redirections.",
+    metavar="COMMAND",
 )
-@click.option("--alert-webhook", metavar="URL", help="Address to which the same JSON is posted.")
+@option("--alert-webhook", "Address to which the same JSON is posted.", metavar="URL")
 @ess_option
 @seed_option
 @json_option

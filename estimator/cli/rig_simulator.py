@@ -10,6 +10,7 @@ import click
 from estimator.cli.options import (
     OutputPath,
     hide_option,
+    option,
     overwrite_option,
     seed_option,
     set_option,
@@ -24,10 +25,8 @@ from estimator.cli.output import CoilcalCommand, named_number
 @truth_option("nominal")
 @set_option
 @seed_option
-@click.option(
-    "--out",
-    type=OutputPath(),
-    help="File to write the devices section to, for the option --devices of other commands.",
+@option(
+    "--out", "File to write the devices section to, for the option --devices of other commands.", OutputPath()
 )
 @overwrite_option
 def rig_simulator_command(
