@@ -101,7 +101,7 @@ def batch_command(
             f"coilcal batch needs {error.name}: install coilcal with its extra, pip install 'coilcal[batch]'"
         ) from error
 
-    from estimator.cli.time_left import TimeLeft
+    from estimator.cli.progress import TimeLeft
     from estimator.inference.ensemble import SamplerSettings
     from estimator.store.files import write_text
 

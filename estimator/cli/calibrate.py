@@ -87,7 +87,7 @@ def calibrate_command(
     Run the same command again to continue a calibration that was interrupted.
     """
     from estimator.calibration.calibrate import calibrate
-    from estimator.cli.stage_progress import StageReporter
+    from estimator.cli.progress import Reporter
     from estimator.inference.ensemble import SamplerSettings
     from estimator.rig_files.read import load_rig
     from estimator.store.session import load_session
@@ -97,7 +97,7 @@ def calibrate_command(
     rig = load_rig(rig_path) if rig_path else None
     settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
     with only_writer(out):
-        with StageReporter() as reporter:
+        with Reporter() as reporter:
             calibration = calibrate(
                 session,
                 rig,
@@ -109,7 +109,7 @@ def calibrate_command(
                 as_described=as_described,
                 device=device,
                 precision=precision,
-                on_stage=reporter,
+                on_stage=reporter.calibration,
             )
         summary = dict(calibration.summary())
         if not as_json:

@@ -58,7 +58,7 @@ def design_command(
     all places so far. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that they are expected
     to add.
     """
-    from estimator.cli.count_progress import CountReporter
+    from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.diagnosis.next_readings.design import design
     from estimator.rig_files.read import load_rig
     from estimator.store.session import load_session
@@ -67,7 +67,7 @@ def design_command(
     if out is not None:
         check_output(out, overwrite)
     rig = load_rig(rig_path) if rig_path else None
-    with CountReporter() as reporter:
+    with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
         proposal = design(
             load_session(session_path),
             split=split,
@@ -76,7 +76,7 @@ def design_command(
             degree=degree,
             n_readings=n_readings,
             rig=rig,
-            on_count=reporter,
+            on_count=reporter.count,
         )
     if out is not None:
         write_output(out, proposal.plan, overwrite)

@@ -97,7 +97,7 @@ def diagnose_command(
 
     A diagnosis that was killed, stopped (Ctrl-C, SIGTERM) or ran out of --minutes goes on when the same command is given again.
     """
-    from estimator.cli.search_progress import SearchReporter
+    from estimator.cli.progress import LINE_EVERY_S, Reporter
     from estimator.diagnosis import policy
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.fit_journal import FITS
@@ -114,7 +114,7 @@ def diagnose_command(
     rig = load_rig(rig_path) if rig_path else None
     limits = Limits(most_causes, minutes)
     with (
-        SearchReporter() as reporter,
+        Reporter(LINE_EVERY_S, LINE_EVERY_S) as reporter,
         _stopping(limits, reporter.stage),
         staged(out, overwrite or was_cut_short, MADE, goes_on=True) as unfinished,
     ):
@@ -132,11 +132,11 @@ def diagnose_command(
             device=device,
             precision=precision,
             on_stage=reporter.stage,
-            on_progress=reporter.progress,
+            on_progress=reporter.fits,
         )
-        reporter.stop()
         if not as_json:
-            show(diagnosis.to_json(), _text(diagnosis), as_json)
+            with reporter.aside():
+                show(diagnosis.to_json(), _text(diagnosis), as_json)
         from estimator.diagnosis.report import (
             write_reports,  # matplotlib is loaded after the result is printed
         )

@@ -73,7 +73,7 @@ def predict_command(
     import torch
 
     from estimator.calibration.result import Calibration
-    from estimator.cli.count_progress import CountReporter
+    from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.devices import device_named, precision_named
     from estimator.store.staging import check_output, write_output
 
@@ -92,9 +92,9 @@ def predict_command(
         for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
     done = []
-    with CountReporter() as reporter:
+    with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
         for n, block in enumerate(points_m.split(BLOCK)):
-            reporter("predicting points", n * BLOCK, len(points_m))
+            reporter.count("predicting points", n * BLOCK, len(points_m))
             points = block.to(**there)
             best = calibration.field(points, currents_A, motion)
             done.append((best, *calibration.field_interval(points, currents_A, level, motion)))

@@ -84,7 +84,7 @@ def recalibrate_command(
     Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted; 4 neither, but a
     calibration did not converge.
     """
-    from estimator.cli.search_progress import SearchReporter
+    from estimator.cli.progress import LINE_EVERY_S, Reporter
     from estimator.inference.ensemble import SamplerSettings
     from estimator.recalibration.alerts import calls_for_action, senders
     from estimator.recalibration.recalibrate import recalibrate, roll_back
@@ -102,7 +102,7 @@ def recalibrate_command(
     if rig_path is None or inbox is None:
         raise InvalidInput("--rig and --inbox must be given, unless --rollback is; received none")
     rig, alert_senders = load_rig(rig_path), senders(alert_command, alert_webhook)
-    settings, reporter = SamplerSettings(target_ess=ess), SearchReporter()
+    settings, reporter = SamplerSettings(target_ess=ess), Reporter(LINE_EVERY_S, LINE_EVERY_S)
 
     def tell(entry: Entry) -> None:
         """Print an entry of the log, and alert of it if somebody has to act."""
@@ -136,7 +136,7 @@ def recalibrate_command(
                 again=tuple(judge_again),
                 on_entry=tell,
                 on_waiting=report_waiting,
-                watcher=Watcher(reporter.stage, reporter.progress, reporter.sampling),
+                watcher=Watcher(reporter.stage, reporter.fits, reporter.sampling),
             )
         judge_again.clear()
         return added
