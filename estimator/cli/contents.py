@@ -60,17 +60,7 @@ def kind_of(path: Path) -> str | None:
     if not path.is_dir():
         rule = "be a file or a folder" if path.exists() else "exist"
         raise InvalidInput(f"path must {rule}; received {path}")
-    marks = {
-        "session that grows": is_growing(path),
-        "session": is_session(path),
-        "diagnosis": (path / DIAGNOSIS).is_file(),
-        "calibration": (path / SUMMARY_FILE).is_file(),
-        "unfinished calibration": (path / CHAIN_STORE).is_dir(),
-        "registry": (path / LOG).is_file() or (path / VERSIONS).is_dir(),
-        "data of the service": (path / DATABASE).is_file(),
-        "batch": any((path / JOBS).glob(f"*/{RESULT_FILE}")),
-    }
-    kind = next((kind for kind, is_there in marks.items() if is_there), None)
+    kind = next((kind for kind, is_there in MARKS.items() if is_there(path)), None)
     if kind is None and any(_known_inside(path)):
         return "folder"
     return kind
@@ -109,31 +99,14 @@ def _known_inside(folder: Path) -> list[tuple[str, str]]:
     """Name and kind of what coilcal knows among the entries of a folder; not of those of folders in it."""
     inside = []
     for path in sorted(folder.iterdir()):
-        is_empty = path.is_dir() and (path.is_symlink() or not any(path.iterdir()))
+        is_marked = any(is_there(path) for is_there in MARKS.values())
         try:
-            kind = None if is_empty or (path.is_dir() and _is_plain_folder(path)) else kind_of(path)
+            kind = None if path.is_dir() and (path.is_symlink() or not is_marked) else kind_of(path)
         except InvalidInput:
             kind = None
         if kind is not None:
             inside.append((path.name, kind))
     return inside
-
-
-def _is_plain_folder(path: Path) -> bool:
-    """Whether none of the marks is in it, so that only what it holds would tell."""
-    return not any(
-        (path / name).exists()
-        for name in (
-            "zarr.json",
-            "journal.jsonl",
-            DIAGNOSIS,
-            SUMMARY_FILE,
-            CHAIN_STORE,
-            LOG,
-            VERSIONS,
-            "jobs",
-        )
-    )
 
 
 def _session(path: Path) -> Contents:
@@ -331,6 +304,16 @@ def _folder(path: Path) -> Contents:
     return {"holds": [{"name": name, "kind": kind} for name, kind in inside]}, lines
 
 
+MARKS: dict[str, Callable[[Path], bool]] = {
+    "session that grows": is_growing,
+    "session": is_session,
+    "diagnosis": lambda path: (path / DIAGNOSIS).is_file(),
+    "calibration": lambda path: (path / SUMMARY_FILE).is_file(),
+    "unfinished calibration": lambda path: (path / CHAIN_STORE).is_dir(),
+    "registry": lambda path: (path / LOG).is_file() or (path / VERSIONS).is_dir(),
+    "data of the service": lambda path: (path / DATABASE).is_file(),
+    "batch": lambda path: any((path / JOBS).glob(f"*/{RESULT_FILE}")),
+}
 KINDS: dict[str, Callable[[Path], Contents]] = {
     "session": _session,
     "session that grows": _growing,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,8 +71,6 @@ class FormOptions:
         Raises:
             InvalidInput: An option has another form, names no coil, or the file with the recipe is wrong.
         """
-        from dataclasses import replace
-
         from estimator.readings.clock import Clock
         from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants, read_recipe
 
@@ -99,18 +97,9 @@ def form_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command these options, as one argument `form`."""
 
     @wraps(command)
-    def with_form(
-        map_path: Path | None,
-        columns: tuple[str, ...],
-        constants: tuple[str, ...],
-        decimal: str | None,
-        sheet: str | None,
-        clock: str,
-        skips_bad: bool,
-        **others: Any,
-    ) -> Any:
-        form = FormOptions(map_path, columns, constants, decimal, sheet, clock, skips_bad)
-        return command(form=form, **others)
+    def with_form(**given: Any) -> Any:
+        form = FormOptions(**{each.name: given.pop(each.name) for each in fields(FormOptions)})
+        return command(form=form, **given)
 
     decorated: Callable[..., Any] = with_form
     for add in reversed(OPTIONS):

@@ -43,9 +43,10 @@ class AssignedJob:
         return options
 
     @property
-    def settings(self) -> SamplerSettings:
-        """When to stop sampling."""
-        return SamplerSettings(**self.options["settings"])
+    def arguments(self) -> dict[str, Any]:
+        """What was asked for, as the Python API takes it."""
+        settings = self.options.get("settings")
+        return {**self.options, **({} if settings is None else {"settings": SamplerSettings(**settings)})}
 
     @property
     def rig(self) -> Rig | None:

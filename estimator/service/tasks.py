@@ -44,11 +44,8 @@ def calibrate_job(job: AssignedJob) -> dict[str, Any]:
             job.session(),
             job.rig,
             out=out,
-            seed=job.options["seed"],
-            settings=job.settings,
-            has_integer_counts=job.options["has_integer_counts"],
-            as_described=job.options.get("as_described", False),  # jobs of version 0.2 do not say it
             on_stage=lambda stage: job.tell(stage.name, _numbers_of(stage)),
+            **job.arguments,
         )
     job.tell("page", {})
     write_text(out / REPORT, calibration_report(calibration, job.command("calibrate")))
@@ -69,25 +66,20 @@ def diagnose_job(job: AssignedJob) -> dict[str, Any]:
     from estimator.diagnosis.report import write_reports
     from estimator.diagnosis.result import DIAGNOSIS as DIAGNOSIS_FILE
 
-    options, out = job.options, job.folder / DIAGNOSIS
+    out = job.folder / DIAGNOSIS
     # A kill came before the page, which needs fits that are no longer remembered.
     if (out / DIAGNOSIS_FILE).exists():
         shutil.rmtree(out)
-    limits, readings = (
-        {name: options[name] for name in names if options[name] is not None}
-        for names in (("most_causes", "minutes"), ("most_readings",))
-    )
+    given = {name: value for name, value in job.arguments.items() if value is not None}
+    limits = Limits(**{name: given.pop(name) for name in ("most_causes", "minutes") if name in given})
     diagnosis = diagnose(
         job.session(),
         job.rig,
         out=out,
-        seed=options["seed"],
-        has_posterior=options["has_posterior"],
-        has_corrections=options.get("has_corrections", True),
-        limits=Limits(**limits),
-        **readings,
+        limits=limits,
         on_stage=lambda words: job.tell(words, {}),
         on_progress=lambda at: job.tell(at.what, {"n_fitted": at.n_fitted, "most": at.most}),
+        **given,
     )
     job.tell("page", {})
     write_text(job.folder / PANELS, panels_text(panels(diagnosis)))
@@ -119,8 +111,7 @@ def recalibrate_job(job: AssignedJob) -> dict[str, Any]:
     job.tell("judging the session", {})
     while True:
         try:
-            seed, settings = job.options["seed"], job.settings
-            recalibrate(rig, inbox, registry.folder, seed=seed, settings=settings, on_entry=alert)
+            recalibrate(rig, inbox, registry.folder, on_entry=alert, **job.arguments)
             break
         except RegistryBusy:
             job.tell("waiting for another recalibration of this rig", {})
@@ -143,21 +134,16 @@ def batch_job(job: AssignedJob) -> dict[str, Any]:
     from estimator.batching import batch
     from estimator.batching.page import overview
 
-    options, out, rig = job.options, job.folder / FITS, job.folder / RIG
+    out, rig = job.folder / FITS, job.folder / RIG
     if job.content["rig"] is not None:
         write_text(rig, job.content["rig"])
     result = batch(
         job.content["sessions"],
         out=out,
         rig=None if job.content["rig"] is None else rig,
-        hypotheses=options["hypotheses"],
-        is_each_coil=options["is_each_coil"],
-        has_posterior=options["has_posterior"],
-        as_described=options.get("as_described", False),
-        seed=options["seed"],
-        settings=job.settings,
         workers=0,
         tell=lambda done, total, words: job.tell(words, {"done": done, "total": total}),
+        **job.arguments,
     )
     table = json.loads(result.table().to_json(orient="records", double_precision=15))
     fits = [{**fit, "session": Path(fit["session"]).stem} for fit in table]
@@ -173,7 +159,7 @@ def design_job(job: AssignedJob) -> dict[str, Any]:
     from estimator.diagnosis.next_readings.design import design
 
     job.tell("choosing the next readings", {})
-    proposal = design(job.session(), rig=job.rig, **job.options)
+    proposal = design(job.session(), rig=job.rig, **job.arguments)
     job.write(DESIGN, proposal.to_json())
     return {"goal": proposal.goal}
 

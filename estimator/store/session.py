@@ -212,7 +212,7 @@ def load_session(path: Path | str) -> Session:
             f"session must be a folder that coilcal import, simulate or acquire wrote; received {path}"
         )
     admit(path, "session")
-    try:
+    with _readable(path):
         group = zarr.open_group(path, mode="r", zarr_format=3)
         attributes: dict[str, Any] = dict(group.attrs.asdict())
         _check_kind(attributes, path)
@@ -229,12 +229,6 @@ def load_session(path: Path | str) -> Session:
         admit_readings(readings, stored.rig, str(path))
         observations = observations_from(readings, stored.rig)
         provenance = _provenance(attributes, path)
-    except CoilcalError:
-        raise
-    except Exception as error:  # damaged bytes raise errors of nearly any type in zarr, JSON and NumPy
-        raise CorruptStore(
-            f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
-        ) from error
     return Session(stored.rig, observations, *provenance, stored_rig=stored)
 
 
@@ -285,22 +279,25 @@ def _from_journal(path: Path) -> Session:
     header, entries = read_journal(path)
     if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
         raise CorruptStore(f"session must be of kind {GROWING!r}, version {SCHEMA_VERSION}; {path} is not")
-    try:
+    with _readable(path):  # lines may have their checksums, but another shape
         stored = StoredRig.of(header["rig"], f"rig inside {path}")
         observations = observations_of(entries, stored.rig)
-        admit_readings(
-            {name: data for name, (_, data) in observation_arrays(observations).items()},
-            stored.rig,
-            str(path),
-        )
+        arrays = observation_arrays(observations)
+        admit_readings({name: data for name, (_, data) in arrays.items()}, stored.rig, str(path))
         provenance = _provenance(header, path)
+    return Session(stored.rig, observations, *provenance, stored_rig=stored)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Explain what damaged bytes raise: errors of nearly any type in zarr, JSON and NumPy."""
+    try:
+        yield
     except CoilcalError:
         raise
-    except Exception as error:  # lines with their checksums, but of another shape
-        raise CorruptStore(
-            f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
-        ) from error
-    return Session(stored.rig, observations, *provenance, stored_rig=stored)
+    except Exception as error:
+        words = f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
+        raise CorruptStore(words) from error
 
 
 def is_session(path: Path) -> bool:

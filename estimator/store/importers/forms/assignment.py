@@ -81,6 +81,10 @@ class _Assigner:
         self.unsure: dict[int, list[str]] = {}
         self.refused: set[str] = set()
 
+    def text(self, index: int) -> str:
+        """The header of a column."""
+        return self.headings[index].text.strip()
+
     def refuse(self, words: str, index: int | None = None) -> None:
         """Note a fault of the header, or of one of its columns."""
         place = replace(self.place, column=None if index is None else index + 1)
@@ -107,7 +111,7 @@ class _Assigner:
                 self.refuse(f"{quantity} must be one column; the recipe names {quantities.count(quantity)}")
 
     def _named(self, index: int, name: str) -> Assigned | None:
-        header = self.headings[index].text.strip()
+        header = self.text(index)
         if name in {CLOCK, DATE}:
             return Assigned(index, header, name, None)
         by_quantity = {target.quantity: target for target in self.targets}
@@ -138,7 +142,7 @@ class _Assigner:
             return
         for index in self.free():
             own = [row[index].strip() for row in cells if index < len(row) and row[index].strip()]
-            header = self.headings[index].text.strip()
+            header = self.text(index)
             if header == "recorded_at":
                 continue
             for kind, is_its in ((CLOCK, is_clock), (DATE, DATE_CELL.match)):
@@ -173,10 +177,10 @@ class _Assigner:
             least = min(extra for extra, _, _ in claiming)
             best = [claim for claim in claiming if claim[0] == least]
             if len(best) > 1:
-                names = " and ".join(quoted(self.headings[index].text.strip()) for _, index, _ in best)
+                names = " and ".join(quoted(self.text(index)) for _, index, _ in best)
                 self.refuse(
                     f"{quantity} must be one column; {names} may both be it: leave one out with "
-                    f"--column '{self.headings[best[1][1]].text.strip()}=-'",
+                    f"--column '{self.text(best[1][1])}=-'",
                     best[1][1],
                 )
             _, index, target = best[0]
@@ -186,7 +190,7 @@ class _Assigner:
             if unit is None and target.dimension is not None:
                 no_unit.append((index, target))
             else:
-                header = self.headings[index].text.strip()
+                header = self.text(index)
                 self.assigned[index] = Assigned(index, header, quantity, unit)
         if no_unit:
             self._refuse_without_unit(no_unit)
@@ -198,8 +202,8 @@ class _Assigner:
         if heading.unit_text:
             self.refused.add(target.quantity)
             self.refuse(
-                f"the unit of column {quoted(heading.text.strip())} must be known; {quoted(heading.unit_text)} is none of "
-                f"{_symbols(target.dimension)}: convert the column, or leave it out with --column '{heading.text.strip()}=-'",
+                f"the unit of column {quoted(self.text(index))} must be known; {quoted(heading.unit_text)} is none of "
+                f"{_symbols(target.dimension)}: convert the column, or leave it out with --column '{self.text(index)}=-'",
                 index,
             )
             return UNKNOWN_UNIT
@@ -208,7 +212,7 @@ class _Assigner:
         return None
 
     def _refuse_without_unit(self, no_unit: Sequence[tuple[int, Target]]) -> None:
-        names = [self.headings[index].text.strip() for index, _ in no_unit]
+        names = [self.text(index) for index, _ in no_unit]
         listed = ", ".join(map(quoted, names[:MOST_LISTED]))
         listed += f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
         target = no_unit[0][1]
@@ -283,9 +287,7 @@ def _check_missing(assigner: _Assigner, quantities: set[str]) -> None:
         if target.quantity in quantities or target.role not in {"current", "place", "joint"}:
             continue
         may_be = [
-            assigner.headings[index].text.strip()
-            for index, names in assigner.unsure.items()
-            if target.quantity in names
+            assigner.text(index) for index, names in assigner.unsure.items() if target.quantity in names
         ]
         symbol = next(symbol for symbol, unit in UNITS.items() if unit.dimension == target.dimension)
         name = f"{target.quantity}_{symbol}"
@@ -333,7 +335,7 @@ def _check_rotations(assigner: _Assigner, quantities: set[str]) -> None:
                 f"give it for all rows, such as --constant {missing[0]}_rad=0"
             )
         angles = [
-            assigner.headings[index].text.strip()
+            assigner.text(index)
             for index in assigner.free()
             if (unit := assigner.headings[index].unit) is not None and unit.dimension == "angle"
         ]
