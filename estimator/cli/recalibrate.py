@@ -16,7 +16,7 @@ from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED
 from estimator.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from estimator.recalibration.registry import Entry
+    from estimator.recalibration.log import Entry
 
 EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
 PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)

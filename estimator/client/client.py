@@ -19,7 +19,7 @@ from estimator.client.registry import AsyncRemoteRegistry, RemoteRegistry
 from estimator.client.sessions import AsyncRemoteSession, RemoteSession
 from estimator.client.uploads import upload, upload_rig
 from estimator.inference.ensemble import SamplerSettings
-from estimator.recalibration.registry import Entry
+from estimator.recalibration.log import Entry
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 

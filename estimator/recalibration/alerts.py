@@ -13,7 +13,7 @@ from typing import Any
 from estimator.errors import InvalidInput
 from estimator.recalibration import policy
 from estimator.recalibration.conclusion import IS_CONVERGED
-from estimator.recalibration.registry import Entry
+from estimator.recalibration.log import Entry
 
 
 def calls_for_action(entry: Entry) -> bool:

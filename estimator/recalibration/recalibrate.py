@@ -13,7 +13,8 @@ from estimator.recalibration.arrivals import CHANGED, Arrival, arrivals
 from estimator.recalibration.conclusion import EVIDENCE, Conclusion, Judgement
 from estimator.recalibration.history_report import history_report
 from estimator.recalibration.judgement import judge
-from estimator.recalibration.registry import HISTORY, Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import HISTORY, Registry
 from estimator.recalibration.watcher import UNHEARD, Watcher
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text

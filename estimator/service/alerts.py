@@ -14,7 +14,7 @@ from pathlib import Path
 from estimator.errors import CorruptStore
 from estimator.json_files import read_json
 from estimator.recalibration.alerts import run_command
-from estimator.recalibration.registry import Entry
+from estimator.recalibration.log import Entry
 from estimator.store.files import write_text
 
 ALERTS = "alerts"  # folder beside that of the jobs

@@ -21,7 +21,7 @@ from estimator.store.files import write_text
 
 if TYPE_CHECKING:
     from estimator.calibration.calibrate import Stage
-    from estimator.recalibration.registry import Entry
+    from estimator.recalibration.log import Entry
 
 CALIBRATION, DIAGNOSIS, REPORT = "calibration", "diagnosis", "report.html"
 PANELS = f"{DIAGNOSIS}/panels.json"

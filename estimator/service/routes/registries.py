@@ -10,8 +10,9 @@ from typing import Annotated, Any, TypeVar
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select
 
+from estimator.recalibration.log import Entry
 from estimator.recalibration.recalibrate import roll_back
-from estimator.recalibration.registry import Entry, Registry, RegistryBusy
+from estimator.recalibration.registry import Registry, RegistryBusy
 from estimator.service.answers import Item, Listing, ListingOf, Page
 from estimator.service.core import Core
 from estimator.service.job_queue import RETRY_AFTER_S

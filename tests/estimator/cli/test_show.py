@@ -16,7 +16,8 @@ from estimator.cli import contents
 from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
 from estimator.diagnosis.verdict import UNKNOWN
 from estimator.recalibration import registry
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
 from estimator.service.core import DATABASE
 from estimator.store.growing import StopReadings, new_header

@@ -21,8 +21,9 @@ from estimator.recalibration import comparison, policy
 from estimator.recalibration.arrivals import arrivals
 from estimator.recalibration.conclusion import Conclusion, Judgement
 from estimator.recalibration.judgement import judge
+from estimator.recalibration.log import Entry
 from estimator.recalibration.recalibrate import HISTORY, _in_use, _since, recalibrate, roll_back
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.growing import new_header

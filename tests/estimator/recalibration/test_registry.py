@@ -15,7 +15,8 @@ import pytest
 
 from estimator.calibration.result import Calibration
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import load_rig
 
 KILLS = """
@@ -23,7 +24,8 @@ import json, os, signal, sys, shutil
 from collections.abc import Callable
 from pathlib import Path
 from estimator.calibration.result import Calibration
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import load_rig
 
 kept, work = Path(sys.argv[1]), Path(sys.argv[2])

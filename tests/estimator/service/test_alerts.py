@@ -15,7 +15,8 @@ from starlette.testclient import TestClient
 from estimator.errors import InvalidInput
 from estimator.recalibration.alerts import calls_for_action
 from estimator.recalibration.conclusion import IS_CONVERGED
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.service import alerts, tasks
 from estimator.service.alerts import ALERTS, Alerts, leave_alert
 from estimator.service.assigned_job import AssignedJob

@@ -24,7 +24,8 @@ from estimator.diagnosis.panel_records import (
     Runner,
     Shown,
 )
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import rig_from_text
 from estimator.service.app import create_app
 from estimator.service.core import Core
