@@ -170,7 +170,7 @@ def _answer(key: str, default: Any, check: Callable[[str, Any], None]) -> Any:
 
 
 def can_ask() -> bool:
-    """Whether somebody sits at the terminal."""
+    """Whether standard input is a terminal."""
     return sys.stdin.isatty()
 
 

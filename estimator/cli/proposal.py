@@ -12,7 +12,7 @@ from estimator.cli.output import is_quiet, printable
 from estimator.cli.understood import si_symbol
 from estimator.errors import InvalidInput, cut
 from estimator.store.files import write_text
-from estimator.store.importers.forms.assignment import Assigned
+from estimator.store.importers.forms.assigner import Assigned
 from estimator.store.importers.forms.recipe import CLOCK, DATE
 from estimator.store.importers.forms.understand import Proposal, Understood
 from estimator.store.importers.table import Table
@@ -77,7 +77,7 @@ def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> N
         path: The file.
         read: What was read of it.
         is_accepted: Whether `--yes` or a recipe accepts it.
-        is_asked: Whether somebody may be asked.
+        is_asked: Whether a question may be asked.
     Raises:
         InvalidInput: It is not accepted.
     """
@@ -99,7 +99,7 @@ def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> N
 
 
 def is_terminal() -> bool:
-    """Whether somebody reads the question and can answer it."""
+    """Whether the question can be shown and answered."""
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 

@@ -105,7 +105,7 @@ def recalibrate_command(
     settings, reporter = SamplerSettings(target_ess=ess), Reporter(LINE_EVERY_S, LINE_EVERY_S)
 
     def tell(entry: Entry) -> None:
-        """Print an entry of the log, and alert of it if somebody has to act."""
+        """Print an entry of the log, and alert of it if it needs action."""
         if not as_json:
             with reporter.aside():
                 click.echo(
@@ -151,7 +151,7 @@ def recalibrate_command(
 
 
 def _exit_code(entry: Entry) -> int:
-    """Exit code of a conclusion by itself; 0 if nobody has to act."""
+    """Exit code of a conclusion by itself; 0 if it needs no action."""
     from estimator.recalibration.conclusion import IS_CONVERGED
 
     is_unsure = entry.checks.get(IS_CONVERGED) is False

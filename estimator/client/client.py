@@ -287,7 +287,7 @@ class Client(ServiceCalls[RemoteCalibration, RemoteRegistry, RemoteSession], Wai
 class AsyncClient(ServiceCalls[AsyncRemoteCalibration, AsyncRemoteRegistry, AsyncRemoteSession], Awaits):
     """A connection to a service, used with `async with`; methods, parameters and errors are those of `Client`.
 
-    Whoever cancels a call that waits for a job does not cancel the job.
+    Cancelling a call that waits for a job does not cancel the job.
 
     Args:
         url, token, attempts: As of `Client`.

@@ -56,7 +56,7 @@ class _Events:
         self.have_ended = False
 
     async def listen(self, connection: Http, path: str) -> None:
-        self._event = {}  # what a broken connection has left of one is told again
+        self._event = {}  # an event that a broken connection cut is sent again
         await connection.listen(f"{path}/events", {"Last-Event-ID": self._last_id}, self._take)
 
     def _take(self, line: str) -> None:

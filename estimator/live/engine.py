@@ -1,6 +1,6 @@
 """Follows a session while another process writes it: estimate and alarms after new readings, polishing while there are none.
 
-`coilcal live` shows its state on a terminal, and the service sends it to whoever watches.
+`coilcal live` shows its state on a terminal, and the service sends it to its watchers.
 """
 
 from __future__ import annotations

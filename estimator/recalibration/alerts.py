@@ -17,7 +17,7 @@ from estimator.recalibration.log import Entry
 
 
 def calls_for_action(entry: Entry) -> bool:
-    """Whether somebody has to act on a conclusion: a drift, a rejection, or a calibration that did not converge."""
+    """Whether a conclusion needs action: a drift, a rejection, or a calibration that did not converge."""
     return entry.conclusion in ("drifted", "rejected") or entry.checks.get(IS_CONVERGED) is False
 
 

@@ -52,7 +52,7 @@ def judge(
         may_replace: False for readings older than those of the version in use: they are judged but lead to no new version.
         seed: Seed of all random numbers.
         settings: When to stop sampling a successor.
-        watcher: Is told how far it is.
+        watcher: Gets the progress.
     Raises:
         InvalidInput: The rig or the current calibration cannot be used. Faults of the session do not raise: they lead to a rejection.
     """

@@ -48,7 +48,7 @@ def recalibrate(
         again: Names of sessions in the inbox to judge once more although they are in the log.
         on_entry: Called with each conclusion once it is logged, also with those that an interrupted call left pending.
         on_waiting: Called with each session that waits for the next call, and the reason.
-        watcher: Is told how far it is while a session is judged.
+        watcher: Gets the progress of each judgement.
     Returns: The log entries that `on_entry` was called with.
     Raises:
         InvalidInput: The inbox is not a folder, another job holds the registry, or the registry is of another rig.

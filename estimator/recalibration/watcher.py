@@ -1,4 +1,4 @@
-"""Who is told how far a recalibration is."""
+"""Functions that get the progress of a recalibration."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Alerts: a command of the settings hears of every conclusion on which somebody has to act, as that of `coilcal recalibrate` does.
+"""Alerts: a command of the settings runs for every conclusion that needs action, as that of `coilcal recalibrate` does.
 
-The worker leaves a file for each before the registry counts it as told. The service runs the command and removes the file, so a kill at any
-instant runs the command again and forgets nothing. No request names a command.
+The worker writes a file for each before the registry counts it as delivered. The service runs the command and removes the file, so a
+kill at any instant runs the command again and forgets nothing. No request names a command.
 """
 
 from __future__ import annotations

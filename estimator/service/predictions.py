@@ -69,7 +69,7 @@ class Predictor:
                 time.sleep(WINDOW_S)
             waiting: list[_Waiting] = [first]
             while not self._queue.empty():
-                another = self._queue.get()  # nobody else takes from the queue
+                another = self._queue.get()  # no other thread takes from the queue
                 if another is None:
                     self._queue.put(None)  # for the outer loop
                     break

@@ -47,7 +47,7 @@ class Recent(Generic[Key, Value]):
             return value
 
     def forget(self, is_gone: Callable[[Key], bool]) -> None:
-        """Drop the values of keys that are gone, which nobody asks for again."""
+        """Drop the values of keys that are gone."""
         with self._lock:
             for key in [key for key in self._values if is_gone(key)]:
                 del self._values[key]

@@ -1,6 +1,6 @@
-"""What is deleted: jobs and sessions when somebody asks for it, and jobs that ended long ago where the settings say so.
+"""Deletion: of jobs and sessions on request, and of jobs that ended long ago where the settings say so.
 
-A row goes first and its folder after it, so a kill in between leaves a folder that nobody knows, which the next start removes.
+A row goes first and its folder after it, so a kill in between leaves a folder without a row, which the next start removes.
 Judgements of sessions stay as long as their session: without them a schedule would judge it again.
 """
 
@@ -48,7 +48,7 @@ def remove_session(db: Session, session: SessionRow, caller: Caller) -> list[str
     Args:
         db: The database, for writing.
         session: Its row.
-        caller: Who asks, and may cancel and delete jobs of their own.
+        caller: The caller, who may cancel and delete jobs of their own.
     Returns: Ids of the jobs that are gone with it.
     Raises:
         Problem: A job has worked with it, or works; it says whose, and what to do first.

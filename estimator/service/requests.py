@@ -1,4 +1,4 @@
-"""Requests: who asks, limits of what is at work at once, bodies, and the audit log."""
+"""Requests: the caller, limits of what is at work at once, bodies, and the audit log."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def documented_body(media_type: str, description: str) -> dict[str, Any]:
 
 
 class _JsonRequest(Request):
-    """A request whose JSON is read by the loader of all JSON."""
+    """A request with JSON that is read by the loader of all JSON."""
 
     async def json(self) -> Any:
         """The value of the body, read in a thread, since a long one takes seconds.
@@ -139,7 +139,7 @@ class JsonRoute(APIRoute):
 
 
 def audited(db: Session, request: Request, caller: Caller, action: str, target: str) -> None:
-    """Note who changes what, in the transaction of the change."""
+    """Write a change into the audit log, in its transaction."""
     entry = Audit(time=now(), user=caller.user, token_id=caller.token_id, action=action, target=target)
     entry.request_id = request.scope["request_id"]
     db.add(entry)

@@ -1,7 +1,7 @@
 """Diagnoses sessions while they are watched and grow, one after another in one process of low priority.
 
 A diagnosis takes as long as hundreds of estimates, so it must not hold them up, and a process for each session would fill the memory. It
-is no job: nobody asked for it, and nothing is kept of it.
+is no job: it starts by itself, and nothing is stored of it.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class RunningDiagnosis:
         return min(waiting, key=lambda pair: pair[0])[1] if waiting else None
 
     def _turn(self, background: Background) -> bool:
-        """Diagnose one session, if one waits; False if the process is at work that nobody wants any more."""
+        """Diagnose one session, if one waits; False if the process works on a session that is no longer watched."""
         session = self._next()
         if session is None:
             self.stopping.wait(LOOK_EVERY_S)

@@ -1,4 +1,4 @@
-"""What webhooks are told, and who tells them: every message until it is taken, or until it was tried long enough.
+"""Messages to webhooks: each is sent until it is accepted, or until it was tried long enough.
 
 Messages are rows, written in the transaction of what they tell of. A kill between an answer and its row sends a message again, under the
 same id.

@@ -1,4 +1,4 @@
-"""Whether the service lives and can work, and who changed what."""
+"""State of the service: whether it answers and can work, its metrics and its audit log."""
 
 from __future__ import annotations
 

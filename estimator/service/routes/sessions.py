@@ -171,7 +171,7 @@ def append_readings(change: ChangeOf, session_id: Id, body: Ndjson) -> Appended:
     n_readings, n_new = core.sessions.append(session_id, readings)
     core.metrics.readings.inc(n_new)
     appender = session_id, change.caller.token_id
-    if appender not in core.appenders:  # thousands of entries with one meaning help nobody
+    if appender not in core.appenders:  # one entry is enough
         with core.database.writing() as db:
             change.note(db, "session.append", session_id)
         core.appenders.add(appender)

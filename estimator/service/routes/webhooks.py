@@ -1,4 +1,4 @@
-"""Webhooks: addresses that are told when a job has ended, and the log of what they were told."""
+"""Webhooks: addresses that get a message when a job has ended, and the log of these messages."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class WebhookInfo(BaseModel):
 
 
 class CreatedWebhook(WebhookInfo):
-    """A webhook with its secret, which is told once."""
+    """A webhook with its secret, which is shown once."""
 
     secret: Annotated[str, Field(description="Messages are signed with it, as Standard Webhooks describes.")]
 
@@ -63,7 +63,7 @@ class DeliveryInfo(BaseModel):
 
 @router.post("", status_code=201)
 def create_webhook(change: ChangeOf, body: NewWebhook) -> CreatedWebhook:
-    """Tell an address from now on when a job has ended."""
+    """Send a message to an address whenever a job has ended."""
     check_url(body.url, change.core.settings.webhook_networks)
     secret = SECRET_PREFIX + base64.b64encode(secrets.token_bytes(32)).decode()
     with change.core.database.writing() as db:
@@ -83,7 +83,7 @@ def list_webhooks(listing: ListingOf) -> Page[WebhookInfo]:
 
 @router.delete("/{webhook_id}", status_code=204)
 def delete_webhook(change: ChangeOf, webhook_id: Id) -> None:
-    """Tell an address nothing more, not even what waits."""
+    """Delete a webhook with the messages that wait."""
     with change.core.database.writing() as db:
         row = row_of(db, Webhook, webhook_id, "webhook")
         db.execute(delete(Delivery).where(Delivery.webhook_id == webhook_id))
@@ -93,7 +93,7 @@ def delete_webhook(change: ChangeOf, webhook_id: Id) -> None:
 
 @router.post("/{webhook_id}/test", status_code=202)
 def send_test(change: ChangeOf, webhook_id: Id) -> DeliveryInfo:
-    """Send a message that tells of nothing."""
+    """Send a message without content, as a test."""
     with change.core.database.writing() as db:
         row_of(db, Webhook, webhook_id, "webhook")
         body = json.dumps({"type": TEST, "timestamp": now(), "data": {"user": change.caller.user}})
@@ -109,7 +109,7 @@ def list_deliveries(
     listing: ListingOf,
     state: Annotated[Literal["waiting", "delivered", "failed"] | None, Query()] = None,
 ) -> Page[DeliveryInfo]:
-    """What a webhook was told, newest first."""
+    """Messages to a webhook, newest first."""
     with listing.core.database.reading() as db:
         row_of(db, Webhook, webhook_id, "webhook")
     return listing.page(Delivery, DeliveryInfo, webhook_id=webhook_id, state=state)

@@ -13,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
-from estimator.service import guard, metrics, rate_limits
+from estimator.service import bodies, metrics, rate_limits
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, bearer, begin_session, lines_of, refusal, upload_rig
 
@@ -96,7 +96,7 @@ def test_who_has_not_said_who_it_is_sends_no_more_than_a_token(idle: Callable[..
 def test_bodies_of_all_requests_together_have_an_end_and_their_room_comes_back(
     idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guard, "MOST_BODIES", 3)
+    monkeypatch.setattr(bodies, "MOST_BODIES", 3)
     client = idle(most_body_MB=1e-3)
 
     async def crowd() -> list[int]:
