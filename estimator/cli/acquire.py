@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.options import (
+    PATH,
     OutputPath,
     devices_option,
     flag,
@@ -32,8 +33,8 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 
 
 @click.command("acquire", cls=CoilcalCommand)
-@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
-@click.argument("plan_path", metavar="PLAN", type=click.Path(path_type=Path))
+@click.argument("rig_path", metavar="RIG", type=PATH)
+@click.argument("plan_path", metavar="PLAN", type=PATH)
 @option("--out", "Session to write (zarr).", OutputPath(), required=True)
 @devices_option
 @flag("--dry-run", "Show the plan and its duration; touch no instrument.")
@@ -68,13 +69,10 @@ def acquire_command(
     out: Path,
     devices_path: Path | None,
     dry_run: bool,
-    n_readings: int,
-    longest_settle_s: float,
-    speed_mm_per_s: float | None,
     url: str | None,
-    seed: int,
     overwrite: bool,
     as_json: bool,
+    **pace: Any,
 ) -> None:
     """Carry out PLAN with the instruments of RIG.
 
@@ -97,7 +95,7 @@ def acquire_command(
         check_output(out, overwrite, SESSION)
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
-    task = read_task(bench, plan_path, n_readings, longest_settle_s, speed_mm_per_s, seed)
+    task = read_task(bench, plan_path, **pace)
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)

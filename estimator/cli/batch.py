@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -25,7 +26,7 @@ from estimator.errors import InvalidInput
 
 
 @click.command("batch", cls=CoilcalCommand, goes_on=True)
-@click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=PATH)
 @option(
     "--out", "Folder for posteriors, tables and overview.html.", OutputPath(is_filled=True), required=True
 )
@@ -47,7 +48,10 @@ from estimator.errors import InvalidInput
     default=("plain",),
     metavar="CAUSES",
 )
-@flag("--each-coil", "Calibrate each coil by itself, from the readings in which it alone carries current.")
+@flag(
+    "--each-coil is_each_coil",
+    "Calibrate each coil by itself, from the readings in which it alone carries current.",
+)
 @option(
     "--posterior",
     "Sample the posterior of the hypotheses with more than 5 % probability, or of none.",
@@ -72,19 +76,10 @@ from estimator.errors import InvalidInput
 def batch_command(
     sessions: tuple[Path, ...],
     out: Path,
-    rig: Path | None,
-    columns: Path | None,
-    hypotheses: tuple[str, ...],
-    each_coil: bool,
     posterior: str,
-    as_described: bool,
     ess: float,
-    workers: int | None,
-    scheduler: str | None,
-    device: str,
-    precision: str,
-    seed: int,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Calibrate many sessions in parallel.
 
@@ -109,21 +104,12 @@ def batch_command(
     result = batch(
         sessions,
         out=out,
-        rig=rig,
-        columns=columns,
-        hypotheses=hypotheses,
-        is_each_coil=each_coil,
         has_posterior=posterior == "leaders",
-        seed=seed,
         settings=SamplerSettings(target_ess=ess),
-        workers=workers,
-        scheduler=scheduler,
-        device=device,
-        precision=precision,
-        as_described=as_described,
         tell=lambda done, total, words: tell_progress(
             f"{done} of {total}: {words}{time_left.words(done, total)}"
         ),
+        **options,
     )
     result.save_table(out)
     write_text(out / "overview.html", overview(result, command_of(click.get_current_context())))

@@ -13,6 +13,7 @@ import click
 
 from estimator.cli.command_line import command_of
 from estimator.cli.options import (
+    PATH,
     REFUSED_SINGLE,
     OutputPath,
     as_described_option,
@@ -34,7 +35,7 @@ MOST_LISTED = 50  # amplitudes on the screen
 
 
 @click.command("calibrate", cls=CoilcalCommand, goes_on=True)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("session_path", metavar="SESSION", type=PATH)
 @option(
     "--out",
     "Folder for summary.json, posterior.zarr and report.html.",
@@ -71,16 +72,12 @@ def calibrate_command(
     session_path: Path,
     out: Path,
     rig_path: Path | None,
-    seed: int,
     ess: float,
     walkers: int,
     max_steps: int,
     counts: str,
-    as_described: bool,
-    device: str,
-    precision: str,
-    overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Calibrate the rig of SESSION.
 
@@ -102,14 +99,10 @@ def calibrate_command(
                 session,
                 rig,
                 out=out,
-                overwrite=overwrite,
-                seed=seed,
                 settings=settings,
                 has_integer_counts=counts == "integer",
-                as_described=as_described,
-                device=device,
-                precision=precision,
                 on_stage=reporter.calibration,
+                **options,
             )
         summary = dict(calibration.summary())
         if not as_json:

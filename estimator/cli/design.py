@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import OutputPath, json_option, option, other_rig_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, json_option, option, other_rig_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ MOST_STOPS = 500
 
 
 @click.command("design", cls=CoilcalCommand)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("session_path", metavar="SESSION", type=PATH)
 @option(
     "--split",
     "Cause to tell apart from the others given, as CAUSE or CAUSE[PLACE]. Give it two or more times.",
@@ -41,15 +41,11 @@ MOST_STOPS = 500
 @json_option
 def design_command(
     session_path: Path,
-    split: tuple[str, ...],
-    shrink: str | None,
-    correction: str | None,
-    degree: int,
-    n_readings: int,
     out: Path | None,
     rig_path: Path | None,
     overwrite: bool,
     as_json: bool,
+    **aim: Any,
 ) -> None:
     """Propose which readings to take after SESSION.
 
@@ -68,16 +64,7 @@ def design_command(
         check_output(out, overwrite)
     rig = load_rig(rig_path) if rig_path else None
     with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
-        proposal = design(
-            load_session(session_path),
-            split=split,
-            shrink=shrink,
-            correction=correction,
-            degree=degree,
-            n_readings=n_readings,
-            rig=rig,
-            on_count=reporter.count,
-        )
+        proposal = design(load_session(session_path), rig=rig, on_count=reporter.count, **aim)
     if out is not None:
         write_output(out, proposal.plan, overwrite)
     result = {**proposal.to_json(), "plan": None if out is None else str(out)}

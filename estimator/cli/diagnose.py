@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 @click.command("diagnose", cls=CoilcalCommand, goes_on=True)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("session_path", metavar="SESSION", type=PATH)
 @option(
     "--validation validation_path",
     "Another session of the same rig, on which the extended model is judged. Without it: the readings marked as validation, or else a "
@@ -79,16 +79,12 @@ def diagnose_command(
     validation_path: Path | None,
     out: Path,
     rig_path: Path | None,
-    has_posterior: bool,
-    has_corrections: bool,
     minutes: float,
     most_causes: int | None,
     most_readings: int | None,
-    seed: int,
-    device: str,
-    precision: str,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Find what the model gets wrong in SESSION.
 
@@ -124,22 +120,17 @@ def diagnose_command(
             rig,
             validation=validation,
             out=unfinished,
-            seed=seed,
-            has_posterior=has_posterior,
-            has_corrections=has_corrections,
             limits=limits,
             most_readings=most_readings or policy.MOST_READINGS_SEARCHED,
-            device=device,
-            precision=precision,
             on_stage=reporter.stage,
             on_progress=reporter.fits,
+            **options,
         )
         if not as_json:
             with reporter.aside():
                 show(diagnosis.to_json(), _text(diagnosis), as_json)
-        from estimator.diagnosis.report import (
-            write_reports,  # matplotlib is loaded after the result is printed
-        )
+        # matplotlib is loaded after the result is printed
+        from estimator.diagnosis.report import write_reports
 
         write_reports(diagnosis, unfinished, command_of(click.get_current_context()))
     show(diagnosis.to_json(), _written(out), as_json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes
-from estimator.cli.options import OutputPath, json_option, option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, json_option, option, overwrite_option
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 from estimator.export.formats import FORMATS
 
@@ -21,7 +21,7 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
     "written as one magnet: each with the coils that were on in it, all in the same world frame. Formats:\n\n\b\n"
     + TABLE,
 )
-@click.argument("folders", metavar="CALIBRATION...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("folders", metavar="CALIBRATION...", nargs=-1, required=True, type=PATH)
 @option("--to", "Format.", click.Choice(list(FORMATS)), required=True)
 @option("--out", "File to write; by default one named after the rig, in this folder.", OutputPath())
 @option(

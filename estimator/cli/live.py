@@ -7,12 +7,12 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import json_option, option, seed_option
+from estimator.cli.options import PATH, json_option, option, seed_option
 from estimator.cli.output import CoilcalCommand, show
 
 
 @click.command("live", cls=CoilcalCommand)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("session_path", metavar="SESSION", type=PATH)
 @option(
     "--wait wait_s",
     "Seconds to wait for a session that does not exist yet; Ctrl-C ends the wait.",

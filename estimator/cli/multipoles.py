@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import OutputPath, json_option, option, other_rig_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, json_option, option, other_rig_option, overwrite_option
 from estimator.cli.output import CoilcalCommand, show
 
 
 @click.command("multipoles", cls=CoilcalCommand)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
+@click.argument("session_path", metavar="SESSION", type=PATH)
 @option("--out", "Rig file to write, for coilcal calibrate --rig.", OutputPath(), required=True)
 @other_rig_option
 @overwrite_option

@@ -9,7 +9,15 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
-from estimator.cli.options import OutputPath, flag, json_option, option, overwrite_option, prediction_options
+from estimator.cli.options import (
+    PATH,
+    OutputPath,
+    flag,
+    json_option,
+    option,
+    overwrite_option,
+    prediction_options,
+)
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 
 BLOCK = 2_000  # points predicted at once, with all draws of the posterior
@@ -22,7 +30,7 @@ HEADER = (
 
 
 @click.command("predict", cls=CoilcalCommand)
-@click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="CALIBRATION", type=PATH)
 @option(
     "--grid axes",
     "Points along an axis of the world frame: x_mm=-50:50:11 is 11 of them, 10 mm apart. An axis left out is 0. Repeatable.",
@@ -104,10 +112,10 @@ def predict_command(
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(HEADER)
     bounds = torch.stack((lower, upper), dim=-1).flatten(1)
-    for row in range(len(points_m)):
-        numbers = torch.cat((points_m[row], field[row], bounds[row])).tolist()
+    table = torch.cat((points_m, field, bounds), dim=1).tolist()
+    for numbers, inside in zip(table, is_inside.tolist(), strict=True):
         writer.writerow(
-            [f"{number:.9g}" if np.isfinite(number) else "" for number in numbers] + [int(is_inside[row])]
+            [*(f"{number:.9g}" if np.isfinite(number) else "" for number in numbers), int(inside)]
         )
     write_output(out, buffer.getvalue(), overwrite)
     n_inside = int(is_inside.sum())

@@ -11,6 +11,7 @@ import click
 from estimator.cli.output import is_quiet, printable
 from estimator.cli.understood import si_symbol
 from estimator.errors import InvalidInput, cut
+from estimator.glance import aligned
 from estimator.store.files import write_text
 from estimator.store.importers.forms.assigner import Assigned
 from estimator.store.importers.forms.recipe import CLOCK, DATE
@@ -33,12 +34,8 @@ def proposal_lines(path: Path, read: Understood) -> list[str]:
     assert proposal is not None
     head = ["column", "is", *(f"line {line}" for line in _first_lines(table))]
     rows = [head] + [_row(each, table) for each in proposal.assigned]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     lines = [f"{path}: {len(read.session.observations)} readings. {' '.join(proposal.remarks)}"]
-    lines += [
-        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    lines += [f"  {line}" for line in aligned(rows)]
     return [printable(line) for line in lines]
 
 

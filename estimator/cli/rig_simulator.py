@@ -8,6 +8,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.options import (
+    PATH,
     OutputPath,
     hide_option,
     option,
@@ -20,7 +21,7 @@ from estimator.cli.output import CoilcalCommand, named_number
 
 
 @click.command("rig-simulator", cls=CoilcalCommand)
-@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
+@click.argument("rig_path", metavar="RIG", type=PATH)
 @hide_option
 @truth_option("nominal")
 @set_option

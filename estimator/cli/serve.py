@@ -61,15 +61,12 @@ class ServeGroup(CoilcalGroup):
 @click.pass_context
 def serve_group(
     ctx: click.Context,
+    /,
     config: Path | None,
-    data: Path | None,
-    host: str | None,
-    port: int | None,
-    workers: int | None,
-    scheduler: str | None,
     opens: bool,
     check: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Serve calibrations and diagnoses over HTTP.
 
@@ -88,7 +85,7 @@ def serve_group(
                 )
                 raise click.UsageError(f"{option} {rule}")
         return
-    with _settings(config, data=data, host=host, port=port, workers=workers, scheduler=scheduler) as settings:
+    with _settings(config, **options) as settings:
         from estimator.service.serve import plan_of, serve
     if check:
         plan = plan_of(settings)
@@ -99,7 +96,7 @@ def serve_group(
 
 
 @serve_group.command("backup", cls=CoilcalCommand)
-@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@click.argument("file", metavar="FILE", type=PATH)
 @config_option
 @data_option
 @json_option
@@ -116,7 +113,7 @@ def backup_command(file: Path, config: Path | None, data: Path | None, as_json: 
 
 
 @serve_group.command("restore", cls=CoilcalCommand)
-@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
+@click.argument("file", metavar="FILE", type=PATH)
 @config_option
 @data_option
 @json_option

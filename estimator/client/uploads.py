@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import io
 import tempfile
-import zipfile
 from pathlib import Path
 
 from estimator.client.connection import Http
 from estimator.rig.rig import Rig
 from estimator.rig_files.write import rig_text
 from estimator.store.session import Session
+from estimator.store.zipped import zipped
 
 
 async def upload_rig(connection: Http, rig: Rig) -> str:
@@ -38,10 +37,7 @@ async def upload(connection: Http, session: Session) -> str:
 
 
 def _zipped(session: Session) -> bytes:
-    buffer = io.BytesIO()
-    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
+    with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "session.zarr"
         session.save(path)
-        for file in sorted(file for file in path.rglob("*") if file.is_file()):
-            archive.write(file, file.relative_to(path).as_posix())
-    return buffer.getvalue()
+        return zipped(path)

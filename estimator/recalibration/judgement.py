@@ -24,7 +24,7 @@ from estimator.recalibration.successor import (
     sampled_successor,
     short_of,
 )
-from estimator.recalibration.watcher import UNHEARD, Watcher
+from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import mistake_in, names_of
 from estimator.rig.rig import Rig
@@ -40,7 +40,7 @@ def judge(
     may_replace: bool = True,
     seed: int = 0,
     settings: SamplerSettings | None = None,
-    watcher: Watcher = UNHEARD,
+    watcher: Watcher = UNWATCHED,
 ) -> Judgement:
     """Conclude on one session.
 

@@ -15,7 +15,7 @@ from estimator.recalibration.history_report import history_report
 from estimator.recalibration.judgement import judge
 from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import HISTORY, Registry
-from estimator.recalibration.watcher import UNHEARD, Watcher
+from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text
 
@@ -32,7 +32,7 @@ def recalibrate(
     again: Collection[str] = (),
     on_entry: Callable[[Entry], None] | None = None,
     on_waiting: Callable[[Path, str], None] | None = None,
-    watcher: Watcher = UNHEARD,
+    watcher: Watcher = UNWATCHED,
 ) -> list[Entry]:
     """Judge every new session of an inbox, oldest readings first, and keep the calibrations they lead to.
 

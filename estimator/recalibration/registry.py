@@ -22,10 +22,7 @@ import xarray as xr
 
 from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
 from estimator.errors import CorruptStore, InvalidInput, quoted
-from estimator.given_files import (
-    MOST_SETTINGS_BYTES,
-    read_given_text,
-)
+from estimator.given_files import MOST_SETTINGS_BYTES, read_given_text
 from estimator.json_files import read_json, sealed
 from estimator.recalibration.log import ROLLED_BACK, Entry, Log
 from estimator.rig_files.write import rig_text

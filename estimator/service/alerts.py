@@ -36,28 +36,20 @@ def leave_alert(folder: Path, rig_name: str, entry: Entry) -> None:
     write_text(folder / name, json.dumps(message, allow_nan=False) + "\n")
 
 
-class Alerts:
-    """Runs the command.
+def run_alerts(command: str, folder: Path) -> None:
+    """Run the command for each conclusion that waits; one that fails is logged and not tried again.
 
     Args:
         command: The command; none where it is empty.
         folder: Where conclusions wait for it.
     """
-
-    def __init__(self, command: str, folder: Path) -> None:
-        self._command, self._folder = command, folder
-
-    def tick(self) -> None:
-        """Tell the command of what waits; one that fails is logged and not tried again."""
-        if not self._command:
-            return
-        for path in sorted(self._folder.glob("*.json")):
-            try:
-                fault = run_command(self._command, read_json(path, fault=CorruptStore))
-            except CorruptStore as error:
-                fault = str(error)
-            path.unlink()
-            if fault is None:
-                log.info("alert", extra={"alert": path.stem})
-            else:
-                log.error("alert failed", extra={"alert": path.stem, "fault": fault})
+    for path in sorted(folder.glob("*.json")) if command else ():
+        try:
+            fault = run_command(command, read_json(path, fault=CorruptStore))
+        except CorruptStore as error:
+            fault = str(error)
+        path.unlink()
+        if fault is None:
+            log.info("alert", extra={"alert": path.stem})
+        else:
+            log.error("alert failed", extra={"alert": path.stem, "fault": fault})

@@ -122,11 +122,7 @@ def recalibrate_job(job: AssignedJob) -> dict[str, Any]:
     write_text(job.folder / REPORT, page.replace(str(registry.folder), f"registry of {rig.name}"))
     if entry.made is not None:
         registry.calibration(entry.made).save(job.folder / CALIBRATION)
-    return {
-        "conclusion": entry.conclusion,
-        "has_calibration": entry.made is not None,
-        "rig_name": rig.name,
-    }
+    return {"conclusion": entry.conclusion, "has_calibration": entry.made is not None, "rig_name": rig.name}
 
 
 def batch_job(job: AssignedJob) -> dict[str, Any]:

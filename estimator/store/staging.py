@@ -9,12 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from estimator.errors import InvalidInput
-from estimator.store.files import (
-    kind_of,
-    real,
-    unfinished_prefix,
-    unwritable,
-)
+from estimator.store.files import kind_of, real, unfinished_prefix, unwritable
 from estimator.store.made import Made, check_folder, check_outside_stores
 from estimator.store.stage import OutputBusy, Stage
 

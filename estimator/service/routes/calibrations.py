@@ -17,11 +17,11 @@ from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibrat
 from estimator.code_version import code_version
 from estimator.rig_files.write import rig_text
 from estimator.service.answers import UNCHANGED, ListingOf, Page, file_of, row_of, shown_as, with_etag
-from estimator.service.archives import zipped
 from estimator.service.core import Core
 from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.schema import CalibrationRow, Job
 from estimator.service.tasks import TASKS
+from estimator.store.zipped import zipped
 
 router = router_of("/v1/calibrations", "calibrations")
 
@@ -65,8 +65,7 @@ def calibration_of(core: Core, calibration_id: str) -> tuple[CalibrationRow, Pat
 
 @router.get("")
 def list_calibrations(
-    listing: ListingOf,
-    rig_name: Annotated[str | None, Query(max_length=200)] = None,
+    listing: ListingOf, rig_name: Annotated[str | None, Query(max_length=200)] = None
 ) -> Page[CalibrationInfo]:
     """Calibrations, newest first."""
     return listing.page(CalibrationRow, CalibrationInfo, rig_name=rig_name)

@@ -117,11 +117,7 @@ async def predict_grid(core: CoreOf, calibration_id: Id, body: GridQuestion) -> 
 
 
 @router.post("/{calibration_id}/grid.arrow", **ARROW_RESPONSE)
-async def predict_grid_arrow(
-    core: CoreOf,
-    calibration_id: Id,
-    body: GridQuestion,
-) -> Response:
+async def predict_grid_arrow(core: CoreOf, calibration_id: Id, body: GridQuestion) -> Response:
     """Field and gradient of the calibrated model on a regular grid, as an Arrow stream with a row for each point."""
     points_m = torch.cartesian_prod(*_axes_of(core, body).values())
     return await _as_arrow(_blocks(core, calibration_id, points_m, body), calibration_id, body)

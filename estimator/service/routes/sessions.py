@@ -18,7 +18,6 @@ from starlette.responses import Response
 
 from estimator.rig_files.read import rig_from_text
 from estimator.service.answers import ListingOf, Page, file_of, row_of, shown_as, with_etag
-from estimator.service.archives import zipped
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.ownership import OWN_SESSION
@@ -40,6 +39,7 @@ from estimator.service.tokens import Caller
 from estimator.service.watching import Watched
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import load_session
+from estimator.store.zipped import zipped
 
 OPEN, CLOSED = "open", "closed"
 router = router_of("/v1/sessions", "sessions")
@@ -91,9 +91,7 @@ def closed_row_of(core: Core, session_id: str) -> SessionRow:
 
 
 @router.post(
-    "",
-    status_code=201,
-    responses={200: {"model": SessionInfo, "description": "The key was used before."}},
+    "", status_code=201, responses={200: {"model": SessionInfo, "description": "The key was used before."}}
 )
 def create_session(response: Response, change: ChangeOf, body: NewSession, key: Key = None) -> SessionInfo:
     """Begin a session that takes readings."""
@@ -188,8 +186,7 @@ def _watched(core: CoreOf, session_id: Id) -> Iterator[Watched]:
 
 @router.get("/{session_id}/live", response_class=EventSourceResponse, dependencies=[STREAM])
 async def watch_session(
-    core: CoreOf,
-    watched: Annotated[Watched, Depends(_watched)],
+    core: CoreOf, watched: Annotated[Watched, Depends(_watched)]
 ) -> AsyncIterator[ServerSentEvent]:
     """The estimate of an open session as server-sent events: `estimate` after readings were appended, and `end` when it is closed."""
     async with aclosing(watched.states(lambda: core.is_ending)) as states:

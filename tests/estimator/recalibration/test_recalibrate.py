@@ -21,7 +21,7 @@ from estimator.recalibration import comparison, policy
 from estimator.recalibration.arrivals import arrivals
 from estimator.recalibration.conclusion import Conclusion, Judgement
 from estimator.recalibration.judgement import judge
-from estimator.recalibration.log import Entry
+from estimator.recalibration.log import Entry, Log
 from estimator.recalibration.recalibrate import HISTORY, _in_use, _since, recalibrate, roll_back
 from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
@@ -159,7 +159,7 @@ def test_a_version_that_a_kill_left_without_its_line_is_told_of(
         raise KeyboardInterrupt
 
     registry = Registry(tmp_path / "registry")
-    monkeypatch.setattr(Registry, "_log", end)
+    monkeypatch.setattr(Log, "append", end)
     with pytest.raises(KeyboardInterrupt):
         recalibrate(small_rig, inbox, registry.folder)
     monkeypatch.undo()

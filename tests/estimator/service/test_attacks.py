@@ -20,12 +20,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from estimator.service import archives, connections
-from estimator.service.archives import zipped
 from estimator.service.concurrency import WaitingLimit
 from estimator.service.connections import PromptHttp
 from estimator.service.post import Undelivered, post
 from estimator.service.problems import Problem
 from estimator.store.session import Session
+from estimator.store.zipped import zipped
 from tests.estimator.service.conftest import Served, begin_session, refusal, upload_rig
 
 YAML, JSON, ZIP = "application/yaml", "application/json", "application/zip"

@@ -8,12 +8,7 @@ from dataclasses import dataclass, replace
 from estimator.errors import Faults, InvalidInput, Place, closest, quoted
 from estimator.rig.rig import Rig
 from estimator.store.importers.forms.cells import DATE_CELL, is_clock
-from estimator.store.importers.forms.headings import (
-    Target,
-    candidates,
-    heading_of,
-    targets_of,
-)
+from estimator.store.importers.forms.headings import Target, candidates, heading_of, targets_of
 from estimator.store.importers.forms.recipe import CLOCK, DATE, NOTHING, Recipe
 from estimator.store.importers.forms.units import SYMBOLS, FileUnit, split_file_unit
 from estimator.units import UNITS

@@ -20,12 +20,7 @@ from estimator.store.importers.csv_table import filled_table, read_table
 from estimator.store.importers.forms.assigner import Assigned
 from estimator.store.importers.forms.assignment import Assignment, assigned_columns
 from estimator.store.importers.forms.cells import is_number, plain_numbers
-from estimator.store.importers.forms.layout import (
-    SAMPLE_LINES,
-    WORDS,
-    Layout,
-    layout_of,
-)
+from estimator.store.importers.forms.layout import SAMPLE_LINES, WORDS, Layout, layout_of
 from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, Recipe
 from estimator.store.importers.forms.rows import Source, first_lines, grid_source, text_source
 from estimator.store.importers.forms.sources import CELL_SEPARATOR, MOST_COLUMNS, kind_of
