@@ -64,7 +64,7 @@ class ThisProcess:
 class Cluster:
     """Runs calls on workers.
 
-    A worker that dies is replaced and its calls are made again elsewhere. If the scheduler is lost, unfinished calls are made again once
+    A worker that dies is replaced, and another worker makes its calls again. If the scheduler is lost, unfinished calls are made again once
     there is a new one at the same address.
     """
 
@@ -188,12 +188,12 @@ def _replacing(local: LocalCluster, n: int) -> Iterator[None]:
 
 
 @contextmanager
-def _deaf_to_interruptions() -> Iterator[None]:
-    """Threads and processes that begin meanwhile, and those that these start, never get Ctrl-C, which a terminal sends to all.
+def _interruptions_blocked() -> Iterator[None]:
+    """Block Ctrl-C, which a terminal sends to all, in threads and processes that begin meanwhile and in those that these start.
 
-    This program hears it, and ends them in order.
+    This program gets it, and ends them in order.
     """
-    resource_tracker.ensure_running()  # in Python 3.11 the thread that starts it is deaf no more
+    resource_tracker.ensure_running()  # in Python 3.11 the thread that starts it would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -224,7 +224,7 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
         address = scheduler
         if address is None:
             n = workers or len(os.sched_getaffinity(0))
-            with _deaf_to_interruptions():
+            with _interruptions_blocked():
                 local = LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0")
             address = stack.enter_context(local).scheduler_address
             stack.enter_context(_replacing(local, n))

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 SCREENS_PER_S = 4
 LINE_EVERY_S = 5.0
-SILENT_S = 20.0  # without a stop for so long, somebody should look
+SILENT_S = 20.0  # without a stop after which a warning is shown
 MOST_ALARMS = 8
 
 

@@ -113,7 +113,7 @@ class Journal:
     def append_all(self, entries: Sequence[Mapping[str, Any]]) -> None:
         """Write entries and wait once; when this returns, all are on disk.
 
-        They are not kept in `entries`, so that whoever writes for hours needs no more memory with time. A crash leaves the first ones of
+        They are not kept in `entries`, so that memory does not grow in a session of hours. A crash leaves the first ones of
         them, or none.
 
         Raises:
