@@ -196,24 +196,24 @@ def ask(
     """
     fit, alone = expansion.fit, expansion.alone
     causes = causes_of(fit.rig, fit, limits)
-    changes = None if before is None or not before.changes.is_near(fit) else before.changes
-    changes = changes or Changes.about(fit, causes)
-    led = [] if before is None else [before.dictionary.items[i] for i in before.leading]
-    pool = changes.pool_of(fit, causes)
-    starts = starts_of(fit, pool)
-    is_near = before is not None and changes is before.changes
-    known = dict(shapes)
+    led, known = [] if before is None else [before.dictionary.items[i] for i in before.leading], dict(shapes)
+    is_near = before is not None and before.changes.is_near(fit)
     if before is not None and is_near:
+        changes = before.changes
         known = {**places_in(fit, before.dictionary.items), **shapes}
+    else:
+        changes = Changes.about(fit, expansion.always, causes)
+    here = changes.moved(fit, expansion.always, causes)
+    starts = starts_of(fit, here.pool)
     starts += [more for cause, of_cause in known.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts, is_near)
     if expansion.causes:
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
-    entries = dictionary(expansion, listed, departures(changes, alone, others))
+    entries = dictionary(expansion, listed, departures(here, alone, others))
     slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))
     samples = slots.sample(CLIMBING, seed, _alike(entries.items, led))
-    return Asked(expansion, tuple(pool), entries, changes, slots, samples)
+    return Asked(expansion, here.pool, entries, changes, slots, samples)
 
 
 def _alike(items: Sequence[Item], led: Sequence[Item]) -> list[int]:

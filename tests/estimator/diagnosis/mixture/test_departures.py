@@ -74,10 +74,9 @@ def test_columns_of_a_fit_nearby_are_reused_and_those_of_a_far_one_made_anew(ask
     causes = causes_of(fit.rig, fit, Limits())
     changes = asked.changes
     assert changes.is_near(fit)
-    again = changes.pool_of(fit, causes)
-    fresh = Changes.about(fit, causes).pool
-    assert [candidate.cause for candidate in again] == [candidate.cause for candidate in fresh]
-    for first, second in zip(again, fresh, strict=True):
+    fresh = Changes.about(fit, asked.expansion.always, causes).pool
+    assert [candidate.cause for candidate in changes.pool] == [candidate.cause for candidate in fresh]
+    for first, second in zip(changes.pool, fresh, strict=True):
         torch.testing.assert_close(first.columns, second.columns)
     readings = fit.observations.with_field(1.1 * fit.observations.field_sensor_T)
     assert not changes.is_near(fit_of(fit.rig, readings))
