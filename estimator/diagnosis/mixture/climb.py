@@ -79,8 +79,9 @@ class Asked:
         causes = (*self.expansion.causes, *known)
         items = self.dictionary.items
         new = [i for i in model if items[i].is_listed and items[i].cause not in causes]
-        lost = {i: self.slots.products.beside([j for j in model if j != i], self.noise)[i] for i in new}
-        return sorted(new, key=lambda i: -float(lost[i]))
+        products = self.slots.products
+        lost = {i: products.of_one(i, [j for j in model if j != i], self.noise) for i in new}
+        return sorted(new, key=lambda i: -lost[i])
 
     def is_worse_than(self, before: Asked, causes: Collection[Cause]) -> bool:
         """Whether the readings are clearly less probable with some causes and departures than before, each about a fit that has its own."""
