@@ -11,16 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import (
-    PATH,
-    OutputPath,
-    devices_option,
-    flag,
-    json_option,
-    option,
-    overwrite_option,
-    seed_option,
-)
+from estimator.cli.options import PATH, OutputPath, devices_option, flag, option, result_options, seed_option
 from estimator.cli.output import EXIT_INTERRUPTED, EXIT_UNDELIVERED, CoilcalCommand, show
 from estimator.errors import CorruptStore, InvalidInput
 
@@ -61,8 +52,7 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
     metavar="URL",
 )
 @seed_option
-@overwrite_option
-@json_option
+@result_options
 def acquire_command(
     rig_path: Path,
     plan_path: Path,

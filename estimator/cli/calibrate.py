@@ -18,11 +18,10 @@ from estimator.cli.options import (
     OutputPath,
     as_described_option,
     ess_option,
-    json_option,
     option,
     other_rig_option,
-    overwrite_option,
     prediction_options,
+    result_options,
     seed_option,
 )
 from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
@@ -66,8 +65,7 @@ MOST_LISTED = 50  # amplitudes on the screen
 )
 @as_described_option
 @prediction_options("readings", REFUSED_SINGLE)
-@overwrite_option
-@json_option
+@result_options
 def calibrate_command(
     session_path: Path,
     out: Path,

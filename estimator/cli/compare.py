@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import PATH, OutputPath, json_option, option, overwrite_option, seed_option
+from estimator.cli.options import PATH, OutputPath, option, result_options, seed_option
 from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
 from estimator.glance import aligned
@@ -25,8 +25,7 @@ Compared = tuple[dict[str, Any], list[str], str]  # as a record, as lines, and a
 @option("--map-current map_current_A", "Current in ampere at which the map was computed.", float, default=1.0)
 @option("--out", "Folder for comparison.json and comparison.html.", OutputPath(is_filled=True), required=True)
 @seed_option
-@overwrite_option
-@json_option
+@result_options
 def compare_command(
     paths: tuple[Path, ...],
     map_path: Path | None,

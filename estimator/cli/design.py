@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import PATH, OutputPath, json_option, option, other_rig_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, option, other_rig_option, result_options
 from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ MOST_STOPS = 500
 @option("--readings n_readings", "Number of readings to propose.", click.IntRange(1, MOST_STOPS), default=20)
 @option("--out", "Plan to write (YAML), for coilcal simulate and coilcal acquire.", OutputPath())
 @other_rig_option
-@overwrite_option
-@json_option
+@result_options
 def design_command(
     session_path: Path,
     out: Path | None,

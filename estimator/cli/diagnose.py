@@ -18,11 +18,10 @@ from estimator.cli.options import (
     PATH,
     REFUSED_SINGLE,
     OutputPath,
-    json_option,
     option,
     other_rig_option,
-    overwrite_option,
     prediction_options,
+    result_options,
     seed_option,
 )
 from estimator.cli.output import CoilcalCommand, show
@@ -72,8 +71,7 @@ if TYPE_CHECKING:
 )
 @seed_option
 @prediction_options("readings", REFUSED_SINGLE)
-@overwrite_option
-@json_option
+@result_options
 def diagnose_command(
     session_path: Path,
     validation_path: Path | None,

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes
-from estimator.cli.options import PATH, OutputPath, json_option, option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, option, result_options
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 from estimator.export.formats import FORMATS
 
@@ -39,8 +39,7 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
     multiple=True,
     metavar="MOVER=V1,..,V6",
 )
-@overwrite_option
-@json_option
+@result_options
 def export_command(
     folders: tuple[Path, ...],
     to: str,

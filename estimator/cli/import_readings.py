@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.form_options import FormOptions, form_options
-from estimator.cli.options import PATH, OutputPath, flag, json_option, option, overwrite_option, seed_option
+from estimator.cli.options import PATH, OutputPath, flag, option, result_options, seed_option
 from estimator.cli.output import CoilcalCommand, named_number, show
 from estimator.errors import InvalidInput
 from estimator.store.importers import IMPORTERS
@@ -50,8 +50,7 @@ VALIDATION_SHARE = 0.2  # `estimator.store.importers.checked`, which needs torch
 @form_options
 @flag("--yes", "Accept what was understood of the file, without a question.")
 @seed_option
-@overwrite_option
-@json_option
+@result_options
 def import_command(
     paths: tuple[Path, ...],
     rig_path: Path,

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from estimator.cli.options import OutputPath, flag, json_option, option, overwrite_option
+from estimator.cli.options import OutputPath, flag, option, result_options
 from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
 
@@ -86,8 +86,7 @@ def _options(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.argument("folder", default=".", type=OutputPath(is_filled=True))
 @_options
 @flag("--yes is_quiet", "Ask nothing: take the defaults of what is not given.")
-@overwrite_option
-@json_option
+@result_options
 def init_command(
     folder: Path, kind: str | None, is_quiet: bool, overwrite: bool, as_json: bool, **given: Any
 ) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import PATH, OutputPath, json_option, option, other_rig_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, option, other_rig_option, result_options
 from estimator.cli.output import CoilcalCommand, show
 
 
@@ -14,8 +14,7 @@ from estimator.cli.output import CoilcalCommand, show
 @click.argument("session_path", metavar="SESSION", type=PATH)
 @option("--out", "Rig file to write, for coilcal calibrate --rig.", OutputPath(), required=True)
 @other_rig_option
-@overwrite_option
-@json_option
+@result_options
 def multipoles_command(
     session_path: Path, out: Path, rig_path: Path | None, overwrite: bool, as_json: bool
 ) -> None:

@@ -47,6 +47,13 @@ class OutputPath(click.Path):
 
 json_option = flag("--json as_json", "Print the result as one JSON object.")
 overwrite_option = flag("--overwrite", "Replace an existing output.")
+
+
+def result_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of a command that writes something and prints a result."""
+    return overwrite_option(json_option(command))
+
+
 seed_option = option(
     "--seed",
     "Seed of the random numbers; the same seed repeats the same result.",

@@ -9,15 +9,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
-from estimator.cli.options import (
-    PATH,
-    OutputPath,
-    flag,
-    json_option,
-    option,
-    overwrite_option,
-    prediction_options,
-)
+from estimator.cli.options import PATH, OutputPath, flag, option, prediction_options, result_options
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 
 BLOCK = 2_000  # points predicted at once, with all draws of the posterior
@@ -58,8 +50,7 @@ HEADER = (
 )
 @option("--out", "CSV file to write.", OutputPath(), required=True)
 @prediction_options("points")
-@overwrite_option
-@json_option
+@result_options
 def predict_command(
     folder: Path,
     axes: tuple[str, ...],

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -37,6 +37,11 @@ config_option = option(
 data_option = option(
     "--data", "Folder of everything that is kept; ./coilcal-data by default.", PATH, callback=_of_group
 )
+
+
+def shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of every subcommand."""
+    return config_option(data_option(json_option(command)))
 
 
 class ServeGroup(CoilcalGroup):
@@ -97,9 +102,7 @@ def serve_group(
 
 @serve_group.command("backup", cls=CoilcalCommand)
 @click.argument("file", metavar="FILE", type=PATH)
-@config_option
-@data_option
-@json_option
+@shared_options
 def backup_command(file: Path, config: Path | None, data: Path | None, as_json: bool) -> None:
     """Copy everything that the service keeps into FILE, while it runs.
 
@@ -114,9 +117,7 @@ def backup_command(file: Path, config: Path | None, data: Path | None, as_json: 
 
 @serve_group.command("restore", cls=CoilcalCommand)
 @click.argument("file", metavar="FILE", type=PATH)
-@config_option
-@data_option
-@json_option
+@shared_options
 def restore_command(file: Path, config: Path | None, data: Path | None, as_json: bool) -> None:
     """Make the data folder of a service from FILE; nothing may be there yet."""
     with _settings(config, data=data) as settings:
@@ -140,9 +141,7 @@ def token_group() -> None:
     default="write",
 )
 @option("--days", "Time until it expires.", float, default=90.0)
-@config_option
-@data_option
-@json_option
+@shared_options
 def create_command(
     user: str, scope: str, days: float, config: Path | None, data: Path | None, as_json: bool
 ) -> None:
@@ -155,9 +154,7 @@ def create_command(
 
 
 @token_group.command("list", cls=CoilcalCommand)
-@config_option
-@data_option
-@json_option
+@shared_options
 def list_command(config: Path | None, data: Path | None, as_json: bool) -> None:
     """List tokens, without what they are."""
     with _database(config, data) as database:
@@ -175,9 +172,7 @@ def list_command(config: Path | None, data: Path | None, as_json: bool) -> None:
 
 @token_group.command("revoke", cls=CoilcalCommand)
 @click.argument("token_id", metavar="ID")
-@config_option
-@data_option
-@json_option
+@shared_options
 def revoke_command(token_id: str, config: Path | None, data: Path | None, as_json: bool) -> None:
     """End a token now; a service that runs refuses it from the next request on."""
     with _database(config, data) as database:

@@ -11,9 +11,8 @@ from estimator.cli.options import (
     PATH,
     OutputPath,
     hide_option,
-    json_option,
     option,
-    overwrite_option,
+    result_options,
     seed_option,
     set_option,
     truth_option,
@@ -43,8 +42,7 @@ if TYPE_CHECKING:
 @seed_option
 @option("--out", "Session to write (zarr).", OutputPath(), required=True)
 @option("--csv csv_path", "Write the readings as CSV as well.", OutputPath())
-@overwrite_option
-@json_option
+@result_options
 def simulate_command(
     rig_path: Path,
     plan_path: Path,

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
@@ -36,14 +37,17 @@ def leave_alert(folder: Path, rig_name: str, entry: Entry) -> None:
     write_text(folder / name, json.dumps(message, allow_nan=False) + "\n")
 
 
-def run_alerts(command: str, folder: Path) -> None:
+def run_alerts(command: str, folder: Path, is_ending: Callable[[], bool] = lambda: False) -> None:
     """Run the command for each conclusion that waits; one that fails is logged and not tried again.
 
     Args:
         command: The command; none where it is empty.
         folder: Where conclusions wait for it.
+        is_ending: Whether the service ends, which leaves the others for its next start.
     """
     for path in sorted(folder.glob("*.json")) if command else ():
+        if is_ending():
+            return
         try:
             fault = run_command(command, read_json(path, fault=CorruptStore))
         except CorruptStore as error:

@@ -129,7 +129,7 @@ class Core:
 
     def run_alerts(self) -> None:
         """Run the command of the settings for conclusions that need action."""
-        alerts.run_alerts(self.settings.alert_command, self.data / ALERTS)
+        alerts.run_alerts(self.settings.alert_command, self.data / ALERTS, lambda: self.is_ending)
 
     def remove_old_jobs(self) -> int:
         """Remove jobs that ended longer ago than the settings keep them; their number."""

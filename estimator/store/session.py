@@ -303,11 +303,12 @@ def is_session(path: Path) -> bool:
     return is_growing(path) or holds(path / GROUP, KIND)
 
 
-def _is_own(folder: Path) -> bool:
-    return has_journal(folder) or holds(folder / GROUP, KIND)
-
-
-SESSION = Made("a session", rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json", (GROUP, JOURNAL), _is_own)
+SESSION = Made(
+    "a session",
+    rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json",
+    (GROUP, JOURNAL),
+    lambda folder: has_journal(folder) or holds(folder / GROUP, KIND),
+)
 
 
 def _described(body: Body | Mover) -> str:

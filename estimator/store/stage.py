@@ -36,8 +36,10 @@ AT_FDCWD, NO_REPLACE, EXCHANGE = -100, 1, 2  # of renameat2 in Linux
 class OutputBusy(InvalidInput):
     """Another program writes the same output."""
 
-    def __init__(self, output: Path) -> None:
-        super().__init__(f"output must be written by one program at a time; another writes {output}")
+    @classmethod
+    def of(cls, output: Path) -> OutputBusy:
+        """The refusal of an output."""
+        return cls(f"output must be written by one program at a time; another writes {output}")
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ class Stage:
                 with suppress(FileNotFoundError):  # its writer has just ended
                     dead.append(cls(output, folder, os.open(folder / MARK, os.O_RDWR | os.O_NOFOLLOW)))
             if not all(_lock(stage.descriptor) for stage in dead):
-                raise OutputBusy(output)
+                raise OutputBusy.of(output)
         except BaseException:
             for stage in dead:
                 os.close(stage.descriptor)
@@ -102,7 +104,7 @@ class Stage:
             (folder / OLD).mkdir()
             descriptor = os.open(folder / MARK, os.O_RDWR | os.O_NOFOLLOW)
             if not _lock(descriptor):
-                raise OutputBusy(output)
+                raise OutputBusy.of(output)
         except BaseException:
             _remove(folder)
             raise

@@ -120,7 +120,7 @@ def _called(output: Path) -> Iterator[None]:
     try:
         yield
     except OutputBusy:
-        raise OutputBusy(output) from None
+        raise OutputBusy.of(output) from None
 
 
 def write_output(output: Path | str, content: str | bytes, overwrite: bool = False) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from estimator.errors import quoted
 from estimator.store.importers.forms.assigner import MOST_LISTED, Assigner
 from estimator.store.importers.forms.units import split_file_unit
@@ -16,7 +14,10 @@ def check_missing(assigner: Assigner, quantities: set[str]) -> None:
     Raises:
         InvalidInput: It is.
     """
-    rig, quantities = assigner.rig, quantities | set(_quantities(assigner.recipe.constants))
+    rig, quantities = (
+        assigner.rig,
+        quantities | {split_file_unit(name)[0] for name in assigner.recipe.constants},
+    )
     for target in assigner.targets:
         if target.quantity in quantities or target.role not in {"current", "place", "joint"}:
             continue
@@ -78,7 +79,3 @@ def _check_rotations(assigner: Assigner, quantities: set[str]) -> None:
                 f"angles must be the components of a rotation vector; {', '.join(map(quoted, angles[:MOST_LISTED]))} may be others: "
                 f"say what they are with --column '{angles[0]}={turns[0]}_deg', or leave them out with --column '{angles[0]}=-'"
             )
-
-
-def _quantities(constants: Mapping[str, float]) -> list[str]:
-    return [split_file_unit(name)[0] for name in constants]
