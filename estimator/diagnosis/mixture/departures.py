@@ -91,7 +91,7 @@ class Changes:
         return not bool(stalled(self.fit, fit).any())
 
     def moved(self, fit: Fit, always: Projector, causes: Sequence[Cause]) -> Changes:
-        """The same about a fit nearby, of some listed causes.
+        """Changes about a fit nearby, of some listed causes.
 
         What the rig follows of a column moves with the rig: else the difference of the two would look like a cause where nearly all of a
         column can be followed, as of turns that are wound otherwise.
