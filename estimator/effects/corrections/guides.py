@@ -79,7 +79,7 @@ class GuideErrors(Place, AlongWay):
         return Limit(n - 1, f"the mover was at {n} positions along one axis; measure at more")
 
     def variable(self, pose: Transform, columns: Columns, theta: Theta) -> Tensor:
-        """Where the mover says that it stands."""
+        """Reported position, which ways are shares of."""
         return pose.translation_m
 
 
