@@ -19,9 +19,9 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.admission import admit, admit_readings
+from estimator.store.arrays import ARRAYS, observation_arrays, observations_from
 from estimator.store.files import kind_of, unwritable, write_text
 from estimator.store.made import GROUP, Made, arrays_of, holds
-from estimator.store.session import ARRAYS, observation_arrays, observations_from
 from estimator.store.staging import staged
 from estimator.store.tree import Node, read_tree, tree_hash
 

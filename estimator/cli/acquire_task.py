@@ -17,9 +17,9 @@ from drivers.open import DeviceSet
 from drivers.safety import CoilLoad
 from estimator.acquisition.acquire import acquire, references_of
 from estimator.acquisition.pace import ANSWER_S, Pace, check_instruments, digest_of, durations_s, stops_of
-from estimator.cli.acquire_progress import StopReporter
 from estimator.cli.instruments import Bench
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
+from estimator.cli.progress import Reporter
 from estimator.cli.words import duration_words, motion_words
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
@@ -30,6 +30,7 @@ from estimator.store.journal import Journal, unwritten
 from estimator.store.session import remove_session
 
 MOST_SHOWN = 10
+LINE_EVERY_S = 5.0  # in a pipe
 
 
 @dataclass(frozen=True)
@@ -131,8 +132,8 @@ def measure(
     n_before = len(journal.entries)
     if n_before:
         click.echo(f"coilcal: {n_before} of {len(task.stops)} stops were visited before", err=True)
-    with StopReporter(len(task.stops)) as reporter:
-        acquire(task.stops, rig, devices, journal, task.pace, reporter)
+    with Reporter(LINE_EVERY_S) as reporter:
+        acquire(task.stops, rig, devices, journal, task.pace, reporter.visits)
     return n_before
 
 

@@ -99,9 +99,8 @@ def maps() -> tuple[Session, np.ndarray, list[str]]:
 
 def session_at(rig: Rig, places_m: torch.Tensor) -> Session:
     """Readings of nothing, for their places."""
-    index = torch.arange(len(places_m))
     pose = torch.cat((places_m, torch.zeros_like(places_m)), 1)
-    observations = map_observations(rig, index.double(), 0 * index, [1.0], pose, torch.ones_like(places_m))
+    observations = map_observations(rig, [1.0], pose, torch.ones_like(places_m))
     return Session(rig, observations, "magnets")
 
 

@@ -131,14 +131,12 @@ class Answer:
         """
         items, leading = self.asked.dictionary.items, self.asked.leading
         rest = [i for i in leading if items[i].cause not in alternatives]
-        of_rest = {i: self._evidence(i, [j for j in leading if j != i]) for i in rest}
+        products, noise = self.asked.slots.products, self.asked.noise
+        of_rest = {i: products.of_one(i, [j for j in leading if j != i], noise) for i in rest}
         of_departures = sum(value for i, value in of_rest.items() if not items[i].is_listed)
-        return Standing(self._evidence(self.item_of(cause), rest), sum(of_rest.values()), of_departures)
-
-    def _evidence(self, item: int, rest: Sequence[int]) -> float:
-        """Log Bayes factor of an item beside some others."""
-        few = self.asked.slots.products.among([*rest, item])
-        return float(few.beside(range(len(rest)), self.asked.noise)[-1])
+        return Standing(
+            products.of_one(self.item_of(cause), rest, noise), sum(of_rest.values()), of_departures
+        )
 
     @cached_property
     def is_full(self) -> bool:

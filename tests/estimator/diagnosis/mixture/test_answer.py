@@ -44,8 +44,7 @@ def answered(
     more = SimpleNamespace(
         conditional=lambda chosen, noise: np.array([0.9, 0.1])
     )  # one more item is probable
-    few = SimpleNamespace(beside=lambda chosen, noise: torch.tensor([*(0.0 for _ in chosen), evidence]))
-    products = SimpleNamespace(among=lambda some: few)
+    products = SimpleNamespace(of_one=lambda item, others, noise: evidence)
     grid = torch.ones(1)
     slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
