@@ -101,6 +101,11 @@ def normal(key: str, unit: str, sd: float, null: float = 0.0) -> Quantity:
     return Quantity(key, unit, Normal(null, sd), null)
 
 
+def pure(**widths: float) -> Quantities:
+    """Pure numbers that scatter normally about zero, each with its standard deviation: `pure(excess=0.01)`."""
+    return tuple(normal(key, "1", sd) for key, sd in widths.items())
+
+
 def at_least_zero(key: str, unit: str, sd: float) -> Quantity:
     """A quantity that cannot be negative, half-normal above zero."""
     return Quantity(key, unit, Normal(0.0, sd, lower=0.0))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from estimator.effects.base import Quantity, Theta, normal, shape
+from estimator.effects.base import Quantity, Theta, normal, pure, shape
 from estimator.effects.stages import Current, Field, Points, SourceEffect
 from estimator.field.node_sum import Nodes
 from estimator.field.straight import MU0_OVER_4PI, segment_field
@@ -18,7 +18,7 @@ OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on
 
 
 # Quantities: cosine and sine part of the relative change of radius.
-@SourceEffect.cause(quantities=(normal("cos2", "1", 0.01), normal("sin2", "1", 0.01)), is_structural=True)
+@SourceEffect.cause(quantities=pure(cos2=0.01, sin2=0.01), is_structural=True)
 def coil_ovality(points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
     """The loops are oval.
 
@@ -62,9 +62,7 @@ def _oval_less_round(points_coil_m: Points, winding: Winding, rule: Rule, theta:
 
 
 # Quantities: shift along x and y per height above the middle of the winding.
-@SourceEffect.cause(
-    quantities=(normal("shear_x", "1", 0.02), normal("shear_y", "1", 0.02)), is_structural=True
-)
+@SourceEffect.cause(quantities=pure(shear_x=0.02, shear_y=0.02), is_structural=True)
 def winding_sheared(points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
     """The winding leans: its loops' centres shift with the height.
 
@@ -121,7 +119,7 @@ def _rod_per_moment(points_coil_m: Points, winding: Winding) -> Field:
 
 
 # Quantities: moment of the rod in units of the winding's.
-@SourceEffect.cause(quantities=(normal("share", "1", 0.1),), is_structural=True)
+@SourceEffect.cause(quantities=pure(share=0.1), is_structural=True)
 def iron_core(points_coil_m: Points, winding: Winding, theta: Theta) -> Field:
     """Iron in the bore adds to the coil's moment.
 

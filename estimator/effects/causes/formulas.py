@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from estimator.effects.base import Theta, normal
+from estimator.effects.base import Theta, pure
 from estimator.effects.stages import Field, Points, SourceEffect
 from estimator.field.dipole import dipole_field
 from estimator.field.literal import literal_field_per_ampere
@@ -10,7 +10,7 @@ from estimator.field.straight import MU0_OVER_4PI
 from estimator.field.winding import Winding, field_of_loops, loops_of
 from estimator.field.winding_shape import Rule
 
-WEIGHT = (normal("weight", "1", 1.0),)  # of the other formula against the right one
+WEIGHT = pure(weight=1.0)  # of the other formula against the right one
 
 
 @SourceEffect.cause(quantities=WEIGHT, can_begin=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from jaxtyping import Float
 
-from estimator.effects.base import Starts, Theta, at_least_zero, normal
+from estimator.effects.base import Starts, Theta, at_least_zero, pure
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.history import LONG_AGO_S
 from estimator.effects.stages import Components, ReadingEffect
@@ -78,7 +78,7 @@ def _follows_another(circumstances: Circumstances, place: str) -> bool:
 
 # Quantities: of the channel before.
 @ReadingEffect.cause(
-    quantities=(normal("share", "1", 0.02),),
+    quantities=pure(share=0.02),
     places=lambda rig: tuple(sensor.name for sensor in rig.sensors) if len(rig.sensors) > 1 else (),
     concerns=_follows_another,
     depends_on="the reading of another sensor before",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from estimator.effects.base import Quantities, Starts, Theta, at_most, fixed, normal, triple
+from estimator.effects.base import Quantities, Starts, Theta, at_most, fixed, pure, triple
 from estimator.effects.causes.sensor import axis_gain, cross_axis, sensor_offset
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.during import during, instants_within
@@ -125,7 +125,7 @@ def _in_segments(quantities: Quantities) -> dict[str, Any]:
     return each_segment(quantities) | {"concerns": was_read_in_several, "unseen": not_read}
 
 
-@ReadingEffect.cause(**_in_segments((normal("gain", "1", 0.01),)))
+@ReadingEffect.cause(**_in_segments(pure(gain=0.01)))
 def segment_gain(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
     """In each segment of the session the sensor has another gain.
 

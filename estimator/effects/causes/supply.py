@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from jaxtyping import Float
 
-from estimator.effects.base import Quantities, Quantity, Starts, Theta, at_most, fixed, normal
+from estimator.effects.base import Quantities, Quantity, Starts, Theta, at_most, fixed, normal, pure
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.during import during, spell
 from estimator.effects.history import LEAST_STEP
@@ -39,7 +39,7 @@ def _missing(key: str) -> Callable[[Extent], Quantities]:
     return lambda extent: (normal(key, "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
 
-@OneCoilCurrent.cause(quantities=(normal("excess", "1", 0.01),))
+@OneCoilCurrent.cause(quantities=pure(excess=0.01))
 def current_gain(current_A: Current, theta: Theta) -> Current:
     """The supply delivers a fixed multiple of the commanded current.
 
@@ -79,7 +79,7 @@ def _has_both_signs(circumstances: Circumstances, place: str) -> bool:
 
 
 # Quantities: of the gain of positive currents; negative ones lack as much.
-@OneCoilCurrent.cause(quantities=(normal("excess", "1", 0.015),), concerns=_has_both_signs, is_linear=False)
+@OneCoilCurrent.cause(quantities=pure(excess=0.015), concerns=_has_both_signs, is_linear=False)
 def current_asymmetry(current_A: Current, theta: Theta) -> Current:
     """The supply delivers another share of positive than of negative currents.
 
@@ -163,7 +163,7 @@ def current_range(current_A: Current, theta: Theta) -> Current:
 
 
 @OneCoilCurrent.cause(
-    quantities=(normal("step", "1", 0.02),)  # share that is lost
+    quantities=pure(step=0.02)  # share that is lost
 )
 def _current_loss(current_A: Current, theta: Theta) -> Current:
     """The coil carries less current.
@@ -195,7 +195,7 @@ def current_spell() -> None:
 
 # Quantities: what stays of the last local extreme of the current.
 @OneCoilCurrent.cause(
-    quantities=(normal("share", "1", 0.01),),
+    quantities=pure(share=0.01),
     concerns=lambda circumstances, place: circumstances.has_turned_back(place),
     depends_on="which current flowed before",
 )
@@ -253,7 +253,7 @@ def coil_heating(current_A: Current, theta: Theta, circumstances: Circumstances,
 
 # Quantities: of the summed current of the other coils.
 @CurrentEffect.cause(
-    quantities=(normal("share", "1", 0.05),),
+    quantities=pure(share=0.05),
     places=lambda rig: tuple(coil.name for coil in rig.coils) if len(rig.coils) > 1 else (),
     couples_coils=True,
 )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimator.effects.base import Quantities, Quantity, Starts, Theta, fixed, normal, shape
+from estimator.effects.base import Quantity, Starts, Theta, fixed, normal, pure, shape
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import AddedLoops, SidesEffect, WindingEffect
 from estimator.field.loop import FEWEST_STEPS
@@ -22,11 +22,6 @@ HIDDEN_NODES = 6  # loops that stand for a hidden winding
 HIDDEN_STEPS = FEWEST_STEPS + 3  # enough wherever it ends up: a millionth of the distance to its other side
 
 
-def _excesses(**widths: float) -> Quantities:
-    """Relative excesses of some numbers of a winding, each with its standard deviation."""
-    return tuple(normal(key, "1", sd) for key, sd in widths.items())
-
-
 def _wire_of_an_open_pitch(circumstances: Circumstances, place: str) -> frozenset[str]:
     """The wire where the rig file leaves a pitch open: its own prior bounds what can be built, as for `axial_pitch`."""
     pitches = (circumstances.rig.parameters[f"{place}.{key}_pitch_m"] for key in ("axial", "radial"))
@@ -35,7 +30,7 @@ def _wire_of_an_open_pitch(circumstances: Circumstances, place: str) -> frozense
 
 # Quantities: of the external radius, of the wire's thickness and of both numbers of loops.
 @WindingEffect.cause(
-    quantities=_excesses(radius=0.02, wire=0.02, axial_loops=0.03, radial_loops=0.03),
+    quantities=pure(radius=0.02, wire=0.02, axial_loops=0.03, radial_loops=0.03),
     unseen=_wire_of_an_open_pitch,
     can_begin=False,
     is_structural=True,
@@ -60,9 +55,7 @@ def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]
 
 # Quantities: of both sides of the bore, of its corner radius, of the wire's thickness and of both numbers of loops.
 @SidesEffect.cause(
-    quantities=_excesses(
-        side_x=0.02, side_y=0.02, corner=0.1, wire=0.02, axial_loops=0.03, radial_loops=0.03
-    ),
+    quantities=pure(side_x=0.02, side_y=0.02, corner=0.1, wire=0.02, axial_loops=0.03, radial_loops=0.03),
     unseen=_corner_and_wire,
     is_structural=True,
 )
@@ -83,9 +76,7 @@ def _is_pitch_fixed(key: str) -> Callable[[Circumstances, str], bool]:
     return lambda circumstances, place: not circumstances.rig.parameters[f"{place}.{key}"].is_free
 
 
-@WindingEffect.cause(
-    quantities=_excesses(excess=0.02), concerns=_is_pitch_fixed("axial_pitch_m"), can_begin=False
-)
+@WindingEffect.cause(quantities=pure(excess=0.02), concerns=_is_pitch_fixed("axial_pitch_m"), can_begin=False)
 def axial_pitch(winding: Winding, theta: Theta) -> Winding:
     """Turns lie wider along the axis than the wire is thick.
 
@@ -97,7 +88,7 @@ def axial_pitch(winding: Winding, theta: Theta) -> Winding:
 
 
 @WindingEffect.cause(
-    quantities=_excesses(excess=0.05), concerns=_is_pitch_fixed("radial_pitch_m"), can_begin=False
+    quantities=pure(excess=0.05), concerns=_is_pitch_fixed("radial_pitch_m"), can_begin=False
 )
 def radial_pitch(winding: Winding, theta: Theta) -> Winding:
     """Layers lie closer than the wire is thick.
@@ -110,7 +101,7 @@ def radial_pitch(winding: Winding, theta: Theta) -> Winding:
 
 
 # Quantities: relative excess of turns per length at the front face.
-@AddedLoops.cause(quantities=(normal("slope", "1", 0.05),), can_begin=False)
+@AddedLoops.cause(quantities=pure(slope=0.05), can_begin=False)
 def turns_gradient(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
     """Turns lie denser towards one end.
 
@@ -149,7 +140,7 @@ def short_layer(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]
 
 # Quantities: share of a layer that runs the other way, and where: 0 is the outermost, 1 the innermost.
 @AddedLoops.cause(
-    quantities=(normal("share", "1", 0.5), shape("depth", "1", 0.0, 1.0)),
+    quantities=(*pure(share=0.5), shape("depth", "1", 0.0, 1.0)),
     starts=({"depth": 0.05}, {"depth": 0.5}, {"depth": 0.95}),
     can_begin=False,
     is_structural=True,

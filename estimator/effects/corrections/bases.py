@@ -178,16 +178,11 @@ def since(degree: int) -> str:
 
 
 class AlongWay(Correction):
-    """A function of the share of its way that a mover has gone along each axis."""
+    """Cosines of half waves over the way that a mover went along each axis: `x_along_y` is of component x along y."""
 
     @abstractmethod
     def at_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
         """Reported positions of the mover, in m."""
-
-    def ends(self, extent: Extent) -> tuple[Quantities, Quantities]:
-        """Beginning and length of the way along each axis."""
-        spans = tuple(fixed(key, "m", 0.0, 2.0 * extent.reach_m, POSITIVE) for key in SPAN)
-        return box(FROM, "", "m", 100.0 * extent.reach_m, is_fixed=True), spans
 
     def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """The box that the mover went through, and scales."""
@@ -197,6 +192,20 @@ class AlongWay(Correction):
         way = dict(zip((*FROM, *SPAN), (*low_m.tolist(), *span_m.tolist()), strict=True))
         return tuple(scales | written(way) for scales in super().starts(circumstances, place))
 
-    def way(self, at_m: Float[Tensor, "*batch 3"], theta: Theta) -> Float[Tensor, "*batch 3"]:
-        """Share of the way along each axis."""
-        return (at_m - constants(theta, FROM)) / constants(theta, SPAN)
+    def value(self, at_m: Float[Tensor, "*#batch reading 3"], theta: Theta) -> Value:
+        """Sum of the waves along each axis."""
+        way = (at_m - constants(theta, FROM)) / constants(theta, SPAN)
+        cells = [f"{component}_along_{axis}" for axis in "xyz" for component in self.components]
+        total = at_m.new_zeros(())
+        for degree, amplitude in self.amplitudes(theta).items():
+            place = torch.tensor([cells.index(term) for term in self.terms(degree)], device=at_m.device)
+            in_cell = torch.nn.functional.one_hot(place, len(cells)).to(amplitude)
+            by_way = (amplitude @ in_cell).unflatten(-1, (3, len(self.components)))
+            total = total + torch.cos(math.pi * degree * way) @ by_way
+        return total
+
+
+def ends_of_ways(extent: Extent) -> tuple[Quantities, Quantities]:
+    """Beginning and length of the way along each axis."""
+    spans = tuple(fixed(key, "m", 0.0, 2.0 * extent.reach_m, POSITIVE) for key in SPAN)
+    return box(FROM, "", "m", 100.0 * extent.reach_m, is_fixed=True), spans

@@ -16,6 +16,7 @@ from estimator.effects.corrections.bases import (
     Periodic,
     Steps,
     Wanders,
+    ends_of_ways,
 )
 from estimator.effects.corrections.correction import Correction, Limit, Scale, constant, correction
 from estimator.effects.corrections.targets import Place
@@ -32,12 +33,25 @@ LEAST_MOVE = 1e-3  # of a typical move: less is rounding
 UNIT = ("unit_x", "unit_y", "unit_z")
 
 
-class GuideErrors(AlongWay, MotionEffect):
+def _span_m(circumstances: Circumstances, mover: str) -> float:
+    """The longest way of a mover along an axis."""
+    at_m = circumstances.positions_of_m(mover)
+    return float((at_m.max(0).values - at_m.min(0).values).max())
+
+
+def _number_of_positions(circumstances: Circumstances, place: str) -> int:
+    """Fewest different positions along an axis along which the mover moved."""
+    at_m = circumstances.positions_of_m(place)
+    span_m = at_m.max(0).values - at_m.min(0).values
+    moved = [i for i in range(3) if float(span_m[i]) > SMALLEST_SPAN * float(span_m.max())]
+    return min(len(torch.unique((at_m[:, i] / (SMALLEST_SPAN * span_m[i])).round())) for i in moved)
+
+
+class GuideErrors(Place, AlongWay):
     """Along each axis the mover errs by cosines of half waves over the way that it went; beyond, they repeat as in a mirror."""
 
     name = "guide_errors"
     words = "the mover errs smoothly along its guides"
-    unit = "m"
     highest = 12
 
     def terms(self, degree: int) -> tuple[str, ...]:
@@ -47,7 +61,7 @@ class GuideErrors(AlongWay, MotionEffect):
 
     def shapes(self, extent: Extent) -> Quantities:
         """Beginning and length of the mover's way along each axis, in m."""
-        return tuple(end for ends in zip(*self.ends(extent), strict=True) for end in ends)
+        return tuple(end for ends in zip(*ends_of_ways(extent), strict=True) for end in ends)
 
     def at_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
         """Reported positions of the mover."""
@@ -55,31 +69,18 @@ class GuideErrors(AlongWay, MotionEffect):
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether the mover moved."""
-        at_m = self.at_m(circumstances, place)
-        return bool((at_m != at_m[0]).any())
+        return _span_m(circumstances, place) > 0.0
 
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
         """Highest degree that the readings determine; it is below the number of positions along each axis along which the mover moved."""
-        at_m = self.at_m(circumstances, place)
-        span_m = at_m.max(0).values - at_m.min(0).values
-        moved = [i for i in range(3) if float(span_m[i]) > SMALLEST_SPAN * float(span_m.max())]
-        n = min(len(torch.unique((at_m[:, i] / (SMALLEST_SPAN * span_m[i])).round())) for i in moved)
-        bound = super().limit(circumstances, place)
+        n, bound = _number_of_positions(circumstances, place), super().limit(circumstances, place)
         if n > self.highest or bound.degree < n:
             return bound
         return Limit(n - 1, f"the mover was at {n} positions along one axis; measure at more")
 
-    def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
-        """Real pose, or real displacement."""
-        ways = self.way(pose.translation_m, theta).unbind(-1)
-        shift = {axis: torch.zeros_like(ways[0]) for axis in "xyz"}
-        for degree, amplitude in self.amplitudes(theta).items():
-            waves = dict(zip("xyz", (torch.cos(math.pi * degree * way) for way in ways), strict=True))
-            for i, term in enumerate(self.terms(degree)):
-                axis, way = term[0], term[-1]
-                shift[axis] = shift[axis] + amplitude[..., i, None] * waves[way]
-        shift_m = torch.stack(torch.broadcast_tensors(*shift.values()), dim=-1)
-        return Transform(pose.rotation, pose.translation_m + shift_m)
+    def variable(self, pose: Transform, columns: Columns, theta: Theta) -> Tensor:
+        """Reported position, which ways are shares of."""
+        return pose.translation_m
 
 
 @correction(
@@ -93,12 +94,6 @@ class GuideErrors(AlongWay, MotionEffect):
 def guides_wander(columns: Columns, theta: Theta) -> Tensor:
     """The mover's real position wanders: it warms up, creeps, or its clock runs apart from the sensor's."""
     return columns * constant(theta, "duration_h")
-
-
-def _span_m(circumstances: Circumstances, mover: str) -> float:
-    """The longest way of a mover along an axis."""
-    at_m = circumstances.positions_of_m(mover)
-    return float((at_m.max(0).values - at_m.min(0).values).max())
 
 
 def _frequencies(circumstances: Circumstances, place: str) -> Starts:

@@ -8,13 +8,21 @@ from itertools import combinations_with_replacement
 
 from jaxtyping import Float
 
-from estimator.effects.base import Quantities, Starts, Theta, fixed, shape, switch
+from estimator.effects.base import POSITIVE, Quantities, Starts, Theta, fixed, shape, switch
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.corrections.bases import MOST_HALF_CYCLES, AboveLevel, AlongWay, Periodic, Table, Waves
+from estimator.effects.corrections.bases import (
+    MOST_HALF_CYCLES,
+    AboveLevel,
+    AlongWay,
+    Periodic,
+    Table,
+    Waves,
+    ends_of_ways,
+)
 from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Correction, Limit, constant, correction
-from estimator.effects.corrections.targets import Gain, Zero
+from estimator.effects.corrections.targets import Gain, Zero, ZeroAndGain
 from estimator.effects.history import LEAST_STEP
-from estimator.effects.stages import Components, ReadingEffect
+from estimator.effects.stages import Components
 from estimator.tensors import Tensor, torch
 
 MOST_LEVELS = 100  # of each axis
@@ -76,47 +84,31 @@ def _mover_m(circumstances: Circumstances, place: str) -> Float[Tensor, "reading
     return at_m
 
 
-class ResponseByPlace(AlongWay, ReadingEffect):
-    """Zero and gain of each axis follow cosines of half waves over the way that the mover went along each of its axes.
+def _range_and_ways(extent: Extent) -> Quantities:
+    """The field in units of which gains are told, where the way along each axis begins, and how long it is."""
+    begin, length = ends_of_ways(extent)
+    return (fixed(RANGE_T.key, RANGE_T.unit, 0.0, RANGE_T.most(extent), POSITIVE), *begin, *length)
+
+
+@correction(
+    ZeroAndGain,
+    AlongWay,
+    terms=tuple(f"{kind}{axis}_along_{way}" for kind in ("", "gain_") for way in "xyz" for axis in "xyz"),
+    highest=8,
+    falloff=1.0,
+    shapes=_range_and_ways,
+    at_m=_mover_m,
+    concerns=lambda circumstances, place: circumstances.moved_between(place),
+    counts=("different places", lambda now, place: (1e6 * _mover_m(now, place)[now.is_of(place)]).round()),
+)
+def response_by_place(circumstances: Circumstances, sensor: str) -> Tensor:
+    """Zero and gains of the sensor depend on where the mover stands.
+
+    Zero and gain of each axis follow cosines of half waves over the way that the mover went along each of its axes.
 
     The mover is that of the sensor, or of the first coil that has one where the sensor stands still.
     """
-
-    name = "response_by_place"
-    words = "zero and gains of the sensor depend on where the mover stands"
-    # Zero (`x_along_y`) and gain (`gain_x_along_y`) of which axis, along which way.
-    components = tuple(
-        f"{kind}{axis}_along_{way}" for kind in ("", "gain_") for way in "xyz" for axis in "xyz"
-    )
-    highest = 8
-    falloff = 1.0
-    scales = (RANGE_T,)
-    counts = ("different places", lambda now, place: (1e6 * _mover_m(now, place)[now.is_of(place)]).round())
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """The field in units of which gains are told, where the way along each axis begins, and how long it is."""
-        begin, length = self.ends(extent)
-        return (*super().shapes(extent), *begin, *length)
-
-    def at_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
-        """Reported positions of the mover, in m."""
-        return _mover_m(circumstances, place)
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether a mover moved from one reading of the sensor to another."""
-        return circumstances.moved_between(place)
-
-    def apply(
-        self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
-    ) -> Components:
-        """Components as they are read."""
-        way = self.way(self.at_m(circumstances, sensor), theta)
-        share = field_sensor_T / constant(theta, "range_T")
-        for degree, amplitude in self.amplitudes(theta).items():
-            zero, gain = amplitude.unflatten(-1, (2, 3, 3)).unbind(-3)  # way, axis
-            waves = torch.cos(math.pi * degree * way)
-            field_sensor_T = field_sensor_T + waves @ zero + share * (waves @ gain)
-        return field_sensor_T
+    return _mover_m(circumstances, sensor)
 
 
 @correction(Zero, Waves, scales=(RANGE_T,), counts=DIFFERENT)

@@ -106,6 +106,18 @@ class Gain(Shown):
         return field_sensor_T * value
 
 
+class ZeroAndGain(Shown):
+    """What a sensor shows in no field, and the gain of each axis in units of its range."""
+
+    components = tuple(f"{kind}{axis}" for kind in ("", "gain_") for axis in "xyz")
+    scales = (RANGE_T,)
+
+    def added_T(self, field_sensor_T: Components, value: Tensor, theta: Theta) -> Components:
+        """The first three components, and shares of the field by the others."""
+        zero_T, gain_T = value[..., :3], value[..., 3:]
+        return zero_T + field_sensor_T / constant(theta, "range_T") * gain_T
+
+
 class Response(Shown):
     """Gains and axes of a sensor: the first of two components changes by a share of the second."""
 
