@@ -26,6 +26,7 @@ if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the sam
     from estimator.inference.ensemble import SamplerSettings
     from estimator.live.stream import Estimate, Stream
     from estimator.model.simulate import draw_truth, simulate
+    from estimator.planning.plan import Planned, plan
     from estimator.readings.observations import Observations
     from estimator.readings.plan import Plan, load_plan
     from estimator.readings.split import block_split
@@ -48,6 +49,7 @@ __all__ = [
     "InvalidInput",
     "Observations",
     "Plan",
+    "Planned",
     "Registry",
     "Rig",
     "SamplerSettings",
@@ -66,6 +68,7 @@ __all__ = [
     "load_plan",
     "load_rig",
     "load_session",
+    "plan",
     "recalibrate",
     "register_effect",
     "roll_back",
@@ -84,6 +87,7 @@ _MODULES = {
     "InvalidInput": "estimator.errors",
     "Observations": "estimator.readings.observations",
     "Plan": "estimator.readings.plan",
+    "Planned": "estimator.planning.plan",
     "Registry": "estimator.recalibration.registry",
     "Rig": "estimator.rig.rig",
     "SamplerSettings": "estimator.inference.ensemble",
@@ -102,6 +106,7 @@ _MODULES = {
     "load_plan": "estimator.readings.plan",
     "load_rig": "estimator.rig_files.read",
     "load_session": "estimator.store.session",
+    "plan": "estimator.planning.plan",
     "recalibrate": "estimator.recalibration.recalibrate",
     "register_effect": "estimator.effects",
     "roll_back": "estimator.recalibration.recalibrate",

@@ -1,0 +1,139 @@
+"""`coilcal plan`: which stops to measure, before any reading."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from estimator.cli.options import OutputPath, devices_option, json_option, overwrite_option, seed_option
+from estimator.cli.output import CoilcalCommand, show
+
+if TYPE_CHECKING:
+    from estimator.planning.plan import Planned
+
+MOST_STOPS = 2000
+CURVE = (0.1, 0.25, 0.5, 0.75, 1.0)  # shares of the stops at which the expected intervals are printed
+MOST_UNKNOWN = 8  # parameters that are printed
+
+goal_help = (
+    "What shall be known: 'field 0.2 % in box x_mm=-50:50 y_mm=-50:50 z_mm=-25:25' (or 'in ball r_mm=30', 'in points FILE'; 'worst' after "
+    "the unit for every point instead of the mean), or 'parameters coil1.radius_m 0.05 mm'. Repeatable."
+)
+
+
+@click.command("plan", cls=CoilcalCommand)
+@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
+@click.argument("plan_path", metavar="[PLAN]", required=False, type=click.Path(path_type=Path))
+@click.option("--goal", "goals", multiple=True, metavar="GOAL", help=goal_help)
+@click.option(
+    "--stops",
+    "n_stops",
+    type=click.IntRange(2, MOST_STOPS),
+    help="Number of stops; by default as many as the goals need.",
+)
+@click.option(
+    "--order",
+    type=click.Choice(["tour", "random"]),
+    default="tour",
+    show_default=True,
+    help="Order of the stops: the shortest way, or random, which tells drift from place.",
+)
+@click.option(
+    "--settle",
+    "settle_s",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Seconds from arrival to the first reading; by default those of PLAN.",
+)
+@devices_option
+@click.option(
+    "--out", type=OutputPath(), help="Plan to write (YAML), for coilcal acquire and coilcal simulate."
+)
+@seed_option
+@overwrite_option
+@json_option
+def plan_command(
+    rig_path: Path,
+    plan_path: Path | None,
+    goals: tuple[str, ...],
+    n_stops: int | None,
+    order: str,
+    settle_s: float | None,
+    devices_path: Path | None,
+    out: Path | None,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Plan a measurement of RIG before any reading.
+
+    Stops are chosen from the poses and currents of PLAN, within the limits of the instruments; without PLAN, from displacements that fill
+    the workspace of each arm. The model is linearised at 64 draws of the priors. Some stops are held out, some are without current, some
+    are visited again; each says in a comment why it is there. Without a goal, all free parameters together count.
+    """
+    from dataclasses import replace
+
+    from drivers.limits_section import RigLimits, limits_of
+    from estimator.cli.count_progress import CountReporter
+    from estimator.cli.instruments import Bench
+    from estimator.cli.places import places_of
+    from estimator.cli.plan_limits import check_currents, check_ways
+    from estimator.planning.plan import default_pace, plan
+    from estimator.rig_files.read import load_rig
+    from estimator.store.staging import check_output, write_output
+
+    if out is not None:
+        check_output(out, overwrite)
+    rig, limits = load_rig(rig_path), RigLimits()
+    if rig.devices or devices_path is not None:
+        bench = Bench.load(rig_path, devices_path)
+        with bench.located():
+            limits = limits_of(bench.devices)
+    places = places_of(rig, plan_path, limits)
+    pace = default_pace(rig, settle_s or places.settle_s)
+    speeds = {name: arm.highest_speed_m_per_s for name, arm in limits.arms.items()}
+    pace = replace(pace, speed_m_per_s={**pace.speed_m_per_s, **speeds}, slew_A_per_s=limits.slews_A_per_s)
+    with CountReporter() as reporter:
+        planned = plan(
+            rig, places, goals, n_stops=n_stops, pace=pace, order=order, seed=seed, on_count=reporter
+        )
+    if limits.currents:
+        check_currents(planned.stops, rig, limits, planned.times_s)
+    if limits.arms:
+        check_ways(planned.stops, rig, limits, pace, {})
+    if out is not None:
+        write_output(out, planned.text, overwrite)
+    show({**planned.to_json(), "plan": None if out is None else str(out)}, _text(planned, out), as_json)
+
+
+def _text(planned: Planned, out: Path | None) -> str:
+    from estimator.cli.words import duration_words
+    from estimator.reporting.numbers import displays
+
+    n = len(planned.stops)
+    lines = [
+        f"{n} stops ({int(planned.stops.is_validation.sum())} held out), about {duration_words(planned.duration_s)}; in random order "
+        f"{duration_words(planned.random_duration_s)}"
+    ]
+    counts = sorted({max(1, round(share * n)) for share in CURVE})
+    for goal, widths in zip(planned.goals, planned.expected, strict=True):
+        lines.append(f"goal: {goal}")
+        curve = ", ".join(f"{widths[count - 1]:.2g} after {count}" for count in counts)
+        lines.append(f"  expected half-width over the wanted one: {curve}")
+    if planned.goals:
+        needed = planned.n_needed
+        lines.append(
+            f"all goals are expected to be reached after {needed} stops"
+            if needed
+            else "not all goals are reached; give more --stops"
+        )
+    if planned.unknown:
+        shown = displays(list(planned.unknown))
+        most_first = sorted(planned.unknown.items(), key=lambda item: -item[1])[:MOST_UNKNOWN]
+        words = [f"{shown[name].words} ({100.0 * share:.0f} %)" for name, share in most_first]
+        more = len(planned.unknown) - len(words)
+        and_more = f" and {more} more" if more else ""
+        lines.append(f"stays unknown, with its share of the prior's width: {', '.join(words)}{and_more}")
+    lines.append(f"plan: {out}" if out else "give --out to write them as a plan")
+    return "\n".join(lines)

@@ -1,0 +1,114 @@
+"""Stops among which a plan chooses: poses and currents of a plan file, or of the spans and currents that the limits of a rig allow."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from estimator.effects.everywhere import with_everywhere
+from estimator.errors import InvalidInput
+from estimator.planning.information import is_clear
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan, halton, observations_of
+from estimator.readings.protocol import recommended_currents_A
+from estimator.rig.rig import MotionKind, Rig
+
+MOST_CANDIDATES = 2000  # stops; more are thinned at random, for which the criterion hardly changes
+N_PLACES = 300  # that fill a span where no plan lists any
+
+
+def places_within(rig: Rig, spans_m: Mapping[str, np.ndarray], largest_A: Mapping[str, float]) -> Plan:
+    """A plan whose places fill the span of each mover evenly, with the recommended currents.
+
+    Args:
+        rig: With movers that report displacements.
+        spans_m: Lower and upper displacement along x, y and z, by mover.
+        largest_A: Of each coil.
+    Raises:
+        InvalidInput: A mover is told by joints or whole poses, of which no span follows from a workspace, or has no span.
+    """
+    for mover in rig.movers:
+        if mover.motion is not MotionKind.DISPLACEMENT or mover.name not in spans_m:
+            raise InvalidInput(
+                f"places must be given by a plan file where a mover is told by joints or poses, or has no workspace; {mover.name} of rig "
+                f"{rig.name!r} is one: coilcal plan RIG PLAN"
+            )
+    points = halton(3 * len(rig.movers), N_PLACES + 1)[1:]
+    poses = []
+    for point in points if rig.movers else points[:1]:
+        pose = {}
+        for i, mover in enumerate(rig.movers):
+            low_m, high_m = spans_m[mover.name]
+            pose[mover.name] = np.concatenate(
+                (low_m + point[3 * i : 3 * i + 3] * (high_m - low_m), np.zeros(3))
+            )
+        poses.append(pose)
+    return Plan("places", tuple(poses), (), recommended_currents_A(largest_A), "raster", 1, 1.0)
+
+
+def candidates_of(places: Plan, rig: Rig, seed: int) -> Observations:
+    """Distinct stops of a plan file, those for validation too, in a random order; a row for each sensor.
+
+    Args:
+        places: Poses and currents.
+        rig: Of the plan.
+        seed: Of the order, and of which stops stay where there are too many.
+    """
+    readings = observations_of(places, rig, np.random.default_rng(seed))
+    n_sensors = len(rig.sensors)
+    rows = torch.arange(0, len(readings), n_sensors)
+    key = torch.cat([readings.current_A, *readings.motion.values()], dim=1)[rows]
+    _, which = torch.unique(key, dim=0, return_inverse=True)
+    first = torch.full((int(which.max()) + 1,), len(rows)).scatter_reduce(
+        0, which, torch.arange(len(rows)), "amin"
+    )
+    some = torch.randperm(len(first), generator=torch.Generator().manual_seed(seed))[:MOST_CANDIDATES]
+    chosen = rows_of(first[some], n_sensors)
+    n = len(chosen)
+    return Observations(
+        torch.arange(n, dtype=torch.float64),
+        readings.sensor[chosen],
+        readings.current_A[chosen],
+        {name: motion[chosen] for name, motion in readings.motion.items()},
+        readings.field_sensor_T[chosen],
+        torch.zeros(n, dtype=torch.bool),
+        torch.zeros(n, dtype=torch.int64),
+        {},
+    )
+
+
+def rows_of(stops: Tensor, n_sensors: int) -> Tensor:
+    """Rows of the readings of some stops, sensor by sensor.
+
+    Examples:
+        >>> rows_of(torch.tensor([2, 0]), 2)
+        tensor([4, 5, 0, 1])
+    """
+    return (stops[:, None] * n_sensors + torch.arange(n_sensors)).flatten()
+
+
+def possible(stops: Observations, rig: Rig, at: Tensor) -> Observations:
+    """The stops at which no sensor would stand in a winding, at the nominal values and at draws of the prior.
+
+    Raises:
+        InvalidInput: There are fewer numbers to read than free parameters.
+    """
+    n_sensors = len(rig.sensors)
+    clear = is_clear(rig, stops, at).reshape(-1, n_sensors).all(-1)
+    left = stops.rows(rows_of(clear.nonzero().flatten(), n_sensors)).alone
+    n_unknown = at.shape[1]
+    if 3 * len(left) < n_unknown:
+        n_stops = len(stops) // n_sensors
+        raise InvalidInput(
+            f"candidate stops must give at least as many numbers as the rig has unknowns, {n_unknown}; {3 * len(left)} numbers come from "
+            f"{len(left) // n_sensors} stops ({n_stops - int(clear.sum())} of {n_stops} may lie in a winding)"
+        )
+    return left
+
+
+def fitted_rig(rig: Rig, stops: Observations) -> Rig:
+    """The rig that a calibration of such stops fits: with what no laboratory is without, where the stops can tell it."""
+    return with_everywhere(rig, stops).rig
