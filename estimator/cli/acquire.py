@@ -25,7 +25,27 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 
 @click.command("acquire", cls=CoilcalCommand)
 @click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
-@click.argument("plan_path", metavar="PLAN", type=click.Path(path_type=Path))
+@click.argument("plan_path", metavar="[PLAN]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--until",
+    "goals",
+    multiple=True,
+    metavar="GOAL",
+    help="Choose the stops while measuring, among the places and currents of PLAN, until a goal is reached; goals as in coilcal plan. "
+    "Repeatable.",
+)
+@click.option(
+    "--most-stops",
+    type=click.IntRange(min=1),
+    default=200,
+    show_default=True,
+    help="With --until: stops after which to end in any case.",
+)
+@click.option(
+    "--minutes",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="With --until: time after which to end in any case.",
+)
 @click.option("--out", type=OutputPath(), required=True, help="Session to write (zarr).")
 @devices_option
 @click.option("--dry-run", is_flag=True, help="Show the plan and its duration; touch no instrument.")
@@ -62,7 +82,10 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 @json_option
 def acquire_command(
     rig_path: Path,
-    plan_path: Path,
+    plan_path: Path | None,
+    goals: tuple[str, ...],
+    most_stops: int,
+    minutes: float | None,
     out: Path,
     devices_path: Path | None,
     dry_run: bool,
@@ -74,14 +97,19 @@ def acquire_command(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Carry out PLAN with the instruments of RIG.
+    """Carry out PLAN with the instruments of RIG, or measure until a goal is reached.
+
+    With --until, each stop is the one of greatest expected gain by second, given the readings so far. Some are held out, visited again or
+    without current. The session ends when the goal is reached by held-out stops too, when more stops would not help, or at its limits.
 
     Each stop is on the disk before the next begins. Repeat the command to continue an interrupted measurement. However it ends, the
     currents are ramped to zero. Displacements count from where the arms stand at the start; a finished measurement returns them there.
     """
     from drivers.interlock import sigterm_as_exception
-    from estimator.cli.acquire_task import check_plan, measure, plan_record, plan_text, read_task
+    from estimator.cli.acquire_task import Until, check_plan, measure, plan_record, plan_text, read_task
+    from estimator.cli.contents import ending
     from estimator.cli.instruments import Bench
+    from estimator.planning.autopilot import Limits
     from estimator.store.journal import read_journal
     from estimator.store.made import JOURNAL
     from estimator.store.session import SESSION, is_growing, seal
@@ -95,7 +123,8 @@ def acquire_command(
         check_output(out, overwrite, SESSION)
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
-    task = read_task(bench, plan_path, n_readings, longest_settle_s, speed_mm_per_s, seed)
+    until = Until(goals, Limits(most_stops, None if minutes is None else 60.0 * minutes))
+    task = read_task(bench, plan_path, n_readings, longest_settle_s, speed_mm_per_s, seed, until)
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)
@@ -118,11 +147,14 @@ def acquire_command(
         "session": str(out),
         "readings": n_readings_taken,
         "validation": n_validation,
-        "stops": len(task.stops),
+        "stops": task.n_stops if task.pilot is None else n_readings_taken // len(task.bench.rig.sensors),
         "stops_of_earlier_runs": n_before,
         "session_hash": session.hash,
     }
     words = f"{n_readings_taken} readings ({n_validation} of them for validation) written to {out}"
+    if task.pilot is not None:
+        why = ending(out)
+        result["ended"], words = why, f"{words}\n{why['reason']}"
     _show_delivered(result, words, delivery, session, as_json)
 
 

@@ -21,7 +21,7 @@ from estimator.readings.plan import Plan, load_plan
 from estimator.rig.rig import MotionKind, Rig
 
 
-def places_of(rig: Rig, path: Path | None, limits: RigLimits) -> Plan:
+def places_of(rig: Rig, path: Path | None, limits: RigLimits, is_any_order: bool = False) -> Plan:
     """Places and currents within the limits.
 
     Args:
@@ -29,6 +29,8 @@ def places_of(rig: Rig, path: Path | None, limits: RigLimits) -> Plan:
         path: A plan file; without it, displacements fill the workspace of each arm, which stands in its middle at zero displacement, and
             currents are those that a coil bears for ever.
         limits: Of the instruments; empty where they are not known.
+        is_any_order: Whether stops may follow each other in any order and number, so that only currents are left that a coil bears for
+            ever.
     Raises:
         InvalidInput: No file is given and the limits do not say where to measure, or no place or current is within them.
     """
@@ -37,7 +39,7 @@ def places_of(rig: Rig, path: Path | None, limits: RigLimits) -> Plan:
         if missing:
             raise InvalidInput(
                 f"places and currents must come from a plan file, or from the limits of the instruments; {missing[0]} has no limits: "
-                "coilcal plan RIG PLAN, or --devices"
+                "give PLAN after RIG, or --devices"
             )
         spans_m = {
             name: 0.5 * np.array([-1.0, 1.0])[:, None] * np.subtract(arm.highest_m, arm.lowest_m)
@@ -51,9 +53,13 @@ def places_of(rig: Rig, path: Path | None, limits: RigLimits) -> Plan:
         places,
         calibration=tuple(pose for pose in places.calibration if _is_reached(pose, rig, limits)),
         validation=tuple(pose for pose in places.validation if _is_reached(pose, rig, limits)),
-        currents_A=tuple(setting for setting in places.currents_A if _is_allowed(setting, limits)),
+        currents_A=tuple(
+            setting for setting in places.currents_A if _is_allowed(setting, limits, is_any_order)
+        ),
         stops=tuple(
-            s for s in places.stops if _is_reached(s.pose, rig, limits) and _is_allowed(s.current_A, limits)
+            s
+            for s in places.stops
+            if _is_reached(s.pose, rig, limits) and _is_allowed(s.current_A, limits, is_any_order)
         ),
         repeats=1,
         n_revisited=0,
@@ -65,9 +71,10 @@ def places_of(rig: Rig, path: Path | None, limits: RigLimits) -> Plan:
     return within
 
 
-def _is_allowed(setting: Mapping[str, float], limits: RigLimits) -> bool:
+def _is_allowed(setting: Mapping[str, float], limits: RigLimits, is_for_ever: bool) -> bool:
     return all(
         limits.currents[name].lowest_A <= current_A <= limits.currents[name].highest_A
+        and not (is_for_ever and abs(current_A) > limits.currents[name].continuous_A)
         for name, current_A in setting.items()
         if name in limits.currents
     )

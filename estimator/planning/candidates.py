@@ -10,7 +10,7 @@ from torch import Tensor
 
 from estimator.effects.everywhere import with_everywhere
 from estimator.errors import InvalidInput
-from estimator.planning.information import is_clear
+from estimator.planning.information import N_DRAWS, draws_of_prior, is_clear
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, halton, observations_of
 from estimator.readings.protocol import recommended_currents_A
@@ -34,7 +34,7 @@ def places_within(rig: Rig, spans_m: Mapping[str, np.ndarray], largest_A: Mappin
         if mover.motion is not MotionKind.DISPLACEMENT or mover.name not in spans_m:
             raise InvalidInput(
                 f"places must be given by a plan file where a mover is told by joints or poses, or has no workspace; {mover.name} of rig "
-                f"{rig.name!r} is one: coilcal plan RIG PLAN"
+                f"{rig.name!r} is one: give PLAN after RIG"
             )
     points = halton(3 * len(rig.movers), N_PLACES + 1)[1:]
     poses = []
@@ -88,6 +88,21 @@ def rows_of(stops: Tensor, n_sensors: int) -> Tensor:
         tensor([4, 5, 0, 1])
     """
     return (stops[:, None] * n_sensors + torch.arange(n_sensors)).flatten()
+
+
+def clear_candidates(places: Plan, rig: Rig, seed: int) -> Observations:
+    """Stops of a plan file at which no sensor would stand in a winding, whatever the prior allows."""
+    return possible(candidates_of(places, rig, seed), rig, draws_of_prior(rig, N_DRAWS, seed))
+
+
+def largest_currents_A(rig: Rig, stops: Observations) -> dict[str, float]:
+    """Largest current of each coil among some stops."""
+    return {coil.name: float(stops.current_A[:, i].abs().max()) for i, coil in enumerate(rig.coils)}
+
+
+def one_row_each(stops: Observations, rig: Rig) -> Observations:
+    """The first sensor's row of each stop, as a session of its own."""
+    return stops.rows(torch.arange(0, len(stops), len(rig.sensors))).alone
 
 
 def possible(stops: Observations, rig: Rig, at: Tensor) -> Observations:

@@ -5,7 +5,7 @@ Noise is left out of the coordinates. The expected information on it has no cros
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from estimator.diagnosis.next_readings.stops import lowered
 from estimator.errors import InvalidInput
+from estimator.field.winding import Rule
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.clearance import clearance_m
@@ -24,6 +25,7 @@ from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 MOST_PASSES = 2  # of an exchange; the first one narrows intervals by a per cent or two beyond the greedy choice, a third by nothing
+MOST_VISITS = 100  # of every candidate: a goal that they do not reach is out of reach
 N_DRAWS = 64  # of the prior; with 32 or 128 the paper's coil needs the same number of stops to within one
 
 
@@ -49,7 +51,12 @@ class Expected:
 
     @classmethod
     def of(
-        cls, rig: Rig, stops: Observations, goals: Sequence[Goal], at: Float[Tensor, "draw all"]
+        cls,
+        rig: Rig,
+        stops: Observations,
+        goals: Sequence[Goal],
+        at: Float[Tensor, "draw all"],
+        rules: Mapping[str, Rule] | None = None,
     ) -> Expected:
         """The model at draws, before any stop.
 
@@ -58,11 +65,14 @@ class Expected:
             stops: Candidates, a row for each sensor.
             goals: What shall be known.
             at: Coordinates to linearise at.
+            rules: Quadrature rules of the windings at these stops, where they are known already.
         """
         coordinates = Coordinates(rig)
         known = known_coordinates(coordinates)
         unread = stops.with_field(torch.zeros_like(stops.field_sensor_T))
-        posterior = LogPosterior(coordinates, MeasurementModel.build(rig, unread), unread)
+        model = MeasurementModel.unruled(rig, unread)
+        model = model.choose_rules(model.nominal) if rules is None else model.with_rules(rules)
+        posterior = LogPosterior(coordinates, model, unread)
         first = posterior.to_first_order(at)
         columns = (first.jacobian_T / first.sigma_T[..., None])[..., known]
         _, precision = prior_gradient_and_precision(coordinates, at)
@@ -88,12 +98,26 @@ class Expected:
 
     def widths(self, precision: Float[Tensor, "draw coordinate coordinate"]) -> Float[Tensor, "goal draw"]:
         """Half-width of the 90 % interval of each goal over its target; 1 is just reached."""
-        covariance = torch.linalg.inv(precision)
-        widths = []
-        for rows, is_widest in zip(self.wanted, self.widest, strict=True):
-            variance = ((rows @ covariance) * rows).sum(-1)
-            widths.append((variance.amax(-1) if is_widest else variance.mean(-1)).sqrt())
-        return torch.stack(widths) if widths else covariance.new_zeros(0, len(covariance))
+        return widths_of(self.wanted, self.widest, precision)
+
+
+def widths_of(
+    wanted: Sequence[Float[Tensor, "draw _ coordinate"]],
+    widest: Sequence[bool],
+    precision: Float[Tensor, "draw coordinate coordinate"],
+) -> Float[Tensor, "goal draw"]:
+    """Half-width of the 90 % interval of each goal over its target; 1 is just reached.
+
+    Args:
+        wanted, widest: As in `Expected`.
+        precision: Of the coordinates.
+    """
+    covariance = torch.linalg.inv(precision)
+    widths = [covariance.new_zeros(0, len(covariance))]
+    for rows, is_widest in zip(wanted, widest, strict=True):
+        variance = ((rows @ covariance) * rows).sum(-1)
+        widths.append((variance.amax(-1) if is_widest else variance.mean(-1)).sqrt()[None])
+    return torch.cat(widths)
 
 
 def known_coordinates(coordinates: Coordinates) -> Int[Tensor, " coordinate"]:
@@ -138,6 +162,24 @@ def is_clear(rig: Rig, stops: Observations, at: Float[Tensor, "draw all"]) -> Bo
     vectors = torch.cat((coordinates.start()[None], at))
     distances_m = clearance_m(model, coordinates.values(vectors))
     return (distances_m.reshape(-1, len(stops)) > 0.0).all(0)
+
+
+def refuse_unreachable(expected: Expected, goals: Sequence[Goal]) -> None:
+    """Refuse goals that a hundred visits to every candidate do not reach: what the prior leaves open they hardly see.
+
+    Raises:
+        InvalidInput: There is one; the sentence says what would be reached.
+    """
+    if not goals:
+        return
+    everything = expected.information(torch.arange(expected.n_stops))
+    floors = expected.widths(expected.precision + MOST_VISITS * everything).median(-1).values
+    for goal, floor in zip(goals, floors.tolist(), strict=True):
+        if floor > 1.0:
+            raise InvalidInput(
+                f"goal {goal.text!r} must be within reach of the candidate stops; {MOST_VISITS} visits to each of them would leave "
+                f"{floor:.2g} times its half-width. Give other places or currents, or free fewer parameters of the rig"
+            )
 
 
 class Design:

@@ -15,9 +15,16 @@ from estimator.diagnosis.next_readings.stops import CHOOSING
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.errors import InvalidInput
 from estimator.model.sensitivity import LEARNT
-from estimator.planning.candidates import candidates_of, fitted_rig, possible
+from estimator.planning.candidates import clear_candidates, fitted_rig, largest_currents_A, one_row_each
 from estimator.planning.goals import Goal, ParametersGoal, goal_of
-from estimator.planning.information import N_DRAWS, Design, Expected, draws_of_prior, known_coordinates
+from estimator.planning.information import (
+    N_DRAWS,
+    Design,
+    Expected,
+    draws_of_prior,
+    known_coordinates,
+    refuse_unreachable,
+)
 from estimator.planning.order import tour
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.observations import Observations
@@ -30,7 +37,6 @@ VALIDATION_SHARE, ZERO_SHARE, AGAIN_SHARE = (
     0.05,
     0.1,
 )  # of the stops, at least one each where there are a dozen
-MOST_VISITS = 100  # of every candidate: a goal that they do not reach is out of reach
 SPEED_M_PER_S = 0.1  # of an arm whose limits are not known
 
 
@@ -121,11 +127,9 @@ def plan(
     if n_stops is None and not goals:
         raise InvalidInput("a plan must be given a number of stops or a goal; received neither")
     pace = pace or default_pace(rig, places.settle_s)
-    at = draws_of_prior(rig, N_DRAWS, seed)
-    stops = possible(candidates_of(places, rig, seed), rig, at)
+    stops = clear_candidates(places, rig, seed)
     rig = fitted_rig(rig, stops)
-    largest_A = {c.name: float(stops.current_A[:, i].abs().max()) for i, c in enumerate(rig.coils)}
-    parsed = [goal_of(text, rig, largest_A) for text in goals]
+    parsed = [goal_of(text, rig, largest_currents_A(rig, stops)) for text in goals]
     expected = Expected.of(rig, stops, parsed, draws_of_prior(rig, N_DRAWS, seed))
     refuse_unreachable(expected, parsed)
     design = Design(expected)
@@ -137,24 +141,6 @@ def plan(
 def default_pace(rig: Rig, settle_s: float) -> Pace:
     """Pace of a rig whose limits are not known."""
     return Pace(settle_s, max(10, FEWEST_READINGS), 10.0, {m.name: SPEED_M_PER_S for m in rig.movers}, {})
-
-
-def refuse_unreachable(expected: Expected, goals: Sequence[Goal]) -> None:
-    """Refuse goals that a hundred visits to every candidate do not reach: what the prior leaves open they hardly see.
-
-    Raises:
-        InvalidInput: There is one; the sentence says what would be reached.
-    """
-    if not goals:
-        return
-    everything = expected.information(torch.arange(expected.n_stops))
-    floors = expected.widths(expected.precision + MOST_VISITS * everything).median(-1).values
-    for goal, floor in zip(goals, floors.tolist(), strict=True):
-        if floor > 1.0:
-            raise InvalidInput(
-                f"goal {goal.text!r} must be within reach of the candidate stops; {MOST_VISITS} visits to each of them would leave "
-                f"{floor:.2g} times its half-width. Give other places or currents, or free fewer parameters of the rig"
-            )
 
 
 def _grow(design: Design, n_stops: int | None, n_off: int, on_count: OnCount) -> tuple[int, int, int]:
@@ -190,9 +176,8 @@ class _Visits:
     def __init__(
         self, design: Design, stops: Observations, goals: Sequence[Goal], rig: Rig, pace: Pace, seed: int
     ) -> None:
-        n_sensors = len(rig.sensors)
         self.design, self.goals, self.rig, self.pace, self.seed = design, goals, rig, pace, seed
-        self.stops = stops.rows(torch.arange(0, len(stops), n_sensors)).alone
+        self.stops = one_row_each(stops, rig)
         self.generator = torch.Generator().manual_seed(seed)
         self.key = torch.cat([self.stops.current_A, *self.stops.motion.values()], dim=1)
 

@@ -31,7 +31,7 @@ from estimator.store.admission import admit, admit_readings
 from estimator.store.files import sync, unwritable
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import read_journal, unwritten
-from estimator.store.made import GROUP, JOURNAL, Made, arrays_of, has_journal, holds
+from estimator.store.made import END, GROUP, JOURNAL, Made, arrays_of, has_journal, holds
 from estimator.store.staging import scratch_folder, staged
 from estimator.tensors import torch
 
@@ -316,7 +316,7 @@ ARRAYS = (
     "time_s|sensor_index|current_A|field_sensor_T|is_validation|repeat|current_measured_A|segment|line"
     "|motion_[^/]+|temperature_[^/]+_C"
 )  # of `observation_arrays`, and the lines of a file
-SESSION = Made("a session", rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json", (GROUP, JOURNAL), _is_own)
+SESSION = Made("a session", rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json|{END}", (GROUP, JOURNAL), _is_own)
 
 
 def _described(body: Body | Mover) -> str:
