@@ -96,7 +96,7 @@ class Autopilot:
     """Chooses the next stop of a session.
 
     Args:
-        rig: As described.
+        rig: As it is fitted.
         stops: Candidates, a row for each sensor.
         goals: What shall be known.
         pace: Speeds and times.
@@ -107,7 +107,7 @@ class Autopilot:
     def __init__(
         self, rig: Rig, stops: Observations, goals: Sequence[Goal], pace: Pace, limits: Limits, seed: int
     ) -> None:
-        self.rig, self.stops, self.goals = fitted_rig(rig, stops), stops, goals
+        self.rig, self.stops, self.goals = rig, stops, goals
         self.pace, self.limits, self.seed = pace, limits, seed
         self.settings = one_row_each(stops, rig)
         self.rules = MeasurementModel.build(self.rig, stops).rules
@@ -236,7 +236,10 @@ class Autopilot:
         """Number of the next candidate, why, and its gain by second."""
         n = len(rows)
         is_judged = misfit.n_held_out >= FEWEST_HELD_OUT
-        if rows and (n % EVERY == AGAIN or (is_reached and is_judged)):
+        is_due = (
+            n % EVERY == AGAIN and misfit.n_again <= n // EVERY
+        )  # the best stops are visited again anyway
+        if rows and (is_due or (is_reached and is_judged)):
             return self._longest_ago(rows), "again: shows noise, drift and backlash", 0.0
         if n % EVERY == HELD_OUT or is_reached:
             return self._held_out(rows), f"{HELD_OUT_WORDS}: judges the fit, which does not see it", 0.0
@@ -313,12 +316,13 @@ def pilot_of(
     """An autopilot for goals as a user writes them.
 
     Args:
-        rig, stops, pace, limits, seed: As for `Autopilot`.
+        rig: As described.
+        stops, pace, limits, seed: As for `Autopilot`.
         goals: Such as `field 0.2 % in box x_mm=-50:50 y_mm=-50:50 z_mm=-25:25`.
     Raises:
         InvalidInput: A goal cannot be read, or is out of reach.
     """
-    largest_A = largest_currents_A(rig, stops)
+    rig, largest_A = fitted_rig(rig, stops, goals), largest_currents_A(rig, stops)
     pilot = Autopilot(rig, stops, [goal_of(text, rig, largest_A) for text in goals], pace, limits, seed)
     pilot.refuse_unreachable()
     return pilot

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from estimator.effects.everywhere import with_everywhere
 from estimator.errors import InvalidInput
+from estimator.planning.causes import with_causes
 from estimator.planning.information import N_DRAWS, draws_of_prior, is_clear
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, halton, observations_of
@@ -17,6 +19,7 @@ from estimator.readings.protocol import recommended_currents_A
 from estimator.rig.rig import MotionKind, Rig
 
 MOST_CANDIDATES = 2000  # stops; more are thinned at random, for which the criterion hardly changes
+MOST_ENDS = 64  # corners of the spans of two movers
 N_PLACES = 300  # that fill a span where no plan lists any
 
 
@@ -36,7 +39,9 @@ def places_within(rig: Rig, spans_m: Mapping[str, np.ndarray], largest_A: Mappin
                 f"places must be given by a plan file where a mover is told by joints or poses, or has no workspace; {mover.name} of rig "
                 f"{rig.name!r} is one: give PLAN after RIG"
             )
-    points = halton(3 * len(rig.movers), N_PLACES + 1)[1:]
+    n_axes = 3 * len(rig.movers)
+    ends = np.array(list(itertools.product((0.0, 0.5, 1.0) if n_axes <= 3 else (0.0, 1.0), repeat=n_axes)))
+    points = np.concatenate((ends[:MOST_ENDS], halton(n_axes, N_PLACES + 1)[1:]))  # ends inform most
     poses = []
     for point in points if rig.movers else points[:1]:
         pose = {}
@@ -124,6 +129,9 @@ def possible(stops: Observations, rig: Rig, at: Tensor) -> Observations:
     return left
 
 
-def fitted_rig(rig: Rig, stops: Observations) -> Rig:
-    """The rig that a calibration of such stops fits: with what no laboratory is without, where the stops can tell it."""
-    return with_everywhere(rig, stops).rig
+def fitted_rig(rig: Rig, stops: Observations, goals: Sequence[str]) -> Rig:
+    """The rig that a calibration of such stops fits, with the causes that goals name.
+
+    It has what no laboratory is without, where the stops can tell it.
+    """
+    return with_causes(with_everywhere(rig, stops).rig, stops, goals)

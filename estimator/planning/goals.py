@@ -19,6 +19,7 @@ from estimator.derivatives import value_and_jacobian
 from estimator.errors import InvalidInput, closest, quoted
 from estimator.given_files import MOST_TABLE_BYTES, read_given_text
 from estimator.model.room_field import RoomField
+from estimator.planning.causes import visible_half_widths
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.plan import halton
 from estimator.rig.coordinates import Coordinates
@@ -32,7 +33,7 @@ N_POINTS = (
 MOST_POINTS = 2000  # of a workspace that is given as a list
 EXAMPLES = (
     "'field 0.2 % in box x_mm=-50:50 y_mm=-50:50 z_mm=-25:25', 'field 5 uT worst in ball r_mm=30 z_mm=10', "
-    "'field 0.2 % in points places.csv' or 'parameters coil1.radius_m 0.05 mm coil1.axial_loops 0.5'"
+    "'field 0.2 % in points places.csv', 'parameters coil1.radius_m 0.05 mm coil1.axial_loops 0.5' or 'causes axis_gain[hall].x=0.01'"
 )
 
 
@@ -48,6 +49,7 @@ class FieldGoal:
         is_worst: Whether the least known component at any point counts; else the root mean square of all.
         points_m: Points of the workspace in the world frame, with all movers at zero.
         largest_A: Current of each coil.
+        names: Parameters that its numbers are of; none.
     """
 
     text: str
@@ -56,6 +58,7 @@ class FieldGoal:
     is_worst: bool
     points_m: Float[Tensor, "point 3"]
     largest_A: Mapping[str, float]
+    names: tuple[str, ...] = ()
 
     def rows(
         self, coordinates: Coordinates, at: Float[Tensor, "draw all"]
@@ -88,7 +91,7 @@ class FieldGoal:
 
 @dataclass(frozen=True)
 class ParametersGoal:
-    """Half-width of the 90 % interval of each of some free parameters.
+    """Half-width of the 90 % interval of each of some free parameters; sizes of causes are such, too.
 
     Attributes:
         half_widths: By name, in the parameter's SI unit.
@@ -97,6 +100,11 @@ class ParametersGoal:
     text: str
     half_widths: Mapping[str, float]
     is_worst: bool = True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Parameters that its numbers are of."""
+        return tuple(self.half_widths)
 
     def rows(
         self, coordinates: Coordinates, at: Float[Tensor, "draw all"]
@@ -150,7 +158,9 @@ def goal_of(text: str, rig: Rig, largest_A: Mapping[str, float]) -> Goal:
         return FieldGoal(text, half_width, is_share, is_worst, _workspace(place, text), largest_A)
     if kind == "parameters" and len(words) > 1:
         return ParametersGoal(text, _half_widths(words, rig, text))
-    raise _refused("begin with 'field NUMBER UNIT in' or 'parameters NAME NUMBER'", text)
+    if kind == "causes" and words:
+        return ParametersGoal(text, visible_half_widths(words, rig))
+    raise _refused("begin with 'field NUMBER UNIT in', 'parameters NAME NUMBER' or 'causes NAME'", text)
 
 
 def _refused(rule: str, text: str) -> InvalidInput:

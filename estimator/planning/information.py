@@ -173,12 +173,16 @@ def refuse_unreachable(expected: Expected, goals: Sequence[Goal]) -> None:
     if not goals:
         return
     everything = expected.information(torch.arange(expected.n_stops))
-    floors = expected.widths(expected.precision + MOST_VISITS * everything).median(-1).values
-    for goal, floor in zip(goals, floors.tolist(), strict=True):
+    precision = expected.precision + MOST_VISITS * everything
+    floors = expected.widths(precision).median(-1).values
+    for goal, rows, floor in zip(goals, expected.wanted, floors.tolist(), strict=True):
         if floor > 1.0:
+            each = ((rows @ torch.linalg.inv(precision)) * rows).sum(-1).sqrt().median(0).values
+            beyond = [name for name, width in zip(goal.names, each.tolist(), strict=False) if width > 1.0]
+            whose = f" of {', '.join(beyond)}, which they hardly see or cannot tell apart" if beyond else ""
             raise InvalidInput(
                 f"goal {goal.text!r} must be within reach of the candidate stops; {MOST_VISITS} visits to each of them would leave "
-                f"{floor:.2g} times its half-width. Give other places or currents, or free fewer parameters of the rig"
+                f"{floor:.2g} times its half-width{whose}. Give other places or currents, or free fewer parameters of the rig"
             )
 
 

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
+from scipy.special import fdtrc, ndtri
 from torch import Tensor
 
 from estimator.field.winding import Rule
@@ -19,10 +20,9 @@ from estimator.inference.running import RunningFit
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 
-CLEAR_SD = 1.645  # of the logarithm of a ratio of variances, from which on it widens intervals; chance exceeds it once in twenty
-CERTAIN_SD = (
-    3.5  # from which on more stops would not help; it is asked after every stop, and the logarithm has a tail
-)
+CLEAR_SD = 2.326  # standard deviations of a normal number that is as rare: from here on intervals widen; chance exceeds it at 1 %
+CERTAIN_SD = 3.5  # from which on more stops would not help; it is asked after every stop
+SMALLEST = 1e-300  # of a probability
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Misfit:
         noise_T: Root mean square of the noise, as repeated stops show it; NaN without any.
         n_held_out: Number of held-out stops.
         n_again: Number of visits beyond the first one of their stop.
-        distance_sd: Of the larger of both from the noise, in standard deviations of the logarithm of the ratio of variances.
+        distance_sd: How surprising the larger of both is by an F-test against the noise, in standard deviations of a normal number.
         n_grown: How many times the readings so far are meant.
     """
 
@@ -97,7 +97,8 @@ def misfit_of(
             jacobian_T = posterior.jacobian(fit.vector)
             left_T2 = left_T2 - (jacobian_T @ fit.covariance * jacobian_T).sum(-1)
         mean_T2 = float(left_T2.sum()) / n
-        each_sd = math.log(max(mean_T2 / noise_T2, 1.0)) / math.sqrt(2.0 / n + 2.0 / n_free)
+        chance = float(fdtrc(n, n_free, max(mean_T2, 0.0) / noise_T2))
+        each_sd = -float(ndtri(max(chance, SMALLEST)))
         distance_sd = max(distance_sd, each_sd)
         if each_sd > CLEAR_SD:
             rest_T2 = max(rest_T2, mean_T2 - noise_T2)

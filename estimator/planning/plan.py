@@ -128,7 +128,7 @@ def plan(
         raise InvalidInput("a plan must be given a number of stops or a goal; received neither")
     pace = pace or default_pace(rig, places.settle_s)
     stops = clear_candidates(places, rig, seed)
-    rig = fitted_rig(rig, stops)
+    rig = fitted_rig(rig, stops, goals)
     parsed = [goal_of(text, rig, largest_currents_A(rig, stops)) for text in goals]
     expected = Expected.of(rig, stops, parsed, draws_of_prior(rig, N_DRAWS, seed))
     refuse_unreachable(expected, parsed)
