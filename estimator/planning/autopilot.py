@@ -119,6 +119,10 @@ class Autopilot:
         """What the journal of a session says of its goals and limits."""
         return {"goals": [goal.text for goal in self.goals], "limits": asdict(self.limits)}
 
+    def estimate(self) -> dict[str, Tensor]:
+        """Every number of the rig at the estimate."""
+        return self._fit.coordinates.values(self._fit.vector)
+
     def refuse_unreachable(self) -> None:
         """Refuse goals that no number of the candidates reaches, before anything moves."""
         refuse_unreachable(self._expected, self.goals)
