@@ -21,6 +21,8 @@ from estimator.rig.rig import Rig
 # Estimates until measured: duration of a reading, and of a motion besides its travel time.
 READING_S, MOTION_S = 0.02, 0.3
 
+SPEED_M_PER_S = 0.1  # of an arm whose limits are not known
+
 ANSWER_S = 5.0
 """Time to allow an instrument beyond the duration of a ramp, motion or measurement."""
 
@@ -63,6 +65,11 @@ class Pace:
             raise InvalidInput(
                 f"pace.n_readings must be at least {FEWEST_READINGS} to tell whether the field has settled; received {self.n_readings}"
             )
+
+
+def default_pace(rig: Rig, settle_s: float) -> Pace:
+    """Pace of a rig whose limits are not known."""
+    return Pace(settle_s, 10, 10.0, {m.name: SPEED_M_PER_S for m in rig.movers}, {})
 
 
 def stops_of(plan: Plan, rig: Rig, seed: int) -> Observations:

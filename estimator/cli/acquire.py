@@ -109,7 +109,7 @@ def acquire_command(
     from estimator.cli.acquire_task import Until, check_plan, measure, plan_record, plan_text, read_task
     from estimator.cli.contents import ending
     from estimator.cli.instruments import Bench
-    from estimator.planning.autopilot import Limits
+    from estimator.planning.decision import Limits
     from estimator.store.journal import read_journal
     from estimator.store.made import JOURNAL
     from estimator.store.session import SESSION, is_growing, seal

@@ -25,8 +25,9 @@ from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
 from estimator.cli.words import duration_words, motion_words
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-from estimator.planning.autopilot import Autopilot, Limits, pilot_of
+from estimator.planning.autopilot import Autopilot, pilot_of
 from estimator.planning.candidates import clear_candidates, one_row_each
+from estimator.planning.decision import Limits
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, load_plan
 from estimator.store.files import write_text

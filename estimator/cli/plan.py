@@ -75,11 +75,12 @@ def plan_command(
     from dataclasses import replace
 
     from drivers.limits_section import RigLimits, limits_of
+    from estimator.acquisition.pace import default_pace
     from estimator.cli.count_progress import CountReporter
     from estimator.cli.instruments import Bench
     from estimator.cli.places import places_of
     from estimator.cli.plan_limits import check_currents, check_ways
-    from estimator.planning.plan import default_pace, plan
+    from estimator.planning.plan import plan
     from estimator.rig_files.read import load_rig
     from estimator.store.staging import check_output, write_output
 

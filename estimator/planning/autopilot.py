@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import torch
@@ -20,6 +20,7 @@ from estimator.acquisition.pace import Pace, ways_between_s
 from estimator.inference.running import RunningFit
 from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.candidates import fitted_rig, largest_currents_A, one_row_each
+from estimator.planning.decision import Decision, Limits, elapsed_s
 from estimator.planning.goals import Goal, goal_of
 from estimator.planning.information import (
     Design,
@@ -50,46 +51,6 @@ FLOOR_GROWTH, FLOOR_GAIN = (
     4.0,
     0.9,
 )  # where four times the stops leave more than 0.9 of an interval, a floor is reached
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Ends of a session beside its goals.
-
-    Attributes:
-        most_stops: Number of stops.
-        longest_s: Time; None for no limit.
-    """
-
-    most_stops: int
-    longest_s: float | None = None
-
-
-@dataclass(frozen=True)
-class Decision:
-    """Which stop is next, or why there is none.
-
-    Attributes:
-        row: Number of the candidate; None ends the session.
-        reason: In words.
-        widths: Half-width of the 90 % interval of each goal over its target, widened by what the readings contradict.
-        misfit_T: Root mean square of what held-out readings show beyond noise and uncertainty.
-        gain_per_s: Expected fall of the logarithm of the criterion, by second of travel, ramps and readings; 0 where it is not why.
-        n_candidates: Number of stops to choose from.
-        left: Stops that are expected to be still needed.
-    """
-
-    row: int | None
-    reason: str
-    widths: tuple[float, ...]
-    misfit_T: float
-    gain_per_s: float
-    n_candidates: int
-    left: int
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of the journal of a session."""
-        return asdict(self)
 
 
 class Autopilot:
@@ -140,9 +101,9 @@ class Autopilot:
         decision = self.decide(entries)
         if decision.row is None:
             return None
-        before = [entry["decision"]["row"] for entry in entries]
+        before = [self._row(entry) for entry in entries]
         this_s = float(self._next_s(before)[decision.row])
-        mean_s = (entries[-1]["end_s"] / len(entries)) if entries else this_s
+        mean_s = elapsed_s(entries) / len(entries) if entries else this_s
         is_validation = decision.reason.startswith(HELD_OUT_WORDS)
         return Choice(
             decision.row,
@@ -156,7 +117,7 @@ class Autopilot:
     def decide(self, entries: Sequence[Mapping[str, Any]]) -> Decision:
         """The decision after the stops of a journal; the same entries always give the same one."""
         self._follow(entries)
-        rows = [entry["decision"]["row"] for entry in entries]
+        rows = [self._row(entry) for entry in entries]
         precision = self._fit.precision[self._known][:, self._known]
         misfit = self._misfit(rows, precision)
         widths = self._widths(self._expected.wanted, precision, misfit)
@@ -170,6 +131,15 @@ class Autopilot:
         left = self._left(len(entries), float(widths.max()))
         numbers = tuple(widths.tolist()), misfit.rest_T, gain, len(self.settings), left
         return Decision(None, end, *numbers) if end else Decision(row, reason, *numbers)
+
+    def _row(self, entry: Mapping[str, Any]) -> int:
+        """Number of the candidate of a stop: as it was chosen, else the nearest one."""
+        if "decision" in entry:
+            return int(entry["decision"]["row"])
+        here = [*entry["current_A"], *(x for m in self.rig.movers for x in entry["motion"][m.name])]
+        columns = torch.cat([self.settings.current_A, *self.settings.motion.values()], dim=1)
+        width = (columns.amax(0) - columns.amin(0)).clamp(min=1e-12)
+        return int(((columns - columns.new_tensor(here)) / width).norm(dim=-1).argmin())
 
     def _follow(self, entries: Sequence[Mapping[str, Any]]) -> None:
         """Add what the fit does not hold yet, stop by stop, so that an interrupted session goes the same way."""
@@ -293,9 +263,9 @@ class Autopilot:
         so_far = f"{worst:.2g} times the wanted half-width is left"
         if n >= self.limits.most_stops:
             return f"limit of {n} stops; {so_far}"
-        mean_s = entries[-1]["end_s"] / n if n else 0.0
-        if self.limits.longest_s is not None and n and entries[-1]["end_s"] + mean_s > self.limits.longest_s:
-            return f"limit of {self.limits.longest_s / 60.0:.3g} minutes; {so_far}"
+        longest_s = self.limits.longest_s
+        if longest_s is not None and n and elapsed_s(entries) * (n + 1) / n > longest_s:
+            return f"limit of {longest_s / 60.0:.3g} minutes; {so_far}"
         is_certain = misfit.rest_T == 0.0 or misfit.distance_sd > CERTAIN_SD
         if is_judged and is_certain and not is_reached and self._n_fitted > 2 * len(precision):
             prior = self._expected.precision.mean(0)

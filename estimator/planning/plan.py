@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from estimator.acquisition.pace import FEWEST_READINGS, Pace, durations_s
+from estimator.acquisition.pace import Pace, default_pace, durations_s
 from estimator.diagnosis.next_readings.stops import CHOOSING
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.errors import InvalidInput
@@ -37,7 +37,6 @@ VALIDATION_SHARE, ZERO_SHARE, AGAIN_SHARE = (
     0.05,
     0.1,
 )  # of the stops, at least one each where there are a dozen
-SPEED_M_PER_S = 0.1  # of an arm whose limits are not known
 
 
 @dataclass(frozen=True)
@@ -136,11 +135,6 @@ def plan(
     on_count(CHOOSING, 0, n_stops or MOST_STOPS)
     visits = _Visits(design, stops, parsed, rig, pace, seed)
     return visits.planned(order, *_grow(design, n_stops, visits.n_settings_off, on_count))
-
-
-def default_pace(rig: Rig, settle_s: float) -> Pace:
-    """Pace of a rig whose limits are not known."""
-    return Pace(settle_s, max(10, FEWEST_READINGS), 10.0, {m.name: SPEED_M_PER_S for m in rig.movers}, {})
 
 
 def _grow(design: Design, n_stops: int | None, n_off: int, on_count: OnCount) -> tuple[int, int, int]:

@@ -18,11 +18,11 @@ from scipy.spatial.transform import Rotation
 
 from estimator import load_plan, load_rig
 from estimator.acquisition.acquire import Choice
-from estimator.acquisition.pace import durations_s
+from estimator.acquisition.pace import default_pace, durations_s
 from estimator.model.room_field import RoomField
-from estimator.planning.autopilot import Autopilot, Limits, pilot_of
+from estimator.planning.autopilot import Autopilot, pilot_of
 from estimator.planning.candidates import candidates_of, clear_candidates, places_within
-from estimator.planning.plan import default_pace
+from estimator.planning.decision import Limits
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
 from tests.estimator.planning.measured import World

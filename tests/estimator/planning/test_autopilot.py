@@ -8,12 +8,14 @@ from typing import Any
 import pytest
 import torch
 
+from estimator.acquisition.pace import default_pace
 from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
-from estimator.planning.autopilot import FEWEST_HELD_OUT, Autopilot, Decision, Limits, pilot_of
+from estimator.planning.autopilot import FEWEST_HELD_OUT, Autopilot, pilot_of
 from estimator.planning.candidates import clear_candidates
+from estimator.planning.decision import Decision, Limits
 from estimator.planning.judgement import Misfit
-from estimator.planning.plan import default_pace
+from estimator.planning.next_stop import next_stop
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
 from estimator.store.growing import observations_of
@@ -132,3 +134,19 @@ def test_what_readings_contradict_does_not_average_out() -> None:
     assert clean.factor(1000, 3) == 1.0
     widths = [contradicted.factor(n, 3) / n**0.5 for n in (100, 400, 1600)]
     assert widths[2] == pytest.approx(widths[0], rel=0.01)
+
+
+@pytest.mark.whole
+def test_a_rig_that_others_drive_gets_the_same_stops(measured: Run, small_rig: Rig, places: Plan) -> None:
+    _, entries, _ = measured
+    pace = default_pace(small_rig, 0.1)
+    for n in (0, 5):
+        readings = observations_of(entries[:n], small_rig) if n else None
+        stop = next_stop(small_rig, places, [GOAL], readings, pace=pace)
+        assert stop.decision.to_json() == entries[n]["decision"]
+        assert stop.is_validation == entries[n]["is_validation"]
+        assert stop.motion["arm1"] == entries[n]["motion"]["arm1"]
+        assert stop.current_A == {"coil1": entries[n]["current_A"][0]}
+    ended = next_stop(small_rig, places, [GOAL], observations_of(entries, small_rig), pace=pace)
+    assert ended.decision.reason.startswith("goal reached")
+    assert (ended.decision.row, ended.motion) == (None, {})
