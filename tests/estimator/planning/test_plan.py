@@ -63,6 +63,13 @@ def test_intervals_never_widen_and_the_number_of_stops_follows_from_the_goal(
 ) -> None:
     (widths,) = planned.expected
     assert all(later <= earlier + 1e-9 for earlier, later in pairwise(widths))
+    assert all(
+        later == earlier
+        for (earlier, later), is_held_out in zip(
+            pairwise(widths), planned.stops.is_validation[1:], strict=True
+        )
+        if is_held_out
+    )
     needed = planned.n_needed
     assert needed is not None
     assert widths[needed - 1] <= 1.0 < widths[needed - 2]
