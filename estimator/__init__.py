@@ -31,8 +31,9 @@ if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the sam
     from estimator.readings.observations import Observations
     from estimator.readings.plan import Plan, load_plan
     from estimator.readings.split import block_split
+    from estimator.recalibration.log import Entry
     from estimator.recalibration.recalibrate import recalibrate, roll_back
-    from estimator.recalibration.registry import Entry, Registry
+    from estimator.recalibration.registry import Registry
     from estimator.rig.rig import Rig
     from estimator.rig_files.read import load_rig
     from estimator.store.session import Session, load_session
@@ -85,7 +86,7 @@ _MODULES = {
     "CorruptStore": "estimator.errors",
     "Design": "estimator.diagnosis.next_readings.design",
     "Diagnosis": "estimator.diagnosis.result",
-    "Entry": "estimator.recalibration.registry",
+    "Entry": "estimator.recalibration.log",
     "Estimate": "estimator.live.stream",
     "InvalidInput": "estimator.errors",
     "NextStop": "estimator.planning.next_stop",

@@ -51,12 +51,7 @@ class Glance:
               long  20 mm
         """
         sentence = textwrap.wrap(" ".join(self.sentence.split()), LONGEST)[:MOST_OF_SENTENCE]
-        rows = self.shown_rows(MOST_LINES - 1 - len(sentence))
-        widths = [max(len(row[i]) for row in rows) for i in range(len(self.header))] if rows else []
-        lines = [
-            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
+        lines = [f"  {line}" for line in aligned(self.shown_rows(MOST_LINES - 1 - len(sentence)))]
         cut = [line if len(line) <= LONGEST else f"{line[: LONGEST - 3]}..." for line in lines]
         return "\n".join([*sentence, *cut])
 
@@ -70,6 +65,19 @@ class Glance:
         table = f"<table>{''.join(cells)}</table>" if cells else ""
         figure = self.picture() if self.picture is not None else ""
         return f"<div><p>{escape(self.sentence)}</p>{table}{figure}</div>"
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table as lines with aligned columns.
+
+    Examples:
+        >>> aligned([["coil", "radius"], ["a", "1 mm"]])
+        ['coil  radius', 'a     1 mm']
+    """
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
+    ]
 
 
 class Shown(ABC):

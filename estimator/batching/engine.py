@@ -8,11 +8,13 @@ import signal
 import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from multiprocessing import resource_tracker
+from queue import SimpleQueue
 from typing import Any, Protocol, cast, runtime_checkable
 
 import dask
-from distributed import Client, Future, KilledWorker, LocalCluster, Status, as_completed
+from distributed import Client, Future, KilledWorker, LocalCluster, Status
 from distributed.comm.core import CommClosedError
 from tornado.ioloop import IOLoop, PeriodicCallback
 
@@ -27,11 +29,8 @@ ENVIRONMENT = "distributed.nanny.pre-spawn-environ"
 # With this variable, Dask returns memory to the system at once, and a fit takes up to twice as long.
 TRIM_VARIABLE = "MALLOC_TRIM_THRESHOLD_"
 
+LOST = (CommClosedError, TimeoutError, OSError)  # what Dask raises where the scheduler is gone
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
-
-
-class _SchedulerLost(Exception):
-    """The scheduler was lost: unfinished calls have to be made again."""
 
 
 def _words(error: BaseException | None) -> str:
@@ -64,7 +63,7 @@ class ThisProcess:
 class Cluster:
     """Runs calls on workers.
 
-    A worker that dies is replaced and its calls are made again elsewhere. If the scheduler is lost, unfinished calls are made again once
+    A worker that dies is replaced, and another worker makes its calls again. If the scheduler is lost, unfinished calls are made again once
     there is a new one at the same address.
     """
 
@@ -79,14 +78,19 @@ class Cluster:
         """
         unfinished = dict(calls)
         for _ in range(1 + RECONNECTIONS):
-            try:
-                for name, result in self._results(unfinished):
-                    del unfinished[name]
-                    tell(name, result)
-            except _SchedulerLost:
-                self._reconnect()
+            ended = SimpleQueue[Hashable]()
+            futures = {name: self.start(call, partial(ended.put, name)) for name, call in unfinished.items()}
+            while unfinished:
+                name = ended.get()
+                try:
+                    result = _result(futures[name])
+                except LOST:
+                    break
+                del unfinished[name]
+                tell(name, result)
             else:
                 return
+            self._reconnect()
         raise InvalidInput(
             f"the scheduler must stay; it was lost {1 + RECONNECTIONS} times ({len(unfinished)} jobs left)"
         )
@@ -104,7 +108,7 @@ class Cluster:
         function, arguments = call
         try:
             future = self._client.submit(function, *arguments, pure=False)
-        except (CommClosedError, TimeoutError, OSError):
+        except LOST:
             self._reconnect()
             future = self._client.submit(function, *arguments, pure=False)
         future.add_done_callback(lambda _: on_end())
@@ -122,25 +126,8 @@ class Cluster:
             self._client.cancel([future], force=True)
             if at_it:
                 self._client.restart_workers(at_it, timeout=PATIENCE_S, raise_for_error=False)
-        except (CommClosedError, TimeoutError, OSError):
+        except LOST:
             return  # its scheduler is lost, and the call with it
-
-    def _results(self, calls: Mapping[Hashable, Call]) -> Iterator[tuple[Hashable, Any]]:
-        """Results as they come. Errors of the consumer are not raised in here, so they are not taken for a lost scheduler."""
-        try:
-            futures = {
-                self._client.submit(function, *arguments, pure=False): name
-                for name, (function, arguments) in calls.items()
-            }
-            for future in as_completed(futures, loop=self._client.loop):
-                if future.status == "finished":
-                    yield futures[future], future.result()
-                elif future.status == "error":
-                    yield futures[future], RuntimeError(_words(future.exception()))
-                else:
-                    raise _SchedulerLost
-        except (CommClosedError, TimeoutError, OSError) as error:
-            raise _SchedulerLost from error
 
     def _reconnect(self) -> None:
         self._client.close(timeout=1)
@@ -154,6 +141,18 @@ class Cluster:
     def close(self) -> None:
         """Leave the cluster."""
         self._client.close()
+
+
+def _result(future: Future[Any]) -> Any:
+    """What a call that has ended has given, or an error in its place.
+
+    Raises:
+        LOST: The scheduler was lost, and the call with it.
+    """
+    how = outcome(future)
+    if how == "lost":
+        raise CommClosedError
+    return future.result() if how == "done" else RuntimeError(how)
 
 
 def outcome(future: Future[Any]) -> str | None:
@@ -188,12 +187,12 @@ def _replacing(local: LocalCluster, n: int) -> Iterator[None]:
 
 
 @contextmanager
-def _deaf_to_interruptions() -> Iterator[None]:
-    """Threads and processes that begin meanwhile, and those that these start, never get Ctrl-C, which a terminal sends to all.
+def _interruptions_blocked() -> Iterator[None]:
+    """Block Ctrl-C, which a terminal sends to all, in threads and processes that begin meanwhile and in those that these start.
 
-    This program hears it, and ends them in order.
+    This program gets it, and ends them in order.
     """
-    resource_tracker.ensure_running()  # in Python 3.11 the thread that starts it is deaf no more
+    resource_tracker.ensure_running()  # in Python 3.11 the thread that starts it would unblock the signal
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -224,7 +223,7 @@ def cluster(workers: int | None, scheduler: str | None) -> Iterator[Cluster]:
         address = scheduler
         if address is None:
             n = workers or len(os.sched_getaffinity(0))
-            with _deaf_to_interruptions():
+            with _interruptions_blocked():
                 local = LocalCluster(n_workers=n, threads_per_worker=1, dashboard_address="127.0.0.1:0")
             address = stack.enter_context(local).scheduler_address
             stack.enter_context(_replacing(local, n))

@@ -108,7 +108,7 @@ def readings_and_rig(job: Job, session: Session) -> tuple[Session, Rig]:
     if job.coil is not None:
         session, rig = _one_coil(session, rig, job.coil)
     in_all = () if job.as_described else with_everywhere(rig, session.observations.calibration).added
-    for cause_text in _causes(job.hypothesis):
+    for cause_text in () if job.hypothesis == PLAIN else job.hypothesis.split("+"):
         rig = _with_cause(rig, session.observations, cause_text, in_all)
     return session, rig
 
@@ -150,10 +150,6 @@ def _keyed(job: Job, session: Session, settings: SamplerSettings) -> Job:
         settings=settings_hash(rig, observations),
         n_readings=len(observations),
     )
-
-
-def _causes(hypothesis: str) -> list[str]:
-    return [] if hypothesis == PLAIN else hypothesis.split("+")
 
 
 def _with_cause(rig: Rig, observations: Observations, text: str, in_all: Sequence[Cause]) -> Rig:

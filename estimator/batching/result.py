@@ -14,7 +14,8 @@ import pandas as pd
 import xarray as xr
 
 from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.calibration.files import POSTERIOR_STORE, SUMMARY_FILE
+from estimator.calibration.result import Calibration
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.json_files import read_json
 from estimator.store.files import write_bytes, write_text

@@ -17,14 +17,7 @@ from estimator.batching.engine import Runner, ThisProcess, cluster
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
 from estimator.batching.tables import sessions_of
-from estimator.batching.work import (
-    CALIBRATION_FOLDER,
-    RESULT_FILE,
-    describe,
-    fit,
-    is_enough,
-    sampled,
-)
+from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE, describe, fit, is_enough, sampled
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
 from estimator.errors import InvalidInput

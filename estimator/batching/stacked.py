@@ -19,7 +19,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
-from estimator.store.session import digest, observation_arrays
+from estimator.store.arrays import digest, observation_arrays
 
 TOLERANCE = 1e-4  # in log density
 FIRST_ITERATIONS = 12  # from every start, before only the highest one continues

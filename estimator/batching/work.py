@@ -12,7 +12,7 @@ import torch
 from estimator.batching.jobs import Job, jobs_of, readings_and_rig, rig_to_fit
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
-from estimator.calibration.result import CALIBRATION, SUMMARY_FILE
+from estimator.calibration.files import CALIBRATION, SUMMARY_FILE
 from estimator.code_version import code_version
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
@@ -31,19 +31,10 @@ from estimator.store.staging import staged
 RESULT_FILE, CALIBRATION_FOLDER = "result.json", "calibration"
 
 
-def describe(
-    path: str,
-    rig: Rig | None,
-    hypotheses: tuple[str, ...],
-    is_each_coil: bool,
-    seed: int,
-    settings: SamplerSettings,
-    place: tuple[str, str],
-    as_described: bool,
-) -> tuple[list[Job], dict[str, str]] | str:
-    """The jobs of one session with the reasons against others, or the reason why there are none, in a sentence."""
+def describe(*arguments: Any) -> tuple[list[Job], dict[str, str]] | str:
+    """The jobs of one session with the reasons against others, or why there are none, in a sentence; arguments as of `jobs_of`."""
     try:
-        return jobs_of(path, rig, hypotheses, is_each_coil, seed, settings, place, as_described)
+        return jobs_of(*arguments)
     except CoilcalError as error:
         return str(error)
 

@@ -10,7 +10,8 @@ import torch
 
 from estimator.benchmarks.rows import Row, by_turns, with_ratios
 from estimator.field.node_sum import SumMode
-from estimator.field.winding import Rule, Winding, choose_rule, exact_rule, winding_field_per_ampere
+from estimator.field.winding import Winding, exact_rule, winding_field_per_ampere
+from estimator.field.winding_shape import Rule, choose_rule
 from estimator.units import MU0_T_M_PER_A
 
 RADIUS_M, N_AXIAL, N_RADIAL, PITCH_M = 0.051, 48, 25, 0.98e-3  # the paper's simulated coil

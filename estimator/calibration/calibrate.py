@@ -15,14 +15,9 @@ import numpy as np
 import torch
 from emcee.backends import Backend
 
+from estimator.calibration.files import CHAIN_STORE, SUMMARY_FILE, check_calibration, remove_calibration
 from estimator.calibration.notes import notes
-from estimator.calibration.result import (
-    CHAIN_STORE,
-    SUMMARY_FILE,
-    Calibration,
-    check_calibration,
-    remove_calibration,
-)
+from estimator.calibration.result import Calibration
 from estimator.calibration.starting_point import (
     StartingPoint,
     independent,
@@ -35,7 +30,7 @@ from estimator.devices import device_named, precision_named
 from estimator.effects.everywhere import WithEverywhere, with_everywhere
 from estimator.effects.use import as_meant
 from estimator.errors import CorruptStore, InvalidInput
-from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
+from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
 from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
@@ -150,7 +145,7 @@ def calibrate(
     lattice = start.posterior
 
     tell(Stage("posterior sampling with emcee"))
-    if isinstance(lattice, CollapsedPosterior) and not lattice.coordinates.n:
+    if lattice.amplitudes and not lattice.coordinates.n:
         samples = independent(lattice, settings)
     else:
         if backend is None:

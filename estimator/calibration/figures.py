@@ -20,7 +20,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
 from estimator.reporting import plots
 from estimator.reporting.page import Picture
-from estimator.rig.rig import AnyCoil, Coil, HarmonicCoil
+from estimator.rig.bodies import AnyCoil, Coil, HarmonicCoil
 
 MOST_CORNER_PARAMETERS = 12
 MOST_INTERVALS = 60

@@ -22,10 +22,11 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.inference.nelder_mead import initial_simplex, minimise
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import AnyCoil, EquivalentSourceCoil
 from estimator.rig.charged_box import Triple, gap_m
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import Normal, Parameter
-from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, Rig
+from estimator.rig.rig import Rig
 
 LEAST_GAIN = 20.0  # in log evidence, of each multipole: a source that is there gains hundreds
 LEAST_RESOLVED = 0.7  # distance from the box over that from the nearest reading: below, places in the box are much nearer than any reading

@@ -8,23 +8,23 @@ from statistics import median
 import torch
 
 from estimator.inference.collapsed import CollapsedPosterior
+from estimator.inference.density import Density
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import AnyCoil, EquivalentSourceCoil, HarmonicCoil
 from estimator.rig.charged_box import MOST_CHARGES, n_charges
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
-from estimator.rig.rig import AnyCoil, EquivalentSourceCoil, HarmonicCoil, Rig
+from estimator.rig.rig import Rig
 
 CLOSER = 0.8  # of margin and spacing of charges: about a quarter more of them
 WIDTHS = (1.0, 0.1, 0.01)  # of what the priors say: too wide a prior hides a degree that is there but small
 CLEAR_LOG_EVIDENCE = 3.0  # 20 to 1, as for causes: with less the degree may well do
 
 
-def next_degree_gain(
-    posterior: CollapsedPosterior, observations: Observations, vector: torch.Tensor
-) -> float | None:
+def next_degree_gain(posterior: Density, observations: Observations, vector: torch.Tensor) -> float | None:
     """Rise in log evidence when every coil without a winding gets one degree more, or its charges closer to the box and to each other.
 
     Priors of the new degree narrow on as they did, or are ten or a hundred times narrower: the best of these counts. Intervals hold for
@@ -39,7 +39,7 @@ def next_degree_gain(
     """
     rises = []
     with torch.no_grad():
-        before = float(posterior.log_evidence(vector[None])[0])
+        before = float(posterior.log_likelihood(vector[None])[0])
         has_degrees = any(isinstance(coil, HarmonicCoil) for coil in posterior.full.coordinates.rig.coils)
         for share in WIDTHS if has_degrees else WIDTHS[:1]:
             rig = with_next_degree(posterior.full.coordinates.rig, share)
@@ -47,7 +47,7 @@ def next_degree_gain(
                 return None
             model = MeasurementModel.unruled(rig, observations).with_rules(posterior.full.model.rules)
             higher = CollapsedPosterior(LogPosterior(Coordinates(rig), model, observations))
-            rises.append(float(higher.log_evidence(vector[None])[0]) - before)
+            rises.append(float(higher.log_likelihood(vector[None])[0]) - before)
     return max(rises)
 
 

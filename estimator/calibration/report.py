@@ -14,7 +14,8 @@ from estimator.calibration.residual_groups import residual_groups
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays, percent, probability, size_with_unit, to_digit_of, with_sd
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Rig, UnwoundCoil
+from estimator.rig.bodies import EquivalentSourceCoil, HarmonicCoil, UnwoundCoil
+from estimator.rig.rig import Rig
 from estimator.units import split_quotient
 
 HARDLY_NARROWED = 3.0  # data as wide as three priors narrow the interval by 5 %, which no reader sees

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
-import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,54 +12,27 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.calibration.files import Parts, read_parts, write_parts
 from estimator.devices import numpy_of
 from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
-from estimator.errors import CorruptStore, InvalidInput, cut, quoted
+from estimator.errors import InvalidInput, cut, quoted
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
-from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.glance import Glance, Shown
-from estimator.json_files import json_object
 from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.points import given_motion, given_points
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import MotionKind
 from estimator.rig.coordinates import Coordinates
-from estimator.rig.rig import MotionKind, Rig
-from estimator.rig_files.state import rig_from_state, rig_state
-from estimator.store.admission import admit, admit_readings
-from estimator.store.files import kind_of, unwritable, write_text
-from estimator.store.made import GROUP, Made, arrays_of, holds
-from estimator.store.session import ARRAYS, observation_arrays, observations_from
-from estimator.store.staging import staged
-from estimator.store.tree import Node, read_tree, tree_hash
+from estimator.rig.rig import Rig
 from estimator.units import LARGEST
 
 if TYPE_CHECKING:
-    import xarray as xr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-SCHEMA_VERSION = 1
-POSTERIOR_STORE, SUMMARY_FILE, CHAIN_STORE, REPORT = (
-    "posterior.zarr",
-    "summary.json",
-    "chain.zarr",
-    "report.html",
-)
-SUMMARY_SEAL = "summary_sha256"
-SUMMARY_KEYS: Mapping[str, type] = {
-    **dict.fromkeys(
-        ("parameters", "prior_tension", "rmse", "rmse_nominal", "rmse_by_sensor", "coverage90"), dict
-    ),
-    **dict.fromkeys(("sampling", "point_estimate", "truth", "versions"), dict),
-    **dict.fromkeys(("loop_counts", "undetermined"), list),
-    **dict.fromkeys(("is_converged", "has_integer_counts"), bool),
-    **dict.fromkeys(("session_source", "session_created", "session_hash", "rig_hash"), str),
-    "seed": int,
-}
-"""What pages read of a summary; one that is older than its seal may have been altered unnoticed."""
 INTERVAL_DRAWS = 400
 DOUBLE = torch.empty(0, dtype=torch.float64)
 Kind = TypeVar("Kind")  # of points: answers are of the same
@@ -316,18 +285,8 @@ class Calibration(Shown):
         Raises:
             InvalidInput: The folder cannot be written, or files of somebody else have these names in it.
         """
-        folder = Path(folder)
-        CALIBRATION.check_open(folder)
-        summary = json.dumps(self.summary_json, indent=2, allow_nan=False) + "\n"
-        try:
-            with staged(folder / POSTERIOR_STORE, overwrite=True, made=POSTERIOR) as new:
-                self._write_posterior(new, summary)
-                (folder / SUMMARY_FILE).unlink(
-                    missing_ok=True
-                )  # never beside a posterior that is not its own
-            write_text(folder / SUMMARY_FILE, summary)
-        except OSError as error:
-            raise unwritable(folder, error) from error
+        parts = Parts(self.rig, self.observations, self.best, self.draws, self.log_prob, self.summary_json)
+        write_parts(parts, Path(folder))
 
     @classmethod
     def load(cls, folder: Path | str) -> Calibration:
@@ -337,76 +296,7 @@ class Calibration(Shown):
             InvalidInput: The folder holds no finished calibration.
             CorruptStore: A file in it is damaged.
         """
-        folder = Path(folder)
-        if not (folder / SUMMARY_FILE).is_file():
-            raise InvalidInput(
-                f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY_FILE}); received {folder}"
-            )
-        admit(folder / POSTERIOR_STORE, "calibration")
-        try:
-            text = read_given(folder / SUMMARY_FILE, MOST_RESULT_BYTES, CorruptStore)
-            summary = json_object(text, folder / SUMMARY_FILE, CorruptStore)
-            tree = read_tree(folder / POSTERIOR_STORE)
-            attributes = tree["/"].attributes
-            if attributes["schema_version"] != SCHEMA_VERSION:
-                raise CorruptStore(
-                    f"calibration schema_version must be {SCHEMA_VERSION}; received {quoted(attributes['schema_version'])} ({folder})"
-                )
-            stored_hash = attributes.pop("sha256")
-            if stored_hash != tree_hash(tree):
-                raise CorruptStore(
-                    f"calibration must match its SHA-256; {folder / POSTERIOR_STORE} was altered or lost a chunk"
-                )
-            # Version 0.1 and the first of 0.2 did not seal the summary.
-            if attributes.get(SUMMARY_SEAL, _sha256(text)) != _sha256(text):
-                raise CorruptStore(
-                    f"calibration must match its SHA-256; {folder / SUMMARY_FILE} was altered, or belongs to another posterior"
-                )
-            arrays = {**tree["/constant_data"].arrays, **tree["/observed_data"].arrays}
-            rig = rig_from_state(json_object(attributes["rig"], folder), f"rig inside {folder}")
-            admit_readings(arrays, rig, str(folder))
-            observations, best = observations_from(arrays, rig), json_object(attributes["best"], folder)
-            draws, log_prob = tree["/posterior"].arrays, tree["/sample_stats"].arrays["lp"]
-            _check_numbers(rig, best, draws, log_prob, folder)
-            if any(not isinstance(summary[key], kind) for key, kind in SUMMARY_KEYS.items()):
-                raise CorruptStore(
-                    f"calibration must have a summary as coilcal writes it; {folder / SUMMARY_FILE} is another"
-                )
-        except CorruptStore:
-            raise
-        except Exception as error:  # zarr, JSON and NumPy raise errors of many types on damaged bytes
-            raise CorruptStore(
-                f"calibration must be readable; {folder} is damaged: {type(error).__name__} {error}"
-            ) from error
-        return cls(rig, observations, best, draws, log_prob, summary)
-
-    def _write_posterior(self, path: Path, summary: str) -> None:
-        import xarray as xr  # almost a second, which whoever reads does without
-        from zarr.codecs import Crc32cCodec, ZstdCodec
-
-        walkers, steps = self.log_prob.shape
-        coords = {"chain": np.arange(walkers), "draw": np.arange(steps)}
-        attributes = {
-            "schema_version": SCHEMA_VERSION,
-            "rig": json.dumps(rig_state(self.rig)),
-            "best": json.dumps(dict(self.best)),
-            SUMMARY_SEAL: _sha256(summary.encode()),
-        }
-        posterior = {name: (("chain", "draw"), draws) for name, draws in self.draws.items()}
-        arrays = observation_arrays(self.observations)
-        tree = xr.DataTree.from_dict(
-            {
-                "/": xr.Dataset(attrs=attributes),
-                "/posterior": xr.Dataset(posterior, coords, {"inference_library": "emcee"}),
-                "/sample_stats": xr.Dataset({"lp": (("chain", "draw"), self.log_prob)}, coords),
-                "/observed_data": xr.Dataset({"field_sensor_T": arrays.pop("field_sensor_T")}),
-                "/constant_data": xr.Dataset(arrays),
-            }
-        )
-        tree.attrs["sha256"] = tree_hash({node.path: _as_read(node) for node in tree.subtree})
-        checksummed = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
-        encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
-        tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+        return cls(*read_parts(Path(folder)))
 
     def currents(self, currents_A: Mapping[str, float], like: Tensor = DOUBLE) -> Float[Tensor, " coil"]:
         """Currents in the order of the rig's coils; those that are not named are off. `like` as in `best_values`."""
@@ -427,95 +317,6 @@ class Calibration(Shown):
         return like.new_tensor([float(currents_A.get(name, 0.0)) for name in names])
 
 
-# By what damage may leave of them, too.
-POSTERIOR_FILES = (
-    rf"zarr\.json|(?:posterior|sample_stats)/(?:{arrays_of('[^/]+')})"
-    rf"|(?:observed_data|constant_data)/(?:{arrays_of(ARRAYS)})"
-)
-CHAIN_FILES = arrays_of("chain|log_prob|checkpoint|accepted")
-POSTERIOR = Made(
-    "a posterior",
-    POSTERIOR_FILES,
-    (GROUP,),
-    lambda folder: holds(folder / GROUP, '"best"') or (folder / "sample_stats" / GROUP).is_file(),
-)
-CHAIN = Made(
-    "a chain of samples",
-    CHAIN_FILES,
-    (GROUP,),
-    lambda folder: holds(folder / GROUP, '"array_crc32"') or (folder / "log_prob" / GROUP).is_file(),
-)
-CALIBRATION = Made(
-    "a calibration",
-    rf"summary\.json|report\.html|posterior\.zarr/(?:{POSTERIOR_FILES})|chain\.zarr/(?:{CHAIN_FILES})",
-    (SUMMARY_FILE, POSTERIOR_STORE, CHAIN_STORE, REPORT),
-    lambda folder: (
-        holds(folder / SUMMARY_FILE, '"coverage90"')
-        or POSTERIOR.is_one(folder / POSTERIOR_STORE)
-        or CHAIN.is_one(folder / CHAIN_STORE)
-    ),
-)
-
-
-def remove_calibration(folder: Path) -> None:
-    """Delete the files of an earlier calibration from a folder, and nothing else.
-
-    Raises:
-        InvalidInput: One of them holds something that coilcal did not write; nothing is deleted then.
-    """
-    check_calibration(folder)
-    for name in CALIBRATION.names:
-        path = folder / name
-        if kind_of(path) == "a folder":
-            shutil.rmtree(path)
-        else:
-            path.unlink(missing_ok=True)
-
-
-def check_calibration(folder: Path) -> None:
-    """Refuse a folder in which files of somebody else have the names of a calibration.
-
-    Raises:
-        InvalidInput: It holds such files.
-    """
-    CALIBRATION.check_open(folder)
-    for name, store in ((POSTERIOR_STORE, POSTERIOR), (CHAIN_STORE, CHAIN)):
-        if kind_of(folder / name) is not None:
-            store.check_replaceable(folder / name)
-    for name in (SUMMARY_FILE, REPORT):
-        if kind_of(folder / name) not in (None, "a file"):
-            raise InvalidInput(f"output must be a file; {folder / name} is {kind_of(folder / name)}")
-
-
 def _check_level(level: float) -> None:
     if not 0.0 < level < 1.0:
         raise InvalidInput(f"level must lie between 0 and 1; received {level}")
-
-
-def _check_numbers(
-    rig: Rig, best: Mapping[str, float], draws: Mapping[str, np.ndarray], log_prob: np.ndarray, folder: Path
-) -> None:
-    """Refuse a posterior that lacks a number of the rig, or holds another shape or no finite number."""
-    for name in rig.parameters:
-        if not math.isfinite(best[name]):
-            raise CorruptStore(f"best {name} must be finite; received {best[name]} ({folder})")
-    for parameter in rig.free:
-        values = draws[parameter.name]
-        if values.shape != log_prob.shape or not np.isfinite(values).all():
-            raise CorruptStore(
-                f"draws of {parameter.name} must be finite and of shape {log_prob.shape}; "
-                f"received {'others' if values.shape == log_prob.shape else values.shape} ({folder})"
-            )
-
-
-def _sha256(text: bytes) -> str:
-    return hashlib.sha256(text).hexdigest()
-
-
-def _as_read(node: xr.DataTree) -> Node:
-    """A node of a tree as `read_tree` will find it."""
-    variables = {
-        str(name): (tuple(map(str, variable.dims)), variable.to_numpy())
-        for name, variable in node.dataset.variables.items()
-    }
-    return Node({str(name): value for name, value in node.attrs.items()}, variables)

@@ -14,6 +14,7 @@ from estimator.calibration.next_degree import next_degree_gain
 from estimator.inference.collapsed import CollapsedPosterior, free_amplitudes
 from estimator.inference.collapsed_estimate import collapsed_estimate
 from estimator.inference.convergence import Convergence
+from estimator.inference.density import Density
 from estimator.inference.ensemble import SamplerSettings, Samples, reported_parameters
 from estimator.inference.laplace import OpenDirection, open_directions
 from estimator.inference.lattice import CountMixture, count_mixture, laplace_mixture
@@ -34,7 +35,7 @@ class StartingPoint:
         undetermined: What the data do not determine.
     """
 
-    posterior: LogPosterior | CollapsedPosterior
+    posterior: Density
     mixture: CountMixture
     estimate: PointEstimate
     values: dict[str, Tensor]
@@ -44,24 +45,19 @@ class StartingPoint:
         """Every number of the rig at the maximum, with the most probable whole loop counts."""
         top = int(self.mixture.weight.argmax())
         vector = torch.cat((self.mixture.mean[top], self.mixture.counts[top]))
-        if isinstance(self.posterior, CollapsedPosterior):
-            values = self.posterior.values(vector)
-        else:
-            values = self.posterior.coordinates.values(vector)
-        return {name: float(value) for name, value in values.items()}
+        return {name: float(value) for name, value in self.posterior.values(vector).items()}
 
     def draws(self, chain: np.ndarray, seed: int) -> dict[str, np.ndarray]:
         """Draws of every free parameter, walker by step, from a chain of coordinates with axes step, walker and coordinate."""
         coordinates = self.posterior.coordinates
         reported = reported_parameters(coordinates, chain) if coordinates.n else chain
         draws = {name: reported[:, :, i] for i, name in enumerate(coordinates.names)}
-        if isinstance(self.posterior, CollapsedPosterior):
-            draws |= self.posterior.drawn(chain, seed)
+        draws |= self.posterior.drawn(chain, seed)
         return {name: np.ascontiguousarray(array.T) for name, array in draws.items()}
 
     def summary(self, observations: Observations) -> dict[str, Any]:
         """What is said of coils without a winding: amplitudes by coil, free and determined, and the evidence for a degree more."""
-        if not isinstance(self.posterior, CollapsedPosterior):
+        if not self.posterior.amplitudes:
             return {}
         vector = self.mixture.mean[0]
         counts = self.posterior.determined(vector)
@@ -129,7 +125,7 @@ def starting_point_with_counts(
     return StartingPoint(lattice, mixture, estimate, values, undetermined)
 
 
-def independent(posterior: CollapsedPosterior, settings: SamplerSettings) -> Samples:
+def independent(posterior: Density, settings: SamplerSettings) -> Samples:
     """Samples of a posterior in which nothing but amplitudes is free: independent draws without coordinates, as many as are wanted."""
     walkers = max(settings.n_walkers, 1)
     steps = int(np.ceil(settings.target_ess / walkers))

@@ -16,7 +16,8 @@ from estimator.inference.convergence import convergence
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Coil, Rig, SidedCoil
+from estimator.rig.bodies import Coil, SidedCoil
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 COVERAGE_DRAWS = 200

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import OutputPath, devices_option, json_option, overwrite_option, seed_option
+from estimator.cli.options import PATH, OutputPath, devices_option, flag, option, result_options, seed_option
 from estimator.cli.output import EXIT_INTERRUPTED, EXIT_UNDELIVERED, CoilcalCommand, show
 from estimator.errors import CorruptStore, InvalidInput
 
@@ -24,62 +24,53 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 
 
 @click.command("acquire", cls=CoilcalCommand)
-@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
-@click.argument("plan_path", metavar="[PLAN]", required=False, type=click.Path(path_type=Path))
-@click.option(
-    "--until",
-    "goals",
+@click.argument("rig_path", metavar="RIG", type=PATH)
+@click.argument("plan_path", metavar="[PLAN]", required=False, type=PATH)
+@option(
+    "--until goals",
+    "Choose the stops while measuring, among the places and currents of PLAN, until a goal is reached; goals as in coilcal plan. "
+    "Repeatable.",
     multiple=True,
     metavar="GOAL",
-    help="Choose the stops while measuring, among the places and currents of PLAN, until a goal is reached; goals as in coilcal plan. "
-    "Repeatable.",
 )
-@click.option(
+@option(
     "--most-stops",
-    type=click.IntRange(min=1),
+    "With --until: stops after which to end in any case.",
+    click.IntRange(min=1),
     default=200,
-    show_default=True,
-    help="With --until: stops after which to end in any case.",
 )
-@click.option(
+@option(
     "--minutes",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="With --until: time after which to end in any case.",
+    "With --until: time after which to end in any case.",
+    click.FloatRange(min=0.0, min_open=True),
 )
-@click.option("--out", type=OutputPath(), required=True, help="Session to write (zarr).")
+@option("--out", "Session to write (zarr).", OutputPath(), required=True)
 @devices_option
-@click.option("--dry-run", is_flag=True, help="Show the plan and its duration; touch no instrument.")
-@click.option(
-    "--readings",
-    "n_readings",
-    type=click.IntRange(FEWEST_READINGS, 100_000),
+@flag("--dry-run", "Show the plan and its duration; touch no instrument.")
+@option(
+    "--readings n_readings",
+    "Readings to average at each stop.",
+    click.IntRange(FEWEST_READINGS, 100_000),
     default=10,
-    show_default=True,
-    help="Readings to average at each stop.",
 )
-@click.option(
-    "--longest-settle",
-    "longest_settle_s",
-    type=click.FloatRange(min=0.0),
+@option(
+    "--longest-settle longest_settle_s",
+    "Seconds to wait for a field that still changes; after that it is taken and marked.",
+    click.FloatRange(min=0.0),
     default=10.0,
-    show_default=True,
-    help="Seconds to wait for a field that still changes; after that it is taken and marked.",
 )
-@click.option(
-    "--speed",
-    "speed_mm_per_s",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Speed of the arms in mm/s; by default the highest that the rig file allows.",
+@option(
+    "--speed speed_mm_per_s",
+    "Speed of the arms in mm/s; by default the highest that the rig file allows.",
+    click.FloatRange(min=0.0, min_open=True),
 )
-@click.option(
-    "--to",
-    "url",
+@option(
+    "--to url",
+    "Service that gets the readings as they are measured; they wait on disk while it does not answer. COILCAL_TOKEN has its token.",
     metavar="URL",
-    help="Service that gets the readings as they are measured; they wait on disk while it does not answer. COILCAL_TOKEN has its token.",
 )
 @seed_option
-@overwrite_option
-@json_option
+@result_options
 def acquire_command(
     rig_path: Path,
     plan_path: Path | None,
@@ -89,13 +80,10 @@ def acquire_command(
     out: Path,
     devices_path: Path | None,
     dry_run: bool,
-    n_readings: int,
-    longest_settle_s: float,
-    speed_mm_per_s: float | None,
     url: str | None,
-    seed: int,
     overwrite: bool,
     as_json: bool,
+    **pace: Any,
 ) -> None:
     """Carry out PLAN with the instruments of RIG, or measure until a goal is reached.
 
@@ -124,7 +112,7 @@ def acquire_command(
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
     until = Until(goals, Limits(most_stops, None if minutes is None else 60.0 * minutes))
-    task = read_task(bench, plan_path, n_readings, longest_settle_s, speed_mm_per_s, seed, until)
+    task = read_task(bench, plan_path, until=until, **pace)
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)

@@ -18,10 +18,10 @@ from drivers.open import DeviceSet
 from drivers.safety import CoilLoad
 from estimator.acquisition.acquire import acquire, references_of
 from estimator.acquisition.pace import ANSWER_S, Pace, check_instruments, digest_of, durations_s, stops_of
-from estimator.cli.acquire_progress import StopReporter
 from estimator.cli.instruments import Bench
 from estimator.cli.places import places_of
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
+from estimator.cli.progress import Reporter
 from estimator.cli.words import duration_words, motion_words
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
@@ -37,6 +37,7 @@ from estimator.store.made import END
 from estimator.store.session import remove_session
 
 MOST_SHOWN = 10
+LINE_EVERY_S = 5.0  # in a pipe
 
 
 @dataclass(frozen=True)
@@ -172,8 +173,8 @@ def measure(
     if n_before:
         click.echo(f"coilcal: {n_before} of {task.n_stops} stops were visited before", err=True)
     choose = None if task.pilot is None else task.pilot.choose
-    with StopReporter(task.n_stops) as reporter:
-        acquire(task.stops, rig, devices, journal, task.pace, reporter, choose, task.n_stops)
+    with Reporter(LINE_EVERY_S) as reporter:
+        acquire(task.stops, rig, devices, journal, task.pace, reporter.visits, choose, task.n_stops)
     if task.pilot is not None:
         write_text(out / END, json.dumps(task.pilot.decide(journal.entries).to_json()))
     return n_before

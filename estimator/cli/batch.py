@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
 from estimator.cli.command_line import command_of
 from estimator.cli.options import (
     MOST_PROCESSES,
+    PATH,
     OutputPath,
     as_described_option,
     ess_option,
+    flag,
     json_option,
+    option,
     prediction_options,
     seed_option,
 )
@@ -22,57 +26,49 @@ from estimator.errors import InvalidInput
 
 
 @click.command("batch", cls=CoilcalCommand, goes_on=True)
-@click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option(
-    "--out",
-    type=OutputPath(is_filled=True),
-    required=True,
-    help="Folder for posteriors, tables and overview.html.",
+@click.argument("sessions", metavar="SESSION...", nargs=-1, required=True, type=PATH)
+@option(
+    "--out", "Folder for posteriors, tables and overview.html.", OutputPath(is_filled=True), required=True
 )
-@click.option(
+@option(
     "--rig",
-    type=click.Path(path_type=Path),
-    help="Rig file to use for all sessions instead of the rig stored in each; needed for tables of readings.",
+    "Rig file to use for all sessions instead of the rig stored in each; needed for tables of readings.",
+    PATH,
 )
-@click.option(
-    "--map",
-    "columns",
+@option(
+    "--map columns",
+    "How the columns of tables are read, as an import has written it (columns.yaml).",
+    PATH,
     metavar="FILE",
-    type=click.Path(path_type=Path),
-    help="How the columns of tables are read, as an import has written it (columns.yaml).",
 )
-@click.option(
-    "--hypothesis",
-    "hypotheses",
+@option(
+    "--hypothesis hypotheses",
+    "Hypothesis to fit: plain for the rig as it is, or causes to add to it, such as axis_gain+sensor_offset[probe2]. Repeatable.",
     multiple=True,
     default=("plain",),
-    show_default=True,
     metavar="CAUSES",
-    help="Hypothesis to fit: plain for the rig as it is, or causes to add to it, such as axis_gain+sensor_offset[probe2]. Repeatable.",
 )
-@click.option(
-    "--each-coil",
-    is_flag=True,
-    help="Calibrate each coil by itself, from the readings in which it alone carries current.",
+@flag(
+    "--each-coil is_each_coil",
+    "Calibrate each coil by itself, from the readings in which it alone carries current.",
 )
-@click.option(
+@option(
     "--posterior",
-    type=click.Choice(["leaders", "none"]),
+    "Sample the posterior of the hypotheses with more than 5 % probability, or of none.",
+    click.Choice(["leaders", "none"]),
     default="leaders",
-    show_default=True,
-    help="Sample the posterior of the hypotheses with more than 5 % probability, or of none.",
 )
 @as_described_option
 @ess_option
-@click.option(
+@option(
     "--workers",
-    type=click.IntRange(1, MOST_PROCESSES),
-    help="Processes on this computer; by default one per processor.",
+    "Processes on this computer; by default one per processor.",
+    click.IntRange(1, MOST_PROCESSES),
 )
-@click.option(
+@option(
     "--scheduler",
+    "Use this Dask scheduler instead of local processes, such as tcp://host:8786.",
     metavar="ADDRESS",
-    help="Use this Dask scheduler instead of local processes, such as tcp://host:8786.",
 )
 @prediction_options("readings", "; refused where it changes a reading by more than a twentieth of the noise")
 @seed_option
@@ -80,19 +76,10 @@ from estimator.errors import InvalidInput
 def batch_command(
     sessions: tuple[Path, ...],
     out: Path,
-    rig: Path | None,
-    columns: Path | None,
-    hypotheses: tuple[str, ...],
-    each_coil: bool,
     posterior: str,
-    as_described: bool,
     ess: float,
-    workers: int | None,
-    scheduler: str | None,
-    device: str,
-    precision: str,
-    seed: int,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Calibrate many sessions in parallel.
 
@@ -109,7 +96,7 @@ def batch_command(
             f"coilcal batch needs {error.name}: install coilcal with its extra, pip install 'coilcal[batch]'"
         ) from error
 
-    from estimator.cli.time_left import TimeLeft
+    from estimator.cli.progress import TimeLeft
     from estimator.inference.ensemble import SamplerSettings
     from estimator.store.files import write_text
 
@@ -117,21 +104,12 @@ def batch_command(
     result = batch(
         sessions,
         out=out,
-        rig=rig,
-        columns=columns,
-        hypotheses=hypotheses,
-        is_each_coil=each_coil,
         has_posterior=posterior == "leaders",
-        seed=seed,
         settings=SamplerSettings(target_ess=ess),
-        workers=workers,
-        scheduler=scheduler,
-        device=device,
-        precision=precision,
-        as_described=as_described,
         tell=lambda done, total, words: tell_progress(
             f"{done} of {total}: {words}{time_left.words(done, total)}"
         ),
+        **options,
     )
     result.save_table(out)
     write_text(out / "overview.html", overview(result, command_of(click.get_current_context())))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import json_option, seed_option
+from estimator.cli.options import flag, json_option, option, seed_option
 from estimator.cli.output import CoilcalCommand, show, tell_progress
 from estimator.errors import InvalidInput, quoted
 
@@ -25,19 +25,14 @@ PARTS = {
 
 
 @click.command("bench", cls=CoilcalCommand)
-@click.option(
-    "--only",
-    metavar="PART,...",
-    help=f"Measure these parts only, of {', '.join(PARTS)}.",
-)
-@click.option(
+@option("--only", f"Measure these parts only, of {', '.join(PARTS)}.", metavar="PART,...")
+@option(
     "--repeats",
-    type=click.IntRange(1, 10_000),
+    "Repeats, of which median, smallest and largest are printed.",
+    click.IntRange(1, 10_000),
     default=5,
-    show_default=True,
-    help="Repeats, of which median, smallest and largest are printed.",
 )
-@click.option("--tiny", is_flag=True, help="Small sizes, to see that all works; their timings mean nothing.")
+@flag("--tiny", "Small sizes, to see that all works; their timings mean nothing.")
 @seed_option
 @json_option
 def bench_command(only: str | None, repeats: int, tiny: bool, seed: int, as_json: bool) -> None:

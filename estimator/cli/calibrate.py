@@ -13,14 +13,15 @@ import click
 
 from estimator.cli.command_line import command_of
 from estimator.cli.options import (
+    PATH,
     REFUSED_SINGLE,
     OutputPath,
     as_described_option,
     ess_option,
-    json_option,
+    option,
     other_rig_option,
-    overwrite_option,
     prediction_options,
+    result_options,
     seed_option,
 )
 from estimator.cli.output import EXIT_NOT_CONVERGED, EXIT_UNUSABLE, CoilcalCommand, show
@@ -33,61 +34,55 @@ MOST_LISTED = 50  # amplitudes on the screen
 
 
 @click.command("calibrate", cls=CoilcalCommand, goes_on=True)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
+@click.argument("session_path", metavar="SESSION", type=PATH)
+@option(
     "--out",
-    type=OutputPath(is_filled=True),
+    "Folder for summary.json, posterior.zarr and report.html.",
+    OutputPath(is_filled=True),
     required=True,
-    help="Folder for summary.json, posterior.zarr and report.html.",
 )
 @other_rig_option
 @seed_option
 @ess_option
-@click.option(
+@option(
     "--walkers",
-    type=click.IntRange(0, MOST_WALKERS),
+    "Walkers of the ensemble; 0 means 32, or two per free parameter if that is more.",
+    click.IntRange(0, MOST_WALKERS),
     default=0,
-    help="Walkers of the ensemble; 0 means 32, or two per free parameter if that is more.",
+    show_default=False,
 )
-@click.option(
+@option(
     "--max-steps",
-    type=click.IntRange(1, MOST_STEPS),
+    "Stop after this many steps of each walker, converged or not.",
+    click.IntRange(1, MOST_STEPS),
     default=20_000,
-    show_default=True,
-    help="Stop after this many steps of each walker, converged or not.",
 )
-@click.option(
+@option(
     "--counts",
-    type=click.Choice(["integer", "continuous"]),
+    "Treat free loop counts as whole numbers or as real numbers.",
+    click.Choice(["integer", "continuous"]),
     default="integer",
-    show_default=True,
-    help="Treat free loop counts as whole numbers or as real numbers.",
 )
 @as_described_option
 @prediction_options("readings", REFUSED_SINGLE)
-@overwrite_option
-@json_option
+@result_options
 def calibrate_command(
     session_path: Path,
     out: Path,
     rig_path: Path | None,
-    seed: int,
     ess: float,
     walkers: int,
     max_steps: int,
     counts: str,
-    as_described: bool,
-    device: str,
-    precision: str,
-    overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Calibrate the rig of SESSION.
 
     Run the same command again to continue a calibration that was interrupted.
     """
     from estimator.calibration.calibrate import calibrate
-    from estimator.cli.stage_progress import StageReporter
+    from estimator.cli.progress import Reporter
     from estimator.inference.ensemble import SamplerSettings
     from estimator.rig_files.read import load_rig
     from estimator.store.session import load_session
@@ -97,19 +92,15 @@ def calibrate_command(
     rig = load_rig(rig_path) if rig_path else None
     settings = SamplerSettings(n_walkers=walkers, target_ess=ess, max_steps=max_steps)
     with only_writer(out):
-        with StageReporter() as reporter:
+        with Reporter() as reporter:
             calibration = calibrate(
                 session,
                 rig,
                 out=out,
-                overwrite=overwrite,
-                seed=seed,
                 settings=settings,
                 has_integer_counts=counts == "integer",
-                as_described=as_described,
-                device=device,
-                precision=precision,
-                on_stage=reporter,
+                on_stage=reporter.calibration,
+                **options,
             )
         summary = dict(calibration.summary())
         if not as_json:

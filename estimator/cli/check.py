@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.form_options import FormOptions, form_options
-from estimator.cli.options import json_option
+from estimator.cli.options import PATH, json_option
 from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, printable, show
 from estimator.errors import Faults, InvalidInput
 
@@ -24,8 +24,8 @@ PLANS = (".yaml", ".yml")
 
 
 @click.command("check", cls=CoilcalCommand)
-@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
-@click.argument("path", metavar="[FILE]", required=False, type=click.Path(path_type=Path))
+@click.argument("rig_path", metavar="RIG", type=PATH)
+@click.argument("path", metavar="[FILE]", required=False, type=PATH)
 @form_options
 @json_option
 def check_command(rig_path: Path, path: Path | None, form: FormOptions, as_json: bool) -> None:

@@ -9,45 +9,23 @@ from typing import Any
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import OutputPath, json_option, overwrite_option, seed_option
+from estimator.cli.options import PATH, OutputPath, option, result_options, seed_option
 from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
+from estimator.glance import aligned
 
 PAGE, RESULT = "comparison.html", "comparison.json"
 Compared = tuple[dict[str, Any], list[str], str]  # as a record, as lines, and as a page
 
 
 @click.command("compare", cls=CoilcalCommand)
-@click.argument(
-    "paths",
-    metavar="CALIBRATION CALIBRATION | SESSION",
-    nargs=-1,
-    required=True,
-    type=click.Path(path_type=Path),
-)
-@click.option(
-    "--map", "map_path", type=click.Path(path_type=Path), help="Field map (CSV, COMSOL's too) on a full grid."
-)
-@click.option(
-    "--coil", metavar="NAME", help="Coil that the map describes; may be left out where there is one."
-)
-@click.option(
-    "--map-current",
-    "map_current_A",
-    type=float,
-    default=1.0,
-    show_default=True,
-    help="Current in ampere at which the map was computed.",
-)
-@click.option(
-    "--out",
-    type=OutputPath(is_filled=True),
-    required=True,
-    help="Folder for comparison.json and comparison.html.",
-)
+@click.argument("paths", metavar="CALIBRATION CALIBRATION | SESSION", nargs=-1, required=True, type=PATH)
+@option("--map map_path", "Field map (CSV, COMSOL's too) on a full grid.", PATH)
+@option("--coil", "Coil that the map describes; may be left out where there is one.", metavar="NAME")
+@option("--map-current map_current_A", "Current in ampere at which the map was computed.", float, default=1.0)
+@option("--out", "Folder for comparison.json and comparison.html.", OutputPath(is_filled=True), required=True)
 @seed_option
-@overwrite_option
-@json_option
+@result_options
 def compare_command(
     paths: tuple[Path, ...],
     map_path: Path | None,
@@ -80,12 +58,7 @@ def compare_command(
 
 def _calibrations(paths: tuple[Path, ...], command: str) -> Compared:
     from estimator.calibration.result import Calibration
-    from estimator.comparison.calibrations import (
-        number_table,
-        sentences,
-        side_by_side,
-        side_by_side_report,
-    )
+    from estimator.comparison.calibrations import number_table, sentences, side_by_side, side_by_side_report
 
     if len(paths) != 2:
         raise InvalidInput(
@@ -94,21 +67,12 @@ def _calibrations(paths: tuple[Path, ...], command: str) -> Compared:
     first, second = (Calibration.load(path) for path in paths)
     compared = side_by_side(first, second, (str(paths[0]), str(paths[1])))
     table = number_table(compared)
-    rows = [list(table.header), *(list(row) for row in table.rows)]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(table.header))]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip() for row in rows
-    ]
+    lines = aligned([table.header, *table.rows])
     return compared.to_json(), [*sentences(compared), "", *lines], side_by_side_report(compared, command)
 
 
 def _map(
-    paths: tuple[Path, ...],
-    map_path: Path,
-    map_current_A: float,
-    coil: str | None,
-    seed: int,
-    command: str,
+    paths: tuple[Path, ...], map_path: Path, map_current_A: float, coil: str | None, seed: int, command: str
 ) -> Compared:
     from estimator.comparison.compare import compare
     from estimator.comparison.map_files import read_map

@@ -1,7 +1,4 @@
-"""What a file or folder of coilcal is, and what it holds: as lines for people and as a record for programs.
-
-A kind of folder is recognised by names of files, which are stated here: what reads the folder is loaded once it is known to be one.
-"""
+"""What a file or folder of coilcal is, and what it holds: as lines for people and as a record for programs."""
 
 from __future__ import annotations
 
@@ -10,30 +7,30 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from estimator.cli.kinds import (
+    CALIBRATION_FOLDER,
+    DIAGNOSIS,
+    JOBS,
+    RESULT_FILE,
+    SUMMARY_FILE,
+    UNKNOWN,
+    csv_size,
+    kind_of,
+    known_inside,
+)
 from estimator.cli.understood import rig_lines, rig_record
 from estimator.cli.words import duration_words
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.json_files import read_json
 from estimator.reporting.numbers import displays, interval_with_unit, probability, quantity_words
 from estimator.rig_files.read import load_rig
-from estimator.store.importers.csv_lines import cells_of, csv_blocks
 from estimator.store.journal import read_journal
 from estimator.store.made import END, JOURNAL
-from estimator.store.session import is_growing, is_session
-from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 if TYPE_CHECKING:
     from estimator.store.session import Session
 
-# Of the modules that write them; a test holds each together with its own.
-SUMMARY_FILE, CHAIN_STORE = "summary.json", "chain.zarr"  # `calibration.result`
-DIAGNOSIS, CALIBRATION_FOLDER = "diagnosis.json", "calibration"  # `diagnosis.result`
-UNKNOWN = "something not in the library"  # `diagnosis.verdict`
-VERSIONS, LOG = "versions", "log.jsonl"  # `recalibration.registry`
-JOBS, RESULT_FILE = "jobs", "result.json"  # `batching`, which needs an extra
-DATABASE = "coilcal.sqlite"  # `service`, likewise
-FIELD = ("Bx", "By", "Bz")  # `store.importers.readings_csv`
 MOST_LINES = 8  # of a list inside; `--json` has all of it
 Contents = tuple[dict[str, Any], list[str]]
 
@@ -53,89 +50,6 @@ def contents_of(path: Path) -> Contents:
         raise InvalidInput(f"path must be something that coilcal reads or writes ({known}); received {path}")
     record, lines = KINDS[kind](path)
     return {"kind": kind, **record}, [f"{path}: {kind}", *(f"  {line}" for line in lines)]
-
-
-def kind_of(path: Path) -> str | None:
-    """What a path is, by the files that mark it; None where it is nothing of coilcal."""
-    if path.is_file():
-        return _kind_of_file(path)
-    if not path.is_dir():
-        rule = "be a file or a folder" if path.exists() else "exist"
-        raise InvalidInput(f"path must {rule}; received {path}")
-    marks = {
-        "session that grows": is_growing(path),
-        "session": is_session(path),
-        "diagnosis": (path / DIAGNOSIS).is_file(),
-        "calibration": (path / SUMMARY_FILE).is_file(),
-        "unfinished calibration": (path / CHAIN_STORE).is_dir(),
-        "registry": (path / LOG).is_file() or (path / VERSIONS).is_dir(),
-        "data of the service": (path / DATABASE).is_file(),
-        "batch": any((path / JOBS).glob(f"*/{RESULT_FILE}")),
-    }
-    kind = next((kind for kind, is_there in marks.items() if is_there), None)
-    if kind is None and any(_known_inside(path)):
-        return "folder"
-    return kind
-
-
-def _kind_of_file(path: Path) -> str | None:
-    if path.suffix == ".csv":
-        return _kind_of_csv(path)
-    if path.suffix not in (".yaml", ".yml"):
-        return None
-    top = Section.from_file(path)
-    if "coils" in top or "sensors" in top:
-        return "rig file"
-    return "plan" if "poses" in top or "stops" in top else None
-
-
-def _kind_of_csv(path: Path) -> str | None:
-    header, _ = _csv(path)
-    if "inside_winding" in header:
-        return "field CSV"
-    return "readings CSV" if {split_unit(name.strip())[0] for name in header} & set(FIELD) else None
-
-
-def _csv(path: Path) -> tuple[list[str], int]:
-    """Header and number of rows."""
-    header: list[str] = []
-    n_lines = 0
-    for block in csv_blocks(path):
-        if not n_lines and block.texts:
-            header = cells_of(block.texts[0], path, block.numbers[0])
-        n_lines += len(block.texts)
-    return header, max(n_lines - 1, 0)
-
-
-def _known_inside(folder: Path) -> list[tuple[str, str]]:
-    """Name and kind of what coilcal knows among the entries of a folder; not of those of folders in it."""
-    inside = []
-    for path in sorted(folder.iterdir()):
-        is_empty = path.is_dir() and (path.is_symlink() or not any(path.iterdir()))
-        try:
-            kind = None if is_empty or (path.is_dir() and _is_plain_folder(path)) else kind_of(path)
-        except InvalidInput:
-            kind = None
-        if kind is not None:
-            inside.append((path.name, kind))
-    return inside
-
-
-def _is_plain_folder(path: Path) -> bool:
-    """Whether none of the marks is in it, so that only what it holds would tell."""
-    return not any(
-        (path / name).exists()
-        for name in (
-            "zarr.json",
-            "journal.jsonl",
-            DIAGNOSIS,
-            SUMMARY_FILE,
-            CHAIN_STORE,
-            LOG,
-            VERSIONS,
-            "jobs",
-        )
-    )
 
 
 def _session(path: Path) -> Contents:
@@ -331,7 +245,7 @@ def _plan(path: Path) -> Contents:
 
 
 def _readings(path: Path) -> Contents:
-    header, n_rows = _csv(path)
+    header, n_rows = csv_size(path)
     return {"columns": header, "rows": n_rows}, [
         f"{n_rows} rows of {', '.join(header)}",
         f"next: coilcal check RIG {path}",
@@ -339,13 +253,13 @@ def _readings(path: Path) -> Contents:
 
 
 def _field(path: Path) -> Contents:
-    header, n_points = _csv(path)
+    header, n_points = csv_size(path)
     words = f"field at {n_points} points, in SI and in the world frame, with its credible interval"
     return {"columns": header, "points": n_points}, [words]
 
 
 def _folder(path: Path) -> Contents:
-    inside = _known_inside(path)
+    inside = known_inside(path)
     lines = [f"{name}: {kind}" for name, kind in inside[:MOST_LINES]]
     if len(inside) > MOST_LINES:
         counts = Counter(kind for _, kind in inside)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import OutputPath, json_option, other_rig_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, option, other_rig_option, result_options
 from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
@@ -18,58 +18,33 @@ MOST_STOPS = 500
 
 
 @click.command("design", cls=CoilcalCommand)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
+@click.argument("session_path", metavar="SESSION", type=PATH)
+@option(
     "--split",
+    "Cause to tell apart from the others given, as CAUSE or CAUSE[PLACE]. Give it two or more times.",
     multiple=True,
     metavar="CAUSE",
-    help="Cause to tell apart from the others given, as CAUSE or CAUSE[PLACE]. Give it two or more times.",
 )
-@click.option(
-    "--shrink",
-    metavar="PARAMETER",
-    help="Instead of --split: parameter of the rig whose interval shall shrink.",
+@option(
+    "--shrink", "Instead of --split: parameter of the rig whose interval shall shrink.", metavar="PARAMETER"
 )
-@click.option(
-    "--map",
-    "correction",
+@option(
+    "--map correction",
+    "Instead of --split: correction, such as coil_harmonics[coil1], that a map shall determine.",
     metavar="CORRECTION",
-    help="Instead of --split: correction, such as coil_harmonics[coil1], that a map shall determine.",
 )
-@click.option(
-    "--degree",
-    type=click.IntRange(1, 5),
-    default=3,
-    show_default=True,
-    help="With --map: highest degree of its terms.",
-)
-@click.option(
-    "--readings",
-    "n_readings",
-    type=click.IntRange(1, MOST_STOPS),
-    default=20,
-    show_default=True,
-    help="Number of readings to propose.",
-)
-@click.option(
-    "--out",
-    type=OutputPath(),
-    help="Plan to write (YAML), for coilcal simulate and coilcal acquire.",
-)
+@option("--degree", "With --map: highest degree of its terms.", click.IntRange(1, 5), default=3)
+@option("--readings n_readings", "Number of readings to propose.", click.IntRange(1, MOST_STOPS), default=20)
+@option("--out", "Plan to write (YAML), for coilcal simulate and coilcal acquire.", OutputPath())
 @other_rig_option
-@overwrite_option
-@json_option
+@result_options
 def design_command(
     session_path: Path,
-    split: tuple[str, ...],
-    shrink: str | None,
-    correction: str | None,
-    degree: int,
-    n_readings: int,
     out: Path | None,
     rig_path: Path | None,
     overwrite: bool,
     as_json: bool,
+    **aim: Any,
 ) -> None:
     """Propose which readings to take after SESSION.
 
@@ -78,7 +53,7 @@ def design_command(
     all places so far. Programmes that change the set-up, such as a turned sensor, are listed with the log evidence that they are expected
     to add.
     """
-    from estimator.cli.count_progress import CountReporter
+    from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.diagnosis.next_readings.design import design
     from estimator.rig_files.read import load_rig
     from estimator.store.session import load_session
@@ -87,17 +62,8 @@ def design_command(
     if out is not None:
         check_output(out, overwrite)
     rig = load_rig(rig_path) if rig_path else None
-    with CountReporter() as reporter:
-        proposal = design(
-            load_session(session_path),
-            split=split,
-            shrink=shrink,
-            correction=correction,
-            degree=degree,
-            n_readings=n_readings,
-            rig=rig,
-            on_count=reporter,
-        )
+    with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
+        proposal = design(load_session(session_path), rig=rig, on_count=reporter.count, **aim)
     if out is not None:
         write_output(out, proposal.plan, overwrite)
     result = {**proposal.to_json(), "plan": None if out is None else str(out)}

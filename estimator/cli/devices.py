@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import click
 
 from drivers.errors import DriverError
-from estimator.cli.options import devices_option, json_option
+from estimator.cli.options import PATH, devices_option, json_option, option
 from estimator.cli.output import EXIT_DEVICE, CoilcalCommand, show
+from estimator.glance import aligned
 
 if TYPE_CHECKING:
     from estimator.cli.instruments import Bench
@@ -37,16 +38,9 @@ def devices_group() -> None:
 
 
 @devices_group.command("check", cls=CoilcalCommand)
-@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
+@click.argument("rig_path", metavar="RIG", type=PATH)
 @devices_option
-@click.option(
-    "--timeout",
-    "timeout_s",
-    type=click.FloatRange(min=0.1),
-    default=5.0,
-    show_default=True,
-    help="Seconds to wait for an answer.",
-)
+@option("--timeout timeout_s", "Seconds to wait for an answer.", click.FloatRange(min=0.1), default=5.0)
 @json_option
 def check_command(rig_path: Path, devices_path: Path | None, timeout_s: float, as_json: bool) -> None:
     """Open each device of RIG, identify it and read one value.
@@ -86,10 +80,4 @@ def _check(bench: Bench, name: str, timeout_s: float) -> DeviceCheck:
 def _table(checks: list[DeviceCheck]) -> str:
     rows = [("device", "kind", "value", "identity")]
     rows += [(check.device, check.kind, check.value or "FAULT", check.identity or "") for check in checks]
-    widths = [max(len(row[i]) for row in rows) for i in range(3)]
-    return "\n".join(
-        "  ".join(
-            [*(cell.ljust(width) for cell, width in zip(row[:3], widths, strict=True)), row[3]]
-        ).rstrip()
-        for row in rows
-    )
+    return "\n".join(aligned(rows))

@@ -8,19 +8,20 @@ import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from estimator.cli.command_line import command_of
 from estimator.cli.interruption import interrupt
 from estimator.cli.options import (
+    PATH,
     REFUSED_SINGLE,
     OutputPath,
-    json_option,
+    option,
     other_rig_option,
-    overwrite_option,
     prediction_options,
+    result_options,
     seed_option,
 )
 from estimator.cli.output import CoilcalCommand, show
@@ -32,71 +33,56 @@ if TYPE_CHECKING:
 
 
 @click.command("diagnose", cls=CoilcalCommand, goes_on=True)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
-    "--validation",
-    "validation_path",
-    type=click.Path(path_type=Path),
-    help="Another session of the same rig, on which the extended model is judged. Without it: the readings marked as validation, or else a "
+@click.argument("session_path", metavar="SESSION", type=PATH)
+@option(
+    "--validation validation_path",
+    "Another session of the same rig, on which the extended model is judged. Without it: the readings marked as validation, or else a "
     "fifth of the readings, in blocks.",
+    PATH,
 )
-@click.option(
-    "--out",
-    type=OutputPath(),
-    required=True,
-    help="Folder for diagnosis.json, rig_extended.yaml and report.html.",
-)
+@option("--out", "Folder for diagnosis.json, rig_extended.yaml and report.html.", OutputPath(), required=True)
 @other_rig_option
-@click.option(
-    "--posterior/--no-posterior",
-    "has_posterior",
+@option(
+    "--posterior/--no-posterior has_posterior",
+    "Sample the posterior of the extended rig into the subfolder calibration, if a cause was found or something remains unexplained.",
     default=True,
-    show_default=True,
-    help="Sample the posterior of the extended rig into the subfolder calibration, if a cause was found or something remains unexplained.",
 )
-@click.option(
-    "--corrections/--no-corrections",
-    "has_corrections",
+@option(
+    "--corrections/--no-corrections has_corrections",
+    "Correct predictions by what is left without a name. Without corrections their intervals are widened by it alone.",
     default=True,
-    show_default=True,
-    help="Correct predictions by what is left without a name. Without corrections their intervals are widened by it alone.",
 )
-@click.option(
+@option(
     "--minutes",
-    type=click.FloatRange(min=0.0),
+    "Time for search and corrections. When it is over, the best so far is reported; the same command goes on from there.",
+    click.FloatRange(min=0.0),
     default=math.inf,
-    help="Time for search and corrections. When it is over, the best so far is reported; the same command goes on from there.",
+    show_default=False,
 )
-@click.option(
+@option(
     "--most-causes",
-    type=click.IntRange(min=0),
-    help="Things that may be wrong at once; 6 by default, and one more for each further sensor and coil.",
+    "Things that may be wrong at once; 6 by default, and one more for each further sensor and coil.",
+    click.IntRange(min=0),
 )
-@click.option(
-    "--thin",
-    "most_readings",
-    type=click.IntRange(min=20),
-    help="Readings that causes are searched with, thinned evenly where there are more.",
+@option(
+    "--thin most_readings",
+    "Readings that causes are searched with, thinned evenly where there are more.",
+    click.IntRange(min=20),
 )
 @seed_option
 @prediction_options("readings", REFUSED_SINGLE)
-@overwrite_option
-@json_option
+@result_options
 def diagnose_command(
     session_path: Path,
     validation_path: Path | None,
     out: Path,
     rig_path: Path | None,
-    has_posterior: bool,
-    has_corrections: bool,
     minutes: float,
     most_causes: int | None,
     most_readings: int | None,
-    seed: int,
-    device: str,
-    precision: str,
     overwrite: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Find what the model gets wrong in SESSION.
 
@@ -105,7 +91,7 @@ def diagnose_command(
 
     A diagnosis that was killed, stopped (Ctrl-C, SIGTERM) or ran out of --minutes goes on when the same command is given again.
     """
-    from estimator.cli.search_progress import SearchReporter
+    from estimator.cli.progress import LINE_EVERY_S, Reporter
     from estimator.diagnosis import policy
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.fit_journal import FITS
@@ -122,7 +108,7 @@ def diagnose_command(
     rig = load_rig(rig_path) if rig_path else None
     limits = Limits(most_causes, minutes)
     with (
-        SearchReporter() as reporter,
+        Reporter(LINE_EVERY_S, LINE_EVERY_S) as reporter,
         _stopping(limits, reporter.stage),
         staged(out, overwrite or was_cut_short, MADE, goes_on=True) as unfinished,
     ):
@@ -132,22 +118,17 @@ def diagnose_command(
             rig,
             validation=validation,
             out=unfinished,
-            seed=seed,
-            has_posterior=has_posterior,
-            has_corrections=has_corrections,
             limits=limits,
             most_readings=most_readings or policy.MOST_READINGS_SEARCHED,
-            device=device,
-            precision=precision,
             on_stage=reporter.stage,
-            on_progress=reporter.progress,
+            on_progress=reporter.fits,
+            **options,
         )
-        reporter.stop()
         if not as_json:
-            show(diagnosis.to_json(), _text(diagnosis), as_json)
-        from estimator.diagnosis.report import (
-            write_reports,  # matplotlib is loaded after the result is printed
-        )
+            with reporter.aside():
+                show(diagnosis.to_json(), _text(diagnosis), as_json)
+        # matplotlib is loaded after the result is printed
+        from estimator.diagnosis.report import write_reports
 
         write_reports(diagnosis, unfinished, command_of(click.get_current_context()))
     show(diagnosis.to_json(), _written(out), as_json)

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes
-from estimator.cli.options import OutputPath, json_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, option, result_options
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 from estimator.export.formats import FORMATS
 
@@ -21,36 +21,25 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
     "written as one magnet: each with the coils that were on in it, all in the same world frame. Formats:\n\n\b\n"
     + TABLE,
 )
-@click.argument("folders", metavar="CALIBRATION...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Format.")
-@click.option(
-    "--out",
-    type=OutputPath(),
-    help="File to write; by default one named after the rig, in this folder.",
-)
-@click.option(
-    "--grid",
-    "axes",
+@click.argument("folders", metavar="CALIBRATION...", nargs=-1, required=True, type=PATH)
+@option("--to", "Format.", click.Choice(list(FORMATS)), required=True)
+@option("--out", "File to write; by default one named after the rig, in this folder.", OutputPath())
+@option(
+    "--grid axes",
+    "Points of a field, as in coilcal predict. Repeatable.",
     multiple=True,
     metavar="AXIS=FROM:TO:COUNT",
-    help="Points of a field, as in coilcal predict. Repeatable.",
 )
-@click.option(
-    "--current",
-    "currents",
-    multiple=True,
-    metavar="COIL=AMPERE",
-    help="Current of a coil for a field. Repeatable.",
+@option(
+    "--current currents", "Current of a coil for a field. Repeatable.", multiple=True, metavar="COIL=AMPERE"
 )
-@click.option(
-    "--motion",
-    "motions",
+@option(
+    "--motion motions",
+    "Pose of a mover, for formats in which nothing moves. Repeatable.",
     multiple=True,
     metavar="MOVER=V1,..,V6",
-    help="Pose of a mover, for formats in which nothing moves. Repeatable.",
 )
-@overwrite_option
-@json_option
+@result_options
 def export_command(
     folders: tuple[Path, ...],
     to: str,

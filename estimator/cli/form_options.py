@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from estimator.cli.options import PATH, flag, option
 from estimator.errors import InvalidInput, quoted
 
 if TYPE_CHECKING:
@@ -18,46 +19,36 @@ if TYPE_CHECKING:
 
 CLOCKS = ("as-written", "continue", "spread", "rows")
 OPTIONS = (
-    click.option(
-        "--map",
-        "map_path",
+    option(
+        "--map map_path",
+        "How the columns are read, as an earlier import has written it (columns.yaml).",
+        PATH,
         metavar="FILE",
-        type=click.Path(path_type=Path),
-        help="How the columns are read, as an earlier import has written it (columns.yaml).",
     ),
-    click.option(
-        "--column",
-        "columns",
+    option(
+        "--column columns",
+        "What a column of the file is, as 'Probe 1=Bx_mT'; 'HEADER=-' leaves it out. Repeatable.",
         multiple=True,
         metavar="HEADER=NAME",
-        help="What a column of the file is, as 'Probe 1=Bx_mT'; 'HEADER=-' leaves it out. Repeatable.",
     ),
-    click.option(
-        "--constant",
-        "constants",
+    option(
+        "--constant constants",
+        "The value of a column that the file does not have, in all rows, as arm1_x_mm=0. Repeatable.",
         multiple=True,
         metavar="NAME=VALUE",
-        help="The value of a column that the file does not have, in all rows, as arm1_x_mm=0. Repeatable.",
     ),
-    click.option(
-        "--decimal", type=click.Choice(["point", "comma"]), help="Decimal sign, where the file does not tell."
-    ),
-    click.option(
-        "--sheet", metavar="NAME", help="Sheet of a workbook; the first with a table where left out."
-    ),
-    click.option(
+    option("--decimal", "Decimal sign, where the file does not tell.", click.Choice(["point", "comma"])),
+    option("--sheet", "Sheet of a workbook; the first with a table where left out.", metavar="NAME"),
+    option(
         "--clock",
-        type=click.Choice(CLOCKS),
-        default="as-written",
-        show_default=True,
-        help="How times are read: 'continue' goes on behind a clock that was set back, 'spread' shares out the readings of one stamp "
+        "How times are read: 'continue' goes on behind a clock that was set back, 'spread' shares out the readings of one stamp "
         "evenly up to the next, 'rows' counts rows.",
+        click.Choice(CLOCKS),
+        default="as-written",
     ),
-    click.option(
-        "--skip-bad-lines",
-        "skips_bad",
-        is_flag=True,
-        help="Leave out lines that are no rows, and rows with a cell that cannot be read; says which.",
+    flag(
+        "--skip-bad-lines skips_bad",
+        "Leave out lines that are no rows, and rows with a cell that cannot be read; says which.",
     ),
 )
 
@@ -80,8 +71,6 @@ class FormOptions:
         Raises:
             InvalidInput: An option has another form, names no coil, or the file with the recipe is wrong.
         """
-        from dataclasses import replace
-
         from estimator.readings.clock import Clock
         from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants, read_recipe
 
@@ -108,20 +97,11 @@ def form_options(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command these options, as one argument `form`."""
 
     @wraps(command)
-    def with_form(
-        map_path: Path | None,
-        columns: tuple[str, ...],
-        constants: tuple[str, ...],
-        decimal: str | None,
-        sheet: str | None,
-        clock: str,
-        skips_bad: bool,
-        **others: Any,
-    ) -> Any:
-        form = FormOptions(map_path, columns, constants, decimal, sheet, clock, skips_bad)
-        return command(form=form, **others)
+    def with_form(**given: Any) -> Any:
+        form = FormOptions(**{each.name: given.pop(each.name) for each in fields(FormOptions)})
+        return command(form=form, **given)
 
     decorated: Callable[..., Any] = with_form
-    for option in reversed(OPTIONS):
-        decorated = option(decorated)
+    for add in reversed(OPTIONS):
+        decorated = add(decorated)
     return decorated

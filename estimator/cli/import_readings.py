@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.form_options import FormOptions, form_options
-from estimator.cli.options import OutputPath, json_option, overwrite_option, seed_option
+from estimator.cli.options import PATH, OutputPath, flag, option, result_options, seed_option
 from estimator.cli.output import CoilcalCommand, named_number, show
 from estimator.errors import InvalidInput
 from estimator.store.importers import IMPORTERS
@@ -24,44 +24,33 @@ VALIDATION_SHARE = 0.2  # `estimator.store.importers.checked`, which needs torch
 
 
 @click.command("import", cls=CoilcalCommand)
-@click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--rig", "rig_path", type=click.Path(path_type=Path), required=True, help="Rig file.")
-@click.option("--out", type=OutputPath(), required=True, help="Session to write (zarr).")
-@click.option(
-    "--format",
-    "kind",
-    type=click.Choice(list(IMPORTERS)),
-    default="readings",
-    show_default=True,
-    help="Format of the files.",
-)
-@click.option(
-    "--current",
-    "currents",
+@click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=PATH)
+@option("--rig rig_path", "Rig file.", PATH, required=True)
+@option("--out", "Session to write (zarr).", OutputPath(), required=True)
+@option("--format kind", "Format of the files.", click.Choice(list(IMPORTERS)), default="readings")
+@option(
+    "--current currents",
+    "Current of a coil, where the files do not hold it. Repeatable.",
     multiple=True,
     metavar="COIL=AMPERE",
-    help="Current of a coil, where the files do not hold it. Repeatable.",
 )
-@click.option(
-    "--validation",
-    "share",
-    type=float,
-    default=VALIDATION_SHARE,
-    show_default=True,
-    help="Share of the readings kept out of the fit for validation, as whole blocks of neighbouring poses. A column "
+@option(
+    "--validation share",
+    "Share of the readings kept out of the fit for validation, as whole blocks of neighbouring poses. A column "
     "'set' in the file takes precedence.",
+    float,
+    default=VALIDATION_SHARE,
 )
-@click.option(
+@option(
     "--recorded-at",
-    metavar="DATE",
-    help="When the readings were taken, as 2026-03-01T09:30+01:00; local time without a zone. Without it the file's column "
+    "When the readings were taken, as 2026-03-01T09:30+01:00; local time without a zone. Without it the file's column "
     "'recorded_at' counts, else the time of the import. History goes by it.",
+    metavar="DATE",
 )
 @form_options
-@click.option("--yes", is_flag=True, help="Accept what was understood of the file, without a question.")
+@flag("--yes", "Accept what was understood of the file, without a question.")
 @seed_option
-@overwrite_option
-@json_option
+@result_options
 def import_command(
     paths: tuple[Path, ...],
     rig_path: Path,

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from estimator.cli.options import OutputPath, json_option, overwrite_option
+from estimator.cli.options import OutputPath, flag, option, result_options
 from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
 
@@ -73,21 +73,20 @@ def _options(command: Callable[..., Any]) -> Callable[..., Any]:
             type=click.Choice(list(kind)) if isinstance(kind, tuple) else kind,
             help=f"{words}.",
         )(command)
-    return click.option(
+    return option(
         "--kind",
-        type=click.Choice(list(KINDS)),
-        help="Set-up to begin with: "
+        "Set-up to begin with: "
         + "; ".join(f"{kind}: {words}" for kind, words in KINDS.items())
         + ".  [default: stage]",
+        click.Choice(list(KINDS)),
     )(command)
 
 
 @click.command("init", cls=CoilcalCommand)
 @click.argument("folder", default=".", type=OutputPath(is_filled=True))
 @_options
-@click.option("--yes", "is_quiet", is_flag=True, help="Ask nothing: take the defaults of what is not given.")
-@overwrite_option
-@json_option
+@flag("--yes is_quiet", "Ask nothing: take the defaults of what is not given.")
+@result_options
 def init_command(
     folder: Path, kind: str | None, is_quiet: bool, overwrite: bool, as_json: bool, **given: Any
 ) -> None:
@@ -170,7 +169,7 @@ def _answer(key: str, default: Any, check: Callable[[str, Any], None]) -> Any:
 
 
 def can_ask() -> bool:
-    """Whether somebody sits at the terminal."""
+    """Whether standard input is a terminal."""
     return sys.stdin.isatty()
 
 

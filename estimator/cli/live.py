@@ -7,26 +7,22 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import json_option, seed_option
+from estimator.cli.options import PATH, json_option, option, seed_option
 from estimator.cli.output import CoilcalCommand, show
 
 
 @click.command("live", cls=CoilcalCommand)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
-    "--wait",
-    "wait_s",
-    type=click.FloatRange(min=0.0),
+@click.argument("session_path", metavar="SESSION", type=PATH)
+@option(
+    "--wait wait_s",
+    "Seconds to wait for a session that does not exist yet; Ctrl-C ends the wait.",
+    click.FloatRange(min=0.0),
     default=3600.0,
-    show_default=True,
-    help="Seconds to wait for a session that does not exist yet; Ctrl-C ends the wait.",
 )
-@click.option(
-    "--refresh/--no-refresh",
-    "has_refresh",
+@option(
+    "--refresh/--no-refresh has_refresh",
+    "Sample the posterior and diagnose the session in the background.",
     default=True,
-    show_default=True,
-    help="Sample the posterior and diagnose the session in the background.",
 )
 @seed_option
 @json_option

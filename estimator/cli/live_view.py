@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -21,14 +20,14 @@ from estimator.cli.words import motion_words
 from estimator.live.stream import Estimate
 from estimator.live.watch import Alarm
 from estimator.reporting.numbers import displays, to_digit_of, with_sd
-from estimator.rig.rig import Mover
+from estimator.rig.bodies import Mover
 
 if TYPE_CHECKING:
     from estimator.live.refresh import Refreshed
 
 SCREENS_PER_S = 4
 LINE_EVERY_S = 5.0
-SILENT_S = 20.0  # without a stop for so long, somebody should look
+SILENT_S = 20.0  # without a stop after which a warning is shown
 MOST_ALARMS = 8
 
 
@@ -192,9 +191,7 @@ class LiveView:
             self._screen.start()
         return self
 
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         if self._screen is not None:
             self._screen.stop()
 

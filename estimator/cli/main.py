@@ -23,7 +23,7 @@ from estimator.cli.import_readings import import_command
 from estimator.cli.init import init_command
 from estimator.cli.live import live_command
 from estimator.cli.multipoles import multipoles_command
-from estimator.cli.options import MOST_PROCESSES
+from estimator.cli.options import MOST_PROCESSES, option
 from estimator.cli.output import CoilcalGroup
 from estimator.cli.plan import plan_command
 from estimator.cli.predict import predict_command
@@ -38,12 +38,11 @@ from estimator.cli.simulate import simulate_command
 
 @click.group(cls=CoilcalGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="coilcal")
-@click.option(
+@option(
     "--threads",
-    type=click.IntRange(1, MOST_PROCESSES),
+    "Threads per tensor operation; a diagnosis uses several cores in another way.",
+    click.IntRange(1, MOST_PROCESSES),
     default=1,
-    show_default=True,
-    help="Threads per tensor operation; a diagnosis uses several cores in another way.",
 )
 def main(threads: int) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.

@@ -6,21 +6,15 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import OutputPath, json_option, other_rig_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, option, other_rig_option, result_options
 from estimator.cli.output import CoilcalCommand, show
 
 
 @click.command("multipoles", cls=CoilcalCommand)
-@click.argument("session_path", metavar="SESSION", type=click.Path(path_type=Path))
-@click.option(
-    "--out",
-    type=OutputPath(),
-    required=True,
-    help="Rig file to write, for coilcal calibrate --rig.",
-)
+@click.argument("session_path", metavar="SESSION", type=PATH)
+@option("--out", "Rig file to write, for coilcal calibrate --rig.", OutputPath(), required=True)
 @other_rig_option
-@overwrite_option
-@json_option
+@result_options
 def multipoles_command(
     session_path: Path, out: Path, rig_path: Path | None, overwrite: bool, as_json: bool
 ) -> None:

@@ -21,7 +21,7 @@ import click
 from click.core import ParameterSource
 
 from drivers.errors import DriverError, Refused
-from estimator.cli.interruption import heed_no_more, heed_once
+from estimator.cli.interruption import ignore_interruptions, interrupt_once
 from estimator.cli.options import OutputPath
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, cut, quoted, reason
 from estimator.store.files import real, unwritable
@@ -73,7 +73,7 @@ def _log(_: click.Context, __: click.Parameter, value: bool) -> None:
 
 
 class ShortMessages(click.Command):
-    """A command that quotes no more of a wrong argument than tells what it is."""
+    """A command that quotes at most the beginning of a wrong argument."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See `click.Command.parse_args`."""
@@ -82,15 +82,15 @@ class ShortMessages(click.Command):
 
 
 class CoilcalGroup(ShortMessages, click.Group):
-    """A group of commands that quotes no more of a wrong argument than tells what it is; the program heeds Ctrl-C once."""
+    """A group of commands that quotes at most the beginning of a wrong argument; Ctrl-C interrupts it once."""
 
     def main(self, *args: Any, **kwargs: Any) -> Any:
         """Run the program."""
-        heed_once()
+        interrupt_once()
         try:
             return super().main(*args, **kwargs)
         finally:
-            heed_no_more()
+            ignore_interruptions()
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

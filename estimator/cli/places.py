@@ -18,7 +18,8 @@ from estimator.frames import Transform, vector_from_rotation
 from estimator.geometry.motion import flange_to_reach
 from estimator.planning.candidates import places_within
 from estimator.readings.plan import Plan, load_plan
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 
 
 def places_of(rig: Rig, path: Path | None, limits: RigLimits, is_any_order: bool = False) -> Plan:

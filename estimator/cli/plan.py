@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import OutputPath, devices_option, json_option, overwrite_option, seed_option
+from estimator.cli.options import PATH, OutputPath, devices_option, option, result_options, seed_option
 from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
@@ -17,54 +17,46 @@ MOST_STOPS = 2000
 CURVE = (0.1, 0.25, 0.5, 0.75, 1.0)  # shares of the stops at which the expected intervals are printed
 MOST_UNKNOWN = 8  # parameters that are printed
 
-goal_help = (
-    "What shall be known: 'field 0.2 % in box x_mm=-50:50 y_mm=-50:50 z_mm=-25:25' (or 'in ball r_mm=30', 'in points FILE'; 'worst' after "
-    "the unit for every point instead of the mean), or 'parameters coil1.radius_m 0.05 mm'. Repeatable."
-)
-
 
 @click.command("plan", cls=CoilcalCommand)
-@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
-@click.argument("plan_path", metavar="[PLAN]", required=False, type=click.Path(path_type=Path))
-@click.option("--goal", "goals", multiple=True, metavar="GOAL", help=goal_help)
-@click.option(
-    "--stops",
-    "n_stops",
-    type=click.IntRange(2, MOST_STOPS),
-    help="Number of stops; by default as many as the goals need.",
+@click.argument("rig_path", metavar="RIG", type=PATH)
+@click.argument("plan_path", metavar="[PLAN]", required=False, type=PATH)
+@option(
+    "--goal goals",
+    "What shall be known: 'field 0.2 % in box x_mm=-50:50 y_mm=-50:50 z_mm=-25:25' (or 'in ball r_mm=30', 'in points FILE'; 'worst' after "
+    "the unit for every point instead of the mean), 'parameters coil1.radius_m 0.05 mm', or 'causes axis_gain[hall].x=0.01'. Repeatable.",
+    multiple=True,
+    metavar="GOAL",
 )
-@click.option(
+@option(
+    "--stops n_stops",
+    "Number of stops; by default as many as the goals need.",
+    click.IntRange(2, MOST_STOPS),
+)
+@option(
     "--order",
-    type=click.Choice(["tour", "random"]),
+    "Order of the stops: the shortest way, or random, which tells drift from place.",
+    click.Choice(["tour", "random"]),
     default="tour",
-    show_default=True,
-    help="Order of the stops: the shortest way, or random, which tells drift from place.",
 )
-@click.option(
-    "--settle",
-    "settle_s",
-    type=click.FloatRange(min=0.0, min_open=True),
-    help="Seconds from arrival to the first reading; by default those of PLAN.",
+@option(
+    "--settle settle_s",
+    "Seconds from arrival to the first reading; by default those of PLAN.",
+    click.FloatRange(min=0.0, min_open=True),
 )
 @devices_option
-@click.option(
-    "--out", type=OutputPath(), help="Plan to write (YAML), for coilcal acquire and coilcal simulate."
-)
+@option("--out", "Plan to write (YAML), for coilcal acquire and coilcal simulate.", OutputPath())
 @seed_option
-@overwrite_option
-@json_option
+@result_options
 def plan_command(
     rig_path: Path,
     plan_path: Path | None,
-    goals: tuple[str, ...],
-    n_stops: int | None,
-    order: str,
     settle_s: float | None,
     devices_path: Path | None,
     out: Path | None,
-    seed: int,
     overwrite: bool,
     as_json: bool,
+    **wanted: Any,
 ) -> None:
     """Plan a measurement of RIG before any reading.
 
@@ -76,10 +68,10 @@ def plan_command(
 
     from drivers.limits_section import RigLimits, limits_of
     from estimator.acquisition.pace import default_pace
-    from estimator.cli.count_progress import CountReporter
     from estimator.cli.instruments import Bench
     from estimator.cli.places import places_of
     from estimator.cli.plan_limits import check_currents, check_ways
+    from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.planning.plan import plan
     from estimator.rig_files.read import load_rig
     from estimator.store.staging import check_output, write_output
@@ -95,10 +87,8 @@ def plan_command(
     pace = default_pace(rig, settle_s or places.settle_s)
     speeds = {name: arm.highest_speed_m_per_s for name, arm in limits.arms.items()}
     pace = replace(pace, speed_m_per_s={**pace.speed_m_per_s, **speeds}, slew_A_per_s=limits.slews_A_per_s)
-    with CountReporter() as reporter:
-        planned = plan(
-            rig, places, goals, n_stops=n_stops, pace=pace, order=order, seed=seed, on_count=reporter
-        )
+    with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
+        planned = plan(rig, places, pace=pace, on_count=reporter.count, **wanted)
     if limits.currents:
         check_currents(planned.stops, rig, limits, planned.times_s)
     if limits.arms:

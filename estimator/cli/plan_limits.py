@@ -13,7 +13,8 @@ from estimator.acquisition.pace import Pace
 from estimator.frames import Transform, vector_from_rotation
 from estimator.geometry.motion import flange_to_reach
 from estimator.readings.observations import Observations
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 from estimator.store.growing import load_so_far
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
-from estimator.cli.options import OutputPath, json_option, overwrite_option, prediction_options
+from estimator.cli.options import PATH, OutputPath, flag, option, prediction_options, result_options
 from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
 
 BLOCK = 2_000  # points predicted at once, with all draws of the posterior
@@ -22,42 +22,35 @@ HEADER = (
 
 
 @click.command("predict", cls=CoilcalCommand)
-@click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
-@click.option(
-    "--grid",
-    "axes",
+@click.argument("folder", metavar="CALIBRATION", type=PATH)
+@option(
+    "--grid axes",
+    "Points along an axis of the world frame: x_mm=-50:50:11 is 11 of them, 10 mm apart. An axis left out is 0. Repeatable.",
     multiple=True,
     required=True,
     metavar="AXIS=FROM:TO:COUNT",
-    help="Points along an axis of the world frame: x_mm=-50:50:11 is 11 of them, 10 mm apart. An axis left out is 0. Repeatable.",
 )
-@click.option(
-    "--current",
-    "currents",
+@option(
+    "--current currents",
+    "Current of a coil, such as coil1=3. Repeatable.",
     multiple=True,
     required=True,
     metavar="COIL=AMPERE",
-    help="Current of a coil, such as coil1=3. Repeatable.",
 )
-@click.option(
-    "--motion",
-    "motions",
+@option(
+    "--motion motions",
+    "Pose of a mover: the six numbers of its columns, in SI units. Repeatable.",
     multiple=True,
     metavar="MOVER=V1,..,V6",
-    help="Pose of a mover: the six numbers of its columns, in SI units. Repeatable.",
 )
-@click.option(
-    "--level", type=float, default=0.9, show_default=True, help="Probability of the credible intervals."
-)
-@click.option(
+@option("--level", "Probability of the credible intervals.", float, default=0.9)
+@flag(
     "--coils-alone",
-    is_flag=True,
-    help="Leave out what is there without current, such as the Earth's field. It widens intervals where no sensor turned.",
+    "Leave out what is there without current, such as the Earth's field. It widens intervals where no sensor turned.",
 )
-@click.option("--out", type=OutputPath(), required=True, help="CSV file to write.")
+@option("--out", "CSV file to write.", OutputPath(), required=True)
 @prediction_options("points")
-@overwrite_option
-@json_option
+@result_options
 def predict_command(
     folder: Path,
     axes: tuple[str, ...],
@@ -79,7 +72,7 @@ def predict_command(
     import torch
 
     from estimator.calibration.result import Calibration
-    from estimator.cli.count_progress import CountReporter
+    from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.devices import device_named, precision_named
     from estimator.store.staging import check_output, write_output
 
@@ -98,9 +91,9 @@ def predict_command(
         for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
     done = []
-    with CountReporter() as reporter:
+    with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
         for n, block in enumerate(points_m.split(BLOCK)):
-            reporter("predicting points", n * BLOCK, len(points_m))
+            reporter.count("predicting points", n * BLOCK, len(points_m))
             points = block.to(**there)
             best = calibration.field(points, currents_A, motion)
             done.append((best, *calibration.field_interval(points, currents_A, level, motion)))
@@ -110,10 +103,10 @@ def predict_command(
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(HEADER)
     bounds = torch.stack((lower, upper), dim=-1).flatten(1)
-    for row in range(len(points_m)):
-        numbers = torch.cat((points_m[row], field[row], bounds[row])).tolist()
+    table = torch.cat((points_m, field, bounds), dim=1).tolist()
+    for numbers, inside in zip(table, is_inside.tolist(), strict=True):
         writer.writerow(
-            [f"{number:.9g}" if np.isfinite(number) else "" for number in numbers] + [int(is_inside[row])]
+            [*(f"{number:.9g}" if np.isfinite(number) else "" for number in numbers), int(inside)]
         )
     write_output(out, buffer.getvalue(), overwrite)
     n_inside = int(is_inside.sum())

@@ -11,8 +11,9 @@ import click
 from estimator.cli.output import is_quiet, printable
 from estimator.cli.understood import si_symbol
 from estimator.errors import InvalidInput, cut
+from estimator.glance import aligned
 from estimator.store.files import write_text
-from estimator.store.importers.forms.assignment import Assigned
+from estimator.store.importers.forms.assigner import Assigned
 from estimator.store.importers.forms.recipe import CLOCK, DATE
 from estimator.store.importers.forms.understand import Proposal, Understood
 from estimator.store.importers.table import Table
@@ -33,12 +34,8 @@ def proposal_lines(path: Path, read: Understood) -> list[str]:
     assert proposal is not None
     head = ["column", "is", *(f"line {line}" for line in _first_lines(table))]
     rows = [head] + [_row(each, table) for each in proposal.assigned]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(head))]
     lines = [f"{path}: {len(read.session.observations)} readings. {' '.join(proposal.remarks)}"]
-    lines += [
-        "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in rows
-    ]
+    lines += [f"  {line}" for line in aligned(rows)]
     return [printable(line) for line in lines]
 
 
@@ -77,7 +74,7 @@ def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> N
         path: The file.
         read: What was read of it.
         is_accepted: Whether `--yes` or a recipe accepts it.
-        is_asked: Whether somebody may be asked.
+        is_asked: Whether a question may be asked.
     Raises:
         InvalidInput: It is not accepted.
     """
@@ -99,7 +96,7 @@ def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> N
 
 
 def is_terminal() -> bool:
-    """Whether somebody reads the question and can answer it."""
+    """Whether the question can be shown and answered."""
     return sys.stdin.isatty() and sys.stderr.isatty()
 
 

@@ -11,59 +11,50 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import OutputPath, ess_option, json_option, seed_option
+from estimator.cli.options import PATH, OutputPath, ess_option, json_option, option, seed_option
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED, CoilcalCommand, show
 from estimator.errors import InvalidInput
 
 if TYPE_CHECKING:
-    from estimator.recalibration.registry import Entry
+    from estimator.recalibration.log import Entry
 
 EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
 PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
 
 
 @click.command("recalibrate", cls=CoilcalCommand, goes_on=True)
-@click.option(
-    "--rig",
-    "rig_path",
-    type=click.Path(path_type=Path),
-    help="Rig file, with the priors of the first calibration.",
-)
-@click.option(
-    "--inbox",
-    type=click.Path(path_type=Path),
-    help="Folder in which sessions (*.zarr) arrive; it is never changed.",
-)
-@click.option(
+@option("--rig rig_path", "Rig file, with the priors of the first calibration.", PATH)
+@option("--inbox", "Folder in which sessions (*.zarr) arrive; it is never changed.", PATH)
+@option(
     "--registry",
-    type=OutputPath(is_filled=True),
+    "Folder for versions, current, log.jsonl and history.html; made if it does not exist.",
+    OutputPath(is_filled=True),
     required=True,
-    help="Folder for versions, current, log.jsonl and history.html; made if it does not exist.",
 )
-@click.option(
+@option(
     "--every",
+    "Keep running and look into the inbox at this interval, such as 30s, 15m, 6h or 1d.",
     metavar="TIME",
-    help="Keep running and look into the inbox at this interval, such as 30s, 15m, 6h or 1d.",
 )
-@click.option(
+@option(
     "--rollback",
-    type=click.IntRange(1, 999_999),
+    "Make this earlier version current again, and do nothing else.",
+    click.IntRange(1, 999_999),
     metavar="VERSION",
-    help="Make this earlier version current again, and do nothing else.",
 )
-@click.option(
+@option(
     "--again",
+    "Judge this session of the inbox again although it is in the log. Repeatable.",
     multiple=True,
     metavar="NAME",
-    help="Judge this session of the inbox again although it is in the log. Repeatable.",
 )
-@click.option(
+@option(
     "--alert-command",
-    metavar="COMMAND",
-    help="Command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input. "
+    "Command to run at each drift, rejection or calibration that did not converge; it gets JSON on its standard input. "
     "There is no shell: write \"sh -c 'cat >> alerts.jsonl'\" for pipes and redirections.",
+    metavar="COMMAND",
 )
-@click.option("--alert-webhook", metavar="URL", help="Address to which the same JSON is posted.")
+@option("--alert-webhook", "Address to which the same JSON is posted.", metavar="URL")
 @ess_option
 @seed_option
 @json_option
@@ -93,7 +84,7 @@ def recalibrate_command(
     Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted; 4 neither, but a
     calibration did not converge.
     """
-    from estimator.cli.search_progress import SearchReporter
+    from estimator.cli.progress import LINE_EVERY_S, Reporter
     from estimator.inference.ensemble import SamplerSettings
     from estimator.recalibration.alerts import calls_for_action, senders
     from estimator.recalibration.recalibrate import recalibrate, roll_back
@@ -111,10 +102,10 @@ def recalibrate_command(
     if rig_path is None or inbox is None:
         raise InvalidInput("--rig and --inbox must be given, unless --rollback is; received none")
     rig, alert_senders = load_rig(rig_path), senders(alert_command, alert_webhook)
-    settings, reporter = SamplerSettings(target_ess=ess), SearchReporter()
+    settings, reporter = SamplerSettings(target_ess=ess), Reporter(LINE_EVERY_S, LINE_EVERY_S)
 
     def tell(entry: Entry) -> None:
-        """Print an entry of the log, and alert of it if somebody has to act."""
+        """Print an entry of the log, and alert of it if it needs action."""
         if not as_json:
             with reporter.aside():
                 click.echo(
@@ -145,7 +136,7 @@ def recalibrate_command(
                 again=tuple(judge_again),
                 on_entry=tell,
                 on_waiting=report_waiting,
-                watcher=Watcher(reporter.stage, reporter.progress, reporter.sampling),
+                watcher=Watcher(reporter.stage, reporter.fits, reporter.sampling),
             )
         judge_again.clear()
         return added
@@ -160,7 +151,7 @@ def recalibrate_command(
 
 
 def _exit_code(entry: Entry) -> int:
-    """Exit code of a conclusion by itself; 0 if nobody has to act."""
+    """Exit code of a conclusion by itself; 0 if it needs no action."""
     from estimator.recalibration.conclusion import IS_CONVERGED
 
     is_unsure = entry.checks.get(IS_CONVERGED) is False

@@ -7,15 +7,14 @@ from pathlib import Path
 import click
 
 from estimator.cli.command_line import command_of
-from estimator.cli.options import OutputPath, json_option, overwrite_option
+from estimator.cli.options import PATH, OutputPath, option, result_options
 from estimator.cli.output import CoilcalCommand, show
 
 
 @click.command("report", cls=CoilcalCommand)
-@click.argument("folder", metavar="CALIBRATION", type=click.Path(path_type=Path))
-@click.option("--out", type=OutputPath(), help="Page to write; report.html in the folder by default.")
-@overwrite_option
-@json_option
+@click.argument("folder", metavar="CALIBRATION", type=PATH)
+@option("--out", "Page to write; report.html in the folder by default.", OutputPath())
+@result_options
 def report_command(folder: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
     """Write the HTML report of CALIBRATION.
 

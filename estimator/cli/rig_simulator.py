@@ -8,8 +8,10 @@ from pathlib import Path
 import click
 
 from estimator.cli.options import (
+    PATH,
     OutputPath,
     hide_option,
+    option,
     overwrite_option,
     seed_option,
     set_option,
@@ -19,15 +21,13 @@ from estimator.cli.output import CoilcalCommand, named_number
 
 
 @click.command("rig-simulator", cls=CoilcalCommand)
-@click.argument("rig_path", metavar="RIG", type=click.Path(path_type=Path))
+@click.argument("rig_path", metavar="RIG", type=PATH)
 @hide_option
 @truth_option("nominal")
 @set_option
 @seed_option
-@click.option(
-    "--out",
-    type=OutputPath(),
-    help="File to write the devices section to, for the option --devices of other commands.",
+@option(
+    "--out", "File to write the devices section to, for the option --devices of other commands.", OutputPath()
 )
 @overwrite_option
 def rig_simulator_command(

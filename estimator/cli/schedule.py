@@ -11,7 +11,7 @@ from queue import Empty, SimpleQueue
 import click
 from apscheduler.schedulers.background import BackgroundScheduler
 
-from estimator.cli.interruption import heed
+from estimator.cli.interruption import interrupted_by
 from estimator.errors import CoilcalError, InvalidInput, quoted
 
 INTERVAL = re.compile(r"(?P<number>\d+(\.\d+)?)(?P<unit>[smhd])")
@@ -53,7 +53,7 @@ def keep_running(job: Callable[[], object], every_s: float) -> None:
         misfire_grace_time=None,
     )
 
-    heed(signal.SIGTERM, signal.SIGINT)
+    interrupted_by(signal.SIGTERM, signal.SIGINT)
     try:
         scheduler.start()
         # The job runs in this thread, where signals arrive; the scheduler's own thread only says when it is due.

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import MOST_PROCESSES, json_option
+from estimator.cli.options import MOST_PROCESSES, PATH, flag, json_option, option
 from estimator.cli.output import CoilcalCommand, CoilcalGroup, explained_errors, show, use_threads
 from estimator.errors import InvalidInput
 
@@ -31,18 +31,17 @@ def _of_group(ctx: click.Context, param: click.Parameter, value: Path | None) ->
     return given if value is None else value
 
 
-config_option = click.option(
-    "--config",
-    type=click.Path(path_type=Path),
-    callback=_of_group,
-    help="YAML file of settings; every key has a default.",
+config_option = option(
+    "--config", "YAML file of settings; every key has a default.", PATH, callback=_of_group
 )
-data_option = click.option(
-    "--data",
-    type=click.Path(path_type=Path),
-    callback=_of_group,
-    help="Folder of everything that is kept; ./coilcal-data by default.",
+data_option = option(
+    "--data", "Folder of everything that is kept; ./coilcal-data by default.", PATH, callback=_of_group
 )
+
+
+def shared_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Options of every subcommand."""
+    return config_option(data_option(json_option(command)))
 
 
 class ServeGroup(CoilcalGroup):
@@ -57,29 +56,22 @@ class ServeGroup(CoilcalGroup):
 @click.group("serve", cls=ServeGroup, invoke_without_command=True)
 @config_option
 @data_option
-@click.option(
-    "--host", help="Address to listen at; 127.0.0.1 by default. Any other than loopback needs tokens."
-)
-@click.option(
-    "--port", type=click.IntRange(0, 65_535), help="Port to listen at; 8765 by default, 0 takes a free one."
-)
-@click.option("--workers", type=click.IntRange(1, MOST_PROCESSES), help="Processes that run jobs.")
-@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers run the jobs instead.")
-@click.option("--open", "opens", is_flag=True, help="Show the page in the browser.")
-@click.option("--check", is_flag=True, help="Say what would be done, and end.")
+@option("--host", "Address to listen at; 127.0.0.1 by default. Any other than loopback needs tokens.")
+@option("--port", "Port to listen at; 8765 by default, 0 takes a free one.", click.IntRange(0, 65_535))
+@option("--workers", "Processes that run jobs.", click.IntRange(1, MOST_PROCESSES))
+@option("--scheduler", "Dask scheduler whose workers run the jobs instead.", metavar="ADDRESS")
+@flag("--open opens", "Show the page in the browser.")
+@flag("--check", "Say what would be done, and end.")
 @json_option
 @click.pass_context
 def serve_group(
     ctx: click.Context,
+    /,
     config: Path | None,
-    data: Path | None,
-    host: str | None,
-    port: int | None,
-    workers: int | None,
-    scheduler: str | None,
     opens: bool,
     check: bool,
     as_json: bool,
+    **options: Any,
 ) -> None:
     """Serve calibrations and diagnoses over HTTP.
 
@@ -98,7 +90,7 @@ def serve_group(
                 )
                 raise click.UsageError(f"{option} {rule}")
         return
-    with _settings(config, data=data, host=host, port=port, workers=workers, scheduler=scheduler) as settings:
+    with _settings(config, **options) as settings:
         from estimator.service.serve import plan_of, serve
     if check:
         plan = plan_of(settings)
@@ -109,10 +101,8 @@ def serve_group(
 
 
 @serve_group.command("backup", cls=CoilcalCommand)
-@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
-@config_option
-@data_option
-@json_option
+@click.argument("file", metavar="FILE", type=PATH)
+@shared_options
 def backup_command(file: Path, config: Path | None, data: Path | None, as_json: bool) -> None:
     """Copy everything that the service keeps into FILE, while it runs.
 
@@ -126,10 +116,8 @@ def backup_command(file: Path, config: Path | None, data: Path | None, as_json: 
 
 
 @serve_group.command("restore", cls=CoilcalCommand)
-@click.argument("file", metavar="FILE", type=click.Path(path_type=Path))
-@config_option
-@data_option
-@json_option
+@click.argument("file", metavar="FILE", type=PATH)
+@shared_options
 def restore_command(file: Path, config: Path | None, data: Path | None, as_json: bool) -> None:
     """Make the data folder of a service from FILE; nothing may be there yet."""
     with _settings(config, data=data) as settings:
@@ -145,18 +133,15 @@ def token_group() -> None:
 
 
 @token_group.command("create", cls=CoilcalCommand)
-@click.option("--user", required=True, help="Whose token it is; jobs and changes go by this name.")
-@click.option(
+@option("--user", "Whose token it is; jobs and changes go by this name.", required=True)
+@option(
     "--scope",
-    type=click.Choice(["read", "write", "admin"]),
+    "What it allows; each includes those before it.",
+    click.Choice(["read", "write", "admin"]),
     default="write",
-    show_default=True,
-    help="What it allows; each includes those before it.",
 )
-@click.option("--days", type=float, default=90.0, show_default=True, help="Time until it expires.")
-@config_option
-@data_option
-@json_option
+@option("--days", "Time until it expires.", float, default=90.0)
+@shared_options
 def create_command(
     user: str, scope: str, days: float, config: Path | None, data: Path | None, as_json: bool
 ) -> None:
@@ -169,9 +154,7 @@ def create_command(
 
 
 @token_group.command("list", cls=CoilcalCommand)
-@config_option
-@data_option
-@json_option
+@shared_options
 def list_command(config: Path | None, data: Path | None, as_json: bool) -> None:
     """List tokens, without what they are."""
     with _database(config, data) as database:
@@ -189,9 +172,7 @@ def list_command(config: Path | None, data: Path | None, as_json: bool) -> None:
 
 @token_group.command("revoke", cls=CoilcalCommand)
 @click.argument("token_id", metavar="ID")
-@config_option
-@data_option
-@json_option
+@shared_options
 def revoke_command(token_id: str, config: Path | None, data: Path | None, as_json: bool) -> None:
     """End a token now; a service that runs refuses it from the next request on."""
     with _database(config, data) as database:

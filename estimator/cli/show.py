@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
-from estimator.cli.options import json_option
+from estimator.cli.options import PATH, json_option
 from estimator.cli.output import CoilcalCommand, printable, show
 
 
 @click.command("show", cls=CoilcalCommand)
-@click.argument("path", metavar="PATH", type=click.Path(path_type=Path))
+@click.argument("path", metavar="PATH", type=PATH)
 @json_option
 def show_command(path: Path, as_json: bool) -> None:
     """Say what PATH is and what it holds, in a dozen lines.

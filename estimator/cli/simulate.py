@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING
 import click
 
 from estimator.cli.options import (
+    PATH,
     OutputPath,
     hide_option,
-    json_option,
-    overwrite_option,
+    option,
+    result_options,
     seed_option,
     set_option,
     truth_option,
@@ -27,30 +28,21 @@ if TYPE_CHECKING:
 
 
 @click.command("simulate", cls=CoilcalCommand)
-@click.option("--rig", "rig_path", type=click.Path(path_type=Path), required=True, help="Rig file.")
-@click.option(
-    "--plan",
-    "plan_path",
-    type=click.Path(path_type=Path),
-    required=True,
-    help="Plan file: poses and currents to visit.",
-)
+@option("--rig rig_path", "Rig file.", PATH, required=True)
+@option("--plan plan_path", "Plan file: poses and currents to visit.", PATH, required=True)
 @truth_option("prior")
 @set_option
 @hide_option
-@click.option(
-    "--segments",
-    "n_segments",
-    type=click.IntRange(1, 10_000),
+@option(
+    "--segments n_segments",
+    "Parts of the session before each of which things are set up anew, for causes such as segment_zero.",
+    click.IntRange(1, 10_000),
     default=1,
-    show_default=True,
-    help="Parts of the session before each of which things are set up anew, for causes such as segment_zero.",
 )
 @seed_option
-@click.option("--out", type=OutputPath(), required=True, help="Session to write (zarr).")
-@click.option("--csv", "csv_path", type=OutputPath(), help="Write the readings as CSV as well.")
-@overwrite_option
-@json_option
+@option("--out", "Session to write (zarr).", OutputPath(), required=True)
+@option("--csv csv_path", "Write the readings as CSV as well.", OutputPath())
+@result_options
 def simulate_command(
     rig_path: Path,
     plan_path: Path,

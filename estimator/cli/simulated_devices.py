@@ -21,7 +21,8 @@ from drivers.simulated.world import CoilCircuit
 from estimator.frames import vector_from_rotation
 from estimator.geometry.motion import base_from_motion
 from estimator.model.simulated_field import Flange, SimulatedField
-from estimator.rig.rig import MotionKind, Mover, Rig
+from estimator.rig.bodies import MotionKind, Mover
+from estimator.rig.rig import Rig
 from estimator.rig_files.devices import DEVICES, JOINT_ARMS, DeviceSettings
 
 CIRCUIT = CoilCircuit(resistance_ohm=2.0, inductance_H=0.01)

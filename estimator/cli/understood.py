@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Any
 from estimator.cli.words import duration_words, prior_words
 from estimator.readings.plan import Plan
 from estimator.reporting.numbers import SHOWN_IN
+from estimator.rig.bodies import Body, Coil, EquivalentSourceCoil, Mover, SidedCoil
 from estimator.rig.parameters import Parameter
-from estimator.rig.rig import Body, Coil, EquivalentSourceCoil, Mover, Rig, SidedCoil
+from estimator.rig.rig import Rig
 from estimator.units import UNITS
 
 if TYPE_CHECKING:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from estimator.rig.bodies import Mover
 from estimator.rig.parameters import LogNormal, Normal, Prior
-from estimator.rig.rig import Mover
 
 
 def duration_words(time_s: float) -> str:
@@ -48,7 +48,7 @@ def motion_words(mover: Mover, motion: Sequence[float]) -> str:
     """Format the columns of a mover as its controller shows them: joint angles, or position and rotation.
 
     Examples:
-        >>> from estimator.rig.rig import MotionKind
+        >>> from estimator.rig.bodies import MotionKind
         >>> motion_words(Mover("arm1", MotionKind.DISPLACEMENT), [0.05, -0.02, 0.0, 0.0, 0.0, 0.0])
         '50.0, -20.0, 0.0 mm'
     """

@@ -7,9 +7,8 @@
 Needs the extra `coilcal[client]`, or `coilcal[service]`.
 """
 
-from estimator.client.async_client import AsyncClient
 from estimator.client.calibrations import AsyncRemoteCalibration, RemoteCalibration
-from estimator.client.client import Client
+from estimator.client.client import AsyncClient, Client
 from estimator.client.diagnoses import RemoteDiagnosis
 from estimator.client.errors import JobFailed, ServiceFault
 from estimator.client.registry import AsyncRemoteRegistry, RemoteRegistry

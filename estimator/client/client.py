@@ -1,65 +1,43 @@
-"""The client that waits for each answer."""
+"""The clients: `Client` waits for each answer, `AsyncClient` awaits it."""
 
 from __future__ import annotations
 
 import uuid
-from collections.abc import Iterator, Sequence
-from types import TracebackType
-from typing import Any
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any, ClassVar, Generic, TypeVar
 
 import httpx
 
-from estimator.client import jobs, uploads
-from estimator.client.calibrations import RemoteCalibration, summary_of
-from estimator.client.connection import Connection
+from estimator.client.calibrations import AsyncRemoteCalibration, C, RemoteCalibration, calibration_of
+from estimator.client.calls import Awaits, Call, Waits
+from estimator.client.connection import AsyncConnection, Connection, Http
 from estimator.client.diagnoses import RemoteDiagnosis
-from estimator.client.following import Tell
+from estimator.client.following import Tell, result_of
 from estimator.client.lists import page_after
-from estimator.client.registry import RemoteRegistry
-from estimator.client.sessions import RemoteSession
-from estimator.client.steps import send
+from estimator.client.registry import AsyncRemoteRegistry, RemoteRegistry
+from estimator.client.sessions import AsyncRemoteSession, RemoteSession
+from estimator.client.uploads import upload, upload_rig
 from estimator.inference.ensemble import SamplerSettings
-from estimator.recalibration.registry import Entry
+from estimator.recalibration.log import Entry
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 ATTEMPTS = 8  # over a minute: a container that restarts takes half of one
+R = TypeVar("R", RemoteRegistry, AsyncRemoteRegistry)
+S = TypeVar("S", RemoteSession, AsyncRemoteSession)
 
 
-class Client:
-    """A connection to a service.
+class ServiceCalls(Generic[C, R, S]):
+    """What a service can be asked, whether the caller waits or awaits."""
 
-    Requests that the service may not have got are made again: each carries what makes it harmless twice.
+    _calibration: ClassVar[type[Any]]
+    _registry: ClassVar[type[Any]]
+    _session: ClassVar[type[Any]]
+    connection: Http
 
-    Args:
-        url: Address of the service.
-        token: Token, where the service needs one.
-        transport: Another transport of httpx, such as one that calls an application in this process.
-        attempts: How often a request is made while the service does not answer.
-    """
-
-    def __init__(
-        self,
-        url: str,
-        token: str | None = None,
-        transport: httpx.BaseTransport | None = None,
-        attempts: int = ATTEMPTS,
-    ) -> None:
-        self._connection = Connection(url, token, transport, attempts)
-
-    def __enter__(self) -> Client:
-        return self
-
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Close the connections."""
-        self._connection.close()
-
-    def calibrate(
+    @Call
+    async def calibrate(
         self,
         session: Session,
         rig: Rig | None = None,
@@ -69,7 +47,7 @@ class Client:
         has_integer_counts: bool = True,
         as_described: bool = False,
         on_progress: Tell | None = None,
-    ) -> RemoteCalibration:
+    ) -> C:
         """Calibrate a rig from a session, as `estimator.calibrate` does.
 
         Args:
@@ -81,11 +59,14 @@ class Client:
             JobFailed: The readings cannot support a fit, or the job was cancelled.
             ServiceFault: The service cannot be reached.
         """
-        options = {"seed": seed, "has_integer_counts": has_integer_counts, "as_described": as_described}
-        made = jobs.calibrate(session, rig, options, settings, on_progress)
-        return RemoteCalibration(*self._connection.run(made), self._connection)
+        options = {"seed": seed, "settings": _sampling(settings)}
+        options |= {"has_integer_counts": has_integer_counts, "as_described": as_described}
+        result = await self._of_session("calibrate", session, rig, options, on_progress)
+        made: C = self._calibration(str(result["calibration_id"]), result["result"], self.connection)
+        return made
 
-    def diagnose(
+    @Call
+    async def diagnose(
         self,
         session: Session,
         rig: Rig | None = None,
@@ -97,7 +78,7 @@ class Client:
         most_causes: int | None = None,
         most_readings: int | None = None,
         on_progress: Tell | None = None,
-    ) -> RemoteDiagnosis[RemoteCalibration]:
+    ) -> RemoteDiagnosis[C]:
         """Find what the simulation gets wrong, as `estimator.diagnose` does.
 
         Args:
@@ -110,11 +91,15 @@ class Client:
         options: dict[str, Any] = {"seed": seed, "has_posterior": has_posterior, "minutes": minutes}
         options |= {"has_corrections": has_corrections}
         options |= {"most_causes": most_causes, "most_readings": most_readings}
-        told, rig_text, made = self._connection.run(jobs.diagnose(session, rig, options, on_progress))
-        posterior = None if made is None else RemoteCalibration(*made, self._connection)
-        return RemoteDiagnosis(told, rig_text, posterior)
+        result = await self._of_session("diagnose", session, rig, options, on_progress)
+        made = result["calibration_id"]
+        posterior = (
+            None if made is None else await calibration_of(self._calibration, self.connection, str(made))
+        )
+        return RemoteDiagnosis(result["result"], result["extended_rig"], posterior)
 
-    def recalibrate(
+    @Call
+    async def recalibrate(
         self,
         session: Session,
         rig: Rig | None = None,
@@ -131,10 +116,13 @@ class Client:
         Raises:
             InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
         """
-        return self._connection.run(jobs.recalibrate(session, rig, seed, settings, on_progress))
+        options = {"seed": seed, "settings": _sampling(settings)}
+        result = await self._of_session("recalibrate", session, rig, options, on_progress)
+        return Entry(**result["result"])
 
-    def design(
-        self, session: Session, rig: Rig | None = None, *, on_progress: Tell | None = None, **aim: Any
+    @Call
+    async def design(
+        self, /, session: Session, rig: Rig | None = None, *, on_progress: Tell | None = None, **aim: Any
     ) -> dict[str, Any]:
         """Propose the next readings, as `estimator.design` does.
 
@@ -145,9 +133,10 @@ class Client:
         Raises:
             InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
         """
-        return self._connection.run(jobs.design(session, rig, aim, on_progress))
+        return dict((await self._of_session("design", session, rig, aim, on_progress))["result"])
 
-    def batch(
+    @Call
+    async def batch(
         self,
         sessions: Sequence[Session],
         rig: Rig | None = None,
@@ -169,31 +158,46 @@ class Client:
         Raises:
             InvalidInput, JobFailed, ServiceFault: As in `calibrate`.
         """
-        options: dict[str, Any] = {"hypotheses": list(hypotheses), "is_each_coil": is_each_coil}
-        options |= {"has_posterior": has_posterior, "as_described": as_described, "seed": seed}
-        return self._connection.run(jobs.batch(sessions, rig, options, settings, on_progress))
+        body: dict[str, Any] = {
+            "session_ids": [await upload(self.connection, session) for session in sessions]
+        }
+        body |= {
+            "rig_id": await self._rig_id(rig),
+            "hypotheses": list(hypotheses),
+            "is_each_coil": is_each_coil,
+        }
+        body |= {"has_posterior": has_posterior, "as_described": as_described, "seed": seed}
+        body |= {"settings": _sampling(settings)}
+        return dict((await result_of(self.connection, "batch", body, on_progress))["result"])
 
-    def registry(self, rig: Rig) -> RemoteRegistry:
+    @Call
+    async def registry(self, rig: Rig) -> R:
         """The registry that versions of a rig share by its name."""
-        return RemoteRegistry(self._connection, self.upload_rig(rig))
+        registry: R = self._registry(self.connection, await upload_rig(self.connection, rig))
+        return registry
 
-    def calibration(self, calibration_id: str) -> RemoteCalibration:
+    @Call
+    async def calibration(self, calibration_id: str) -> C:
         """A calibration that the service has."""
-        return RemoteCalibration(*self._connection.run(summary_of(calibration_id)), self._connection)
+        calibration: C = await calibration_of(self._calibration, self.connection, calibration_id)
+        return calibration
 
-    def upload_rig(self, rig: Rig) -> str:
+    @Call
+    async def upload_rig(self, rig: Rig) -> str:
         """Give the service a rig; the id of its version, the same for the same rig."""
-        return self._connection.run(uploads.upload_rig(rig))
+        return await upload_rig(self.connection, rig)
 
-    def upload(self, session: Session) -> str:
+    @Call
+    async def upload(self, session: Session) -> str:
         """Give the service a session; its id.
 
         Where the service has the same readings of the same rig already, nothing is sent: the id is that session's, and so are the
         source and truth in what follows from it.
         """
-        return self._connection.run(uploads.upload(session))
+        return await upload(self.connection, session)
 
-    def begin(self, rig: Rig, source: str, key: str | None = None) -> RemoteSession:
+    @Call
+    async def begin(self, rig: Rig, source: str, key: str | None = None) -> S:
         """Begin a session that takes readings.
 
         Args:
@@ -201,23 +205,18 @@ class Client:
             source: Origin of the readings, in words.
             key: The same key again gives the same session.
         """
-        return self.session(self._connection.run(uploads.begin(rig, source, key or uuid.uuid4().hex)))
+        body = {"rig_id": await upload_rig(self.connection, rig), "source": source}
+        headers = {"Idempotency-Key": key or uuid.uuid4().hex}
+        info = await self.connection.json("POST", "/v1/sessions", json=body, headers=headers)
+        return self.session(str(info["id"]))
 
-    def session(self, session_id: str) -> RemoteSession:
+    def session(self, session_id: str) -> S:
         """A session that the service has."""
-        return RemoteSession(self._connection, session_id)
+        session: S = self._session(self.connection, session_id)
+        return session
 
-    def pages(self, path: str, **params: Any) -> Iterator[dict[str, Any]]:
-        """Every item of a list of the service, page after page."""
-        cursor = None
-        while True:
-            page = self._connection.run(page_after(path, params, cursor))
-            yield from page["items"]
-            cursor = page["next"]
-            if cursor is None:
-                return
-
-    def request(self, method: str, path: str, **call: Any) -> httpx.Response:
+    @Call
+    async def request(self, /, method: str, path: str, **call: Any) -> httpx.Response:
         """The answer to a request, which is made again while the service cannot answer.
 
         Args:
@@ -227,4 +226,109 @@ class Client:
             InvalidInput: The service refuses it; the message is its sentence.
             ServiceFault: It cannot be reached, or fails.
         """
-        return self._connection.run(send(method, path, **call))
+        return await self.connection.send(method, path, **call)
+
+    async def _of_session(
+        self, kind: str, session: Session, rig: Rig | None, options: Mapping[str, Any], tell: Tell | None
+    ) -> dict[str, Any]:
+        """The result of a job with one session."""
+        rig_id = await self._rig_id(rig)
+        body = {"session_id": await upload(self.connection, session), "rig_id": rig_id, **options}
+        return await result_of(self.connection, kind, body, tell)
+
+    async def _rig_id(self, rig: Rig | None) -> str | None:
+        return None if rig is None else await upload_rig(self.connection, rig)
+
+
+class Client(ServiceCalls[RemoteCalibration, RemoteRegistry, RemoteSession], Waits):
+    """A connection to a service.
+
+    Requests that the service may not have got are made again: each carries what makes it harmless twice.
+
+    Args:
+        url: Address of the service.
+        token: Token, where the service needs one.
+        transport: Another transport of httpx, such as one that calls an application in this process.
+        attempts: How often a request is made while the service does not answer.
+    """
+
+    _calibration, _registry, _session = RemoteCalibration, RemoteRegistry, RemoteSession
+
+    def __init__(
+        self,
+        url: str,
+        token: str | None = None,
+        transport: httpx.BaseTransport | None = None,
+        attempts: int = ATTEMPTS,
+    ) -> None:
+        self.connection: Connection = Connection(url, token, transport, attempts)
+
+    def __enter__(self) -> Client:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connections."""
+        self.connection.close()
+
+    def pages(self, path: str, **params: Any) -> Iterator[dict[str, Any]]:
+        """Every item of a list of the service, page after page."""
+        cursor = None
+        while True:
+            page = self.connection.run(page_after(self.connection, path, params, cursor))
+            yield from page["items"]
+            cursor = page["next"]
+            if cursor is None:
+                return
+
+
+class AsyncClient(ServiceCalls[AsyncRemoteCalibration, AsyncRemoteRegistry, AsyncRemoteSession], Awaits):
+    """A connection to a service, used with `async with`; methods, parameters and errors are those of `Client`.
+
+    Cancelling a call that waits for a job does not cancel the job.
+
+    Args:
+        url, token, attempts: As of `Client`.
+        transport: Another asynchronous transport of httpx, such as one that calls an application in this process.
+    """
+
+    _calibration, _registry, _session = AsyncRemoteCalibration, AsyncRemoteRegistry, AsyncRemoteSession
+
+    def __init__(
+        self,
+        url: str,
+        token: str | None = None,
+        transport: httpx.AsyncBaseTransport | None = None,
+        attempts: int = ATTEMPTS,
+    ) -> None:
+        self.connection: AsyncConnection = AsyncConnection(url, token, transport, attempts)
+
+    async def __aenter__(self) -> AsyncClient:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self.close()
+
+    async def close(self) -> None:
+        """Close the connections."""
+        await self.connection.close()
+
+    async def pages(self, path: str, **params: Any) -> AsyncIterator[dict[str, Any]]:
+        """Every item of a list of the service, page after page."""
+        cursor = None
+        while True:
+            page = await page_after(self.connection, path, params, cursor)
+            for item in page["items"]:
+                yield item
+            cursor = page["next"]
+            if cursor is None:
+                return
+
+
+def _sampling(settings: SamplerSettings | None) -> dict[str, Any]:
+    """Settings as the service takes them: the seed stands beside."""
+    wanted = asdict(settings or SamplerSettings())
+    wanted.pop("seed")
+    return wanted

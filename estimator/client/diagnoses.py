@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic
 
-from estimator.client.calibrations import AsyncRemoteCalibration, RemoteCalibration
+from estimator.client.calibrations import C
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-
-C = TypeVar("C", RemoteCalibration, AsyncRemoteCalibration)
 
 
 @dataclass(frozen=True)

@@ -6,18 +6,21 @@ import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from estimator.client.connection import Http
 from estimator.client.errors import JobFailed
-from estimator.client.steps import Listen, Steps, Wait, send_json
 from estimator.json_files import json_of
 
 Tell = Callable[[Mapping[str, Any]], None]
 LOOK_EVERY_S = 1.0
 
 
-def result_of(kind: str, body: Mapping[str, Any], tell: Tell | None) -> Steps[dict[str, Any]]:
+async def result_of(
+    connection: Http, kind: str, body: Mapping[str, Any], tell: Tell | None
+) -> dict[str, Any]:
     """The result of a job that is made, followed and waited for, also while the service restarts.
 
     Args:
+        connection: To the service.
         kind: Kind of the job, as in the path of the API.
         body: What is asked for.
         tell: Called as the work proceeds.
@@ -25,18 +28,18 @@ def result_of(kind: str, body: Mapping[str, Any], tell: Tell | None) -> Steps[di
         JobFailed: It ended without a result.
     """
     key = {"Idempotency-Key": uuid.uuid4().hex}  # a request that is made again gives the same job
-    job = yield from send_json("POST", f"/v1/jobs/{kind}", json=body, headers=key)
+    job = await connection.json("POST", f"/v1/jobs/{kind}", json=body, headers=key)
     path = f"/v1/jobs/{job['id']}"
     events = _Events(tell)
     while True:
-        yield events.listen(path)
+        await events.listen(connection, path)
         if events.have_ended:
             break
-        yield Wait(LOOK_EVERY_S)  # the service was ended or killed
-    job = yield from send_json("GET", path)
+        await connection.pause(LOOK_EVERY_S)  # the service was ended or killed
+    job = await connection.json("GET", path)
     if job["state"] != "done":
         raise JobFailed(job["fault"] or f"job must be done; it was {job['state']} (job {job['id']})")
-    return (yield from send_json("GET", f"{path}/result"))
+    return await connection.json("GET", f"{path}/result")
 
 
 class _Events:
@@ -52,9 +55,9 @@ class _Events:
         self._last_id = "0"
         self.have_ended = False
 
-    def listen(self, path: str) -> Listen:
-        self._event = {}  # what a broken connection has left of one is told again
-        return Listen(f"{path}/events", {"Last-Event-ID": self._last_id}, self._take)
+    async def listen(self, connection: Http, path: str) -> None:
+        self._event = {}  # an event that a broken connection cut is sent again
+        await connection.listen(f"{path}/events", {"Last-Event-ID": self._last_id}, self._take)
 
     def _take(self, line: str) -> None:
         if line:

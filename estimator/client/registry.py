@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar, Generic
 
-from estimator.client.calibrations import AsyncRemoteCalibration, RemoteCalibration, summary_of
-from estimator.client.connection import AsyncConnection, Connection
+from estimator.client.calibrations import AsyncRemoteCalibration, C, RemoteCalibration, calibration_of
+from estimator.client.calls import Awaits, Call, Waits
+from estimator.client.connection import Http
 from estimator.client.lists import whole_list
-from estimator.client.steps import Steps, send_json
 from estimator.errors import InvalidInput
 
 
-class RemoteRegistry:
+class RegistryCalls(Generic[C]):
     """The versions of a rig's calibration at a service.
 
     Args:
@@ -19,77 +19,61 @@ class RemoteRegistry:
         rig_id: Any version of the rig.
     """
 
-    def __init__(self, connection: Connection, rig_id: str) -> None:
-        self._connection, self._path = connection, _path(rig_id)
+    _calibration: ClassVar[type[Any]]
 
-    @property
-    def current(self) -> int | None:
-        """Number of the version in use; None before the first."""
-        return self._connection.run(_current(self._path))
+    def __init__(self, connection: Http, rig_id: str) -> None:
+        self.connection, self._path = connection, f"/v1/rigs/{rig_id}/registry"
 
-    def calibration(self) -> RemoteCalibration:
+    @Call
+    async def calibration(self) -> C:
         """The current version.
 
         Raises:
             InvalidInput: There is none.
         """
-        return RemoteCalibration(*self._connection.run(_calibration(self._path)), self._connection)
+        calibration_id = (await self.connection.json("GET", self._path))["calibration_id"]
+        if calibration_id is None:
+            raise InvalidInput("registry must have a version; it has none")
+        calibration: C = await calibration_of(self._calibration, self.connection, str(calibration_id))
+        return calibration
 
-    def versions(self) -> list[dict[str, Any]]:
+    @Call
+    async def versions(self) -> list[dict[str, Any]]:
         """Every version with its parameters, newest first."""
-        return self._connection.run(whole_list(f"{self._path}/versions"))
+        return await whole_list(self.connection, f"{self._path}/versions")
 
-    def entries(self) -> list[dict[str, Any]]:
+    @Call
+    async def entries(self) -> list[dict[str, Any]]:
         """Conclusions and rollbacks, newest first."""
-        return self._connection.run(whole_list(f"{self._path}/entries"))
+        return await whole_list(self.connection, f"{self._path}/entries")
 
-    def roll_back(self, version: int) -> dict[str, Any]:
+    @Call
+    async def roll_back(self, version: int) -> dict[str, Any]:
         """Make an earlier version current again; the entry of the log."""
-        return self._connection.run(_roll_back(self._path, version))
+        return await self.connection.json("POST", f"{self._path}/roll-back", json={"version": version})
+
+    async def _current(self) -> int | None:
+        number = (await self.connection.json("GET", self._path))["current"]
+        return None if number is None else int(number)
 
 
-class AsyncRemoteRegistry:
+class RemoteRegistry(RegistryCalls[RemoteCalibration], Waits):
+    """The versions of a rig's calibration at a service."""
+
+    _calibration = RemoteCalibration
+
+    @property
+    def current(self) -> int | None:
+        """Number of the version in use; None before the first."""
+        number: int | None = self.connection.run(self._current())
+        return number
+
+
+class AsyncRemoteRegistry(RegistryCalls[AsyncRemoteCalibration], Awaits):
     """The versions of a rig's calibration at a service, for `await`; arguments and methods as of `RemoteRegistry`."""
 
-    def __init__(self, connection: AsyncConnection, rig_id: str) -> None:
-        self._connection, self._path = connection, _path(rig_id)
+    _calibration = AsyncRemoteCalibration
 
     async def current(self) -> int | None:
         """Number of the version in use; None before the first."""
-        return await self._connection.run(_current(self._path))
-
-    async def calibration(self) -> AsyncRemoteCalibration:
-        """The current version."""
-        return AsyncRemoteCalibration(*await self._connection.run(_calibration(self._path)), self._connection)
-
-    async def versions(self) -> list[dict[str, Any]]:
-        """Every version with its parameters, newest first."""
-        return await self._connection.run(whole_list(f"{self._path}/versions"))
-
-    async def entries(self) -> list[dict[str, Any]]:
-        """Conclusions and rollbacks, newest first."""
-        return await self._connection.run(whole_list(f"{self._path}/entries"))
-
-    async def roll_back(self, version: int) -> dict[str, Any]:
-        """Make an earlier version current again; the entry of the log."""
-        return await self._connection.run(_roll_back(self._path, version))
-
-
-def _path(rig_id: str) -> str:
-    return f"/v1/rigs/{rig_id}/registry"
-
-
-def _current(path: str) -> Steps[int | None]:
-    number = (yield from send_json("GET", path))["current"]
-    return None if number is None else int(number)
-
-
-def _calibration(path: str) -> Steps[tuple[str, dict[str, Any]]]:
-    calibration_id = (yield from send_json("GET", path))["calibration_id"]
-    if calibration_id is None:
-        raise InvalidInput("registry must have a version; it has none")
-    return (yield from summary_of(str(calibration_id)))
-
-
-def _roll_back(path: str, version: int) -> Steps[dict[str, Any]]:
-    return (yield from send_json("POST", f"{path}/roll-back", json={"version": version}))
+        return await self._current()

@@ -22,7 +22,7 @@ from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
 from estimator.reporting import plots
 from estimator.reporting.numbers import displays, size_with_unit, with_sd
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
-from estimator.rig.rig import AnyCoil, Coil
+from estimator.rig.bodies import AnyCoil, Coil
 
 PLANE_POINTS, PLANE_DRAWS = 41, 100
 REACH = 1.1  # times the farthest reading

@@ -1,9 +1,9 @@
 """The error budget: how much of what the rig as described misses each cause accounts for, on readings that no fit has seen.
 
 What a cause accounts for depends on what stands beside it. So causes are added one after another, in all orders where they are few and in
-some orders and their reverses where they are many, each time with all numbers fitted anew. The share of a cause is the mean of what it
+one order and its reverse where they are many, each time with all numbers fitted anew. The share of a cause is the mean of what it
 takes away (Shapley, Contributions to the Theory of Games 2, 307 (1953)), so shares add up to the whole. What depends on the order is
-shared.
+shared. Some causes that, without the others, predict worse than the rig as described count for nothing together.
 """
 
 from __future__ import annotations
@@ -23,7 +23,11 @@ from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
 
-MOST_IN_ALL_ORDERS, N_ORDERS = 3, 2  # causes; orders of more, each with its reverse
+MOST_IN_ALL_ORDERS = 3  # causes; of more in one order and its reverse
+NEGLIGIBLE = 0.01  # share of the misfit
+SHARE_OF_WHOLE = (
+    1e-3  # of the rise in log density that all causes bring, at which fits with some of them stop
+)
 N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
 Squares = Float[np.ndarray, " reading"]
 
@@ -65,6 +69,10 @@ class Budget:
     shared: Share
     left: Share
 
+    def is_negligible(self, cause: Cause) -> bool:
+        """Whether the interval of a cause's share ends below `NEGLIGIBLE`; not where it has none."""
+        return cause in self.causes and self.causes[cause].ci90[1] < NEGLIGIBLE
+
     def to_json(self) -> dict[str, Any]:
         """Content of `budget` in `diagnosis.json`."""
         return {
@@ -98,7 +106,8 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
             some = frozenset(causes[i] for i in order[:n])
             if some not in squares:
                 acting = [cause for group in some for cause in groups[group]]
-                squares[some] = _squares(_fit_with(plain, extended, acting), unseen)
+                with_some = _squares(_fit_with(plain, extended, acting), unseen)
+                squares[some] = min(with_some, squares[nothing], key=np.mean)
     noise = _noise(extended, unseen)
     misfit = float((squares[nothing] - noise).mean())
     if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):
@@ -135,12 +144,11 @@ def _groups(plain: Fit, extended: Fit) -> dict[Cause, list[Cause]]:
 
 
 def _orders(n: int, seed: int) -> list[tuple[int, ...]]:
-    """Orders in which so many causes are added: all, or some and their reverses."""
+    """Orders in which so many causes are added: all, or one and its reverse."""
     if n <= MOST_IN_ALL_ORDERS:
         return list(permutations(range(n)))
-    random = np.random.default_rng(seed)
-    drawn = [tuple(random.permutation(n).tolist()) for _ in range(N_ORDERS)]
-    return [order for each in drawn for order in (each, each[::-1])]
+    order = tuple(np.random.default_rng(seed).permutation(n).tolist())
+    return [order, order[::-1]]
 
 
 def _shares(
@@ -170,8 +178,15 @@ def _fit_with(plain: Fit, extended: Fit, causes: Collection[Cause]) -> Fit:
     for cause in extended.rig.acting:
         if cause not in plain.rig.acting and cause not in causes:
             rig = rig.without_cause(cause)
-    rules = extended.posterior.model.rules
-    return fit_rig(rig, extended.observations, extended.values, rules, tolerance=policy.ROUGH_TOLERANCE)
+    whole = float(extended.optimum.log_posterior - plain.optimum.log_posterior)
+    return fit_rig(
+        rig,
+        extended.observations,
+        extended.values,
+        extended.posterior.model.rules,
+        tolerance=max(SHARE_OF_WHOLE * whole, policy.ROUGH_TOLERANCE),
+        near=extended,
+    )
 
 
 def _squares(fit: Fit, unseen: Observations) -> Squares:

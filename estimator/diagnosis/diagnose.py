@@ -3,40 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
 
-from estimator.calibration.calibrate import Stage
-from estimator.calibration.result import Calibration, remove_calibration
 from estimator.devices import device_named, precision_named
 from estimator.diagnosis import policy
-from estimator.diagnosis.budget import budget
+from estimator.diagnosis.asking import asked_beside_mistakes
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
 from estimator.diagnosis.fit_place import climbing_on
-from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
-    leaves_much_of_the_field,
-    refit_outside,
-    without_record_mistakes,
 )
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.naming import alternative_fits
-from estimator.diagnosis.mixture.scatter import BesideScatter, answer_beside_scatter
 from estimator.diagnosis.next_readings.expected_evidence import Proposal, actions, proposals
-from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.outlying import outliers_of
-from estimator.diagnosis.posterior import extended_posterior
+from estimator.diagnosis.posterior import judged_as_handed_out, with_posterior
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.result import (
     CALIBRATION_FOLDER,
@@ -49,7 +39,6 @@ from estimator.diagnosis.result import (
     label_of,
 )
 from estimator.diagnosis.structure.symptoms import Symptoms
-from estimator.diagnosis.validation import posterior_scores
 from estimator.diagnosis.verdict import NamedCause
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
@@ -143,10 +132,10 @@ def diagnose(
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()) and not limits.stopped.is_set():
         tell("sampling the posterior of the extended rig")
         inside = None if folder is None else folder / CALIBRATION_FOLDER
-        result = _with_posterior(result, session, limits, inside, device, precision)
+        result = with_posterior(result, session, limits, inside, device, precision)
         are_kept_out = validation is not None or len(seen) < len(session.observations)
         if result.posterior is not None and are_kept_out and len(unseen):
-            result = _judged_as_handed_out(result, result.posterior, unseen)
+            result = judged_as_handed_out(result, result.posterior, unseen)
     correction = result.fits.correction
     is_cut_short = correction is not None and correction.is_cut_short
     if is_cut_short or (limits.stopped.is_set() and result.posterior is None):
@@ -174,51 +163,6 @@ def _own_contradictions(refusal: InvalidInput | None) -> Iterator[None]:
         raise RuntimeError(f"a diagnosis contradicted itself: {error}") from error
 
 
-class _Stopped(Exception):
-    """The posterior is no longer wanted."""
-
-
-def _with_posterior(
-    result: Diagnosis, session: Session, limits: Limits, out: Path | None, device: str, precision: str
-) -> Diagnosis:
-    """A diagnosis with the posterior of its extended rig; without it where it is stopped meanwhile, or where that rig is refused."""
-
-    def unless_stopped(_: Stage) -> None:
-        if limits.stopped.is_set():
-            raise _Stopped
-
-    try:
-        sampled = extended_posterior(
-            session,
-            result.extended_rig,
-            result.left_open.widening,
-            out=out,
-            seed=result.question.seed,
-            device=device,
-            precision=precision,
-            on_stage=unless_stopped,
-        )
-    except (_Stopped, InvalidInput) as error:
-        if out is not None:
-            remove_calibration(out)
-            with suppress(OSError):
-                out.rmdir()
-        return replace(result, posterior_refusal="" if isinstance(error, _Stopped) else str(error))
-    return replace(result, posterior=sampled)
-
-
-def _judged_as_handed_out(result: Diagnosis, posterior: Calibration, unseen: Observations) -> Diagnosis:
-    """A diagnosis whose errors on unseen readings are those of the model that was sampled, with its whole counts and its draws."""
-    fits = result.fits
-    assert fits.improvement is not None
-    scores = posterior_scores(fits.final, posterior, unseen)
-    correction = fits.correction
-    if correction is not None and correction.is_taken and correction.gain is not None:
-        correction = replace(correction, gain=correction.gain.with_after(scores))
-    improvement = fits.improvement.with_after(scores)
-    return replace(result, fits=replace(fits, improvement=improvement, correction=correction))
-
-
 def _cut_short(result: Diagnosis, limits: Limits) -> Diagnosis:
     """A diagnosis that says that it was stopped, also where that came after its causes were found."""
     answer = result.findings.answer
@@ -244,7 +188,9 @@ def _judged(
     """The diagnosis from readings to be fitted and others to judge the fits, and those that have judged them; they may be none."""
     rig, seed, plain, seen = question.rig, question.seed, first.plain, first.seen
     symptoms = meanwhile(lambda: Symptoms.of(plain, seed))
-    said = computed_on(place, lambda fit: _found(fit, first.refusal, limits, seed, tell, on_progress), plain)
+    said = computed_on(
+        place, lambda fit: asked_beside_mistakes(fit, first.refusal, limits, seed, tell, on_progress), plain
+    )
     mistakes, answer = said.mistakes, said.said.answer
     outcome = Outcome.of(plain, said.said, mistakes, is_record_wrong=bool(first.flags or mistakes))
     tell("validating on readings not used for fitting")
@@ -253,11 +199,11 @@ def _judged(
     unseen, judging_flags = first.judging(outcome.extended)
     if len(unseen):
         unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
-        outcome = outcome.checked_by(unseen)
     if outcome.verdict.leaves_something and has_corrections:
         outcome = outcome.corrected(unseen, limits, tell)
     elif outcome.verdict.leaves_something:
         outcome = outcome.widened(unseen)
+    outcome = outcome.checked_by(unseen, seed)
     named, extended = outcome.named, outcome.extended
     before = symptoms()
     diagnosis = Diagnosis(
@@ -282,7 +228,7 @@ def _judged(
             after=before if extended is plain else Symptoms.of(extended, seed),
             improvement=outcome.improvement,
             correction=outcome.correction,
-            budget=budget(outcome.answer.plain, extended, on_known_sides(extended, unseen), seed),
+            budget=outcome.budget,
         ),
         left_open=LeftOpen(
             visible=tuple(said.visible),
@@ -301,75 +247,6 @@ def _stand_ins(
     """Causes of the extended rig that are not sure enough to be stated."""
     known = {*(cause.cause for cause in named), *(mistake.cause for mistake in mistakes), *rig.effects}
     return [cause for cause in extended.effects if cause not in known]
-
-
-class _Found(NamedTuple):
-    """What the readings say beside mistakes of the record, and what they can show and tell apart of any cause."""
-
-    said: BesideScatter
-    mistakes: Sequence[RecordMistake]
-    visible: Sequence[Visible]
-    twins: Sequence[tuple[Cause, ...]]
-
-
-def _found(
-    plain: Fit,
-    refusal: InvalidInput | None,
-    limits: Limits,
-    seed: int,
-    tell: Callable[[str], None],
-    on_progress: OnProgress,
-) -> _Found:
-    """What the readings say beside mistakes of the record; without such mistakes where they are doubtful.
-
-    A geometry that is refused is that of the record: it counts unless a mistake of the record puts it right.
-    """
-    tell("looking for mistakes of the record")
-    base, mistakes = without_record_mistakes(plain)
-    if refusal is not None:
-        base = refit_outside(base, refusal)
-    tell("asking what is wrong")
-    with_record_put_right = _asked(base, mistakes, limits, seed, tell, on_progress)
-    if mistakes and _are_doubtful(mistakes, with_record_put_right.said.answer):
-        if refusal is not None:
-            raise refusal
-        tell("the mistakes of the record are doubtful: asking again with the record as it is")
-        return _asked(plain, [], limits, seed, tell, on_progress)
-    return with_record_put_right
-
-
-def _asked(
-    base: Fit,
-    mistakes: Sequence[RecordMistake],
-    limits: Limits,
-    seed: int,
-    tell: Callable[[str], None],
-    on_progress: OnProgress,
-) -> _Found:
-    said = answer_beside_scatter(base, limits, seed, tell, on_progress)
-    pool = said.answer.first.pool
-    return _Found(said, mistakes, smallest_visible(base, pool), indistinguishable(base, pool))
-
-
-def _are_doubtful(mistakes: Sequence[RecordMistake], answer: Answer) -> bool:
-    """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
-
-    It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left
-    more of the field than causes do. It also may if the causes that were found explain the unchanged record better.
-    """
-    left, base, final = answer.left, answer.plain, answer.leading_fit
-    least = min(mistake.log_bayes_factor for mistake in mistakes)
-    is_little = least < left.log_bayes_factor or leaves_much_of_the_field(base)
-    if answer.leaves_something and is_little:
-        return True
-    rig = final.rig
-    for mistake in mistakes:
-        rig = rig.without_cause(mistake.cause)
-    if not rig.effects:
-        return False
-    rules = final.posterior.model.rules
-    as_recorded = fit_rig(rig, base.observations, rig.nominal_values(), rules, policy.MORE_STARTS)
-    return as_recorded.log_evidence > final.log_evidence
 
 
 def _next_measurements(answer: Answer, rig: Rig) -> list[Proposal]:

@@ -8,7 +8,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.panel_records import Vectors, WindingOutline
 from estimator.model.bodies import winding_of
-from estimator.rig.rig import Coil
+from estimator.rig.bodies import Coil
 
 DIGITS = 5
 

@@ -22,7 +22,7 @@ from estimator.model.bodies import winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN, size_with_unit
 from estimator.reporting.page import Picture
-from estimator.rig.rig import Coil
+from estimator.rig.bodies import Coil
 from estimator.units import UNITS
 
 MOST_STEPS, MOST_COVARIATES = 4, 12

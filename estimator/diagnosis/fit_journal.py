@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -22,7 +21,7 @@ from torch import Tensor
 from estimator.code_version import code_version
 from estimator.devices import numpy_of
 from estimator.errors import CorruptStore
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.given_files import MOST_TABLE_BYTES, read_given
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.json_files import json_object, sealed, unsealed
@@ -69,7 +68,7 @@ class FitJournal:
         """The maximum that was found before, on the processor; None if there was none."""
         if key not in self._lines:
             return None
-        known = json.loads(self._lines[key])
+        known = json_object(self._lines[key], self.path, CorruptStore)
         vector, log_posterior, precision, information = map(_tensor, known["numbers"])
         return Optimum(
             vector,

@@ -19,7 +19,7 @@ from estimator.diagnosis.fit_place import climbed, place_of_climbs
 from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.inference.laplace import log_evidence
 from estimator.inference.levenberg_marquardt import Optimum
 from estimator.inference.likelihood import FirstOrder, LogPosterior

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+from estimator.diagnosis.budget import Budget, budget
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import on_known_sides
@@ -22,7 +23,6 @@ from estimator.diagnosis.validation import (
     Improvement,
     improvement_between,
     improvement_of,
-    is_refuted,
     validation_scores,
 )
 from estimator.diagnosis.verdict import NamedCause, Verdict
@@ -46,6 +46,7 @@ class Outcome:
         improvement: Of the predictions of unseen readings, from `before` to `after`; None where there are none.
         widening: Growth of the intervals of `after`; None where nothing remains unexplained.
         correction: Of what no stated cause explains; None where nothing is left.
+        budget: Shares of the misfit of unseen readings; None where there are none, or where the rig as described misses nothing.
     """
 
     answer: Answer
@@ -59,6 +60,7 @@ class Outcome:
     improvement: Improvement | None = None
     widening: Widening | None = None
     correction: Correction | None = None
+    budget: Budget | None = None
 
     @classmethod
     def of(
@@ -78,7 +80,7 @@ class Outcome:
         is_sure = len(said.stated) == len(said.scattering)
         leaves = answer.leaves_something or scatter.is_probable or pull.is_probable or not is_sure
         if leaves:
-            verdict = Verdict.PARTLY_EXPLAINED if named else Verdict.UNEXPLAINED
+            verdict = _leaving_something(named)
         elif named or is_record_wrong:
             has_twins = any(mistake.twins for mistake in mistakes)
             is_clear = all(cause.is_alone for cause in named) and (bool(named) or not has_twins)
@@ -93,26 +95,40 @@ class Outcome:
         before, after = (_fitted_to(readings, fit) for fit in (self.before, self.extended))
         return replace(self, before=before, after=after)
 
-    def checked_by(self, unseen: Observations) -> Outcome:
-        """The outcome after readings that no fit has seen.
+    def checked_by(self, unseen: Observations, seed: int) -> Outcome:
+        """The outcome with the error budget, and without causes that account for next to nothing of it.
 
-        A cause that they refute stands in for something else. A rig that predicts worse than the one described does not replace it.
+        Where other things move the readings a hundred times as much, what is as small as that may be any of many things. A rig that
+        predicts these readings worse than the one described does not replace it.
+
+        Args:
+            unseen: Readings that no fit has seen; may be empty.
+            seed: Of the choice of readings for the intervals of the shares.
         """
-        told = on_known_sides(self.after, unseen)
-        improvement = improvement_of(self.before, self.after, told)
-        named = [each for each in self.named if not is_refuted(self.after, each.cause, told)]
-        is_refused = len(named) < len(self.named) or improvement.is_loss
-        left = Verdict.PARTLY_EXPLAINED if named else Verdict.UNEXPLAINED
-        checked = replace(
-            self, verdict=left if is_refused else self.verdict, named=named, improvement=improvement
-        )
-        if not improvement.is_loss or named:
-            return checked
-        base, readings = self.answer.plain, self.before.observations
-        after = base if readings is base.observations else _fitted_to(readings, base)
-        return replace(
-            checked, extended=base, after=after, improvement=improvement_of(self.before, after, unseen)
-        )
+        scored = self if self.improvement is not None else self._scored_by(unseen)
+        shares = budget(self.answer.plain, self.extended, on_known_sides(self.extended, unseen), seed)
+        named = [each for each in self.named if shares is None or not shares.is_negligible(each.cause)]
+        result = replace(scored._naming(named), budget=shares)
+        if result.improvement is not None and result.improvement.is_loss:
+            return result._by_names_alone(named if len(named) < len(self.named) else ()).checked_by(
+                unseen, seed
+            )
+        is_open = result.verdict.leaves_something and result.widening is None
+        return result.widened(unseen) if is_open else result
+
+    def _by_names_alone(self, named: Sequence[NamedCause]) -> Outcome:
+        """This outcome with nothing but some of its named causes, to be scored and widened anew."""
+        base = self.answer.plain
+        extended = self.answer.fit_with([each.cause for each in named if each.cause not in base.rig.acting])
+        readings = self.before.observations
+        after = extended if readings is base.observations else _fitted_to(readings, extended)
+        verdict = _leaving_something(named)
+        return Outcome(self.answer, self.scatter, self.pull, verdict, named, extended, self.before, after)
+
+    def _naming(self, named: Sequence[NamedCause]) -> Outcome:
+        """This outcome with some of its named causes; what the others stood for is unexplained."""
+        is_less = len(named) < len(self.named)
+        return replace(self, named=named, verdict=_leaving_something(named) if is_less else self.verdict)
 
     def widened(self, unseen: Observations) -> Outcome:
         """The outcome with intervals that are widened by what is left, and without a correction.
@@ -165,6 +181,10 @@ class Outcome:
         told = on_known_sides(self.after, unseen)
         covariance = None if self.widening is None else self.widening.covariance
         return replace(self, improvement=improvement_of(self.before, self.after, told, covariance))
+
+
+def _leaving_something(named: Sequence[NamedCause]) -> Verdict:
+    return Verdict.PARTLY_EXPLAINED if named else Verdict.UNEXPLAINED
 
 
 def _fitted_to(readings: Observations, fit: Fit) -> Fit:

@@ -21,7 +21,8 @@ from estimator.diagnosis.statements.moved import moved, moved_words
 from estimator.diagnosis.statements.next_measurement import next_measurements
 from estimator.diagnosis.statements.residuals import Around, around_coils, left_sigma
 from estimator.diagnosis.structure.covariates import residual_T
-from estimator.rig.rig import Cause, Coil
+from estimator.rig.bodies import Coil
+from estimator.rig.rig import Cause
 
 MOST_PATTERNS = 6
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,12 +11,18 @@ import numpy as np
 import torch
 
 from estimator.calibration.calibrate import Stage, calibrate
+from estimator.calibration.files import remove_calibration
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.validation import posterior_scores
 from estimator.diagnosis.widening import Widening, have_whole_counts
+from estimator.errors import InvalidInput
 from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import SamplerSettings
+from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
@@ -120,3 +127,48 @@ def _amplitudes(rig: Rig) -> list[str]:
     """Free parameters of the rig's corrections."""
     labels = tuple(f"{correction.label}." for correction in rig.corrections)
     return [p.name for p in rig.free if labels and p.name.startswith(labels)]
+
+
+class _Stopped(Exception):
+    """The posterior is no longer wanted."""
+
+
+def with_posterior(
+    result: Diagnosis, session: Session, limits: Limits, out: Path | None, device: str, precision: str
+) -> Diagnosis:
+    """A diagnosis with the posterior of its extended rig; without it where it is stopped meanwhile, or where that rig is refused."""
+
+    def unless_stopped(_: Stage) -> None:
+        if limits.stopped.is_set():
+            raise _Stopped
+
+    try:
+        sampled = extended_posterior(
+            session,
+            result.extended_rig,
+            result.left_open.widening,
+            out=out,
+            seed=result.question.seed,
+            device=device,
+            precision=precision,
+            on_stage=unless_stopped,
+        )
+    except (_Stopped, InvalidInput) as error:
+        if out is not None:
+            remove_calibration(out)
+            with suppress(OSError):
+                out.rmdir()
+        return replace(result, posterior_refusal="" if isinstance(error, _Stopped) else str(error))
+    return replace(result, posterior=sampled)
+
+
+def judged_as_handed_out(result: Diagnosis, posterior: Calibration, unseen: Observations) -> Diagnosis:
+    """A diagnosis whose errors on unseen readings are those of the model that was sampled, with its whole counts and its draws."""
+    fits = result.fits
+    assert fits.improvement is not None
+    scores = posterior_scores(fits.final, posterior, unseen)
+    correction = fits.correction
+    if correction is not None and correction.is_taken and correction.gain is not None:
+        correction = replace(correction, gain=correction.gain.with_after(scores))
+    improvement = fits.improvement.with_after(scores)
+    return replace(result, fits=replace(fits, improvement=improvement, correction=correction))

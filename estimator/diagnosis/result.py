@@ -7,7 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from estimator.calibration.result import CALIBRATION, Calibration
+from estimator.calibration.files import CALIBRATION
+from estimator.calibration.result import Calibration
 from estimator.diagnosis import policy
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.findings import Findings, Fits, LeftOpen, Question

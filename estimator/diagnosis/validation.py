@@ -13,13 +13,11 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.devices import numpy_of
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import Fit
 from estimator.effects.use import as_meant
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Cause
 
 
 @dataclass(frozen=True)
@@ -116,30 +114,6 @@ def _difference(before: ValidationScores, after: ValidationScores) -> tuple[floa
     difference = after.log_density - before.log_density
     n = len(difference)
     return float(difference.sum()), float(difference.std() * math.sqrt(n)) if n > 1 else math.nan
-
-
-def is_refuted(after: Fit, cause: Cause, unseen: Observations) -> bool:
-    """Whether unseen readings do not show what a cause should change in them.
-
-    Without the cause they are predicted otherwise, by D in the sum of squares in units of the noise. Were the cause true, the log
-    predictive density would rise by D/2 with a standard deviation of sqrt(D), and of more where something else makes these readings miss
-    by more than the noise. It is refuted where that rise should be clear and is none.
-    """
-    rules, values = after.posterior.model.rules, after.values
-    rig = after.rig.without_cause(cause)
-    before = fit_rig(rig, after.observations, values, rules, tolerance=policy.ROUGH_TOLERANCE)
-    predicted_T, mean_square = [], []
-    for fit in (before, after):
-        model = MeasurementModel.unruled(fit.rig, unseen).with_rules(rules)
-        posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
-        with torch.no_grad():
-            predicted_T.append(posterior.predicted(fit.vector))
-            sigma_T = posterior.component_sigma_T(fit.vector)
-            mean_square.append(float(((posterior.measured_T - predicted_T[-1]) / sigma_T).square().mean()))
-    distance2 = float(((predicted_T[1] - predicted_T[0]) / sigma_T).square().sum())
-    scatter = math.sqrt(distance2 * max(min(mean_square), 1.0))
-    is_clear = 0.5 * distance2 > policy.LEAST_LOSS_SE * scatter
-    return is_clear and improvement_of(before, after, unseen).elpd_difference < 0.0
 
 
 def validation_scores(

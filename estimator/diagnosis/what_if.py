@@ -21,7 +21,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.split import thinned
 from estimator.reporting.numbers import quantity_words
-from estimator.rig.rig import Coil
+from estimator.rig.bodies import Coil
 from estimator.store.session import Session
 
 MOST_READINGS = 200

@@ -10,7 +10,6 @@ names as attributes.
 
 from __future__ import annotations
 
-import inspect
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
@@ -21,8 +20,9 @@ from typing import Any, ClassVar, Self
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent
 from estimator.effects.declaring import made
 from estimator.errors import InvalidInput
+from estimator.rig.bodies import Body, Mover
 from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
-from estimator.rig.rig import Body, Mover, Rig
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
@@ -206,48 +206,46 @@ class Effect(ABC):
         method: str | None = None,
         /,
         *,
-        words: str,
-        source: str,
         quantities: Quantities | Callable[[Extent], Quantities],
         **others: Any,
     ) -> Callable[[Callable[..., Any]], Self]:
-        """Make an effect of this stage of a function, which has its name; the docstring explains it in reports and `coilcal explain`.
+        """Make an effect of this stage of a function, which has its name.
 
-        The function, and others that are given, take those arguments of the stage that they need, by name.
+        The first line of the function's docstring is `words`, a last paragraph `Source: ...` is `source`, and what is between explains the
+        effect in reports and `coilcal explain`. The function, and others that are given, take those arguments of the stage that they
+        need, by name.
 
         Args:
             method: What of the stage the function is; needed where the stage has several, as the room has steady and drifting fields.
-            words, source: As above.
             quantities: Its numbers, or a function where their priors depend on the session.
             **others: Further attributes and methods of the stage: `is_linear=False`, `starts=...`.
         Returns: What makes the effect of the function.
         Raises:
-            InvalidInput: It is not clear which method it is, or the stage has no such attribute or argument.
+            InvalidInput: It is not clear which method it is, the stage has no such attribute or argument, or words are missing.
         Examples:
             >>> from estimator.effects.stages import ReadingEffect
-            >>> @ReadingEffect.cause(
-            ...     words="both signs of a large field read too high",
-            ...     source="amplifiers of this kind, 2 % at the end of the range",
-            ...     quantities=lambda extent: (normal("excess_per_T", "1/T", 0.02 / extent.largest_field_T),),
-            ... )
+            >>> @ReadingEffect.cause(quantities=lambda extent: (normal("excess_per_T", "1/T", 0.02 / extent.largest_field_T),))
             ... def bent_amplifier(field_sensor_T, theta):
-            ...     '''The amplifier bends.'''
+            ...     '''Both signs of a large field read too high.
+            ...
+            ...     The amplifier bends.
+            ...
+            ...     Source: amplifiers of this kind, 2 % at the end of the range.
+            ...     '''
             ...     return field_sensor_T + theta["excess_per_T"][..., None, None] * field_sensor_T**2
             >>> bent_amplifier.name, bent_amplifier.words
             ('bent_amplifier', 'both signs of a large field read too high')
         """
-        declared: dict[str, Any] = {"words": words, "source": source, "quantities": quantities, **others}
+        declared: dict[str, Any] = {"quantities": quantities, **others}
 
         def joined(function: Callable[..., Any]) -> Any:
-            name = function.__name__.strip("_")
             left_open = {method} if method else cls.__abstractmethods__ - declared.keys()
             if len(left_open) != 1:
-                which = " and ".join(sorted(left_open)) or "none"
+                name, which = function.__name__.strip("_"), " and ".join(sorted(left_open)) or "none"
                 raise InvalidInput(
                     f"{name} must say which method of {cls.__name__} it is; received no name, and open are {which}"
                 )
-            functions = dict.fromkeys(left_open, function)
-            return made(cls, name, declared | functions, function.__module__, inspect.getdoc(function))
+            return made(cls, function, declared, *left_open)
 
         return joined
 

@@ -1,4 +1,8 @@
-"""How declarations become effects: an object of a class of its own, which its attributes and functions make."""
+"""How declarations become effects: an object of a class of its own, which its attributes and functions make.
+
+The docstring of a declared function is part of the declaration. Its first line says in words what has happened, a last paragraph that
+begins with `Source:` where the width of the priors comes from, and what is between explains it.
+"""
 
 from __future__ import annotations
 
@@ -11,33 +15,58 @@ from estimator.errors import InvalidInput, closest
 
 Function = Callable[..., Any]
 S = TypeVar("S")  # a stage
+SOURCE = "Source: "
 
 
 def made(
-    stage: type[S], name: str, declared: Mapping[str, Any], module: str | None, explanation: str | None
+    stage: type[S],
+    function: Function,
+    declared: Mapping[str, Any],
+    method: str | None = None,
+    source: str = "",
 ) -> S:
-    """The effect of a stage with these attributes and functions; what else is called is of the stage.
+    """The effect of a stage that has the name of a function; what else is called is of the stage.
 
     Args:
         stage: A class of `effects.stages`, or one derived from it.
-        name: Stable name of the effect.
+        function: Its docstring explains the effect.
         declared: Attributes of the stage, and functions in place of its methods. A function takes those arguments of the method that it
             needs, by name; what stands in place of a method and is no function is what the method returns.
-        module: Where it is declared.
-        explanation: What it is, in a sentence or more.
+        method: In place of which method the function stands; None where it only explains.
+        source: Where the width of the priors comes from unless the declaration says so.
     Raises:
-        InvalidInput: The stage has no such attribute, or a function takes an argument that the stage does not give.
+        InvalidInput: The stage has no such attribute, a function takes an argument that the stage does not give, or words are missing.
     """
+    name = function.__name__.strip("_")
+    explanation, said = _said(inspect.getdoc(function) or "", declared)
+    declared = {"source": source, **said, **declared, **({method: function} if method else {})}
     known = {*dir(stage), *(key for each in stage.__mro__ for key in getattr(each, "__annotations__", ()))}
     for key in declared.keys() - known:
         raise InvalidInput(
             f"{name} must declare attributes of {stage.__name__}; received {key}{closest(key, known)}"
         )
+    if not (declared["words"] and declared["source"]):
+        raise InvalidInput(
+            f"{name} must have a docstring with words in its first line and a last paragraph 'Source: ...'; received {explanation!r}"
+        )
     attributes = {key: _attribute(stage, key, value, name) for key, value in declared.items()}
-    attributes |= {"name": name, "__module__": module, "__doc__": explanation, "__reduce__": _reduced}
+    attributes |= {"name": name, "__module__": function.__module__, "__doc__": explanation}
+    attributes["__reduce__"] = _reduced
     declared_class: Any = types.new_class(name, (stage,), exec_body=lambda body: body.update(attributes))
     effect: S = declared_class()
     return effect
+
+
+def _said(docstring: str, declared: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:
+    """Explanation, and words and source of a docstring where they are not declared; words alone are the explanation too."""
+    paragraphs, said = docstring.split("\n\n"), {}
+    if paragraphs[-1].startswith(SOURCE):
+        said["source"] = paragraphs.pop().removeprefix(SOURCE).replace("\n", " ").removesuffix(".")
+    if "words" not in declared:
+        first = "".join(paragraphs[:1]).replace("\n", " ").removesuffix(".")
+        said["words"] = first[:1].lower() + first[1:]
+        paragraphs = paragraphs[1:] or paragraphs
+    return "\n\n".join(paragraphs), said
 
 
 def _attribute(stage: type, key: str, value: Any, name: str) -> Any:

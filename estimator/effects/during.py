@@ -5,10 +5,9 @@ Instants lie between two readings. The column of what ends is that of the change
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from itertools import combinations
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantities, Starts, Theta, since, until
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent, is_meanwhile
@@ -17,7 +16,6 @@ from estimator.effects.stages import (
     Columns,
     Components,
     CurrentEffect,
-    Currents,
     MotionEffect,
     ReadingEffect,
     RecordEffect,
@@ -25,7 +23,7 @@ from estimator.effects.stages import (
 )
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-from estimator.tensors import torch
+from estimator.tensors import Tensor, torch
 
 
 class During(Effect):
@@ -36,13 +34,14 @@ class During(Effect):
         ends: It ends at an instant of its own.
     """
 
-    base: ClassVar[Effect]
+    base: ClassVar[Any]
     ends: ClassVar[bool] = False
     depends_on: ClassVar[str | None] = WHEN
 
     def quantities(self, extent: Extent) -> Quantities:
         """Quantities of the effect, and the times since the session began at which it begins and ends, in h."""
-        return (*self.base.quantities(extent), since(extent), *((until(extent),) if self.ends else ()))
+        instants = (since(extent), until(extent)) if self.ends else (since(extent),)
+        return (*self.base.quantities(extent), *instants)
 
     def starts(self, circumstances: Circumstances, place: str) -> Starts:
         """Shapes of the effect, each from every instant on, or in every spell."""
@@ -54,26 +53,29 @@ class During(Effect):
 
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """The rule of the effect that its values break."""
-        return self.base.broken_rule({key: v for key, v in values.items() if key not in (SINCE, UNTIL)})
+        of_base = {key: value for key, value in values.items() if key not in (SINCE, UNTIL)}
+        broken: tuple[str, str] | None = self.base.broken_rule(of_base)
+        return broken
 
 
-def during(base: Effect, **declared: Any) -> Callable[[Callable[[], None]], During]:
-    """Make an effect that is there from one instant on, of an empty function, which has its name and explains it.
+def during(
+    base: Effect, source_of: Effect | None = None, **declared: Any
+) -> Callable[[Callable[[], None]], During]:
+    """Make an effect that is there from one instant on, of an empty function, which has its name and says what has happened.
 
     Args:
         base: What is there from then on: of a current, what a sensor says, a steady field that is the same at every point, the place of a
             mover, or rows of the record. It need not be a cause by itself.
-        **declared: `words`, and others as `Effect.cause` has them; the source of its priors is that of the base unless said otherwise.
+        source_of: Effect with the source of the priors, unless the docstring has one; the base by default.
+        **declared: Attributes as `Effect.cause` has them.
     Raises:
         InvalidInput: The base is none of these, or the declaration is wrong.
     """
-    of_base = ("kind", "source", "is_record_mistake", "places", "concerns")
-    inherited = {key: getattr(base, key) for key in of_base}
     stage = _stage_of(base)
+    of_base = {key: getattr(base, key) for key in ("kind", "is_record_mistake", "places", "concerns")}
 
     def joined(function: Callable[[], None]) -> During:
-        name, explanation = function.__name__, inspect.getdoc(function)
-        return made(stage, name, inherited | declared | {"base": base}, function.__module__, explanation)
+        return made(stage, function, {**of_base, **declared, "base": base}, source=(source_of or base).source)
 
     return joined
 
@@ -85,7 +87,7 @@ def spell(stays: During, **declared: Any) -> Callable[[Callable[[], None]], Duri
         stays: What begins alike and does not end.
         **declared: As with `during`.
     """
-    return during(stays.base, **{"source": stays.source, "stays": stays, "ends": True} | declared)
+    return during(stays.base, source_of=stays, stays=stays, ends=True, **declared)
 
 
 def from_instants(shapes: Starts, circumstances: Circumstances) -> Starts:
@@ -121,37 +123,37 @@ def spells_of(circumstances: Circumstances, sensor: str | None = None, has_ends:
     return tuple(each for each, n in zip(spells, n_meanwhile, strict=True) if 0 < n < len(hours))
 
 
-class _Current(During, CurrentEffect):
-    def apply(self, current_A: Currents, theta: Theta, circumstances: Circumstances, coil: int) -> Currents:
-        changed_A = cast(CurrentEffect, self.base).apply(current_A, theta, circumstances, coil)
-        return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed_A, current_A)
+class _Changed(During):
+    """What the first argument of a stage becomes meanwhile."""
+
+    def apply(self, given: Tensor, theta: Theta, circumstances: Circumstances, place: Any) -> Tensor:
+        changed = self.base.apply(given, theta, circumstances, place)
+        return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed, given)
 
 
-class _Reading(During, ReadingEffect):
-    def apply(
-        self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
-    ) -> Components:
-        changed_T = cast(ReadingEffect, self.base).apply(field_sensor_T, theta, circumstances, sensor)
-        return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed_T, field_sensor_T)
+class _Current(_Changed, CurrentEffect):
+    pass
+
+
+class _Reading(_Changed, ReadingEffect):
+    pass
 
 
 class _Room(During, RoomEffect):
     """A field that is the same at every point."""
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Components:
-        anywhere_m = circumstances.hours.new_zeros(1, 3)
-        field_T = cast(RoomEffect, self.base).steady_T(anywhere_m, theta)
-        assert field_T is not None
+        field_T: Tensor = self.base.steady_T(circumstances.hours.new_zeros(1, 3), theta)
         return field_T * is_meanwhile(circumstances.hours, theta)[..., None]
 
 
 class _Motion(During, MotionEffect):
     def columns(self, circumstances: Circumstances, mover: str) -> Columns:
-        own = cast(MotionEffect, self.base).columns(circumstances, mover)
+        own = self.base.columns(circumstances, mover)
         return torch.cat((circumstances.hours_for_instants[:, None], own), dim=-1)
 
     def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
-        rotation, moved = pose.rotation, cast(MotionEffect, self.base).apply(pose, columns[:, 1:], theta)
+        rotation, moved = pose.rotation, self.base.apply(pose, columns[:, 1:], theta)
         is_there = is_meanwhile(columns[:, 0], theta)[..., None]
         if moved.rotation is not rotation:
             rotation = torch.where(is_there[..., None], moved.rotation, rotation)
@@ -160,22 +162,25 @@ class _Motion(During, MotionEffect):
 
 class _Record(During, RecordEffect):
     def rows_late(self, values: Mapping[str, float]) -> int:
-        return cast(RecordEffect, self.base).rows_late(values)
+        n_rows: int = self.base.rows_late(values)
+        return n_rows
 
     def late_since_h(self, values: Mapping[str, float]) -> float:
         return values[SINCE]
 
 
+STAGES: tuple[tuple[type[Effect], str, type[During]], ...] = (
+    (CurrentEffect, "apply", _Current),
+    (ReadingEffect, "apply", _Reading),
+    (RoomEffect, "steady_T", _Room),
+    (MotionEffect, "apply", _Motion),
+    (RecordEffect, "rows_late", _Record),
+)
+
+
 def _stage_of(base: Effect) -> type[During]:
     """How an effect acts for a part of a session."""
-    stages: tuple[tuple[type[Effect], str, type[During]], ...] = (
-        (CurrentEffect, "apply", _Current),
-        (ReadingEffect, "apply", _Reading),
-        (RoomEffect, "steady_T", _Room),
-        (MotionEffect, "apply", _Motion),
-        (RecordEffect, "rows_late", _Record),
-    )
-    for stage, method, meanwhile in stages:
+    for stage, method, meanwhile in STAGES:
         if isinstance(base, stage) and getattr(type(base), method) is not getattr(stage, method):
             return meanwhile
     raise InvalidInput(

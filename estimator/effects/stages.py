@@ -20,9 +20,11 @@ from estimator.field.core import Core
 from estimator.field.magnetised import Rings
 from estimator.field.node_sum import Nodes, SumMode
 from estimator.field.sided import SidedWinding
-from estimator.field.winding import Rule, Winding, field_of_loops
+from estimator.field.winding import Winding, field_of_loops
+from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
-from estimator.rig.rig import Coil, Rig, SidedCoil
+from estimator.rig.bodies import Coil, SidedCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 Currents = Float[Tensor, "*#batch reading coil"]  # A, of all coils

@@ -15,7 +15,8 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Body, Cause, Mover, Rig
+from estimator.rig.bodies import Body, Mover
+from estimator.rig.rig import Cause, Rig
 from estimator.tensors import Tensor, torch
 
 E_co = TypeVar("E_co", bound=Effect, covariant=True)
@@ -71,15 +72,10 @@ class Use(Generic[E_co]):
 
 def uses_of(rig: Rig, stage: type[E_co], place: str | None = None) -> tuple[Use[E_co], ...]:
     """Effects of a stage (and place), in the order in which they act."""
-    asked = (uses_of, stage, place)
-    if asked not in rig.found:
-        rig.found[asked] = tuple(
-            Use(use.effect, use.place, rig.keys_by_label.get(use.label, ()))
-            for use in _uses(rig.acting)
-            if isinstance(use.effect, stage) and (place is None or use.place == place)
-        )
-    uses: tuple[Use[E_co], ...] = rig.found[asked]
-    return uses
+    return tuple(
+        Use(effect, where, rig.keys_by_label.get(label, ()))
+        for effect, where, label in _of_stage(rig.acting, stage, place)
+    )
 
 
 def shifts_rows(effect: Effect) -> bool:
@@ -114,6 +110,12 @@ def as_meant(rig: Rig, observations: Observations) -> Observations:
 
 
 @lru_cache(maxsize=4096)
-def _uses(causes: tuple[Cause, ...]) -> tuple[Use[Effect], ...]:
-    ordered = sorted(causes, key=lambda cause: ORDER[cause.name])
-    return tuple(Use(EFFECTS[cause.name], cause.place) for cause in ordered)
+def _of_stage(
+    causes: tuple[Cause, ...], stage: type[E_co], place: str | None
+) -> tuple[tuple[E_co, str, str], ...]:
+    """Effects of a stage among some causes, with their places and labels, in the order in which they act."""
+    return tuple(
+        (effect, cause.place, cause.label)
+        for cause in sorted(causes, key=lambda cause: ORDER[cause.name])
+        if isinstance(effect := EFFECTS[cause.name], stage) and (place is None or cause.place == place)
+    )

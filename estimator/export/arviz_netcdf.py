@@ -13,7 +13,7 @@ from estimator.code_version import code_version
 from estimator.errors import InvalidInput
 from estimator.export.calibrated import Calibrated
 from estimator.rig_files.write import rig_text
-from estimator.store.session import observation_arrays
+from estimator.store.arrays import observation_arrays
 
 ENGINE: Literal["h5netcdf"] = "h5netcdf"  # comes with ArviZ
 

@@ -8,7 +8,8 @@ from estimator.export.plain_model import PlainCoil, numbers_of
 from estimator.export.sides import first_arc, is_rounded
 from estimator.export.templates import Filters, number, template
 from estimator.field.sided import SidedWinding
-from estimator.field.winding import DEFAULT_TOLERANCE, Winding
+from estimator.field.winding import Winding
+from estimator.field.winding_shape import DEFAULT_TOLERANCE
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
 from estimator.tensors import Tensor, torch

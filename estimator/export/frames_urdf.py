@@ -21,7 +21,7 @@ from estimator.export.plain_model import poses_of
 from estimator.frames import Transform
 from estimator.geometry.motion import ends_of
 from estimator.model.room_field import at_one_moment
-from estimator.rig.rig import Body, MotionKind, Mover
+from estimator.rig.bodies import Body, MotionKind, Mover
 from estimator.tensors import torch
 
 FIXED, REVOLUTE, FLOATING = "fixed", "revolute", "floating"

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from estimator.code_version import code_version
 from estimator.export.calibrated import Calibrated
 from estimator.geometry.motion import base_from_motion, world_from_body
-from estimator.rig.rig import AnyCoil
+from estimator.rig.bodies import AnyCoil
 from estimator.tensors import Tensor, torch
 
 LONGEST_NAME = 40  # MATLAB takes 63 characters, prefix included

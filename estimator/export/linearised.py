@@ -20,8 +20,9 @@ from estimator.frames import Transform
 from estimator.model.bodies import winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
+from estimator.rig.bodies import WoundCoil
 from estimator.rig.coordinates import Coordinates, Values
-from estimator.rig.rig import Rig, WoundCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 WINDING_NUMBERS = tuple(item.name for item in fields(Winding))

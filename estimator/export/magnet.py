@@ -13,7 +13,7 @@ from estimator.export.calibrated import Calibrated
 from estimator.export.labels import origin_of, points_about, regions_of
 from estimator.export.linearised import CoilChange, Linearised, linearised
 from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover, plain_model
-from estimator.rig.rig import AnyCoil
+from estimator.rig.bodies import AnyCoil
 from estimator.tensors import Tensor, torch
 
 

@@ -11,7 +11,7 @@ from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
 from estimator.export.plain_model import numbers_of
 from estimator.export.request import motion_of
-from estimator.rig.rig import SidedCoil
+from estimator.rig.bodies import SidedCoil
 from estimator.tensors import torch
 
 CHORDS_PER_ARC = 90

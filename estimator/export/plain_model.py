@@ -24,7 +24,7 @@ from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
 from estimator.field.coil import AnyWinding
 from estimator.field.quadrature import DiscreteRule, discrete_gauss
-from estimator.field.winding import DEFAULT_TOLERANCE
+from estimator.field.winding_shape import DEFAULT_TOLERANCE
 from estimator.field.zones import rules_by_level
 from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.motion import ends_of, pose_of
@@ -32,18 +32,18 @@ from estimator.model.bodies import mount_of, winding_of
 from estimator.model.room_field import at_one_moment
 from estimator.model.sources import Sources
 from estimator.rig.arms import DenavitHartenberg
-from estimator.rig.coordinates import Values
-from estimator.rig.rig import (
+from estimator.rig.bodies import (
     Body,
     DisplacementFrame,
     FieldSum,
     MotionKind,
     Mover,
     Point,
-    Rig,
     SidedCoil,
     WoundCoil,
 )
+from estimator.rig.coordinates import Values
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 PROBES_A = (1.0, -3.0, 7.0)  # currents at which a supply shows whether it is linear

@@ -8,7 +8,7 @@ from estimator.export.plain_model import PlainCoil
 from estimator.export.sides import first_arc
 from estimator.field.sided import SidedWinding
 from estimator.field.straight import MU0_OVER_4PI
-from estimator.rig.rig import Point
+from estimator.rig.bodies import Point
 from estimator.tensors import Tensor, torch
 
 SMALLEST_RHO2_M2 = 1e-300

@@ -9,45 +9,14 @@ from jaxtyping import Float
 
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.node_sum import SumMode
-from estimator.field.sided import (
-    SidedWinding,
-    choose_sided_rule,
-    distance_to_sided,
-    sided_field_per_ampere,
-)
+from estimator.field.sided import SidedWinding
 from estimator.field.straight import segment_field
-from estimator.field.winding import (
-    DEFAULT_TOLERANCE,
-    Rule,
-    Winding,
-    choose_rule,
-    distance_to_winding,
-    field_of_loops,
-    loops_of,
-)
-from estimator.rig.rig import Coil, FieldSum, Leads, WoundCoil
+from estimator.field.winding import Winding
+from estimator.field.winding_shape import Rule
+from estimator.rig.bodies import FieldSum, Leads, WoundCoil
 from estimator.tensors import Tensor, torch
 
 AnyWinding = Winding | SidedWinding
-
-
-def coil_field_per_ampere(
-    coil: WoundCoil,
-    points_coil_m: Float[Tensor, "*#batch point 3"],
-    winding: AnyWinding,
-    rule: Rule,
-    mode: SumMode = SumMode.PLAIN,
-) -> Float[Tensor, "*batch point 3"]:
-    """Field of one ampere in the coil frame, in T/A, with that of its leads.
-
-    Args:
-        coil: `field_sum` of a round one selects the sum: the correct one, or the paper's as printed.
-        points_coil_m: Points in the coil frame, outside the winding.
-        winding: Geometry.
-        rule: Quadrature rule that stands for the loops.
-        mode: How loops are summed. The paper's sum ignores it: it always has all derivatives.
-    """
-    return field_of_coil(coil, winding, rule, mode)(points_coil_m)
 
 
 def field_of_coil(
@@ -55,18 +24,19 @@ def field_of_coil(
 ) -> Callable[[Tensor], Tensor]:
     """Field of one ampere in T/A, with that of the leads, as a function of points in the coil frame.
 
-    The loops that stand for the winding are found once.
+    The loops that stand for the winding are found once. Points lie outside the winding.
 
     Args:
-        coil, winding, rule, mode: As in `coil_field_per_ampere`.
+        coil: `field_sum` of a round one selects the sum: the correct one, or the paper's as printed.
+        winding: Geometry.
+        rule: Quadrature rule that stands for the loops.
+        mode: How loops are summed. The paper's sum ignores it: it always has all derivatives.
     """
     field: Callable[[Tensor], Tensor]
-    if isinstance(winding, SidedWinding):
-        field = partial(sided_field_per_ampere, winding=winding, rule=rule, mode=mode)
-    elif isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
+    if coil.field_sum is FieldSum.SPHERICAL_COMPONENTS and isinstance(winding, Winding):
         field = partial(literal_field_per_ampere, winding=winding, rule=rule)
     else:
-        field = partial(field_of_loops, loops=loops_of(winding, rule), steps=rule.steps, mode=mode)
+        field = winding.field_by(rule, mode)
     leads = coil.leads
     return field if leads is None else lambda points_m: field(points_m) + field_of_leads(points_m, leads)
 
@@ -85,21 +55,3 @@ def field_of_leads(
         start_m, end_m = torch.tensor(piece, dtype=points_coil_m.dtype, device=points_coil_m.device)
         total = total + segment_field(points_coil_m, start_m, end_m)
     return total
-
-
-def distance_to_coil(
-    points_coil_m: Float[Tensor, "*#batch point 3"], winding: AnyWinding
-) -> Float[Tensor, "*batch point"]:
-    """Distance from points of the coil frame to the space that the winding fills; 0 inside it."""
-    if isinstance(winding, SidedWinding):
-        return distance_to_sided(points_coil_m, winding)
-    return distance_to_winding(points_coil_m, winding)
-
-
-def rule_of_coil(
-    winding: AnyWinding, points_coil_m: Float[Tensor, "point 3"], tolerance: float = DEFAULT_TOLERANCE
-) -> Rule:
-    """The smallest quadrature rule that meets a tolerance at points outside the winding; 0 asks for the full sum."""
-    if isinstance(winding, SidedWinding):
-        return choose_sided_rule(winding, points_coil_m, tolerance)
-    return choose_rule(winding, points_coil_m, tolerance)

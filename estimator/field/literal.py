@@ -9,7 +9,8 @@ from __future__ import annotations
 from jaxtyping import Float
 
 from estimator.field.loop import loop_terms
-from estimator.field.winding import Rule, Winding, loops_of
+from estimator.field.winding import Winding, loops_of
+from estimator.field.winding_shape import Rule
 from estimator.tensors import Tensor, torch
 
 

@@ -10,8 +10,9 @@ The straight parts have a closed form (`field.straight`); arcs are integrated by
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from estimator.field.node_sum import SumMode
 from estimator.field.quadrature import discrete_gauss
 from estimator.field.sided_kernel import slopes_of_sided_loops, sum_of_sided_loops
 from estimator.field.straight import MU0_OVER_4PI, along_wire
-from estimator.field.winding import DEFAULT_TOLERANCE, NODE_LADDER, Rule, smallest_rule
+from estimator.field.winding_shape import Rule, WindingShape
 from estimator.tensors import Tensor, torch
 
 ELEMENTS_PER_CHUNK = 1_000_000  # numbers that torch holds at once in between
@@ -33,10 +34,17 @@ ALL_DIGITS = 1e-15
 SPARE_POINTS = 4
 MOST_ARC_POINTS = 200  # all digits down to a distance of 7 % of the largest corner radius
 QUARTER = 0.5 * math.pi
+# Around a section of straight sides its contour is followed at these places, over half the sides: middles, corners, and between.
+EDGES = ((1.0, 0.0), (1.0, 0.5), (1.0, 1.0), (0.5, 1.0), (0.0, 1.0))
+DIAGONAL = math.sqrt(0.5)
+AWAY = (  # in which directions from the middle of the section: along its sides and from its corners
+    *((1.0, 0.0), (DIAGONAL, DIAGONAL), (0.0, 1.0), (-DIAGONAL, DIAGONAL)),
+    *((-1.0, 0.0), (-DIAGONAL, -DIAGONAL), (0.0, -1.0), (DIAGONAL, -DIAGONAL)),
+)
 
 
 @dataclass(frozen=True)
-class SidedWinding:
+class SidedWinding(WindingShape):
     """Geometry of a winding with straight sides; every number may carry a batch.
 
     Attributes:
@@ -56,25 +64,43 @@ class SidedWinding:
     radial_pitch_m: Float[Tensor, "*batch"]
 
     @property
-    def numbers(self) -> tuple[Tensor, ...]:
-        """All but the kind of corners."""
-        names = [item.name for item in fields(self) if item.name != "is_rounded"]
-        return tuple(getattr(self, name) for name in names)
+    def kind(self) -> tuple[bool, ...]:
+        """Whether corners are arcs."""
+        return (self.is_rounded,)
 
     @property
-    def length_m(self) -> Float[Tensor, "*batch"]:
-        """Axial extent of the winding."""
-        return self.axial_pitch_m * self.axial_loops
+    def half_width_m(self) -> Float[Tensor, "*batch"]:
+        """Half the longer side, and the layers."""
+        return 0.5 * torch.maximum(self.side_x_m, self.side_y_m) + self.thickness_m
 
-    @property
-    def thickness_m(self) -> Float[Tensor, "*batch"]:
-        """Extent of the layers across the wire, from the bore outwards."""
-        return self.radial_pitch_m * self.radial_loops
+    def distance_m(self, points_coil_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch point"]:
+        """Distance from points to the space that the winding fills; 0 inside it."""
+        return distance_to_sided(points_coil_m, self)
 
-    def with_integer_loops(self) -> SidedWinding:
-        """This winding with its loop counts rounded to the nearest whole numbers, at least 1."""
-        axial, radial = (n.round().clamp(min=1.0) for n in (self.axial_loops, self.radial_loops))
-        return replace(self, axial_loops=axial, radial_loops=radial)
+    def full_rule(self, points_coil_m: Float[Tensor, "*batch point 3"]) -> Rule:
+        """The rule that sums all loops of a winding with whole loop counts, with arcs to all digits."""
+        return full_sided_rule(self, points_coil_m)
+
+    def field_by(self, rule: Rule, mode: SumMode = SumMode.PLAIN) -> Callable[[Tensor], Tensor]:
+        """Field of one ampere by a rule, in T/A, as a function of points in the coil frame."""
+        return partial(sided_field_per_ampere, winding=self, rule=rule, mode=mode)
+
+    def contour_m(self, distance_m: float) -> Float[Tensor, "point 3"]:
+        """Points at one distance, around the section in the middle of a side, in a corner, and between."""
+        half_m = torch.stack((self.side_x_m, self.side_y_m)) / 2.0
+        across = torch.tensor(EDGES, dtype=torch.float64)
+        outwards = (across == 1.0).to(torch.float64)
+        outwards = outwards / outwards.norm(dim=1, keepdim=True)
+        corner_m = (1.0 - math.sqrt(0.5)) * self.corner_radius_m * (across == 1.0).all(1)[:, None]
+        middle_m = across * half_m - corner_m + 0.5 * self.thickness_m * outwards
+        away = torch.tensor(AWAY, dtype=torch.float64)
+        sizes_m = torch.stack((self.thickness_m, self.length_m))
+        beside_m, height_m = (0.5 * sizes_m * away.sign() + distance_m * away).unbind(-1)
+        height_m = height_m - 0.5 * self.length_m
+        flat_m = middle_m[:, None] + beside_m[:, None] * outwards[:, None]
+        points_m = torch.cat((flat_m, height_m.expand(len(EDGES), -1)[..., None]), dim=-1).flatten(0, 1)
+        is_there = self.distance_m(points_m) > 0.5 * distance_m
+        return points_m[is_there]
 
 
 class SidedLoops(NamedTuple):
@@ -105,7 +131,7 @@ def sided_field_per_ampere(
     Args:
         points_coil_m: Points in the coil frame, outside the winding.
         winding: Geometry; its batch broadcasts with the points' batch.
-        rule: Axial and radial nodes, and in `steps` the points along each arc (`choose_sided_rule`).
+        rule: Axial and radial nodes, and in `steps` the points along each arc (`choose_rule`).
         mode: How loops are summed (`node_sum`).
     Returns: Bx, By, Bz in the coil frame per ampere; the current runs counter-clockwise seen from +z.
     References: Jackson, Classical Electrodynamics, 3rd ed., section 5.2 (Biot and Savart).
@@ -158,36 +184,6 @@ def full_sided_rule(winding: SidedWinding, points_coil_m: Float[Tensor, "*batch 
         outermost_m = float((winding.corner_radius_m + winding.thickness_m).max())
     n = math.log(1.0 / ALL_DIGITS) / (2.0 * math.asinh(nearest_m / outermost_m / (0.5 * QUARTER)))
     return Rule(axial, radial, min(math.ceil(n) + SPARE_POINTS, MOST_ARC_POINTS))
-
-
-def choose_sided_rule(
-    winding: SidedWinding, points_coil_m: Float[Tensor, "point 3"], tolerance: float = DEFAULT_TOLERANCE
-) -> Rule:
-    """The smallest rule that meets the tolerance at these points, by comparison with the exact sum; as `winding.choose_rule`.
-
-    Args:
-        winding: One winding (no batch).
-        points_coil_m: Points outside the winding. The 48 nearest decide.
-        tolerance: Largest error relative to |B|; 0 asks for the full sum, without trials.
-    """
-    with torch.no_grad():
-        points_coil_m = points_coil_m.double()  # as in `winding.choose_rule`
-        winding = SidedWinding(winding.is_rounded, *(number.double() for number in winding.numbers))
-        rounded = winding.with_integer_loops()
-        distance_m = distance_to_sided(points_coil_m, rounded)
-        nearest = points_coil_m[torch.topk(distance_m, min(48, len(distance_m)), largest=False).indices]
-        full = full_sided_rule(rounded, nearest)
-        if tolerance == 0.0:
-            return full
-        reference = sided_field_per_ampere(nearest, rounded, full)
-        norm = reference.norm(dim=-1)
-
-        def is_accurate(rule: Rule) -> bool:
-            error = (sided_field_per_ampere(nearest, rounded, rule) - reference).norm(dim=-1)
-            return bool((error <= tolerance / 3.0 * norm).all())
-
-        few = (replace(full, steps=n) for n in NODE_LADDER if n < full.steps)
-        return smallest_rule(next(filter(is_accurate, few), full), is_accurate)
 
 
 def distance_to_sided(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -20,18 +21,18 @@ from estimator.field.kernel import POINTS_AT_ONCE, is_plain, sum_of_loops
 from estimator.field.loop import steps_for_ratio
 from estimator.field.node_sum import Nodes, SumMode, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
+from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, WindingShape, choose_rule
 from estimator.tensors import Tensor, torch
 
 # Keeps what torch and the slopes of loops need in between in the second-level cache of a processor.
 ELEMENTS_PER_CHUNK = 32_768
 # A graphics processor wants many at once; what is needed in between takes some 2 GB.
 ELEMENTS_PER_CHUNK_ELSEWHERE = 2**24
-DEFAULT_TOLERANCE = 1e-6
-NODE_LADDER = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
+POINTS_PER_EDGE = 6  # of a contour; its eight edges have the 48 points that `choose_rule` looks at
 
 
 @dataclass(frozen=True)
-class Winding:
+class Winding(WindingShape):
     """Geometry of a coil's winding; every field may carry a batch.
 
     `radius_m` is the external radius R_c, `axial_loops` N_a and `radial_loops` N_r may be real numbers.
@@ -44,16 +45,6 @@ class Winding:
     radial_pitch_m: Float[Tensor, "*batch"]
 
     @property
-    def length_m(self) -> Float[Tensor, "*batch"]:
-        """Axial extent of the winding."""
-        return self.axial_pitch_m * self.axial_loops
-
-    @property
-    def thickness_m(self) -> Float[Tensor, "*batch"]:
-        """Radial extent of the winding."""
-        return self.radial_pitch_m * self.radial_loops
-
-    @property
     def mean_radius_m(self) -> Float[Tensor, "*batch"]:
         """Mean of the loops' radii."""
         return self.radius_m - 0.5 * self.thickness_m
@@ -64,39 +55,48 @@ class Winding:
         rms2 = self.mean_radius_m**2 + self.radial_pitch_m**2 * (self.radial_loops**2 - 1.0) / 12.0
         return math.pi * rms2 * self.axial_loops * self.radial_loops
 
-    def with_pitches(self, axial: Tensor, radial: Tensor) -> Winding:
-        """This winding with each pitch multiplied by a factor of its own, which may carry a batch."""
-        radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m, _ = torch.broadcast_tensors(
-            self.radius_m,
-            self.axial_loops,
-            self.radial_loops,
-            self.axial_pitch_m * axial,
-            self.radial_pitch_m * radial,
-            axial * radial,
-        )
-        return Winding(radius_m, axial_loops, radial_loops, axial_pitch_m, radial_pitch_m)
+    def scaled(self, **factors: Tensor) -> Winding:
+        """This winding with some of its numbers multiplied by factors, which may carry a batch."""
+        numbers = (getattr(self, each.name) * factors.get(each.name, 1.0) for each in fields(self))
+        return Winding(*torch.broadcast_tensors(*numbers))
 
-    def with_integer_loops(self) -> Winding:
-        """This winding with its loop counts rounded to the nearest whole numbers, at least 1."""
-        return Winding(
-            self.radius_m,
-            self.axial_loops.round().clamp(min=1.0),
-            self.radial_loops.round().clamp(min=1.0),
-            self.axial_pitch_m,
-            self.radial_pitch_m,
-        )
+    @property
+    def half_width_m(self) -> Float[Tensor, "*batch"]:
+        """The external radius."""
+        return self.radius_m
 
+    def distance_m(self, points_coil_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch point"]:
+        """Distance from points to the winding's cross-section; 0 inside it."""
+        return distance_to_winding(points_coil_m, self)
 
-@dataclass(frozen=True)
-class Rule:
-    """A quadrature rule: axial and radial nodes that stand for the loops.
+    def full_rule(self, points_coil_m: Float[Tensor, "*batch point 3"]) -> Rule:
+        """The rule that sums all loops of a winding with whole loop counts (the largest of its batch)."""
+        return exact_rule(self, points_coil_m)
 
-    `steps` is the effort for each: AGM steps of a round loop, points along each arc of one with straight sides.
-    """
+    def field_by(self, rule: Rule, mode: SumMode = SumMode.PLAIN) -> Callable[[Tensor], Tensor]:
+        """Field of one ampere by a rule, in T/A, as a function of points in the coil frame; its loops are found once."""
+        return partial(field_of_loops, loops=loops_of(self, rule), steps=rule.steps, mode=mode)
 
-    axial_nodes: int
-    radial_nodes: int
-    steps: int
+    def contour_m(self, distance_m: float) -> Float[Tensor, "point 3"]:
+        """Points at one distance from the cross-section, all around it, in the half-plane of the coil frame that holds it."""
+        inner_m, outer_m = float(self.radius_m - self.thickness_m), float(self.radius_m)
+        length_m = float(self.length_m)
+        along = torch.linspace(0.0, 1.0, POINTS_PER_EDGE, dtype=torch.float64)
+        turn = 0.5 * math.pi * along
+        rho_m = inner_m + (outer_m - inner_m) * along
+        z_m = -length_m * along
+        round_m, up_m = distance_m * torch.cos(turn), distance_m * torch.sin(turn)
+        parts = [
+            (rho_m, torch.full_like(rho_m, distance_m)),
+            (rho_m, torch.full_like(rho_m, -length_m - distance_m)),
+            (torch.full_like(z_m, outer_m + distance_m), z_m),
+            (torch.full_like(z_m, inner_m - distance_m), z_m),
+            *((outer_m + round_m, height_m) for height_m in (up_m, -length_m - up_m)),
+            *((inner_m - round_m, height_m) for height_m in (up_m, -length_m - up_m)),
+        ]
+        rho_m, z_m = (torch.cat(coordinate) for coordinate in zip(*parts, strict=True))
+        is_there = rho_m >= 0.0  # in a bore narrower than the distance there are no such points
+        return torch.stack((rho_m, torch.zeros_like(rho_m), z_m), dim=-1)[is_there]
 
 
 def winding_field_per_ampere(
@@ -173,47 +173,6 @@ def exact_rule(winding: Winding, points_coil_m: Float[Tensor, "*batch point 3"])
     """The rule that sums all loops of a winding with whole loop counts (the largest of its batch)."""
     steps = _steps(winding, points_coil_m)
     return Rule(int(winding.axial_loops.max().item()), int(winding.radial_loops.max().item()), steps)
-
-
-def choose_rule(
-    winding: Winding, points_coil_m: Float[Tensor, "point 3"], tolerance: float = DEFAULT_TOLERANCE
-) -> Rule:
-    """The smallest rule that meets the tolerance at these points, by comparison with the exact sum.
-
-    Args:
-        winding: One winding (no batch).
-        points_coil_m: Points outside the winding. The 48 nearest decide: the error of a Gauss rule grows towards the winding.
-        tolerance: Largest error relative to |B|; 0 asks for the full sum, without trials.
-    Returns: A rule whose error at the 48 points is below a third of the tolerance, or the full sum.
-    """
-    with torch.no_grad():
-        # Single precision would not show whether a tolerance is met.
-        points_coil_m, winding = (
-            points_coil_m.double(),
-            Winding(*(getattr(winding, number.name).double() for number in fields(winding))),
-        )
-        rounded = winding.with_integer_loops()
-        distance_m = distance_to_winding(points_coil_m, rounded)
-        nearest = points_coil_m[torch.topk(distance_m, min(48, len(distance_m)), largest=False).indices]
-        full = exact_rule(rounded, nearest)
-        if tolerance == 0.0:
-            return full
-        reference = winding_field_per_ampere(nearest, rounded, full)
-        norm = reference.norm(dim=-1)
-
-        def is_accurate(rule: Rule) -> bool:
-            error = (winding_field_per_ampere(nearest, rounded, rule) - reference).norm(dim=-1)
-            return bool((error <= tolerance / 3.0 * norm).all())
-
-        return smallest_rule(full, is_accurate)
-
-
-def smallest_rule(full: Rule, is_accurate: Callable[[Rule], bool]) -> Rule:
-    """The rule with the fewest nodes, first along the axis and then across the layers, that does for the full sum."""
-    along = (Rule(n, full.radial_nodes, full.steps) for n in NODE_LADDER if n < full.axial_nodes)
-    shorter = next(filter(is_accurate, along), full)
-    across = (Rule(shorter.axial_nodes, n, full.steps) for n in NODE_LADDER if n < full.radial_nodes)
-    return next(filter(is_accurate, across), shorter)
 
 
 def distance_to_winding(

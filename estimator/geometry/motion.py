@@ -11,7 +11,8 @@ from estimator.frames import Transform, rotation_from_vector, vector_from_rotati
 from estimator.geometry.kinematics import base_from_flange
 from estimator.least_squares import least_squares
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Body, DisplacementFrame, MotionKind, Mover, Rig
+from estimator.rig.bodies import Body, DisplacementFrame, MotionKind, Mover
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 MOST_POSES = 200

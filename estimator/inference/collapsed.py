@@ -24,6 +24,7 @@ from estimator.devices import numpy_of
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import uses_of
 from estimator.field.node_sum import SumMode
+from estimator.inference.density import Density
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.positive_definite import inverse
@@ -80,17 +81,16 @@ class _Principal(NamedTuple):
     left: Float[Tensor, ""]
 
 
-class CollapsedPosterior:
+class CollapsedPosterior(Density):
     """Log posterior density of all parameters but the amplitudes of coils without a winding, batched over walkers.
 
     Attributes:
-        full: Density of all parameters.
         amplitudes: Names of those that are integrated out.
         coordinates: Of the others; loop counts are real numbers.
     """
 
     def __init__(self, full: LogPosterior) -> None:
-        self.full = full
+        self._full = full
         rig = full.coordinates.rig
         self.amplitudes = free_amplitudes(rig)
         self.coordinates = Coordinates(rig.with_fixed(self.amplitudes)).on(full.coordinates.device)
@@ -102,17 +102,15 @@ class CollapsedPosterior:
         has_normal_noise = not uses_of(rig, NoiseEffect)
         self._is_only_noise = has_normal_noise and noises.issuperset(self.coordinates.names)
 
-    def __call__(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
-        """Log density up to a constant; -inf outside the prior or where the model has no value, never NaN."""
-        total = self.coordinates.log_prior(vector)
-        possible = torch.isfinite(total)
-        if possible.any():
-            inside = total[possible] + self.log_evidence(vector[possible])
-            total = total.masked_scatter(possible, inside)
-        return torch.nan_to_num(total, nan=-math.inf, posinf=-math.inf, neginf=-math.inf)
+    @property
+    def full(self) -> LogPosterior:
+        """Density of all parameters."""
+        return self._full
 
-    def log_evidence(self, vector: Float[Tensor, "row coordinate"]) -> Float[Tensor, " row"]:
+    def log_likelihood(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log probability density of the measured components, averaged over the amplitudes' priors."""
+        batch = vector.shape[:-1]
+        vector = vector.reshape(batch.numel(), vector.shape[-1])
         constant = 0.5 * math.log(2.0 * math.pi) * len(self.full.measured_T)
         if self._is_only_noise:
             sums, sigma_T = self._sums, self._sigma_T(vector)
@@ -122,19 +120,19 @@ class CollapsedPosterior:
                 variance = sigma_T**2
                 misfit = measured**2 / (variance + size**2)
                 squares = left / variance[:, 0] + (misfit + torch.log1p(size**2 / variance)).sum(-1)
-                return -0.5 * squares - (sums.n * torch.log(sigma_T)).sum(-1) - constant
+                return (-0.5 * squares - (sums.n * torch.log(sigma_T)).sum(-1) - constant).view(batch)
             constant += 0.5 * float(self._about.square().sum())
             total = (
                 -0.5 * (sums.square / sigma_T**2).sum(-1) - (sums.n * torch.log(sigma_T)).sum(-1) - constant
             )
-            return total + self._gain(*self._normal_equations(vector))
+            return (total + self._gain(*self._normal_equations(vector))).view(batch)
         terms = []
         for rows in vector.split(self._n_rows_at_once):
             design, residual, log_sigma = self._whitened(rows)
             gain = self._gain(*self._least_squares(design, residual))
             squares = residual.square().sum(-1) + self._about.square().sum()
             terms.append(gain - 0.5 * squares - log_sigma.sum(-1) - constant)
-        return torch.cat(terms)
+        return torch.cat(terms).view(batch)
 
     def given(self, vector: Float[Tensor, "*row coordinate"]) -> Conditional:
         """The amplitudes given all else, for each set of values."""
@@ -311,9 +309,7 @@ class CollapsedPosterior:
         return gain
 
     def _sigma_T(self, vector: Tensor) -> Float[Tensor, "*row sensor"]:
-        values = self.coordinates.values(vector)
-        noises = (values[f"{sensor.name}.noise_T"] for sensor in self.full.model.rig.sensors)
-        return torch.stack([noise.expand(vector.shape[:-1]) for noise in noises], dim=-1)
+        return self.full.sensor_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
 
     @property
     def _n_rows_at_once(self) -> int:

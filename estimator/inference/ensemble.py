@@ -13,10 +13,9 @@ from emcee.backends import Backend
 from estimator.devices import numpy_of
 from estimator.errors import InvalidInput
 from estimator.inference.adaptation import adapted
-from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.convergence import Convergence, convergence
+from estimator.inference.density import Density
 from estimator.inference.lattice import CountMixture
-from estimator.inference.likelihood import LogPosterior
 from estimator.inference.moves import GOOD_SHARES, POOR_SHARES, MovesInBlocks
 from estimator.inference.proposal import MixtureProposal
 from estimator.rig.coordinates import Coordinates
@@ -104,7 +103,7 @@ class Samples:
 
 
 def sample(
-    posterior: LogPosterior | CollapsedPosterior,
+    posterior: Density,
     mixture: CountMixture,
     settings: SamplerSettings,
     backend: Backend | None = None,

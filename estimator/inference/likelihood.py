@@ -19,6 +19,7 @@ from estimator.effects.use import as_meant, uses_of
 from estimator.field.node_sum import SumMode
 from estimator.inference.component_noise import ComponentNoise
 from estimator.inference.correction_amplitudes import COMPONENTS_AT_ONCE, CorrectionAmplitudes
+from estimator.inference.density import Density
 from estimator.inference.directions import Directions
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -40,7 +41,7 @@ class FirstOrder(NamedTuple):
     log_sigma_jacobian: Float[Tensor, "*batch component continuous"]
 
 
-class LogPosterior:
+class LogPosterior(Density):
     """Log posterior density over coordinates, batched over walkers, starts or hypotheses.
 
     Each measured component is normal about its prediction with the noise of its sensor, unless the rig has effects of noise; the sum
@@ -67,6 +68,11 @@ class LogPosterior:
             ComponentNoise.of(use, self.model, self.measured_components)
             for use in uses_of(model.rig, NoiseEffect)
         ]
+
+    @property
+    def full(self) -> LogPosterior:
+        """This density: nothing is integrated out of it."""
+        return self
 
     def with_rows(self, measured_T: Float[Tensor, "row component"]) -> LogPosterior:
         """The density for vectors whose every row has readings of its own, all taken at the same settings.
@@ -255,9 +261,10 @@ class LogPosterior:
 
     def sigma_T(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch sensor"]:
         """Noise of every sensor, in tesla."""
-        return self._sigma_T(self.coordinates.values(vector), vector.shape[:-1])
+        return self.sensor_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
 
-    def _sigma_T(self, values: Values, batch: torch.Size) -> Tensor:
+    def sensor_sigma_T(self, values: Values, batch: torch.Size) -> Float[Tensor, "*batch sensor"]:
+        """Noise of every sensor, in tesla, where the values of all numbers are known already."""
         noises = (values[f"{sensor.name}.noise_T"] for sensor in self.model.rig.sensors)
         return torch.stack([noise.expand(batch) for noise in noises], dim=-1)
 
@@ -268,7 +275,7 @@ class LogPosterior:
         return self._component_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
 
     def _component_sigma_T(self, values: Values, batch: torch.Size) -> Tensor:
-        sigma_T = self._sigma_T(values, batch)[..., self.sensor]
+        sigma_T = self.sensor_sigma_T(values, batch)[..., self.sensor]
         for record in uses_of(self.model.rig, RecordEffect):
             sigma_T = record.effect.recorded_error_T(sigma_T, record.theta(values))
         for noise in self._noise:
@@ -357,14 +364,3 @@ class LogPosterior:
             log_density = noise.where_concerned(mixed, log_density)
             weight = noise.where_concerned(is_good + (1.0 - is_good) / ratio**2, weight)
         return log_density, weight
-
-    def __call__(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
-        """Log posterior up to a constant; -inf outside the prior or where the model has no value, never NaN."""
-        total = self.coordinates.log_prior(vector)
-        possible = torch.isfinite(total)
-        if possible.all():
-            total = total + self.log_likelihood(vector)
-        elif possible.any():
-            inside = total[possible] + self.at(possible).log_likelihood(vector[possible])
-            total = total.masked_scatter(possible, inside)
-        return torch.nan_to_num(total, nan=-math.inf, posinf=-math.inf, neginf=-math.inf)

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.field.winding import DEFAULT_TOLERANCE, Rule
+from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule
 from estimator.inference.levenberg_marquardt import (
     levenberg_marquardt,
     prior_gradient,

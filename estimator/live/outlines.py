@@ -12,7 +12,8 @@ from estimator.field.sided import SidedWinding
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.rig import AnyCoil, Rig, UnwoundCoil
+from estimator.rig.bodies import AnyCoil, UnwoundCoil
+from estimator.rig.rig import Rig
 
 Vector = tuple[float, float, float]
 

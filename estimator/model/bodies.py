@@ -17,8 +17,9 @@ from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
 from estimator.frames import Transform
 from estimator.geometry.motion import world_from_body as nominal_world_from_body
+from estimator.rig.bodies import Body, Coil, SidedCoil, WoundCoil
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Body, Coil, Rig, SidedCoil, WoundCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 OF_LOOPS = ("axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")

@@ -15,7 +15,7 @@ from jaxtyping import Float, Int
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import CoreMagnetisation, CoreMemory
 from estimator.effects.use import uses_of
-from estimator.field.coil import coil_field_per_ampere
+from estimator.field.coil import field_of_coil
 from estimator.field.core import (
     BANDS,
     HEIGHTS,
@@ -28,11 +28,13 @@ from estimator.field.core import (
 from estimator.field.first_order import first_order_field
 from estimator.field.node_sum import SumMode
 from estimator.field.saturation import polarisation_T
-from estimator.field.winding import Rule, Winding
+from estimator.field.winding import Winding
+from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.model.bodies import winding_of
+from estimator.rig.bodies import Coil, WoundCoil
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, Rig, UnwoundCoil, WoundCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 MOST_AXIAL_NODES, MOST_RADIAL_NODES, STEPS = 12, 3, 7  # of a winding as its core sees it: error 1e-4
@@ -118,20 +120,16 @@ class Cores:
         mode = SumMode.FIRST_ORDER if is_first_order else SumMode.PLAIN
         drives, rows = [], []
         for core in members:
-            zero = core.core.radius_m.new_zeros(PATTERNS)
-            by_coil = [
-                _drive(rig, values, core, coil, world_from_coil[coil.name], mode)
-                if not isinstance(coil, UnwoundCoil)
-                else zero
-                for coil in rig.coils
-            ]
-            drives.append(torch.stack(torch.broadcast_tensors(*by_coil), dim=-1))
+            by_coil = dict.fromkeys(names, core.core.radius_m.new_zeros(PATTERNS))
+            for coil in rig.wound:
+                by_coil[coil.name] = _drive(rig, values, core, coil, world_from_coil[coil.name], mode)
+            drives.append(torch.stack(torch.broadcast_tensors(*by_coil.values()), dim=-1))
             blocks = [_coupling(core, other, is_first_order) for other in members]
             rows.append(_joined(blocks, dim=-1))
         lags_A = {}
         for use in uses_of(rig, CoreMemory):
-            coil = use.index(rig.coils)
-            lags_A[coil] = use.effect.lag_A(use.theta(values), circumstances, coil)
+            number = use.index(rig.coils)
+            lags_A[number] = use.effect.lag_A(use.theta(values), circumstances, number)
         return cls(members, _joined(drives, dim=-2), _joined(rows, dim=-2), lags_A)
 
     def polarisations_T(
@@ -196,15 +194,13 @@ def _drive(
         heights_m = core.core.heights_m
         surface_m, heights_m = torch.broadcast_tensors(surface_m, heights_m)
         points_m = torch.stack((surface_m, torch.zeros_like(heights_m), heights_m), dim=-1)
-        along = coil_field_per_ampere(source, points_m, winding, rule, mode)[..., 2]
+        along = field_of_coil(source, winding, rule, mode)(points_m)[..., 2]
         across = torch.zeros_like(along[..., :2])
         return torch.cat((along, across), dim=-1)[..., None, :]
     source_from_coil = world_from_source.inverse() @ core.world_from_coil
     each = _with_points(source_from_coil)
     at_m = each.apply(core.axis_m)
-    field = coil_field_per_ampere(source, at_m.flatten(-3, -2), winding, rule, mode).unflatten(
-        -2, at_m.shape[-3:-1]
-    )
+    field = field_of_coil(source, winding, rule, mode)(at_m.flatten(-3, -2)).unflatten(-2, at_m.shape[-3:-1])
     return _on_patterns(each.unrotate(field))
 
 

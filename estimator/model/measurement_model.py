@@ -28,18 +28,18 @@ from estimator.effects.stages import (
     SourceEffect,
 )
 from estimator.effects.use import as_meant, uses_of
-from estimator.field.coil import distance_to_coil, rule_of_coil
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
-from estimator.field.winding import DEFAULT_TOLERANCE, Rule
+from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
 from estimator.frames import Transform, first_derivatives_only
 from estimator.geometry.motion import base_from_motion
-from estimator.model.bodies import columns_of, winding_of
-from estimator.model.clearance import refuse_inside, refuse_outside
+from estimator.model.bodies import columns_of
+from estimator.model.coil_field import coil_field, refuse
 from estimator.model.sources import Sources
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import AnyCoil
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Rig, UnwoundCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 MOSTLY_APART = 0.75  # share of readings by sensors with elements apart from which on all are evaluated as such, in one call instead of two
@@ -194,17 +194,14 @@ class MeasurementModel:
             is_idle = not len(rows)  # until an effect makes it carry current
             rows = self.every_row if is_idle else rows
             points_m = self.in_coil(coil, rows, values).translation_m
-            if isinstance(coil, UnwoundCoil):
-                if not is_idle:
-                    refuse_outside(self, coil, rows, points_m, values)
+            field = coil_field(self.rig, coil, values)
+            if not is_idle:
+                refuse(field.rules(points_m), rows, self.pose_row, self.rig.name)
+            if field.winding is None:
                 continue
-            winding = winding_of(self.rig, coil, values)
-            if is_idle:
-                points_m = points_m[distance_to_coil(points_m, winding) > 0.0]
-            else:
-                refuse_inside(self, coil, rows, points_m, winding)
+            points_m = points_m[~field.has_none(points_m)]
             if len(points_m):
-                rules[coil.name] = rule_of_coil(winding, points_m, tolerance)
+                rules[coil.name] = choose_rule(field.winding, points_m, tolerance)
         return self.with_rules(rules)
 
     def predict(self, values: Values) -> Float[Tensor, "*batch reading 3"]:

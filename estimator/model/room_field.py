@@ -11,17 +11,16 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput, quoted
-from estimator.field.coil import distance_to_coil, rule_of_coil
-from estimator.field.winding import DEFAULT_TOLERANCE, Rule
+from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
 from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
-from estimator.model.bodies import columns_of, winding_of
+from estimator.model.bodies import columns_of
+from estimator.model.coil_field import coil_field
 from estimator.model.sources import Sources
-from estimator.model.unwound import is_among_sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import Coil, FieldSum, Rig, UnwoundCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 DRAWS_AND_POINTS = 20_000  # at a time: an oval coil holds a dozen arrays of 256 numbers for each
@@ -74,19 +73,16 @@ class RoomField:
         for coil in rig.coils:
             world_from_coil = at_rest.world_from_body(coil, "coil", at_rest.powered[coil.name], values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
-            if isinstance(coil, UnwoundCoil):
-                inside |= is_among_sources(coil, points_coil_m, values)
+            field = coil_field(rig, coil, values)
+            is_inside = field.has_none(points_coil_m.detach())
+            inside |= is_inside
+            if field.winding is None or is_inside.all():
                 continue
-            winding = winding_of(rig, coil, values)
-            distance_m = distance_to_coil(points_coil_m.detach(), winding)
-            inside |= distance_m <= 0.0
-            if not (distance_m > 0.0).any():
+            if not field.has_zones:
+                rules[coil.name] = choose_rule(field.winding, points_coil_m[~is_inside], tolerance)
                 continue
-            # Zones are made for the correct sum.
-            if isinstance(coil, Coil) and coil.field_sum is FieldSum.SPHERICAL_COMPONENTS:
-                rules[coil.name] = rule_of_coil(winding, points_coil_m[distance_m > 0.0], tolerance)
-                continue
-            zones[coil.name] = zones_of(winding, distance_m, tolerance)
+            distance_m = field.winding.distance_m(points_coil_m.detach())
+            zones[coil.name] = zones_of(field.winding, distance_m, tolerance)
             rules[coil.name] = zones[coil.name][0].rule
         self.sources = replace(at_rest, rules=rules, zones=zones)
         self.is_inside: Bool[Tensor, " point"] = inside

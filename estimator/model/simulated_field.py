@@ -19,7 +19,8 @@ from estimator.geometry.motion import motion_reached
 from estimator.model.hide import cause_of, full_names, with_hidden
 from estimator.model.simulate import perfect_readings
 from estimator.readings.observations import Observations
-from estimator.rig.rig import DisplacementFrame, MotionKind, Mover, Rig
+from estimator.rig.bodies import DisplacementFrame, MotionKind, Mover
+from estimator.rig.rig import Rig
 from estimator.tensors import torch
 from estimator.units import ICE_POINT_K
 

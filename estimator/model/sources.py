@@ -27,20 +27,21 @@ from estimator.effects.stages import (
     WindingMagnetisation,
 )
 from estimator.effects.use import Use, uses_of
-from estimator.field.coil import coil_field_per_ampere, field_of_coil
 from estimator.field.first_order import first_order_field
 from estimator.field.grid_map import GridMap
 from estimator.field.loop import NEAREST_STEPS
 from estimator.field.magnetised import field_of_rings, field_of_rings_to_first_order
 from estimator.field.node_sum import SumMode
-from estimator.field.winding import Rule, Winding
+from estimator.field.winding import Winding
+from estimator.field.winding_shape import Rule
 from estimator.field.zones import Zone
 from estimator.frames import Transform, turned, turned_back
-from estimator.model.bodies import WINDING_KEYS, winding_of, world_from_body
+from estimator.model.bodies import WINDING_KEYS, world_from_body
+from estimator.model.coil_field import CoilField, coil_field
 from estimator.model.cores import Cores
-from estimator.model.unwound import unwound_field_per_ampere
+from estimator.rig.bodies import AnyCoil, Body
 from estimator.rig.coordinates import Values
-from estimator.rig.rig import AnyCoil, Body, Rig, UnwoundCoil, WoundCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 # Of points in a coil's frame, as `SourceEffect.apply`.
@@ -136,7 +137,7 @@ class Sources:
             total = total + self._cores(values, world_from_point, delivered_A)
         for i, coil in enumerate(self.rig.coils):
             rows = self.powered[coil.name]
-            is_ready = isinstance(coil, UnwoundCoil) or coil.name in self.rules
+            is_ready = not coil.is_wound or coil.name in self.rules
             if not is_ready or not len(rows):
                 continue
             points = world_from_point.rows(rows)
@@ -169,19 +170,20 @@ class Sources:
                 return turned(world_from_point.rotation.mT @ world_from_coil.rotation, field)
             return world_from_point.unrotate(world_from_coil.rotate(field))
 
-        own = self._own_field(coil, values)
-        field = self._zoned(coil, points_m, values) if coil.name in self.zones else own(points_m)
+        about = coil_field(self.rig, coil, values)
+        own = about.by(self.rules.get(coil.name), self.mode)
+        if coil.name in self.maps:
+            own = self.maps[coil.name].field
+        field = self._zoned(about, points_m, coil.name) if coil.name in self.zones else own(points_m)
         driven = []
         for use in uses_of(self.rig, SourceEffect, coil.name):
-            assert not isinstance(coil, UnwoundCoil)  # no place of such effects
-            theta = use.theta(values)
-            winding = cast(Winding, winding_of(self.rig, coil, values))  # of any shape for a correction
+            theta, winding = use.theta(values), cast(Winding, about.winding)  # of any shape for a correction
             if isinstance(use.effect, AddedLoops):
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta, self.mode)
             elif use.effect.is_correction:  # polynomials, whose second derivatives cost little
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta)
             else:
-                more = self._sloped(coil, use.effect.apply, points_m, winding, theta)
+                more = self._sloped(coil.name, use.effect.apply, points_m, winding, theta)
             drive = use.effect.drive(current_A, theta)
             if drive is current_A:
                 field = field + more
@@ -271,25 +273,12 @@ class Sources:
         is_shared = poses.rotation.shape[-3] == 1 or self.pose_row is None
         return poses.rotation if is_shared else poses.rotation[..., self.pose_row, :, :]
 
-    def _own_field(self, coil: AnyCoil, values: Values) -> Callable[[Tensor], Tensor]:
-        """Field of one ampere at points of the coil frame: of the winding by the coil's rule, of the harmonics, or of a map."""
-        if coil.name in self.maps:
-            return self.maps[coil.name].field
-        if isinstance(coil, UnwoundCoil):
-            return lambda points_m: unwound_field_per_ampere(coil, points_m, values)
-        winding, rule = winding_of(self.rig, coil, values), self.rules[coil.name]
-        return field_of_coil(coil, winding, rule, self.mode)
-
     def _zoned(
-        self, coil: AnyCoil, points_coil_m: Float[Tensor, "*#batch row 3"], values: Values
+        self, about: CoilField, points_coil_m: Float[Tensor, "*#batch row 3"], coil: str
     ) -> Float[Tensor, "*batch row 3"]:
         """Field of one ampere in a coil's winding in the coil frame, by the rule of each point."""
-        assert not isinstance(coil, UnwoundCoil)  # which has no winding
-        winding, zones = winding_of(self.rig, coil, values), self.zones[coil.name]
-        parts = [
-            coil_field_per_ampere(coil, points_coil_m[..., zone.points, :], winding, zone.rule, self.mode)
-            for zone in zones
-        ]
+        zones = self.zones[coil]
+        parts = [about.by(zone.rule, self.mode)(points_coil_m[..., zone.points, :]) for zone in zones]
         order = torch.cat([zone.points for zone in zones]).argsort()
         return torch.cat(parts, dim=-2)[..., order, :]
 
@@ -299,14 +288,14 @@ class Sources:
         return self.mode is SumMode.FIRST_ORDER
 
     def _sloped(
-        self, coil: WoundCoil, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
+        self, coil: str, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
     ) -> Tensor:
         """What an effect adds to a coil's field, with cheap derivatives where second ones may be missing."""
-        rule = self.rules[coil.name]
+        rule = self.rules[coil]
         if not self._is_first_order:
             return field(points_coil_m, winding, rule, theta)
-        is_fixed = not uses_of(self.rig, WindingEffect, coil.name) and not any(
-            self.rig.depends_on_data(f"{coil.name}.{key}") for key in WINDING_KEYS
+        is_fixed = not uses_of(self.rig, WindingEffect, coil) and not any(
+            self.rig.depends_on_data(f"{coil}.{key}") for key in WINDING_KEYS
         )
         geometry = [] if is_fixed else [getattr(winding, item.name) for item in fields(Winding)]
 

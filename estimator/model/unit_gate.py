@@ -16,7 +16,7 @@ from torch import Tensor
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig, UnwoundCoil
+from estimator.rig.rig import Rig
 
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0
@@ -177,7 +177,7 @@ def _agreement(rig: Rig, observations: Observations) -> Agreement | None:
         return None
     nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     has_current = observations.current_A != 0.0
-    is_wound = torch.tensor([not isinstance(coil, UnwoundCoil) for coil in rig.coils])
+    is_wound = torch.tensor([coil.is_wound for coil in rig.coils])
     # Nothing is known beforehand of the field of a coil without a winding.
     powered = has_current.any(dim=1) & ~(has_current & ~is_wound).any(dim=1)
     mask = observations.is_measured & powered[:, None]

@@ -16,7 +16,8 @@ from estimator.planning.information import N_DRAWS, draws_of_prior, is_clear
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, halton, observations_of
 from estimator.readings.protocol import recommended_currents_A
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 
 MOST_CANDIDATES = 2000  # stops; more are thinned at random, for which the criterion hardly changes
 MOST_ENDS = 64  # corners of the spans of two movers

@@ -15,7 +15,7 @@ from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import NoiseEffect
 from estimator.errors import InvalidInput, quoted
-from estimator.field.winding import DEFAULT_TOLERANCE
+from estimator.field.winding_shape import DEFAULT_TOLERANCE
 from estimator.model.hide import cause_of
 from estimator.model.simulate import perfect_readings
 from estimator.readings.metrics import HALF_WIDTH_90

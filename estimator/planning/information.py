@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from estimator.diagnosis.next_readings.stops import lowered
 from estimator.errors import InvalidInput
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.clearance import clearance_m

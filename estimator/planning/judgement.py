@@ -14,7 +14,7 @@ import torch
 from scipy.special import fdtrc, ndtri
 from torch import Tensor
 
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit
 from estimator.model.measurement_model import MeasurementModel

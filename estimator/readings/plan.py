@@ -15,7 +15,8 @@ import yaml
 from estimator.errors import Faults, InvalidInput, in_order, quoted
 from estimator.readings.observations import Observations
 from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
-from estimator.rig.rig import POSE_QUANTITIES, Mover, Rig
+from estimator.rig.bodies import POSE_QUANTITIES, Mover
+from estimator.rig.rig import Rig
 from estimator.tensors import torch
 from estimator.units import LARGEST, UNITS
 from estimator.yaml_section import Section

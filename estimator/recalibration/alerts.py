@@ -13,11 +13,11 @@ from typing import Any
 from estimator.errors import InvalidInput
 from estimator.recalibration import policy
 from estimator.recalibration.conclusion import IS_CONVERGED
-from estimator.recalibration.registry import Entry
+from estimator.recalibration.log import Entry
 
 
 def calls_for_action(entry: Entry) -> bool:
-    """Whether somebody has to act on a conclusion: a drift, a rejection, or a calibration that did not converge."""
+    """Whether a conclusion needs action: a drift, a rejection, or a calibration that did not converge."""
     return entry.conclusion in ("drifted", "rejected") or entry.checks.get(IS_CONVERGED) is False
 
 

@@ -31,7 +31,7 @@ from estimator.recalibration.successor import (
     short_of,
 )
 from estimator.recalibration.together import named_together
-from estimator.recalibration.watcher import UNHEARD, Watcher
+from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.recalibration.words import mistake_in, sizes_of, words_of
 from estimator.reporting.numbers import displays, size_with_unit, with_sd
 from estimator.rig.rig import Cause, Rig
@@ -51,11 +51,11 @@ class Comparison:
     refit: Fit
     agreement: Agreement
     seed: int
-    watcher: Watcher = UNHEARD
+    watcher: Watcher = UNWATCHED
 
     @classmethod
     def of(
-        cls, session: Session, widened: Rig, current: Calibration, seed: int, watcher: Watcher = UNHEARD
+        cls, session: Session, widened: Rig, current: Calibration, seed: int, watcher: Watcher = UNWATCHED
     ) -> Comparison:
         """Refit the session within the widened rig, and test it against the current calibration."""
         tested = thinned(session.observations, diagnosis_policy.MOST_READINGS_SEARCHED, seed)

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from estimator.recalibration.conclusion import IS_CONVERGED
-from estimator.recalibration.registry import ROLLED_BACK, Entry, Registry
+from estimator.recalibration.log import ROLLED_BACK, Entry
+from estimator.recalibration.registry import Registry
 from estimator.recalibration.timeline import judged, summary_of, versions_in_use
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 from estimator.reporting.plots.history import history

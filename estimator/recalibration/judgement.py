@@ -24,7 +24,7 @@ from estimator.recalibration.successor import (
     sampled_successor,
     short_of,
 )
-from estimator.recalibration.watcher import UNHEARD, Watcher
+from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.recalibration.widening import widened_rig
 from estimator.recalibration.words import mistake_in, names_of
 from estimator.rig.rig import Rig
@@ -40,7 +40,7 @@ def judge(
     may_replace: bool = True,
     seed: int = 0,
     settings: SamplerSettings | None = None,
-    watcher: Watcher = UNHEARD,
+    watcher: Watcher = UNWATCHED,
 ) -> Judgement:
     """Conclude on one session.
 
@@ -52,7 +52,7 @@ def judge(
         may_replace: False for readings older than those of the version in use: they are judged but lead to no new version.
         seed: Seed of all random numbers.
         settings: When to stop sampling a successor.
-        watcher: Is told how far it is.
+        watcher: Gets the progress.
     Raises:
         InvalidInput: The rig or the current calibration cannot be used. Faults of the session do not raise: they lead to a rejection.
     """

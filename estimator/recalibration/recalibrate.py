@@ -13,8 +13,9 @@ from estimator.recalibration.arrivals import CHANGED, Arrival, arrivals
 from estimator.recalibration.conclusion import EVIDENCE, Conclusion, Judgement
 from estimator.recalibration.history_report import history_report
 from estimator.recalibration.judgement import judge
-from estimator.recalibration.registry import HISTORY, Entry, Registry
-from estimator.recalibration.watcher import UNHEARD, Watcher
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import HISTORY, Registry
+from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.rig.rig import Rig
 from estimator.store.files import write_text
 
@@ -31,7 +32,7 @@ def recalibrate(
     again: Collection[str] = (),
     on_entry: Callable[[Entry], None] | None = None,
     on_waiting: Callable[[Path, str], None] | None = None,
-    watcher: Watcher = UNHEARD,
+    watcher: Watcher = UNWATCHED,
 ) -> list[Entry]:
     """Judge every new session of an inbox, oldest readings first, and keep the calibrations they lead to.
 
@@ -47,7 +48,7 @@ def recalibrate(
         again: Names of sessions in the inbox to judge once more although they are in the log.
         on_entry: Called with each conclusion once it is logged, also with those that an interrupted call left pending.
         on_waiting: Called with each session that waits for the next call, and the reason.
-        watcher: Is told how far it is while a session is judged.
+        watcher: Gets the progress of each judgement.
     Returns: The log entries that `on_entry` was called with.
     Raises:
         InvalidInput: The inbox is not a folder, another job holds the registry, or the registry is of another rig.

@@ -11,37 +11,30 @@ next job that opens the folder completes the work of an interrupted one.
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import asdict, dataclass, field, fields, replace
-from datetime import UTC, datetime
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.calibration.files import POSTERIOR_STORE, SUMMARY_FILE
+from estimator.calibration.result import Calibration
 from estimator.errors import CorruptStore, InvalidInput, quoted
-from estimator.given_files import (
-    MOST_RESULT_BYTES,
-    MOST_SETTINGS_BYTES,
-    read_given,
-    read_given_text,
-)
-from estimator.json_files import json_object, read_json, sealed, unsealed
+from estimator.given_files import MOST_SETTINGS_BYTES, read_given_text
+from estimator.json_files import read_json, sealed
+from estimator.recalibration.log import ROLLED_BACK, Entry, Log
 from estimator.rig_files.write import rig_text
-from estimator.store.files import append_text, kind_of, unfinished_name, unwritable, write_text
+from estimator.store.files import kind_of, unfinished_name, unwritable, write_text
 from estimator.store.made import Made
-from estimator.store.staging import OutputBusy, clear, only_writer, staged
+from estimator.store.stage import OutputBusy
+from estimator.store.staging import clear, only_writer, staged
 
 VERSIONS, CURRENT, LOG, TOLD = "versions", "current", "log.jsonl", "told"
 RIG, PROVENANCE = "rig.yaml", "provenance.json"
 HISTORY = "history.html"
-ROLLED_BACK = "rolled_back"
-TORN = b'{"conclusion": "'  # how an entry begins of which a kill left a part
 MADE = Made(
     "a registry",
     "",  # nothing replaces one
@@ -52,75 +45,6 @@ MADE = Made(
 
 class RegistryBusy(InvalidInput):
     """Another job writes to the registry."""
-
-
-@dataclass(frozen=True)
-class Entry:
-    """One entry of the log.
-
-    Attributes:
-        conclusion: unchanged, updated, drifted, rejected or rolled_back.
-        reason: Reason in one sentence, with the numbers.
-        session: Path of the session; empty for a rollback.
-        hash: Hash of the session, or of its files if they are damaged.
-        taken: ISO time of the readings.
-        concluded: ISO time of the conclusion.
-        version: Version that is current from now on; None before the first.
-        made: Version made from this session; None if none was.
-        agrees: Whether the session agreed with the version that was current; None if they could not be compared.
-        causes: Named causes, as in `diagnosis.json`.
-        since: For a drift, time of the first session that no longer agreed.
-        checks: Numbers behind the conclusion.
-        estimate: Value and standard deviation of every parameter from this session, within the widened prior.
-    """
-
-    conclusion: str
-    reason: str
-    session: str = ""
-    hash: str = ""
-    taken: str = ""
-    concluded: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
-    version: int | None = None
-    made: int | None = None
-    agrees: bool | None = None
-    causes: Sequence[Mapping[str, Any]] = ()
-    since: str | None = None
-    checks: Mapping[str, Any] = field(default_factory=dict)
-    estimate: Mapping[str, Sequence[float]] = field(default_factory=dict)
-
-    @classmethod
-    def of_line(cls, line: bytes, origin: str) -> Entry:
-        """The entry in a line of the log; one of version 0.2 has no seal.
-
-        Args:
-            line: The line, without its end.
-            origin: Its place, for messages.
-        Raises:
-            CorruptStore: It is no entry, or does not match its seal.
-        """
-        return cls.of(unsealed(json_object(line, origin, CorruptStore), origin, CorruptStore), origin)
-
-    @classmethod
-    def of(cls, content: object, origin: str) -> Entry:
-        """The entry that JSON holds; `origin` names its place in messages.
-
-        Raises:
-            CorruptStore: It is another object.
-        """
-        keys = {each.name for each in fields(cls)}
-        if not isinstance(content, dict) or not {"conclusion", "reason"} <= set(content) <= keys:
-            raise CorruptStore(f"entry must have the keys that coilcal writes; {origin} has others")
-        entry = cls(**content)
-        words = (entry.conclusion, entry.reason, entry.session, entry.hash, entry.taken, entry.concluded)
-        if not all(isinstance(word, str) for word in words) or not all(
-            number is None or type(number) is int for number in (entry.version, entry.made)
-        ):
-            raise CorruptStore(f"entry must be as coilcal writes it; {origin} is another")
-        return entry
-
-    def line(self) -> str:
-        """The entry as one line of JSON."""
-        return json.dumps(asdict(self), allow_nan=False)
 
 
 class Registry:
@@ -136,6 +60,7 @@ class Registry:
 
     def __init__(self, folder: Path | str) -> None:
         self.folder = Path(folder)
+        self._log = Log(self.folder / LOG)
 
     @property
     def versions(self) -> tuple[int, ...]:
@@ -154,24 +79,7 @@ class Registry:
         Raises:
             CorruptStore: A line is damaged. An incomplete last line, left by a kill, is ignored.
         """
-        return self._read_log()[0]
-
-    def _read_log(self) -> tuple[list[Entry], int]:
-        """All entries, and the length in bytes of their lines without the end of the last one."""
-        log = self.folder / LOG
-        if not log.exists():
-            return [], 0
-        *lines, last = read_given(log, MOST_RESULT_BYTES, CorruptStore).split(b"\n")
-        entries = [Entry.of_line(line, f"{log}, line {number}") for number, line in enumerate(lines, start=1)]
-        with suppress(
-            CorruptStore
-        ):  # a line that lacks only its end is an entry, which was reported as written
-            entries.append(Entry.of_line(last, str(log)))
-            lines.append(last)
-            last = b""
-        if not _is_torn(last):
-            raise CorruptStore(f"log must end in an entry, or in part of one; {log} does not")
-        return entries, len(b"\n".join(lines))
+        return self._log.read()[0]
 
     def calibration(self, version: int | None = None) -> Calibration:
         """One version; by default the current one.
@@ -268,7 +176,7 @@ class Registry:
             number = max(self.versions, default=0) + 1
             entry = replace(entry, version=number, made=number)
             self._save(entry, calibration, provenance or {})
-        self._log(entry)
+        self._log.append(entry)
         self._point()
         return entry
 
@@ -304,7 +212,7 @@ class Registry:
         entry = Entry(
             ROLLED_BACK, f"version {self.current} replaced by version {version} on request", version=version
         )
-        self._log(entry)
+        self._log.append(entry)
         self._point()
         return entry
 
@@ -345,12 +253,6 @@ class Registry:
             write_text(new / RIG, rig_text(calibration.rig))
             write_text(new / PROVENANCE, sealed(content, indent=2))
 
-    def _log(self, entry: Entry) -> None:
-        try:
-            append_text(self.folder / LOG, sealed(asdict(entry)))
-        except OSError as error:
-            raise unwritable(self.folder / LOG, error, "registry") from error
-
     def _point(self) -> None:
         """Link `current` to the version of the last log entry."""
         version = self.entries()[-1].version
@@ -363,11 +265,7 @@ class Registry:
     def _complete(self) -> None:
         """Remove unfinished files, and complete the log and the link of committed versions."""
         clear(self.folder / VERSIONS / f"{max(self.versions, default=0) + 1:04d}")
-        entries, end = self._read_log()  # checked before anything is cut off
-        if entries:
-            _end_line(self.folder / LOG, end)
-        elif (self.folder / LOG).exists():
-            os.truncate(self.folder / LOG, 0)
+        entries = self._log.completed()
         if not (self.folder / TOLD).exists():  # a new registry, or one from before notifications were counted
             write_text(self.folder / TOLD, f"{len(entries)}\n")
         if self._n_told() > len(entries):
@@ -378,29 +276,6 @@ class Registry:
         for version in self.versions:
             if version not in logged:
                 path = self.folder / VERSIONS / f"{version:04d}" / PROVENANCE
-                self._log(Entry.of(read_json(path, fault=CorruptStore).get("entry"), str(path)))
+                self._log.append(Entry.of(read_json(path, fault=CorruptStore).get("entry"), str(path)))
         if self.entries():
             self._point()
-
-
-def _is_torn(line: bytes) -> bool:
-    """Whether a kill may have left this of an entry: its beginning, and not all of it with something behind."""
-    if not (line.startswith(TORN) or TORN.startswith(line)) or not line.isascii() or b"\0" in line:
-        return False
-    try:
-        json.JSONDecoder().raw_decode(line.decode())
-    except ValueError:
-        return True
-    return False
-
-
-def _end_line(log: Path, end: int) -> None:
-    """Cut off what follows the last whole entry, and end its line."""
-    with log.open("r+b") as file:
-        file.seek(end)
-        if file.read() != b"\n":
-            file.seek(end)
-            file.write(b"\n")
-            file.truncate()
-            file.flush()
-            os.fsync(file.fileno())

@@ -14,7 +14,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.base import WHEN
 from estimator.inference.ensemble import SamplerSettings
 from estimator.recalibration import policy
-from estimator.recalibration.watcher import UNHEARD, Watcher
+from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
@@ -24,7 +24,7 @@ def sampled_successor(
     diagnosis: Diagnosis,
     seed: int,
     settings: SamplerSettings | None,
-    watcher: Watcher = UNHEARD,
+    watcher: Watcher = UNWATCHED,
 ) -> Calibration:
     """Sample the extended rig of a diagnosis as far as it lasts; causes may need more walkers than were asked for."""
     rig = lasting(diagnosis.extended_rig)

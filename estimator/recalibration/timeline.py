@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime, timedelta
 
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.reporting.plots.history import SessionSummary, VersionInUse
 
 MARGIN_SHARE = 0.05  # of the whole time, by which the last version extends beyond the last readings

@@ -1,4 +1,4 @@
-"""Who is told how far a recalibration is."""
+"""Functions that get the progress of a recalibration."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from estimator.calibration.calibrate import Stage
 from estimator.diagnosis.progress import OnProgress, unwatched
 
 
-def _unheard(_: object) -> None:
+def _ignored(_: object) -> None:
     pass
 
 
@@ -23,9 +23,9 @@ class Watcher:
         on_sampling: With each stage of sampling a new version.
     """
 
-    on_words: Callable[[str], None] = field(default_factory=lambda: _unheard)
+    on_words: Callable[[str], None] = field(default_factory=lambda: _ignored)
     on_progress: OnProgress = field(default_factory=lambda: unwatched)
-    on_sampling: Callable[[Stage], None] = field(default_factory=lambda: _unheard)
+    on_sampling: Callable[[Stage], None] = field(default_factory=lambda: _ignored)
 
 
-UNHEARD = Watcher()
+UNWATCHED = Watcher()

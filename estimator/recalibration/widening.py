@@ -24,9 +24,10 @@ from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
 from estimator.recalibration import policy
+from estimator.rig.bodies import POSE_KEYS
 from estimator.rig.coordinates import SHARE_OF_THICKNESS
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior
-from estimator.rig.rig import POSE_KEYS, Rig
+from estimator.rig.rig import Rig
 
 LENGTHS = ("radius_m", "wire_radius_m", "axial_pitch_m", "radial_pitch_m", *SHARE_OF_THICKNESS)
 LEAST_SHARE_LEFT = 1e-9  # of a variance: numbers that follow from others by rounding

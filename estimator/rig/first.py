@@ -9,8 +9,9 @@ import math
 from collections.abc import Iterator, Mapping
 
 from estimator.errors import InvalidInput
+from estimator.rig.bodies import POSE_KEYS, Coil, MotionKind, Mover, Sensor
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Tie
-from estimator.rig.rig import POSE_KEYS, Cause, Coil, MotionKind, Mover, Rig, Sensor
+from estimator.rig.rig import Cause, Rig
 
 PLACE_SD_M = 3e-3  # of a place that was measured with a ruler
 TILT_SD_RAD = math.radians(2.0)  # of a mount that was set by eye

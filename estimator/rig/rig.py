@@ -8,26 +8,23 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Hashable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from functools import cached_property
-from itertools import pairwise
 from typing import Any
 
 from estimator.errors import InvalidInput, closest
 from estimator.glance import Glance, Shown
-from estimator.rig.arms import ARMS, ArmEnds, DenavitHartenberg
-from estimator.rig.charged_box import (
-    MULTIPOLE_DEGREE,
-    Triple,
-    charge_key,
-    gap_m,
-    intervals,
-    multipole_key,
-    n_charges,
+from estimator.rig.bodies import (
+    AnyCoil,
+    Coil,
+    EquivalentSourceCoil,
+    Mover,
+    Sensor,
+    SidedCoil,
+    UnwoundCoil,
+    WoundCoil,
 )
-from estimator.rig.harmonic_terms import amplitude_key, terms
 from estimator.rig.parameters import Parameter
 
 MOST_LOOPS = 5000  # along or across one winding; the exact sum, beside which a quadrature rule is chosen, grows with their square
@@ -35,232 +32,7 @@ MOST_TURNS = 200_000  # of one winding
 
 ROUNDING = 1e-12  # of lengths that are the same but for their units
 
-POSE_KEYS = ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad", "tilt_x_rad", "tilt_y_rad", "spin_rad")
-POSE_QUANTITIES = (
-    ("x", "length"),
-    ("y", "length"),
-    ("z", "length"),
-    ("rx", "angle"),
-    ("ry", "angle"),
-    ("rz", "angle"),
-    ("tilt_x", "angle"),
-    ("tilt_y", "angle"),
-    ("spin", "angle"),
-)
-
 EVERYWHERE = "everywhere"  # place of a cause at all sensors, coils or movers
-
-
-class MotionKind(StrEnum):
-    """What a mover's column in the session says."""
-
-    POSE = "pose"  # base_from_flange as position and rotation vector
-    DISPLACEMENT = "displacement"  # position relative to a reference configuration
-    JOINTS = "joints"  # six joint angles of an arm whose table the rig file holds
-    UR3 = "UR3"  # six joint angles of one of Universal Robots
-    UR5 = "UR5"
-    UR10 = "UR10"
-    UR3E = "UR3e"
-    UR5E = "UR5e"
-    UR10E = "UR10e"
-    UR16E = "UR16e"
-    UR20 = "UR20"
-
-
-class DisplacementFrame(StrEnum):
-    """Axes in which a displacement is reported."""
-
-    END_EFFECTOR = "end_effector"
-    BASE = "base"
-
-
-class FieldSum(StrEnum):
-    """How the fields of a winding's loops are added."""
-
-    VECTORS = "vectors"
-    SPHERICAL_COMPONENTS = "spherical_components"  # about different centres, as the paper's eq 13 has it: wrong, kept for comparison
-
-
-@dataclass(frozen=True)
-class Mover:
-    """A robot or stage; `motion` says what its readings mean.
-
-    `reference_rotation_rad` is base_from_flange at the reference configuration as a rotation vector; it turns displacements that the
-    controller reports in the base frame into the end-effector frame. `own_table` is the kinematics of this very arm: of `joints` all of it,
-    of the others what the maker measured at the factory, as differences from the nominal table. `own_ends` lie before and after that table.
-    """
-
-    name: str
-    motion: MotionKind
-    displacement_frame: DisplacementFrame = DisplacementFrame.END_EFFECTOR
-    reference_rotation_rad: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    # `Rig.hash` names the table and the ends, where there are any.
-    own_table: DenavitHartenberg | None = field(default=None, repr=False)
-    own_ends: ArmEnds | None = field(default=None, repr=False)
-
-    @property
-    def table(self) -> DenavitHartenberg | None:
-        """Kinematics of an arm that reports joint angles; None where poses or displacements are reported."""
-        nominal = ARMS.get(str(self.motion))
-        if nominal is None or self.own_table is None:
-            return nominal or self.own_table
-        return nominal.corrected(self.own_table)
-
-    @property
-    def columns(self) -> tuple[str, ...]:
-        """Names of this mover's columns in a readings table."""
-        if self.table is not None:
-            return tuple(f"{self.name}_q{i}_rad" for i in range(6))
-        return tuple(f"{self.name}_{axis}" for axis in ("x_m", "y_m", "z_m", "rx_rad", "ry_rad", "rz_rad"))
-
-
-@dataclass(frozen=True)
-class Body:
-    """A coil or a sensor: fixed in the world, or carried by a mover."""
-
-    name: str
-    carried_by: str | None = None
-
-
-Point = tuple[float, float, float]
-Path = tuple[Point, ...]  # of a wire, from point to point, in m
-
-
-@dataclass(frozen=True)
-class Leads:
-    """Straight pieces of wire that bring the current to a winding and take it away, in the coil's frame.
-
-    Attributes:
-        towards, away: Points that the current passes, in its order.
-    """
-
-    towards: Path = ()
-    away: Path = ()
-
-    @property
-    def pieces(self) -> tuple[tuple[Point, Point], ...]:
-        """Ends of each piece of wire, in the order of the current."""
-        return (*pairwise(self.towards), *pairwise(self.away))
-
-
-@dataclass(frozen=True)
-class Coil(Body):
-    """A circular multi-layer winding.
-
-    Attributes:
-        field_sum: How its simulation adds loops.
-        is_superconducting: Its wire may hold on to flux.
-        leads: Of its current, where they are described.
-    """
-
-    field_sum: FieldSum = FieldSum.VECTORS
-    is_superconducting: bool = False
-    leads: Leads | None = field(default=None, repr=False)  # `Rig.hash` names them where they are
-
-
-@dataclass(frozen=True)
-class SidedCoil(Body):
-    """A multi-layer winding with straight sides: rectangular loops, or racetracks, whose corners are arcs.
-
-    Attributes:
-        is_rounded: Corners are arcs, the wider the farther out the layer; else they are sharp in every layer.
-        leads: Of its current, where they are described.
-    """
-
-    is_rounded: bool = False
-    leads: Leads | None = field(default=None, repr=False)  # as of `Coil`
-
-
-class Region(StrEnum):
-    """Region about the origin of a coil's frame in which the field of a coil without a winding is described."""
-
-    INTERIOR = "interior"  # in and around a ball that holds the readings; the sources are outside
-    EXTERIOR = "exterior"  # outside a ball that holds all sources: multipoles
-
-
-@dataclass(frozen=True)
-class HarmonicCoil(Body):
-    """A coil whose winding is not known: per ampere its field is a sum of solid harmonics about the origin of its frame.
-
-    Amplitudes are parameters `name.degree1_cos0_T_per_A`, each the rms of its term on the sphere of radius `name.reference_radius_m`.
-
-    Attributes:
-        region: Inside a ball without sources, or outside the ball that holds them.
-        degree: Highest degree, from 1 (uniform inside, a dipole outside).
-    """
-
-    region: Region = Region.INTERIOR
-    degree: int = 1
-
-    @property
-    def amplitudes(self) -> dict[int, tuple[str, ...]]:
-        """Names of its amplitudes by degree, in the order of `terms`."""
-        return {
-            degree: tuple(f"{self.name}.{amplitude_key(degree, term)}" for term in terms(degree))
-            for degree in range(1, self.degree + 1)
-        }
-
-
-@dataclass(frozen=True)
-class EquivalentSourceCoil(Body):
-    """A coil whose winding is not known: per ampere its field is that of magnetic charges on a box about the origin of its frame.
-
-    Amplitudes are parameters `name.charge1_T_per_A` and so on: were all independent, with rms 1, the field in the middle would have rms 1.
-    Those of a multipole, such as `name.multipole1_degree1_cos0_T_per_A`, would make rms 1 in each degree where its box comes nearest.
-
-    Attributes:
-        half_m: Half of each edge of a box without sources that holds the readings.
-        margin_m: How far outside that box the charges stand, on the surface of another.
-        spacing_m: Distance of neighbouring charges, roughly.
-        multipoles_m: Places outside the first box of small sources so close to it that the charges cannot stand for them.
-    """
-
-    half_m: Triple = (1.0, 1.0, 1.0)
-    margin_m: float = 1.0
-    spacing_m: float = 1.0
-    multipoles_m: tuple[Triple, ...] = field(default=(), repr=False)  # `Rig.hash` names them where they are
-
-    @property
-    def charged_half_m(self) -> Triple:
-        """Half of each edge of the box with the charges."""
-        x_m, y_m, z_m = self.half_m
-        return x_m + self.margin_m, y_m + self.margin_m, z_m + self.margin_m
-
-    @property
-    def intervals(self) -> tuple[int, int, int]:
-        """Between charges, along each edge."""
-        return intervals(self.half_m, self.margin_m, self.spacing_m)
-
-    @property
-    def n_charges(self) -> int:
-        """How many charges stand on the box."""
-        return n_charges(self.intervals)
-
-    @property
-    def multipole_gaps_m(self) -> tuple[float, ...]:
-        """Distance of each multipole from the first box."""
-        return tuple(gap_m(place_m, self.half_m) for place_m in self.multipoles_m)
-
-    @property
-    def amplitudes(self) -> dict[int, tuple[str, ...]]:
-        """Names of its amplitudes, charges before multipoles. Charges have no degrees, so all stand under the first."""
-        keys = [charge_key(number) for number in range(1, self.n_charges + 1)]
-        keys += [
-            multipole_key(number, degree, term)
-            for number in range(1, len(self.multipoles_m) + 1)
-            for degree in range(1, MULTIPOLE_DEGREE + 1)
-            for term in terms(degree)
-        ]
-        return {1: tuple(f"{self.name}.{key}" for key in keys)}
-
-
-WoundCoil = Coil | SidedCoil
-UnwoundCoil = HarmonicCoil | EquivalentSourceCoil
-AnyCoil = WoundCoil | UnwoundCoil
-
-
-class Sensor(Body):
-    """A three-axis magnetometer; single components may be missing in its readings."""
 
 
 @dataclass(frozen=True)
@@ -367,14 +139,6 @@ class Rig(Shown):
     def acting(self) -> tuple[Cause, ...]:
         """Effects and corrections: all that changes what the bodies alone would do."""
         return (*self.effects, *self.corrections)
-
-    @cached_property
-    def found(self) -> dict[Hashable, Any]:
-        """What others have found out about this rig and ask again and again, by their own keys. It is not stored."""
-        return {}
-
-    def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in vars(self).items() if name != "found"}
 
     @cached_property
     def keys_by_label(self) -> Mapping[str, tuple[str, ...]]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS, N_JOINTS, ArmEnds, DenavitHartenberg
-from estimator.rig.rig import MotionKind
+from estimator.rig.bodies import MotionKind
 from estimator.rig_files.ur_kinematics import corrections_from_ros
 from estimator.rig_files.urdf import arm_from_urdf
 from estimator.units import LARGEST

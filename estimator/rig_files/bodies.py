@@ -9,8 +9,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from estimator.errors import closest
-from estimator.rig.parameters import Parameter, Tie
-from estimator.rig.rig import (
+from estimator.rig.bodies import (
     AnyCoil,
     Coil,
     DisplacementFrame,
@@ -24,6 +23,7 @@ from estimator.rig.rig import (
     SidedCoil,
     UnwoundCoil,
 )
+from estimator.rig.parameters import Parameter, Tie
 from estimator.rig_files.arm_tables import is_point, read_own_table
 from estimator.rig_files.harmonic import (
     EQUIVALENT_SOURCES,

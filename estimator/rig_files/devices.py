@@ -12,7 +12,8 @@ from typing import Any, TypeAlias
 
 from estimator.errors import InvalidInput, Place, closest
 from estimator.rig.arms import ARMS
-from estimator.rig.rig import MotionKind, Mover, Rig
+from estimator.rig.bodies import MotionKind, Mover
+from estimator.rig.rig import Rig
 from estimator.yaml_section import Section
 
 DEVICES = "devices"

@@ -7,10 +7,10 @@ from dataclasses import replace
 from statistics import mode
 from typing import Any
 
+from estimator.rig.bodies import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
 from estimator.rig.charged_box import MOST_CHARGES, Triple, gap_m, n_charges
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
-from estimator.rig.rig import EquivalentSourceCoil, HarmonicCoil, Region, UnwoundCoil
 from estimator.rig_files.arm_tables import is_point
 from estimator.rig_files.numbers import MOST_DIGITS, Numbers, read_number, read_scalar
 from estimator.units import split_unit

@@ -9,8 +9,9 @@ import math
 from dataclasses import dataclass, field
 
 from estimator.errors import InvalidInput, closest
+from estimator.rig.bodies import POSE_QUANTITIES
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
-from estimator.rig.rig import MOST_LOOPS, POSE_QUANTITIES
+from estimator.rig.rig import MOST_LOOPS
 from estimator.yaml_section import Section
 
 MOST_DIGITS = 17  # tell any two floats apart

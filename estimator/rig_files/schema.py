@@ -11,8 +11,8 @@ import yaml
 
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
+from estimator.rig.bodies import Region
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
-from estimator.rig.rig import Region
 from estimator.rig_files.read import NAME, SCHEMA_VERSION, read_rig
 from estimator.units import split_unit
 from estimator.yaml_section import Loader, Section

@@ -14,8 +14,7 @@ from typing import Any
 import yaml
 
 from estimator.rig.arms import ArmEnds, DenavitHartenberg
-from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
-from estimator.rig.rig import (
+from estimator.rig.bodies import (
     POSE_QUANTITIES,
     AnyCoil,
     Coil,
@@ -26,12 +25,13 @@ from estimator.rig.rig import (
     MotionKind,
     Mover,
     Path,
-    Rig,
     Sensor,
     SidedCoil,
     UnwoundCoil,
     WoundCoil,
 )
+from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
+from estimator.rig.rig import Rig
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
 from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, sides_of
 from estimator.rig_files.devices import DEVICES

@@ -1,20 +1,21 @@
-"""Alerts: a command of the settings hears of every conclusion on which somebody has to act, as that of `coilcal recalibrate` does.
+"""Alerts: a command of the settings runs for every conclusion that needs action, as that of `coilcal recalibrate` does.
 
-The worker leaves a file for each before the registry counts it as told. The service runs the command and removes the file, so a kill at any
-instant runs the command again and forgets nothing. No request names a command.
+The worker writes a file for each before the registry counts it as delivered. The service runs the command and removes the file, so a
+kill at any instant runs the command again and forgets nothing. No request names a command.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
 from estimator.errors import CorruptStore
 from estimator.json_files import read_json
 from estimator.recalibration.alerts import run_command
-from estimator.recalibration.registry import Entry
+from estimator.recalibration.log import Entry
 from estimator.store.files import write_text
 
 ALERTS = "alerts"  # folder beside that of the jobs
@@ -36,28 +37,23 @@ def leave_alert(folder: Path, rig_name: str, entry: Entry) -> None:
     write_text(folder / name, json.dumps(message, allow_nan=False) + "\n")
 
 
-class Alerts:
-    """Runs the command.
+def run_alerts(command: str, folder: Path, is_ending: Callable[[], bool] = lambda: False) -> None:
+    """Run the command for each conclusion that waits; one that fails is logged and not tried again.
 
     Args:
         command: The command; none where it is empty.
         folder: Where conclusions wait for it.
+        is_ending: Whether the service ends, which leaves the others for its next start.
     """
-
-    def __init__(self, command: str, folder: Path) -> None:
-        self._command, self._folder = command, folder
-
-    def tick(self) -> None:
-        """Tell the command of what waits; one that fails is logged and not tried again."""
-        if not self._command:
+    for path in sorted(folder.glob("*.json")) if command else ():
+        if is_ending():
             return
-        for path in sorted(self._folder.glob("*.json")):
-            try:
-                fault = run_command(self._command, read_json(path, fault=CorruptStore))
-            except CorruptStore as error:
-                fault = str(error)
-            path.unlink()
-            if fault is None:
-                log.info("alert", extra={"alert": path.stem})
-            else:
-                log.error("alert failed", extra={"alert": path.stem, "fault": fault})
+        try:
+            fault = run_command(command, read_json(path, fault=CorruptStore))
+        except CorruptStore as error:
+            fault = str(error)
+        path.unlink()
+        if fault is None:
+            log.info("alert", extra={"alert": path.stem})
+        else:
+            log.error("alert failed", extra={"alert": path.stem, "fault": fault})

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
+from importlib import import_module
 from importlib.metadata import version
+from pkgutil import iter_modules
 from typing import Any
 
 from fastapi import FastAPI
@@ -14,28 +16,13 @@ from starlette.concurrency import run_in_threadpool
 from starlette.middleware.gzip import GZipMiddleware
 from uvicorn.middleware.proxy_headers import ProxyHeadersMiddleware
 
+from estimator.service import routes
 from estimator.service.core import Core
 from estimator.service.guard import PUBLIC, Guard
 from estimator.service.ownership import OWNED
 from estimator.service.page_files import page_router
 from estimator.service.problems import RESPONSES, ProblemBody, install
 from estimator.service.requests import Needs, Reader
-from estimator.service.routes import (
-    calibrations,
-    exports,
-    jobs,
-    login,
-    operation,
-    predictions,
-    registries,
-    registry_history,
-    removal,
-    rigs,
-    schedules,
-    sessions,
-    webhooks,
-    what_if,
-)
 from estimator.service.settings import Settings
 from estimator.service.storage import shortage
 from estimator.service.tokens import Scope
@@ -75,23 +62,8 @@ def create_app(settings: Settings, has_workers: bool = True) -> FastAPI:
         redirect_slashes=False,
     )
     app.state.core = core
-    for module in (
-        operation,
-        login,
-        rigs,
-        registries,
-        registry_history,
-        sessions,
-        what_if,
-        jobs,
-        calibrations,
-        predictions,
-        exports,
-        removal,
-        webhooks,
-        schedules,
-    ):
-        app.include_router(module.router)
+    for module in iter_modules(routes.__path__):
+        app.include_router(import_module(f"{routes.__name__}.{module.name}").router)
     app.include_router(page_router())
     install(app, str(core.data), shortage)
     _add_schema(app)
@@ -124,12 +96,12 @@ def scopes_by_route(app: FastAPI) -> dict[tuple[str, str], Scope | None]:
 
 
 def _scope_of(dependant: Dependant) -> Scope | None:
-    """Scope that a route asks for by itself, or by what it depends on."""
-    for part in dependant.dependencies:
-        scope = part.call.scope if isinstance(part.call, Needs) else _scope_of(part)
-        if scope is not None:
-            return scope
-    return None
+    """The strongest scope that a route asks for by itself, by its router, or by what it depends on."""
+    scopes = [
+        part.call.scope if isinstance(part.call, Needs) else _scope_of(part)
+        for part in dependant.dependencies
+    ]
+    return max(filter(None, scopes), key=list(Scope).index, default=None)
 
 
 def _changes(app: FastAPI) -> dict[tuple[str, str], bool]:

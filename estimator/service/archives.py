@@ -7,7 +7,7 @@ import shutil
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator, Sequence, Set
+from collections.abc import Iterator, Set
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 
@@ -26,22 +26,6 @@ BYTES_OF_NUMBER = 8
 ENTRY = b"PK\x01\x02"  # with which each entry of the list of members begins
 TIMES = "time_s"  # array with a number for each reading
 METHODS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-
-
-def zipped(folder: Path, parts: Sequence[str] = ()) -> bytes:
-    """A folder as a zip file, always the same bytes for the same content; zarr has compressed it already.
-
-    Args:
-        folder: What to zip.
-        parts: Names of those of its files and folders that are wanted; all by default.
-    """
-    wanted = [folder / part for part in parts] or [folder]
-    paths = [path for part in wanted for path in (part, *part.rglob("*"))]
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as archive:
-        for path in sorted(path for path in paths if path.is_file()):
-            archive.writestr(zipfile.ZipInfo(path.relative_to(folder).as_posix()), path.read_bytes())
-    return buffer.getvalue()
 
 
 @contextmanager

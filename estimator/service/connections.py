@@ -1,8 +1,8 @@
 """HTTP/1.1 of uvicorn, with strict heads, a time in which a request must arrive, and an end to the number of connections.
 
-uvicorn waits for the first request of a connection, and for the rest of a head, as long as the client likes. Connections that say a letter
-a minute ("slow loris") would hold all places that there are. So a place that is needed is taken from whoever has kept the service waiting
-for longest, and a client that says at once what it wants is answered beside any number of idle ones.
+uvicorn waits for the first request of a connection, and for the rest of a head, as long as the client likes. Connections that send a byte a
+minute ("slow loris") would use up the limit. So where the limit is reached, the connections that have waited longest are closed, and a
+client that sends its request at once is answered beside any number of idle ones.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ BONUS_USED_S, BONUS_BEGUN_S = 5.0, 30.0
 
 @runtime_checkable
 class Waiting(Protocol):
-    """A connection whose client may owe something.
+    """A connection from which the service may await something.
 
     Attributes:
         place: Of the client, as `place_of` has it.
@@ -135,7 +135,7 @@ class PromptHttp(H11Protocol):
 
 
 def make_room(new: Waiting, connections: set[Any]) -> None:
-    """Send away those who have kept the service waiting for longest, of the address with most of them.
+    """Close the connections that have waited longest, of the address with most of them.
 
     Args:
         new: A connection that stays.

@@ -14,25 +14,24 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.what_if import fit_for_what_if
 from estimator.errors import InvalidInput, reason
-from estimator.service import alerts, removal, schedules, webhooks
-from estimator.service.alerts import ALERTS, Alerts
+from estimator.service import alerts, removal, running_diagnosis, schedules, webhooks
+from estimator.service.alerts import ALERTS
+from estimator.service.cache import Cache
+from estimator.service.concurrency import RefusingLimit, WaitingLimit
 from estimator.service.cookies import Cookies
 from estimator.service.database import Database, check_database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
 from estimator.service.open_sessions import OpenSessions
+from estimator.service.periodic import scheduler_of
 from estimator.service.predictions import Predictor
-from estimator.service.recent import Recent
-from estimator.service.removal import Tidy
-from estimator.service.room import Places, Room
 from estimator.service.schedules import Schedules
 from estimator.service.schema import RigVersion
 from estimator.service.settings import Settings
 from estimator.service.storage import Storage
-from estimator.service.ticker import Ticker
 from estimator.service.watching import Watching
-from estimator.service.webhooks import Courier
+from estimator.service.webhooks import Deliveries
 from estimator.store.session import load_session
 
 DATABASE, LOCK = "coilcal.sqlite", "lock"
@@ -74,28 +73,29 @@ class Core:
             lambda rig_id: self.rig_version(rig_id).text,
             self.registry_path,
         )
-        self.courier = Courier(self.database, settings)
+        self.deliveries = Deliveries(self.database, settings)
         self.watching = Watching(self.sessions.path, settings.most_watched, settings.running_diagnosis)
         self.schedules = Schedules(self.database, self.queue, self.jobs.wake)
-        self.alerts = Alerts(settings.alert_command, self.data / ALERTS)
-        self.tidy = Tidy(self.database, settings.keep_jobs_days, self.remove_folder)
-        self._tickers = (
-            Ticker("courier", webhooks.LOOK_EVERY_S, self.courier.tick),
-            Ticker("alerts", alerts.LOOK_EVERY_S, self.alerts.tick),
-            Ticker("tidying", removal.LOOK_EVERY_S, self.tidy.tick),
-            Ticker("clock", schedules.LOOK_EVERY_S, self.schedules.tick),
+        self.periodic = scheduler_of(
+            {
+                "webhooks": (webhooks.LOOK_EVERY_S, self.deliveries.tick),
+                "alerts": (alerts.LOOK_EVERY_S, self.run_alerts),
+                "removal": (removal.LOOK_EVERY_S, self.remove_old_jobs),
+                "schedules": (schedules.LOOK_EVERY_S, self.schedules.tick),
+                "running diagnosis": (running_diagnosis.LOOK_EVERY_S, self.watching.diagnose),
+            }
         )
-        self.streams = Places("event streams", settings.most_streams, settings.most_streams_per_user)
+        self.streams = RefusingLimit("event streams", settings.most_streams, settings.most_streams_per_user)
         self.appenders: set[tuple[str, str | None]] = set()  # sessions and tokens whose first append is noted
         self.is_ending = False
-        self._calibrations = Recent(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
-        self.fits = Recent(self._fitted, MOST_FITS)
-        self.importing = Room("sessions to import", MOST_IMPORTS, MOST_IMPORTS_WAITING)
-        self.exporting = Room("exports", 1, MOST_EXPORTS_WAITING)
+        self._calibrations = Cache(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
+        self.fits = Cache(self._fitted, MOST_FITS)
+        self.importing = WaitingLimit("sessions to import", MOST_IMPORTS, MOST_IMPORTS_WAITING)
+        self.exporting = WaitingLimit("exports", 1, MOST_EXPORTS_WAITING)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
         self.metrics.watch("coilcal_event_streams", "Event streams that are followed.", self.streams.n_taken)
         words = "Predictions that are at work or wait."
-        self.metrics.watch("coilcal_predictions_waiting", words, self.predictor.places.n_taken)
+        self.metrics.watch("coilcal_predictions_waiting", words, self.predictor.limit.n_taken)
         shutil.rmtree(self.uploads, ignore_errors=True)
 
     @property
@@ -127,6 +127,14 @@ class Core:
         shutil.rmtree(folder, ignore_errors=True)
         self._calibrations.forget(lambda path: Path(path).is_relative_to(folder))
 
+    def run_alerts(self) -> None:
+        """Run the command of the settings for conclusions that need action."""
+        alerts.run_alerts(self.settings.alert_command, self.data / ALERTS, lambda: self.is_ending)
+
+    def remove_old_jobs(self) -> int:
+        """Remove jobs that ended longer ago than the settings keep them; their number."""
+        return removal.remove_old_jobs(self.database, self.settings.keep_jobs_days, self.remove_folder)
+
     def _fitted(self, session_id: str) -> Fit:
         return fit_for_what_if(load_session(self.sessions.path(session_id)))
 
@@ -136,19 +144,17 @@ class Core:
 
     def start(self) -> None:
         """Begin to work on jobs, to tell webhooks and to follow schedules."""
-        self.tidy.remove_unknown(self.data / JOBS)
+        removal.remove_folders_without_row(self.database, self.data / JOBS)
         self.jobs.start()
-        self.watching.start()
-        for ticker in self._tickers:
-            ticker.start()
+        self.periodic.start()
 
     def close(self) -> None:
         """Hand everything back for the next process."""
         self.end_streams()
         self.watching.stop()
-        for ticker in self._tickers:
-            ticker.stop()
-        self.courier.stop()
+        if self.periodic.running:
+            self.periodic.shutdown()
+        self.deliveries.stop()
         self.predictor.close()
         self.jobs.stop()
         self.sessions.close()

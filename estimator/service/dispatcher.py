@@ -153,7 +153,7 @@ class Dispatcher:
         folder = self.folder(job.id)
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            # Written at each start: its paths are others where a backup was restored elsewhere.
+            # Written at each start: its paths are others after a backup was restored into another folder.
             write_text(folder / JOB, json.dumps(self._assignment(job), indent=2) + "\n")
             sync(folder)
         except (CoilcalError, OSError) as error:
@@ -167,7 +167,7 @@ class Dispatcher:
         log.info("job begins", extra={"job": job.id, "start": job.starts})
 
     def _assignment(self, job: Job) -> dict[str, Any]:
-        """What a worker is told of a job."""
+        """Content of `job.json`, which the worker reads."""
         options = dict(job.options)
         sessions = options.pop("session_ids", [job.session_id])
         registry = options.pop("registry", None)  # name of a rig
@@ -182,7 +182,7 @@ class Dispatcher:
         }
 
     def _end(self, workers: Cluster, job_id: str, running: _Running) -> None:
-        """End the work of a job while others go on: by its own hand where it looks soon enough, else with its worker."""
+        """End the work of a job while others go on: it ends itself where it looks at the file soon enough; else its worker is replaced."""
         (self.folder(job_id) / STOP).touch()
 
         def end() -> None:

@@ -23,7 +23,7 @@ LOOK_EVERY_S = 0.25
 async def events_of(
     core: Core, job_id: str, last_event_id: str | None, info: Callable[[], Any]
 ) -> AsyncIterator[ServerSentEvent]:
-    """Events of a job: what its worker has told so far, what it tells from now on, and its end.
+    """Events of a job: what its worker has reported so far, what it reports from now on, and its end.
 
     Args:
         core: The service.

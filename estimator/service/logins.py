@@ -14,7 +14,7 @@ from estimator.service.tokens import Caller, caller_of_row
 
 
 def begin_login(db: Session, token_id: str) -> str:
-    """The id of a new login with a token; logins whose cookie is too old by now are forgotten."""
+    """The id of a new login with a token; logins with an expired cookie are deleted."""
     oldest = datetime.now(UTC) - timedelta(seconds=MOST_AGE_S)
     db.execute(delete(Login).where(Login.created < oldest.isoformat(timespec="milliseconds")))
     login = Login(id=new_id(), token_id=token_id, created=now())
@@ -32,7 +32,7 @@ def end_login(db: Session, login_id: str) -> str | None:
 
 
 def caller_of_login(database: Database, login_id: str) -> Caller | None:
-    """Who is logged in; None if nobody is any more, or the token has expired or is revoked."""
+    """The caller of a login; None if it has ended, or its token has expired or is revoked."""
     with database.reading() as db:
         row = db.scalar(select(Token).join(Login, Login.token_id == Token.id).where(Login.id == login_id))
     return caller_of_row(row)

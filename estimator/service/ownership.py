@@ -1,4 +1,4 @@
-"""Who may change what is there already: whoever made it, and callers with the scope admin. Everybody with a token reads everything.
+"""Ownership: a thing is changed by the user who made it, and by callers with the scope admin. Every token reads everything.
 
 What belongs to a user belongs to every token of that user, so that an instrument keeps its sessions when its token is renewed, and
 those who share an instrument share its user. A rig belongs to the user of its first version, and with it the registry that all
@@ -26,7 +26,7 @@ def check_registry(core: Core, caller: Caller, rig_name: str) -> None:
 
     Args:
         core: Of the service.
-        caller: Who wants to change it.
+        caller: The caller.
         rig_name: Name of the rig, of which there is a version.
     Raises:
         Problem: The rig belongs to another user, and the caller is no admin.

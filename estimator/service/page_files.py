@@ -13,7 +13,8 @@ from importlib.resources import files
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
-from estimator.service.requests import JsonRoute, with_etag
+from estimator.service.answers import with_etag
+from estimator.service.requests import JsonRoute
 
 PAGE = "/"
 MEDIA_TYPES = {".html": "text/html", ".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}

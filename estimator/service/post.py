@@ -1,6 +1,6 @@
 """One signed request to a webhook: to a public address that is looked up once, without redirects, with an end.
 
-Whoever names a webhook must not reach through the service what only the service reaches. The name is resolved here, all its addresses are
+The address of a webhook must not lead to a network that only the service reaches. The name is resolved here, all its addresses are
 checked, and the connection goes to the checked address, so that the name cannot mean another one a moment later.
 
 References: the specification of Standard Webhooks, for which receivers have libraries.

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimator.calibration.predictions import Question, Wanted, answers
 from estimator.calibration.result import Calibration
-from estimator.service.room import Places
+from estimator.service.concurrency import RefusingLimit
 
 WINDOW_S = 0.002  # a question waits so long for others, if none is there
 BLOCK = 2_000  # points of a batch; with 400 draws they take 20 MB, and small questions pass between the blocks of a large one
@@ -37,11 +37,12 @@ class Predictor:
 
     Args:
         load: Reads a calibration of a folder, from memory if it is there.
-        most_waiting: Requests that may be at work or wait: each takes one of `places`, however many blocks it asks for.
+        most_waiting: Requests that may be at work or wait: each counts once for `limit`, however many blocks it asks for.
     """
 
     def __init__(self, load: Callable[[Path], Calibration], most_waiting: int) -> None:
-        self._load, self.places = load, Places("predictions", most_waiting, retry_after_s=RETRY_AFTER_S)
+        self._load = load
+        self.limit = RefusingLimit("predictions", most_waiting, retry_after_s=RETRY_AFTER_S)
         self._queue: SimpleQueue[_Waiting | None] = SimpleQueue()
         self._thread = threading.Thread(target=self._run, name="coilcal predictions", daemon=True)
         self._thread.start()
@@ -68,7 +69,7 @@ class Predictor:
                 time.sleep(WINDOW_S)
             waiting: list[_Waiting] = [first]
             while not self._queue.empty():
-                another = self._queue.get()  # nobody else takes from the queue
+                another = self._queue.get()  # no other thread takes from the queue
                 if another is None:
                     self._queue.put(None)  # for the outer loop
                     break

@@ -1,6 +1,6 @@
-"""What is deleted: jobs and sessions when somebody asks for it, and jobs that ended long ago where the settings say so.
+"""Deletion: of jobs and sessions on request, and of jobs that ended long ago where the settings say so.
 
-A row goes first and its folder after it, so a kill in between leaves a folder that nobody knows, which the next start removes.
+A row goes first and its folder after it, so a kill in between leaves a folder without a row, which the next start removes.
 Judgements of sessions stay as long as their session: without them a schedule would judge it again.
 """
 
@@ -48,7 +48,7 @@ def remove_session(db: Session, session: SessionRow, caller: Caller) -> list[str
     Args:
         db: The database, for writing.
         session: Its row.
-        caller: Who asks, and may cancel and delete jobs of their own.
+        caller: The caller, who may cancel and delete jobs of their own.
     Returns: Ids of the jobs that are gone with it.
     Raises:
         Problem: A job has worked with it, or works; it says whose, and what to do first.
@@ -90,40 +90,34 @@ def _remove_rows(db: Session, jobs: Iterable[Job]) -> None:
     db.flush()
 
 
-class Tidy:
-    """Removes folders that belong to no row, and jobs that ended longer ago than the settings keep them.
+def remove_old_jobs(database: Database, keep_days: float, remove_folder: Callable[[str], None]) -> int:
+    """Remove jobs that ended long ago, judgements of sessions excepted.
 
     Args:
         database: Rows of jobs.
-        keep_jobs_days: 0 keeps jobs for ever.
+        keep_days: For how long jobs are kept; 0 keeps them for ever.
         remove_folder: Removes that of a job, by its id.
+    Returns: The number of jobs.
     """
+    if not keep_days:
+        return 0
+    before = (datetime.now(UTC) - timedelta(days=keep_days)).isoformat(timespec="milliseconds")
+    with database.writing() as db:
+        old = select(Job).where(Job.state.in_(ENDED), Job.kind != RECALIBRATE, Job.ended < before)
+        jobs = list(db.scalars(old))
+        ids = [job.id for job in jobs]
+        _remove_rows(db, jobs)
+    for job_id in ids:
+        remove_folder(job_id)
+    if ids:
+        log.info("old jobs were removed", extra={"jobs": len(ids), "days": keep_days})
+    return len(ids)
 
-    def __init__(
-        self, database: Database, keep_jobs_days: float, remove_folder: Callable[[str], None]
-    ) -> None:
-        self._database, self._keep_days, self._remove_folder = database, keep_jobs_days, remove_folder
 
-    def tick(self) -> int:
-        """Remove what is due; the number of jobs."""
-        if not self._keep_days:
-            return 0
-        before = (datetime.now(UTC) - timedelta(days=self._keep_days)).isoformat(timespec="milliseconds")
-        with self._database.writing() as db:
-            old = select(Job).where(Job.state.in_(ENDED), Job.kind != RECALIBRATE, Job.ended < before)
-            jobs = list(db.scalars(old))
-            ids = [job.id for job in jobs]
-            _remove_rows(db, jobs)
-        for job_id in ids:
-            self._remove_folder(job_id)
-        if ids:
-            log.info("old jobs were removed", extra={"jobs": len(ids), "days": self._keep_days})
-        return len(ids)
-
-    def remove_unknown(self, jobs: Path) -> None:
-        """Remove folders of jobs that are gone, as a kill between row and folder leaves them."""
-        with self._database.reading() as db:
-            known = set(db.scalars(select(Job.id)))
-        for folder in jobs.iterdir() if jobs.is_dir() else ():
-            if folder.name not in known:
-                shutil.rmtree(folder, ignore_errors=True)
+def remove_folders_without_row(database: Database, jobs: Path) -> None:
+    """Remove folders of jobs that are gone, as a kill between row and folder leaves them."""
+    with database.reading() as db:
+        known = set(db.scalars(select(Job.id)))
+    for folder in jobs.iterdir() if jobs.is_dir() else ():
+        if folder.name not in known:
+            shutil.rmtree(folder, ignore_errors=True)

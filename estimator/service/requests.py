@@ -1,17 +1,14 @@
-"""What routes have in common: who asks, bodies that are not JSON, pages of lists, ETags, and the audit log."""
+"""Requests: the caller, limits of what is at work at once, bodies, and the audit log."""
 
 from __future__ import annotations
 
-import base64
-import binascii
 from collections.abc import AsyncIterator, Callable, Coroutine, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any
 
-from fastapi import Depends, Header, Path, Query, Request
-from fastapi.routing import APIRoute
-from pydantic import BaseModel, Field
-from sqlalchemy import select, tuple_
+from fastapi import Depends, Header, Path, Request
+from fastapi.routing import APIRoute, APIRouter
+from pydantic import Field
 from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
@@ -19,16 +16,12 @@ from starlette.responses import Response
 from estimator.json_files import json_of
 from estimator.service.core import Core
 from estimator.service.database import now
-from estimator.service.problems import Problem, not_found
-from estimator.service.schema import Audit, Base
+from estimator.service.problems import Problem
+from estimator.service.schema import Audit
 from estimator.service.tokens import Caller, Scope
 
 ID = r"^[0-9a-f]{32}$"
-MOST_ITEMS, ITEMS = 500, 50
 LARGEST_SEED = 2**32 - 1
-Item = TypeVar("Item")
-Shape = TypeVar("Shape", bound=BaseModel)
-Row = TypeVar("Row", bound=Base)
 BINARY: Mapping[str, Any] = {"type": "string", "format": "binary"}
 Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything random.")]
 
@@ -74,24 +67,29 @@ Writer = Annotated[Caller, Depends(Needs(Scope.WRITE))]
 Admin = Annotated[Caller, Depends(Needs(Scope.ADMIN))]
 
 
-def _room(core: CoreOf, caller: Reader) -> Iterator[None]:
+def router_of(prefix: str, *tags: str, scope: Scope = Scope.READ) -> APIRouter:
+    """A router whose routes ask for a scope at least."""
+    return APIRouter(route_class=JsonRoute, prefix=prefix, tags=[*tags], dependencies=[Depends(Needs(scope))])
+
+
+def _streaming(core: CoreOf, caller: Reader) -> Iterator[None]:
     with core.streams.taken(caller.user):
         yield
 
 
-StreamRoom = Annotated[None, Depends(_room)]
-"""Dependency of routes with event streams, each of which takes one of the places for streams. What such a route refuses has to be refused
-by what it depends on: once it runs, the answer has begun."""
+STREAM = Depends(_streaming)
+"""Dependency of routes with event streams, of which some run at once. What such a route refuses has to be refused by what it depends on:
+once it runs, the answer has begun."""
 
 
-async def _import_room(core: CoreOf) -> AsyncIterator[None]:
+async def _importing(core: CoreOf) -> AsyncIterator[None]:
     async with core.importing.taken():
         yield
 
 
-ImportRoom = Annotated[None, Depends(_import_room)]
-"""Dependency of routes that read a whole session, of which few run at once; stands after the body, so that who sends slowly takes no
-place."""
+Importing = Annotated[None, Depends(_importing)]
+"""Dependency of routes that read a whole session, of which few run at once; stands after the body, so that a client that sends slowly is
+not among them."""
 
 
 def raw_body(*media_types: str) -> Callable[[Request], Coroutine[Any, Any, bytes]]:
@@ -116,7 +114,7 @@ def documented_body(media_type: str, description: str) -> dict[str, Any]:
 
 
 class _JsonRequest(Request):
-    """A request whose JSON is read by the loader of all JSON."""
+    """A request with JSON that is read by the loader of all JSON."""
 
     async def json(self) -> Any:
         """The value of the body, read in a thread, since a long one takes seconds.
@@ -140,84 +138,8 @@ class JsonRoute(APIRoute):
         return handled
 
 
-class Page(BaseModel, Generic[Item]):
-    """A part of a list, newest first; `next` is the cursor of the part that follows, null after the last one."""
-
-    items: list[Item]
-    next: str | None
-
-
-Limit = Annotated[int, Query(ge=1, le=MOST_ITEMS, description="Items of a page.")]
-Cursor = Annotated[str | None, Query(max_length=200, description="`next` of the page before.")]
-
-
-@dataclass(frozen=True)
-class Listing:
-    """Which part of a list is asked for."""
-
-    core: CoreOf
-    limit: Limit = ITEMS
-    cursor: Cursor = None
-
-    def page(self, table: Any, shape: type[Shape], **equal: str | None) -> Page[Shape]:
-        """A page of the rows of a table, which has `created` and `id`.
-
-        Args:
-            table: Its class.
-            shape: Rows as the API shows them.
-            equal: Values of columns that rows must have; None admits all.
-        """
-        key = tuple_(table.created, table.id)
-        asked = {name: value for name, value in equal.items() if value is not None}
-        rows = select(table).filter_by(**asked)
-        if self.cursor is not None:
-            rows = rows.where(key < _key(self.cursor))
-        rows = rows.order_by(table.created.desc(), table.id.desc()).limit(self.limit + 1)
-        with self.core.database.reading() as db:
-            records = list(db.scalars(rows))
-        last = records[self.limit - 1] if len(records) > self.limit else None
-        following = None
-        if last is not None:
-            following = base64.urlsafe_b64encode(f"{last.created} {last.id}".encode()).decode()
-        return Page(items=[shown_as(shape, row) for row in records[: self.limit]], next=following)
-
-
-ListingOf = Annotated[Listing, Depends()]
-
-
-def shown_as(shape: type[Shape], row: object) -> Shape:
-    """A row as the API shows it."""
-    return shape.model_validate(row, from_attributes=True)
-
-
-def row_of(db: Session, table: type[Row], row_id: str, thing: str) -> Row:
-    """A row that must be there.
-
-    Args:
-        db: The database.
-        table: The class of the row, which has `id`.
-        row_id: Its id.
-        thing: What it is, for the refusal.
-    Raises:
-        Problem: It is not there.
-    """
-    columns: Any = table
-    row = db.scalar(select(table).where(columns.id == row_id))
-    if row is None:
-        raise not_found(thing, row_id)
-    return row
-
-
-def _key(cursor: str) -> tuple[str, str]:
-    try:
-        created, _, row_id = base64.urlsafe_b64decode(cursor).decode().partition(" ")
-    except (binascii.Error, ValueError) as error:
-        raise Problem(422, "cursor", "must be the `next` of a page", cursor, "query") from error
-    return created, row_id
-
-
 def audited(db: Session, request: Request, caller: Caller, action: str, target: str) -> None:
-    """Note who changes what, in the transaction of the change."""
+    """Write a change into the audit log, in its transaction."""
     entry = Audit(time=now(), user=caller.user, token_id=caller.token_id, action=action, target=target)
     entry.request_id = request.scope["request_id"]
     db.add(entry)
@@ -237,21 +159,3 @@ class Change:
 
 
 ChangeOf = Annotated[Change, Depends()]
-UNCHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "It has not changed."}}
-
-
-def file_of(media_type: str, schema: Mapping[str, Any] = BINARY) -> dict[str, Any]:
-    """Arguments of a route that answers with a file, which a client need not load again while it has not changed."""
-    return {
-        "response_class": Response,
-        "responses": {200: {"content": {media_type: {"schema": dict(schema)}}}, **UNCHANGED},
-    }
-
-
-def with_etag(request: Request, tag: str, answer: Callable[[], Response]) -> Response:
-    """An answer that a client need not load again while its tag is the same."""
-    quoted = f'"{tag}"'
-    known = [part.strip().removeprefix("W/") for part in request.headers.get("if-none-match", "").split(",")]
-    response = Response(status_code=304) if quoted in known or "*" in known else answer()
-    response.headers["ETag"] = quoted
-    return response

@@ -1,19 +1,19 @@
 """Diagnoses sessions while they are watched and grow, one after another in one process of low priority.
 
 A diagnosis takes as long as hundreds of estimates, so it must not hold them up, and a process for each session would fill the memory. It
-is no job: nobody asked for it, and nothing is kept of it.
+is no job: it starts by itself, and nothing is stored of it.
 """
 
 from __future__ import annotations
 
 import logging
+import threading
 import time
 from collections.abc import Callable, Sequence
 from typing import Protocol, runtime_checkable
 
 from estimator.errors import CoilcalError
 from estimator.live.refresh import Background, Refreshed
-from estimator.service.ticker import Ticker
 from estimator.store.session import Session
 
 LOOK_EVERY_S = 0.25
@@ -46,14 +46,14 @@ class RunningDiagnosis:
     Args:
         sessions: Those that are watched now.
     Attributes:
-        ticker: The thread that looks for sessions; ending it ends the process, whatever it does.
+        stopping: Setting it ends the process, whatever that does.
     """
 
     def __init__(self, sessions: Callable[[], Sequence[Growing]]) -> None:
-        self._sessions = sessions
-        self.ticker = Ticker("running diagnosis", LOOK_EVERY_S, self._look)
+        self._sessions, self.stopping = sessions, threading.Event()
 
-    def _look(self) -> None:
+    def look(self) -> None:
+        """Start the process where a session waits, and let it work while sessions are watched."""
         if self._next() is not None:
             with Background(SEED) as background:
                 while self._sessions() and self._turn(background):
@@ -69,11 +69,11 @@ class RunningDiagnosis:
         return min(waiting, key=lambda pair: pair[0])[1] if waiting else None
 
     def _turn(self, background: Background) -> bool:
-        """Diagnose one session, if one waits; False if the process is at work that nobody wants any more."""
+        """Diagnose one session, if one waits; False if the process works on a session that is no longer watched."""
         session = self._next()
         if session is None:
-            self.ticker.stopping.wait(LOOK_EVERY_S)
-            return not self.ticker.stopping.is_set()
+            self.stopping.wait(LOOK_EVERY_S)
+            return not self.stopping.is_set()
         begin_s = time.monotonic()
         try:
             background.begin(session.so_far())
@@ -84,10 +84,10 @@ class RunningDiagnosis:
             if refreshed is not None:
                 session.take(refreshed)
                 log.info("running diagnosis", extra={"took_s": round(time.monotonic() - begin_s, 1)})
-            elif self.ticker.stopping.is_set() or session.is_left:
+            elif self.stopping.is_set() or session.is_left:
                 return False
             elif background.is_busy:
-                self.ticker.stopping.wait(LOOK_EVERY_S)
+                self.stopping.wait(LOOK_EVERY_S)
         if background.trouble is not None:
             log.warning("running diagnosis failed", extra={"fault": background.trouble})
         return True

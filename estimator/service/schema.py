@@ -26,7 +26,7 @@ class Base(DeclarativeBase):
 
 
 class Made(Base):
-    """A row that somebody has made."""
+    """A row that belongs to a user."""
 
     __abstract__ = True
 
@@ -116,7 +116,7 @@ class CalibrationRow(Made):
 
 
 class Webhook(Made):
-    """An address that is told of what happens, with the secret that signs what it is told."""
+    """An address that gets messages, with the secret that signs them."""
 
     __tablename__ = "webhooks"
 

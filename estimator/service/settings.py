@@ -32,7 +32,7 @@ class Settings:
         allowed_hosts: Names under which the service is reached, beside its address; a request for another one is refused.
         proxies: Addresses or networks of proxies whose X-Forwarded-For and X-Forwarded-Proto are believed; with one, tokens are needed.
         webhook_networks: Networks that are not public and that webhooks may reach all the same.
-        alert_command: Command that hears of each drift, rejection or calibration that did not converge; JSON on its standard input.
+        alert_command: Command that runs for each drift, rejection or calibration that did not converge; JSON on its standard input.
         tls_certificate: PEM file of a certificate; with `tls_key` the service speaks HTTPS.
         tls_key: PEM file of its key.
         most_queued: Jobs that may wait, of all users together.

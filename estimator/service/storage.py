@@ -18,7 +18,7 @@ from estimator.errors import reason
 from estimator.service.problems import Problem
 
 NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-# May end without anybody's help (files that are open, memory), or be mended by whoever runs the computer.
+# May end by itself (files that are open, memory), or be repaired by the administrator.
 NO_ACCESS = frozenset(
     {errno.EROFS, errno.EIO, errno.EACCES, errno.EPERM, errno.EMFILE, errno.ENFILE, errno.ENOMEM}
 )

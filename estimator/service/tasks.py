@@ -1,131 +1,201 @@
-"""The three kinds of job that build on several calibrations or prepare the next: recalibration, batch, design.
+"""The five kinds of job, and where each leaves what it has found.
 
-Each may be done again after a kill: the registry, the folder of a batch and the result of a design are their own state.
+Each may be done again after a kill: the chain of a calibration, the fits of a diagnosis or a batch, and a registry are their own state.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from estimator.recalibration.registry import Entry
-from estimator.rig.rig import Rig
+from estimator.errors import CorruptStore
+from estimator.json_files import read_json
 from estimator.service.alerts import ALERTS, leave_alert
+from estimator.service.assigned_job import AssignedJob
 from estimator.store.files import write_text
 
-CALIBRATION, REPORT = "calibration", "report.html"
+if TYPE_CHECKING:
+    from estimator.calibration.calibrate import Stage
+    from estimator.recalibration.log import Entry
+
+CALIBRATION, DIAGNOSIS, REPORT = "calibration", "diagnosis", "report.html"
+PANELS = f"{DIAGNOSIS}/panels.json"
 CONCLUSION, BATCH, DESIGN = "conclusion.json", "batch.json", "design.json"
 INBOX, FITS, RIG = "inbox", "fits", "rig.yaml"
 LOOK_EVERY_S = 1.0
 
-Tell = Callable[[str, Mapping[str, Any]], None]
 
+def calibrate_job(job: AssignedJob) -> dict[str, Any]:
+    """Point estimate, posterior, model and page of a session."""
+    from estimator.calibration.calibrate import calibrate
+    from estimator.calibration.report import calibration_report
+    from estimator.calibration.result import Calibration
 
-def recalibrate_job(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Tell) -> dict[str, Any]:
-    """Judge a session against the current version of its rig's registry; a version that is made is the job's calibration too."""
-    from estimator.inference.ensemble import SamplerSettings
-    from estimator.recalibration.alerts import calls_for_action
-    from estimator.recalibration.recalibrate import recalibrate
-    from estimator.recalibration.registry import HISTORY, Registry, RegistryBusy
-    from estimator.store.session import load_session
-
-    session, options, registry = load_session(session_path), job["options"], Registry(job["registry"])
-    rig = rig_of(job) or session.rig
-    inbox = folder / INBOX
-    inbox.mkdir(exist_ok=True)
-    arrived = inbox / session_path.name
-    if not arrived.is_symlink():
-        arrived.symlink_to(session_path)
-
-    def alert(entry: Entry) -> None:
-        if job["has_alerts"] and calls_for_action(entry):
-            leave_alert(folder.parent.parent / ALERTS, rig.name, entry)
-
-    tell("judging the session", {})
-    while True:
-        try:
-            recalibrate(
-                rig,
-                inbox,
-                registry.folder,
-                seed=options["seed"],
-                settings=SamplerSettings(**options["settings"]),
-                on_entry=alert,
-            )
-            break
-        except RegistryBusy:
-            tell("waiting for another recalibration of this rig", {})
-            time.sleep(LOOK_EVERY_S)
-    entry = next(entry for entry in reversed(registry.entries()) if entry.hash == session.hash)
-    content = {**asdict(entry), "session": session_path.stem}
-    write_text(folder / CONCLUSION, json.dumps(content, indent=2, allow_nan=False) + "\n")
-    page = (registry.folder / HISTORY).read_text(encoding="utf-8")
-    write_text(folder / REPORT, page.replace(str(registry.folder), f"registry of {rig.name}"))
-    if entry.made is not None:
-        registry.calibration(entry.made).save(folder / CALIBRATION)
+    out = job.folder / CALIBRATION
+    if _is_converged(out):  # a kill came between the posterior and the page
+        calibration = Calibration.load(out)
+    else:
+        calibration = calibrate(
+            job.session(),
+            job.rig,
+            out=out,
+            on_stage=lambda stage: job.tell(stage.name, _numbers_of(stage)),
+            **job.arguments,
+        )
+    job.tell("page", {})
+    write_text(out / REPORT, calibration_report(calibration, job.command("calibrate")))
+    summary = calibration.summary()
     return {
-        "conclusion": entry.conclusion,
-        "has_calibration": entry.made is not None,
-        "rig_name": rig.name,
+        "is_converged": summary["is_converged"],
+        "verdict": summary["quality"]["verdict"],
+        "has_calibration": True,
+        "rig_name": calibration.rig.name,
     }
 
 
-def batch_job(job: Mapping[str, Any], folder: Path, _: Path, tell: Tell) -> dict[str, Any]:
+def diagnose_job(job: AssignedJob) -> dict[str, Any]:
+    """What the model of a session gets wrong, named, and the rig extended by it."""
+    from estimator.diagnosis.diagnose import diagnose
+    from estimator.diagnosis.limits import Limits
+    from estimator.diagnosis.panels import panels, panels_text
+    from estimator.diagnosis.report import write_reports
+    from estimator.diagnosis.result import DIAGNOSIS as DIAGNOSIS_FILE
+
+    out = job.folder / DIAGNOSIS
+    # A kill came before the page, which needs fits that are no longer remembered.
+    if (out / DIAGNOSIS_FILE).exists():
+        shutil.rmtree(out)
+    given = {name: value for name, value in job.arguments.items() if value is not None}
+    limits = Limits(**{name: given.pop(name) for name in ("most_causes", "minutes") if name in given})
+    diagnosis = diagnose(
+        job.session(),
+        job.rig,
+        out=out,
+        limits=limits,
+        on_stage=lambda words: job.tell(words, {}),
+        on_progress=lambda at: job.tell(at.what, {"n_fitted": at.n_fitted, "most": at.most}),
+        **given,
+    )
+    job.tell("page", {})
+    write_text(job.folder / PANELS, panels_text(panels(diagnosis)))
+    write_reports(diagnosis, out, job.command("diagnose"))
+    return {
+        "verdict": str(diagnosis.verdict),
+        "has_calibration": diagnosis.posterior is not None,
+        "rig_name": diagnosis.extended_rig.name,
+    }
+
+
+def recalibrate_job(job: AssignedJob) -> dict[str, Any]:
+    """Judge a session against the current version of its rig's registry; a version that is made is the job's calibration too."""
+    from estimator.recalibration.alerts import calls_for_action
+    from estimator.recalibration.recalibrate import recalibrate
+    from estimator.recalibration.registry import HISTORY, Registry, RegistryBusy
+
+    session, registry, inbox = job.session(), Registry(job.content["registry"]), job.folder / INBOX
+    rig = job.rig or session.rig
+    inbox.mkdir(exist_ok=True)
+    arrived = inbox / job.session_path.name
+    if not arrived.is_symlink():
+        arrived.symlink_to(job.session_path)
+
+    def alert(entry: Entry) -> None:
+        if job.content["has_alerts"] and calls_for_action(entry):
+            leave_alert(job.folder.parent.parent / ALERTS, rig.name, entry)
+
+    job.tell("judging the session", {})
+    while True:
+        try:
+            recalibrate(rig, inbox, registry.folder, on_entry=alert, **job.arguments)
+            break
+        except RegistryBusy:
+            job.tell("waiting for another recalibration of this rig", {})
+            time.sleep(LOOK_EVERY_S)
+    entry = next(entry for entry in reversed(registry.entries()) if entry.hash == session.hash)
+    job.write(CONCLUSION, {**asdict(entry), "session": job.session_path.stem})
+    page = (registry.folder / HISTORY).read_text(encoding="utf-8")
+    write_text(job.folder / REPORT, page.replace(str(registry.folder), f"registry of {rig.name}"))
+    if entry.made is not None:
+        registry.calibration(entry.made).save(job.folder / CALIBRATION)
+    return {"conclusion": entry.conclusion, "has_calibration": entry.made is not None, "rig_name": rig.name}
+
+
+def batch_job(job: AssignedJob) -> dict[str, Any]:
     """Fit many sessions under several hypotheses, stacked on the batch axis, in this process."""
     from estimator.batching import batch
     from estimator.batching.page import overview
-    from estimator.inference.ensemble import SamplerSettings
 
-    options = job["options"]
-    if job["rig"] is not None:
-        write_text(folder / RIG, job["rig"])
+    out, rig = job.folder / FITS, job.folder / RIG
+    if job.content["rig"] is not None:
+        write_text(rig, job.content["rig"])
     result = batch(
-        job["sessions"],
-        out=folder / FITS,
-        rig=None if job["rig"] is None else folder / RIG,
-        hypotheses=options["hypotheses"],
-        is_each_coil=options["is_each_coil"],
-        has_posterior=options["has_posterior"],
-        as_described=options.get("as_described", False),
-        seed=options["seed"],
-        settings=SamplerSettings(**options["settings"]),
+        job.content["sessions"],
+        out=out,
+        rig=None if job.content["rig"] is None else rig,
         workers=0,
-        tell=lambda done, total, words: tell(words, {"done": done, "total": total}),
+        tell=lambda done, total, words: job.tell(words, {"done": done, "total": total}),
+        **job.arguments,
     )
     table = json.loads(result.table().to_json(orient="records", double_precision=15))
     fits = [{**fit, "session": Path(fit["session"]).stem} for fit in table]
     failed = {Path(what).stem: why for what, why in result.failed.items()}
-    write_text(folder / BATCH, json.dumps({"fits": fits, "failed": failed}, indent=2, allow_nan=False) + "\n")
-    page = overview(result, command_of(job, "batch"))
-    write_text(folder / REPORT, page.replace(str(folder / FITS), f"job {job['id']}"))
+    job.write(BATCH, {"fits": fits, "failed": failed})
+    page = overview(result, job.command("batch"))
+    write_text(job.folder / REPORT, page.replace(str(out), f"job {job.content['id']}"))
     return {"n_fits": len(fits), "n_failed": len(failed)}
 
 
-def design_job(job: Mapping[str, Any], folder: Path, session_path: Path, tell: Tell) -> dict[str, Any]:
+def design_job(job: AssignedJob) -> dict[str, Any]:
     """Propose the next readings, with a plan for `coilcal acquire`."""
     from estimator.diagnosis.next_readings.design import design
-    from estimator.store.session import load_session
 
-    tell("choosing the next readings", {})
-    proposal = design(load_session(session_path), rig=rig_of(job), **job["options"])
-    write_text(folder / DESIGN, json.dumps(proposal.to_json(), indent=2, allow_nan=False) + "\n")
+    job.tell("choosing the next readings", {})
+    proposal = design(job.session(), rig=job.rig, **job.arguments)
+    job.write(DESIGN, proposal.to_json())
     return {"goal": proposal.goal}
 
 
-def rig_of(job: Mapping[str, Any]) -> Rig | None:
-    """The rig that a job was given; None for that of its session."""
-    from estimator.rig_files.read import rig_from_text
+@dataclass(frozen=True)
+class Task:
+    """A kind of job.
 
-    return None if job["rig"] is None else rig_from_text(job["rig"], "rig of the job")
+    Attributes:
+        work: What a worker does; it may be done again after a kill.
+        result: JSON file with what was found, in the folder of the job.
+        report: Page; None where there is none.
+        calibration: Folder of the calibration, where one was made.
+    """
+
+    work: Callable[[AssignedJob], dict[str, Any]]
+    result: str
+    report: str | None = REPORT
+    calibration: str = CALIBRATION
 
 
-def command_of(job: Mapping[str, Any], name: str) -> str:
-    """The command that would do the same, for the page."""
-    options = job["options"]
-    flags = " --as-described" if options.get("as_described") else ""
-    flags += "" if options.get("has_corrections", True) else " --no-corrections"
-    return f"coilcal {name} SESSION --seed {options['seed']}{flags}   (job {job['id']} of coilcal serve)"
+TASKS: Mapping[str, Task] = {
+    "calibrate": Task(calibrate_job, f"{CALIBRATION}/summary.json", f"{CALIBRATION}/{REPORT}"),
+    "diagnose": Task(
+        diagnose_job, f"{DIAGNOSIS}/diagnosis.json", f"{DIAGNOSIS}/{REPORT}", f"{DIAGNOSIS}/{CALIBRATION}"
+    ),
+    "recalibrate": Task(recalibrate_job, CONCLUSION),
+    "batch": Task(batch_job, BATCH),
+    "design": Task(design_job, DESIGN, None),
+}
+
+
+def _numbers_of(stage: Stage) -> dict[str, Any]:
+    """How far sampling is; nothing in other stages."""
+    names = ("step", "smallest_ess", "target_ess", "largest_rhat")
+    return {} if stage.sampling is None else {name: getattr(stage.sampling, name) for name in names}
+
+
+def _is_converged(out: Path) -> bool:
+    from estimator.calibration.files import SUMMARY_FILE
+
+    summary = out / SUMMARY_FILE
+    return summary.exists() and bool(read_json(summary, fault=CorruptStore)["is_converged"])

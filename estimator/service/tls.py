@@ -1,7 +1,7 @@
 """TLS below HTTP: a handshake that does not come holds the place of a connection no longer than a request that does not come.
 
-uvicorn leaves the handshake to asyncio, which waits for it for a minute and tells nobody of the connection before it is over, so that
-clients who say nothing would hold all files that the process may open.
+uvicorn leaves the handshake to asyncio, which waits for it for a minute and does not report the connection before it is over, so that
+silent clients would hold all files that the process may open.
 """
 
 from __future__ import annotations

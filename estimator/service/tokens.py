@@ -40,7 +40,7 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Caller:
-    """Who makes a request."""
+    """The caller of a request."""
 
     user: str
     scope: Scope
@@ -99,13 +99,13 @@ def all_tokens(database: Database) -> list[Token]:
 
 
 def caller_of(database: Database, secret: str) -> Caller | None:
-    """Who a token belongs to; None if it is wrong, expired or revoked."""
+    """The caller that a token belongs to; None if it is wrong, expired or revoked."""
     with database.reading() as db:
         return caller_of_row(db.scalar(select(Token).where(Token.hash == _hash(secret))))
 
 
 def caller_of_row(row: Token | None) -> Caller | None:
-    """Who a token belongs to; None if there is none, or it has expired or is revoked."""
+    """The caller that a token belongs to; None if there is none, or it has expired or is revoked."""
     if row is None or row.revoked is not None or row.expires <= now():
         return None
     return Caller(row.user, Scope(row.scope), row.id)

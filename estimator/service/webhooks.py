@@ -1,4 +1,4 @@
-"""What webhooks are told, and who tells them: every message until it is taken, or until it was tried long enough.
+"""Messages to webhooks: each is sent until it is accepted, or until it was tried long enough.
 
 Messages are rows, written in the transaction of what they tell of. A kill between an answer and its row sends a message again, under the
 same id.
@@ -29,7 +29,7 @@ JOB_ENDED, TEST = "job.ended", "test"
 # Seconds before each further attempt; a weekend with the receiver off is survived by few more.
 PAUSES_S = (5, 60, 600, 3600, 6 * 3600, 24 * 3600)
 KEPT_DAYS = 90  # of what was delivered or has failed
-LOOK_EVERY_S, TIDY_EVERY_S = 1.0, 3600.0
+LOOK_EVERY_S, REMOVE_EVERY_S = 1.0, 3600.0
 MOST_LATE_S = 5.0  # between the end of a receiver's time and the row that tells of it
 log = logging.getLogger("coilcal.service")
 
@@ -54,8 +54,8 @@ def message(webhook_id: str, event: str, body: str) -> Delivery:
     return row
 
 
-class Courier:
-    """Delivers messages.
+class Deliveries:
+    """Sends the messages that are due.
 
     Args:
         database: Where they are kept.
@@ -64,15 +64,15 @@ class Courier:
 
     def __init__(self, database: Database, settings: Settings) -> None:
         self._database, self._settings = database, settings
-        self._tidied_s = -math.inf
+        self._removed_s = -math.inf
         self._at_work: dict[str, threading.Thread] = {}  # by webhook
 
     def tick(self) -> None:
-        """Begin to deliver what is due, and tidy now and then."""
+        """Begin to send what is due, and delete old messages once an hour."""
         self.begin_due()
-        if time.monotonic() - self._tidied_s >= TIDY_EVERY_S:
-            self.tidy()
-            self._tidied_s = time.monotonic()
+        if time.monotonic() - self._removed_s >= REMOVE_EVERY_S:
+            self.remove_old()
+            self._removed_s = time.monotonic()
 
     def begin_due(self) -> list[threading.Thread]:
         """Try the oldest message of each webhook that is due, in a thread for each; a receiver that is slow holds up its own messages only.
@@ -99,8 +99,8 @@ class Courier:
         for thread in self._at_work.values():
             thread.join(max(0.0, end_s - time.monotonic()))
 
-    def tidy(self) -> None:
-        """Forget what ended long ago."""
+    def remove_old(self) -> None:
+        """Delete messages that ended long ago."""
         before = (datetime.now(UTC) - timedelta(days=KEPT_DAYS)).isoformat(timespec="milliseconds")
         with self._database.writing() as db:
             db.execute(delete(Delivery).where(Delivery.state != WAITING, Delivery.created < before))

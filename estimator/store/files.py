@@ -1,7 +1,7 @@
 """Files that are whole or as before, even if the computer stops while one is written.
 
-What is unfinished stands beside its place under a name that nobody can guess and that did not exist before, so that nothing of anybody
-else is opened, followed or replaced on the way.
+An unfinished file stands beside its place under a random name that did not exist before, so that no other file is opened, followed or
+replaced on the way.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from types import TracebackType
 from typing import Any, TypeAlias
 
 from estimator.errors import CorruptStore, InvalidInput
@@ -113,7 +112,7 @@ class Journal:
     def append_all(self, entries: Sequence[Mapping[str, Any]]) -> None:
         """Write entries and wait once; when this returns, all are on disk.
 
-        They are not kept in `entries`, so that whoever writes for hours needs no more memory with time. A crash leaves the first ones of
+        They are not kept in `entries`, so that memory does not grow in a session of hours. A crash leaves the first ones of
         them, or none.
 
         Raises:
@@ -131,9 +130,7 @@ class Journal:
     def __enter__(self) -> Journal:
         return self
 
-    def __exit__(
-        self, exc_type: type[BaseException] | None, exc: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def _write(self, entries: Sequence[Mapping[str, Any]]) -> None:

@@ -6,11 +6,8 @@ values. The rig's YAML and its values are stored too, so a session is self-conta
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import shutil
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -23,17 +20,18 @@ import numpy as np
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
 from estimator.glance import Glance, Shown
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Body, Mover, Rig
+from estimator.rig.bodies import Body, Mover
+from estimator.rig.rig import Rig
 from estimator.rig_files.devices import without_devices
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.rig_files.write import rig_text
 from estimator.store.admission import admit, admit_readings
+from estimator.store.arrays import ARRAYS, digest, observation_arrays, observations_from, quiet_zarr
 from estimator.store.files import sync, unwritable
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import read_journal, unwritten
 from estimator.store.made import END, GROUP, JOURNAL, Made, arrays_of, has_journal, holds
 from estimator.store.staging import scratch_folder, staged
-from estimator.tensors import torch
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
@@ -212,7 +210,7 @@ def load_session(path: Path | str) -> Session:
             f"session must be a folder that coilcal import, simulate or acquire wrote; received {path}"
         )
     admit(path, "session")
-    try:
+    with _readable(path):
         group = zarr.open_group(path, mode="r", zarr_format=3)
         attributes: dict[str, Any] = dict(group.attrs.asdict())
         _check_kind(attributes, path)
@@ -229,12 +227,6 @@ def load_session(path: Path | str) -> Session:
         admit_readings(readings, stored.rig, str(path))
         observations = observations_from(readings, stored.rig)
         provenance = _provenance(attributes, path)
-    except CoilcalError:
-        raise
-    except Exception as error:  # damaged bytes raise errors of nearly any type in zarr, JSON and NumPy
-        raise CorruptStore(
-            f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
-        ) from error
     return Session(stored.rig, observations, *provenance, stored_rig=stored)
 
 
@@ -285,22 +277,25 @@ def _from_journal(path: Path) -> Session:
     header, entries = read_journal(path)
     if header.get("kind") != GROWING or header.get("schema_version") != SCHEMA_VERSION:
         raise CorruptStore(f"session must be of kind {GROWING!r}, version {SCHEMA_VERSION}; {path} is not")
-    try:
+    with _readable(path):  # lines may have their checksums, but another shape
         stored = StoredRig.of(header["rig"], f"rig inside {path}")
         observations = observations_of(entries, stored.rig)
-        admit_readings(
-            {name: data for name, (_, data) in observation_arrays(observations).items()},
-            stored.rig,
-            str(path),
-        )
+        arrays = observation_arrays(observations)
+        admit_readings({name: data for name, (_, data) in arrays.items()}, stored.rig, str(path))
         provenance = _provenance(header, path)
+    return Session(stored.rig, observations, *provenance, stored_rig=stored)
+
+
+@contextmanager
+def _readable(path: Path) -> Iterator[None]:
+    """Explain what damaged bytes raise: errors of nearly any type in zarr, JSON and NumPy."""
+    try:
+        yield
     except CoilcalError:
         raise
-    except Exception as error:  # lines with their checksums, but of another shape
-        raise CorruptStore(
-            f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
-        ) from error
-    return Session(stored.rig, observations, *provenance, stored_rig=stored)
+    except Exception as error:
+        words = f"session must be readable; {path} is damaged: {type(error).__name__} {error}"
+        raise CorruptStore(words) from error
 
 
 def is_session(path: Path) -> bool:
@@ -308,15 +303,12 @@ def is_session(path: Path) -> bool:
     return is_growing(path) or holds(path / GROUP, KIND)
 
 
-def _is_own(folder: Path) -> bool:
-    return has_journal(folder) or holds(folder / GROUP, KIND)
-
-
-ARRAYS = (
-    "time_s|sensor_index|current_A|field_sensor_T|is_validation|repeat|current_measured_A|segment|line"
-    "|motion_[^/]+|temperature_[^/]+_C"
-)  # of `observation_arrays`, and the lines of a file
-SESSION = Made("a session", rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json|{END}", (GROUP, JOURNAL), _is_own)
+SESSION = Made(
+    "a session",
+    rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json|{END}",
+    (GROUP, JOURNAL),
+    lambda folder: has_journal(folder) or holds(folder / GROUP, KIND),
+)
 
 
 def _described(body: Body | Mover) -> str:
@@ -342,64 +334,3 @@ def _provenance(attributes: Mapping[str, Any], path: Path) -> tuple[str, str, Ma
     if not all(isinstance(value, int | float) and math.isfinite(value) for value in truth.values()):
         raise CorruptStore(f"session must tell its truth in finite numbers; {path} does not")
     return source, created, truth
-
-
-def observation_arrays(o: Observations) -> dict[str, tuple[tuple[str, ...], np.ndarray]]:
-    """Readings as named arrays with their dimensions, as they are stored."""
-    arrays = {
-        "time_s": (("reading",), o.time_s.numpy()),
-        "sensor_index": (("reading",), o.sensor.numpy()),
-        "current_A": (("reading", "coil"), o.current_A.numpy()),
-        "field_sensor_T": (("reading", "component"), o.field_sensor_T.numpy()),
-        "is_validation": (("reading",), o.is_validation.numpy()),
-        "repeat": (("reading",), o.repeat.numpy()),
-    }
-    arrays |= {f"motion_{name}": (("reading", "axis"), motion.numpy()) for name, motion in o.motion.items()}
-    arrays |= {f"temperature_{name}_C": (("reading",), t.numpy()) for name, t in o.temperature_C.items()}
-    if o.current_measured_A is not None:
-        arrays["current_measured_A"] = ("reading", "coil"), o.current_measured_A.numpy()
-    if o.recorded_segment is not None:
-        arrays["segment"] = ("reading",), o.recorded_segment.numpy()
-    return arrays
-
-
-def observations_from(stored: Mapping[str, np.ndarray], rig: Rig) -> Observations:
-    """Readings from the arrays of `observation_arrays`."""
-    tensors = {name: torch.from_numpy(np.array(data)) for name, data in stored.items()}
-    return Observations(
-        tensors["time_s"],
-        tensors["sensor_index"],
-        tensors["current_A"],
-        {mover.name: tensors[f"motion_{mover.name}"] for mover in rig.movers},
-        tensors["field_sensor_T"],
-        tensors["is_validation"],
-        tensors["repeat"],
-        {
-            name.removeprefix("temperature_").removesuffix("_C"): data
-            for name, data in tensors.items()
-            if name.startswith("temperature_")
-        },
-        current_measured_A=tensors.get("current_measured_A"),
-        recorded_segment=tensors.get("segment"),
-        line=tensors.get("line"),
-    )
-
-
-def digest(arrays: Mapping[str, tuple[tuple[str, ...], np.ndarray]], attributes: Mapping[str, Any]) -> str:
-    """SHA-256 over named arrays with their dimensions, and over JSON attributes."""
-    result = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
-    for name in sorted(arrays):
-        dimensions, data = arrays[name]
-        result.update(f"{name} {dimensions} {data.dtype.str} {data.shape}".encode())
-        result.update(np.ascontiguousarray(data).reshape(-1).view(np.uint8).data)
-    return result.hexdigest()
-
-
-@contextmanager
-def quiet_zarr() -> Iterator[None]:
-    """Silence zarr's warnings about unknown files: users may add notes, and missing chunks are detected by the SHA-256."""
-    from zarr.errors import ZarrUserWarning
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ZarrUserWarning)
-        yield

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.store.session import digest, quiet_zarr
+from estimator.store.arrays import digest, quiet_zarr
 
 
 @dataclass(frozen=True)

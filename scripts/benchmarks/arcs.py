@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from estimator.field.sided import SidedWinding, distance_to_sided, sided_field_per_ampere
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.units import MU0_T_M_PER_A
 
 OURS_OVER_MAGPYLIB = MU0_T_M_PER_A / (4e-7 * np.pi)  # it keeps the mu0 of before 2019

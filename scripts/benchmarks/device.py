@@ -19,7 +19,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 from estimator import draw_truth, load_plan, load_rig, simulate
 from estimator.batching.stacked import stacked_fits
 from estimator.benchmarks.machine import processor
-from estimator.field.winding import Rule, Winding, winding_field_per_ampere
+from estimator.field.winding import Winding, winding_field_per_ampere
+from estimator.field.winding_shape import Rule
 from estimator.inference.positive_definite import inverse
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"

@@ -25,13 +25,8 @@ from estimator.benchmarks.fields import (
     winding_of,
 )
 from estimator.field.loop import loop_field
-from estimator.field.winding import (
-    DEFAULT_TOLERANCE,
-    Winding,
-    choose_rule,
-    exact_rule,
-    winding_field_per_ampere,
-)
+from estimator.field.winding import Winding, exact_rule, winding_field_per_ampere
+from estimator.field.winding_shape import DEFAULT_TOLERANCE, choose_rule
 from estimator.units import MU0_T_M_PER_A
 
 ALL_DIGITS = 1e-13  # tolerance of a rule that is as exact as the full sum

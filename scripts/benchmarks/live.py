@@ -33,7 +33,7 @@ from estimator.inference.levenberg_marquardt import (
 )
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.positive_definite import inverse
-from estimator.live.spare import SpareTime
+from estimator.live.processor_share import ProcessorShare
 from estimator.live.stream import Stream
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates
@@ -150,7 +150,7 @@ def follow(session: Path, n_readings: int, begin: Callable[[], None]) -> Run:
         time.sleep(POLL_S)
     follower = Follower(session)
     rig = follower.rig
-    stream, spare = Stream(rig), SpareTime()
+    stream, share = Stream(rig), ProcessorShare()
     n_read = 0
     while n_read < n_readings - N_TIMED:
         if entries := follower.entries():
@@ -165,7 +165,7 @@ def follow(session: Path, n_readings: int, begin: Callable[[], None]) -> Run:
         before_s = time.process_time()
         entries = follower.entries()
         if not entries:
-            if stream.can_polish and spare.is_left():
+            if stream.can_polish and share.is_left():
                 stream.polish()
             else:
                 time.sleep(POLL_S)

@@ -16,7 +16,7 @@ import torch
 from jax.scipy.spatial.transform import Rotation
 from numpyro.infer import MCMC, NUTS
 
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.inference.convergence import Convergence, convergence
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations

@@ -23,7 +23,8 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import perfect_readings, simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
-from estimator.rig.rig import Cause, MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 
 NOISE_T = 20e-6

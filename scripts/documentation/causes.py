@@ -63,6 +63,7 @@ BOOKKEEPING = (
     "beyond_the_moment",
 )
 DECLARATION = re.compile(r"\A@.*?^(?=def )", re.DOTALL | re.MULTILINE)  # what stands before a function
+DOCSTRING = re.compile(r'^ +""".*?"""\n', re.DOTALL | re.MULTILINE)  # which the page says elsewhere
 LARGE_T = 1e-3  # a field from which on it is told in millitesla
 HIDDEN_SHARE = 0.2  # of the noise, below which nothing of a cause is left
 
@@ -159,7 +160,7 @@ def in_words(field_T: float) -> str:
 def formula(effect: Effect) -> str:
     """The functions of its stage, as the declaration has them; those of what is there meanwhile, for a part of a session."""
     own = [
-        DECLARATION.sub("", textwrap.dedent(inspect.getsource(method))).rstrip()
+        DOCSTRING.sub("", DECLARATION.sub("", textwrap.dedent(inspect.getsource(method))), count=1).rstrip()
         for name, method in vars(type(effect.base if isinstance(effect, During) else effect)).items()
         if inspect.isfunction(method) and not name.startswith("_") and name not in BOOKKEEPING
     ]

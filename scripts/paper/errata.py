@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from estimator import load_plan, load_rig
 from estimator.field.literal import literal_field_per_ampere
 from estimator.field.loop import loop_field
-from estimator.field.winding import Winding, choose_rule, winding_field_per_ampere
+from estimator.field.winding import Winding, winding_field_per_ampere
+from estimator.field.winding_shape import choose_rule
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.plan import observations_of
 from estimator.rig.coordinates import Coordinates

@@ -14,7 +14,8 @@ from scipy.optimize import OptimizeResult, minimize
 from scipy.spatial.transform import Rotation
 
 from estimator.field.literal import literal_field_per_ampere
-from estimator.field.winding import Rule, Winding, exact_rule, winding_field_per_ampere
+from estimator.field.winding import Winding, exact_rule, winding_field_per_ampere
+from estimator.field.winding_shape import Rule
 from scripts.paper import printed
 
 RULE = Rule(10, 5, 8)  # within 1e-5 of the sum over all loops at the grids of the paper

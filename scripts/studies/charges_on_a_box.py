@@ -14,7 +14,7 @@ import magpylib
 import numpy as np
 import torch
 
-from estimator.model.unwound import unwound_field_per_ampere
+from estimator.model.coil_field import unwound_field
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import map_observations
 from estimator.store.importers.grid_maps import read_grid_maps
@@ -99,9 +99,8 @@ def maps() -> tuple[Session, np.ndarray, list[str]]:
 
 def session_at(rig: Rig, places_m: torch.Tensor) -> Session:
     """Readings of nothing, for their places."""
-    index = torch.arange(len(places_m))
     pose = torch.cat((places_m, torch.zeros_like(places_m)), 1)
-    observations = map_observations(rig, index.double(), 0 * index, [1.0], pose, torch.ones_like(places_m))
+    observations = map_observations(rig, [1.0], pose, torch.ones_like(places_m))
     return Session(rig, observations, "magnets")
 
 
@@ -112,7 +111,7 @@ def columns(rig: Rig, places_m: torch.Tensor) -> np.ndarray:
     sd = torch.tensor([prior.sd for name in names if (prior := rig.parameters[name].prior)]).double()
     values = dict(zip(names, torch.diag(sd), strict=True))
     values |= {p.name: torch.tensor(p.value).double() for p in rig.parameters.values() if p.unit == "m"}
-    return unwound_field_per_ampere(coil, places_m, values).permute(1, 2, 0).numpy().copy()
+    return unwound_field(coil, values).by(None)(places_m).permute(1, 2, 0).numpy().copy()
 
 
 def judge(design: np.ndarray, fields_T: np.ndarray, fold: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,7 @@ import torch
 
 from estimator import SamplerSettings, Session, System, calibrate
 from estimator.calibration.result import Calibration
-from estimator.model.unwound import unwound_field_per_ampere
+from estimator.model.coil_field import unwound_field
 from estimator.readings.split import pose_blocks
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -222,7 +222,7 @@ def print_floor(rig: Rig, name: str, whole: Session, settings: SamplerSettings, 
     session = within(whole, np.inf, own, [c.name for c in rig.coils].index(name))
     points_m = session.observations.motion["stage"][:, :3]
     measured_T = session.observations.field_sensor_T
-    design = unwound_field_per_ampere(coil, points_m, each).flatten(1).T
+    design = unwound_field(coil, each).by(None)(points_m).flatten(1).T
     column_T = measured_T.reshape(-1, 1)
     amplitudes = torch.linalg.lstsq(design, column_T, rcond=LEAST_SINGULAR, driver="gelsd").solution
     prior = own.parameters[names[0]].prior

@@ -25,8 +25,16 @@ from estimator.effects import EFFECTS
 from scripts.studies.hidden_cases import Row, label, options_of, read, rows_of, session_of
 from tests.hidden.study import draw_case, is_relative, is_same
 
-# How often sessions of each kind are supposed to come: real rigs have something unlisted beside one or two listed flaws, or two of these.
-WORLD = {"mixed": 1.0, "single": 0.5, "pair": 0.5, "unknown8": 0.05, "unknown12": 0.05, "unknown30": 0.05}
+# How often sessions of each kind are supposed to come: with one or two listed flaws, and beside them nothing unlisted, one thing, or two.
+WORLD = {
+    "single": 0.5,
+    "pair": 0.5,
+    "mixed": 1.0,
+    "mixed_two": 0.5,
+    "unknown8": 0.05,
+    "unknown12": 0.05,
+    "unknown30": 0.05,
+}
 SURE = 0.9  # probability of a set from which it is counted
 N_FOLDS = 10
 STRENGTH = 0.01  # of the pull of the weights towards 0

@@ -18,9 +18,10 @@ import numpy as np
 import torch
 
 from estimator.calibration.multipole_places import Found, PlaceSearch
-from estimator.model.unwound import unwound_field_per_ampere
+from estimator.model.coil_field import unwound_field
+from estimator.rig.bodies import EquivalentSourceCoil
 from estimator.rig.charged_box import Triple
-from estimator.rig.rig import EquivalentSourceCoil, Rig
+from estimator.rig.rig import Rig
 from scripts.studies.charges_on_a_box import (
     NOISE_T,
     RMS_T,
@@ -226,7 +227,7 @@ def by_multipole(coil: EquivalentSourceCoil, place_m: Triple, places_m: torch.Te
     alone = replace(coil, spacing_m=1.0, multipoles_m=(place_m,))
     (names,) = alone.amplitudes.values()
     own = torch.eye(len(names), dtype=torch.float64)[alone.n_charges :] * SD_T
-    field_T = unwound_field_per_ampere(alone, places_m, dict(zip(names, own.T, strict=True)))
+    field_T = unwound_field(alone, dict(zip(names, own.T, strict=True))).by(None)(places_m)
     return field_T.permute(1, 2, 0).numpy()
 
 

@@ -17,7 +17,7 @@ import torch
 
 from estimator import Registry, load_rig, recalibrate
 from estimator.readings.split import thinned
-from estimator.recalibration.registry import Entry
+from estimator.recalibration.log import Entry
 from estimator.store.importers import IMPORTERS
 
 RIG = Path(__file__).resolve().parents[2] / "configs/mice_ssu_m1.yaml"

@@ -23,7 +23,7 @@ from estimator.rig_files.read import load_rig
 from estimator.rig_files.ur_kinematics import _links
 from estimator.service.settings import load_settings
 from estimator.store.importers import IMPORTERS
-from estimator.store.importers.readings_csv import readings_and_faults
+from estimator.store.importers.forms.understand import understood
 
 
 def pipe(path: Path) -> Path:
@@ -85,8 +85,8 @@ def test_what_is_no_file_is_refused_at_once(
 
 
 def test_check_and_show_name_it_too(tmp_path: Path, small_rig: Rig) -> None:
-    (fault,) = readings_and_faults(pipe(tmp_path / "readings.csv"), small_rig).faults
-    assert "it is a named pipe" in str(fault)
+    with pytest.raises(InvalidInput, match="it is a named pipe"):
+        understood(pipe(tmp_path / "readings.csv"), small_rig)
     with pytest.raises(InvalidInput):
         contents_of(tmp_path / "readings.csv")
 

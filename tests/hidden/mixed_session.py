@@ -1,4 +1,4 @@
-"""Mixed sessions: one or two causes of coilcal's list, and beside them one that no list holds.
+"""Mixed sessions: one or two causes of coilcal's list, and beside them one or two that no list holds.
 
 Each has a visible size of its own, as if it were alone. A session counts only where each is as visible beside the others, where
 none of the listed ones does what another does, and where they do not explain the unlisted one away.
@@ -59,25 +59,26 @@ class Mixture:
     is_pose: bool
     has_several: bool
     listed_sigma: tuple[float, ...]
-    unlisted_sigma: float
+    unlisted_sigma: tuple[float, ...]
 
 
-def draw_mixture(rng: np.random.Generator) -> Mixture:
+def draw_mixture(rng: np.random.Generator, n_unlisted: int = 1) -> Mixture:
     """Shares of `POSE_SHARE`, `SEVERAL_SHARE` and `PAIR_SHARE`; sizes even in their logarithm."""
     is_pose, has_several = bool(rng.random() < POSE_SHARE), bool(rng.random() < SEVERAL_SHARE)
     n_listed = 1 + int(rng.random() < PAIR_SHARE)
-    sigmas = [float(np.exp(rng.uniform(*np.log(LISTED_SIGMA)))) for _ in range(n_listed)]
-    return Mixture(is_pose, has_several, tuple(sigmas), float(np.exp(rng.uniform(*np.log(UNLISTED_SIGMA)))))
+    between = [LISTED_SIGMA] * n_listed + [UNLISTED_SIGMA] * n_unlisted
+    sigmas = tuple(float(np.exp(rng.uniform(*np.log(some)))) for some in between)
+    return Mixture(is_pose, has_several, sigmas[:n_listed], sigmas[n_listed:])
 
 
-def draw_mixed_session(stream: Sequence[int], seed: int) -> HiddenSession:
+def draw_mixed_session(stream: Sequence[int], seed: int, n_unlisted: int = 1) -> HiddenSession:
     """Draw a session and hide a mixture in it; the stream and the seed fix everything.
 
     Raises:
         ValueError: No mixture reaches its visible sizes in any of the scenes.
     """
     rng = np.random.default_rng([*stream, seed])
-    mixture = draw_mixture(rng)
+    mixture = draw_mixture(rng, n_unlisted)
     for _ in range(MOST_SCENES):
         rig, scene = draw_mixed_scene(mixture, rng)
         adjustable = adjustable_of(rig, scene)
@@ -149,7 +150,9 @@ def flaws_of(adjustable: Adjustable, mixture: Mixture, rng: np.random.Generator)
     """Flaws of the wanted sizes; none where a size is out of reach, or one sensor takes the unlisted cause for a listed one."""
     void = WITH_ONE_SENSOR_NEARLY if len(adjustable.scene.schedule.sensors) == 1 else ()
     flaws: list[Flaw] = []
-    for sigma, names in (*((s, LISTED) for s in mixture.listed_sigma), (mixture.unlisted_sigma, UNLISTED)):
+    wanted = [(sigma, LISTED) for sigma in mixture.listed_sigma]
+    wanted += [(sigma, UNLISTED) for sigma in mixture.unlisted_sigma]
+    for sigma, names in wanted:
         taken = [flaw.cause.name for flaw in flaws]
         pool = [name for name in possible(adjustable.scene, names) if name not in taken]
         drawn = flaw_among(adjustable, pool, sigma, rng)

@@ -26,7 +26,10 @@ OPEN_KINDS = (
     "unforeseen30",
     "unforeseen12",
 )  # new ones at the end: seeds count them
-MIXED_KINDS = ("mixed",)  # new ones at the end: seeds count them
+MIXED_KINDS = (
+    "mixed",
+    "mixed_two",
+)  # with one and two unlisted causes; new ones at the end: seeds count them
 KNOWN_SHARE, NATURAL_SIGMA = 0.7, (4.0, 40.0)  # of kind `open`
 PROTOCOLS = ("paper", "recommended")
 SIGMA = 8.0
@@ -43,7 +46,8 @@ def draw_case(kind: str, seed: int, library: Collection[str] = ()) -> HiddenSess
         library: Names of the causes that coilcal knows; the kinds of the open world depend on them.
     """
     if kind in MIXED_KINDS:
-        return draw_mixed_session([994, MIXED_KINDS.index(kind)], seed)
+        number = MIXED_KINDS.index(kind)
+        return draw_mixed_session([994, number], seed, n_unlisted=1 + number)
     if kind in OPEN_KINDS:
         return _draw_open(kind, seed, library)
     rng = np.random.default_rng([991, KINDS.index(kind), seed])

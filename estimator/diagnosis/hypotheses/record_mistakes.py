@@ -29,7 +29,7 @@ from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.effects.stages import MotionEffect, RecordEffect
 from estimator.effects.use import shifts_rows, uses_of
 from estimator.errors import InvalidInput
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations

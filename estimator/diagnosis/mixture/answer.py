@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -17,6 +16,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
@@ -35,71 +35,6 @@ OUTWEIGHS = (
     2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
 )
 ASKED = 0.2  # probability of a cause from which on a set is made about it
-
-
-@dataclass(frozen=True)
-class Possibility:
-    """One thing that a slot holds in some draws.
-
-    Attributes:
-        cause: A listed cause, or the departure that stands for something unlisted.
-        is_listed: Whether it is listed.
-        link: Where in the chain it acts.
-        share: Of the draws of the set; of a listed cause less what only imitates it.
-    """
-
-    cause: Cause
-    is_listed: bool
-    link: Link
-    share: float
-
-
-@dataclass(frozen=True)
-class Found:
-    """A set of alternatives, of which one is there, or something that no list holds and that looks like it.
-
-    Attributes:
-        possibilities: Most probable first.
-        probability: That one of them is there, or something that looks like it, beside everything else: that with all readings, and less
-            where halves say less than half of what is expected of them.
-        with_all, in_halves: With all readings; the mean over halves of them.
-        expected: What is expected in halves of what is there as all readings have it.
-    """
-
-    possibilities: tuple[Possibility, ...]
-    probability: float
-    with_all: float
-    in_halves: float
-    expected: float
-
-    @property
-    def first(self) -> Possibility:
-        """The most probable possibility."""
-        return self.possibilities[0]
-
-    @property
-    def first_listed(self) -> Cause:
-        """The most probable listed cause."""
-        return next(possibility.cause for possibility in self.possibilities if possibility.is_listed)
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of `causes` or `departures` in `diagnosis.json`."""
-        return {
-            "probability": self.probability,
-            "with_all_readings": self.with_all,
-            "in_halves": self.in_halves,
-            "expected_in_halves": self.expected,
-            "is_one_of": [
-                {
-                    "name": possibility.cause.name,
-                    "place": possibility.cause.place,
-                    "is_listed": possibility.is_listed,
-                    "link": possibility.link.value,
-                    "probability": self.probability * possibility.share,
-                }
-                for possibility in self.possibilities
-            ],
-        }
 
 
 @dataclass(frozen=True)
@@ -196,16 +131,14 @@ class Answer:
         """
         items, leading = self.asked.dictionary.items, self.asked.leading
         rest = [i for i in leading if items[i].cause not in alternatives]
-        of_others = sum(self._evidence(i, [j for j in leading if j != i]) for i in rest)
-        return Standing(self._evidence(self.item_of(cause), rest), of_others)
+        products, noise = self.asked.slots.products, self.asked.noise
+        of_rest = {i: products.of_one(i, [j for j in leading if j != i], noise) for i in rest}
+        of_departures = sum(value for i, value in of_rest.items() if not items[i].is_listed)
+        return Standing(
+            products.of_one(self.item_of(cause), rest, noise), sum(of_rest.values()), of_departures
+        )
 
-    def _evidence(self, item: int, rest: Sequence[int]) -> float:
-        """Log Bayes factor of an item beside some others."""
-        products, noise = self.asked.slots.products, torch.tensor([self.asked.noise], dtype=torch.float64)
-        with_it, without = (products.log_likelihood(some, noise) for some in ([*rest, item], rest))
-        return float(with_it - without)
-
-    @property
+    @cached_property
     def is_full(self) -> bool:
         """Whether the leading set fills all slots and one more would be filled too: more is wrong at once than is asked for."""
         asked = self.asked
@@ -215,14 +148,14 @@ class Answer:
             return False
         return float(asked.slots.conditional(asked.leading, asked.noise_number)[-1]) < 0.5
 
-    @property
+    @cached_property
     def stated(self) -> tuple[Found, ...]:
         """Sets that are there at `STATED` or more and are rather a listed cause."""
         return tuple(
             entry
             for entry in self.found
             if entry.probability >= STATED
-            and _listed(entry.possibilities) > 0.5
+            and entry.listed_share > 0.5
             and (not self.is_full or self._outweighs_the_rest(entry))
         )
 
@@ -253,12 +186,12 @@ class Answer:
         is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
         return None if is_clear else least
 
-    @property
+    @cached_property
     def beside(self) -> tuple[Found, ...]:
         """Other sets that are rather there than not."""
         return tuple(entry for entry in self.found if entry not in self.stated and entry.probability > 0.5)
 
-    @property
+    @cached_property
     def unlisted(self) -> dict[Link, float]:
         """Probability of each link that something acts there which no list holds, beside the causes."""
         items = self.asked.dictionary.items
@@ -369,10 +302,6 @@ class Answer:
             "found": [entry.to_json() for entry in self.found],
             "unlisted": {link.value: probability for link, probability in self.unlisted.items()},
         }
-
-
-def _listed(possibilities: Iterable[Possibility]) -> float:
-    return sum(possibility.share for possibility in possibilities if possibility.is_listed)
 
 
 def answer(

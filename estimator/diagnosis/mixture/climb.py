@@ -16,7 +16,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.departures import Changes, departures
 from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
-from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.mixture.expansion import CERTAIN, Expansion
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
@@ -79,8 +79,9 @@ class Asked:
         causes = (*self.expansion.causes, *known)
         items = self.dictionary.items
         new = [i for i in model if items[i].is_listed and items[i].cause not in causes]
-        lost = {i: self.slots.products.beside([j for j in model if j != i], self.noise)[i] for i in new}
-        return sorted(new, key=lambda i: -float(lost[i]))
+        products = self.slots.products
+        lost = {i: products.of_one(i, [j for j in model if j != i], self.noise) for i in new}
+        return sorted(new, key=lambda i: -lost[i])
 
     def is_worse_than(self, before: Asked, causes: Collection[Cause]) -> bool:
         """Whether the readings are clearly less probable with some causes and departures than before, each about a fit that has its own."""
@@ -119,8 +120,10 @@ class Asked:
         """Log density of the readings and a set of items, up to a constant that all expansions of one session share."""
         fit, always = self.expansion.fit, self.expansion.always
         precision = always.jacobian.T @ always.jacobian + self.expansion.prior_precision
+        n_certain = sum(self.dictionary.items[i].cause in self.expansion.limiting for i in model)
         return (
             self.slots.log_density(model)
+            - CERTAIN * n_certain
             + float(fit.whitening_per_T.clamp(min=1e-300).log().sum())
             - 0.5 * float(torch.logdet(precision))
         )
@@ -194,24 +197,24 @@ def ask(
     """
     fit, alone = expansion.fit, expansion.alone
     causes = causes_of(fit.rig, fit, limits)
-    changes = None if before is None or not before.changes.is_near(fit) else before.changes
-    changes = changes or Changes.about(fit, causes)
-    led = [] if before is None else [before.dictionary.items[i] for i in before.leading]
-    pool = changes.pool_of(fit, causes)
-    starts = starts_of(fit, pool)
-    is_near = before is not None and changes is before.changes
-    known = dict(shapes)
+    led, known = [] if before is None else [before.dictionary.items[i] for i in before.leading], dict(shapes)
+    is_near = before is not None and before.changes.is_near(fit)
     if before is not None and is_near:
+        changes = before.changes
         known = {**places_in(fit, before.dictionary.items), **shapes}
+    else:
+        changes = Changes.about(fit, expansion.always, causes)
+    here = changes.moved(fit, expansion.always, causes)
+    starts = starts_of(fit, here.pool)
     starts += [more for cause, of_cause in known.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts, is_near)
     if expansion.causes:
         listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
-    entries = dictionary(expansion, listed, departures(changes, alone, others))
+    entries = dictionary(expansion, listed, departures(here, alone, others))
     slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))
     samples = slots.sample(CLIMBING, seed, _alike(entries.items, led))
-    return Asked(expansion, tuple(pool), entries, changes, slots, samples)
+    return Asked(expansion, here.pool, entries, changes, slots, samples)
 
 
 def _alike(items: Sequence[Item], led: Sequence[Item]) -> list[int]:

@@ -14,7 +14,8 @@ from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.corrections.result import Correction, Part, extent_of
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer, Found
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.mixture.links import Link
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
@@ -54,10 +55,9 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
         refusal = "nothing beside the stated causes is sure enough to predict by"
         return Correction(extended, (), lacking, refusal, after, of_session=session)
     rules = extended.posterior.model.rules
-    fit = fit_rig(terms.rig, extended.observations, terms.start, rules)
-    final = fit
+    tolerance = 0.5 * len(terms.rig.free) * policy.CORRECTED_TO_SD**2
+    fit = final = fit_rig(terms.rig, extended.observations, terms.start, rules, tolerance=tolerance)
     if after.observations is not extended.observations:
-        tolerance = 0.5 * len(fit.rig.free) * policy.CORRECTED_TO_SD**2
         final = fit_rig(fit.rig, after.observations, fit.values, rules, tolerance=tolerance)
     return Correction(fit, tuple(parts), lacking, "", final, of_session=session)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -13,13 +13,15 @@ from torch import Tensor
 from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
+from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.following import stalled
 from estimator.diagnosis.mixture.links import Link, link_of
 from estimator.effects.corrections.correction import Correction
 from estimator.rig.rig import EVERYWHERE, Cause
 from estimator.side_by_side import each
 
-SAME = 1e-2  # of the square of columns: what is left of those that a listed cause has too
+SAME = 1e-2  # of the square of columns: what a listed cause leaves of those that it can change as well
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
 MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and at all together
@@ -57,19 +59,21 @@ class Changes:
 
     Attributes:
         fit: The fit.
+        always: What its rig can follow.
         kinds: All kinds of departures that a session may have.
         columns: By kind, whitened changes per unit of each amplitude, at each start.
         pool: Listed causes.
     """
 
     fit: Fit
+    always: Projector
     kinds: tuple[CorrectionKind, ...]
     columns: tuple[Float[Tensor, "start component amplitude"], ...]
     pool: tuple[Candidate, ...]
 
     @classmethod
-    def about(cls, fit: Fit, causes: Sequence[Cause]) -> Changes:
-        """About a fit, of some listed causes."""
+    def about(cls, fit: Fit, always: Projector, causes: Sequence[Cause]) -> Changes:
+        """About a fit and what its rig can follow, of some listed causes."""
         kinds = tuple(
             kind
             for kind in kinds_of(fit)
@@ -77,32 +81,48 @@ class Changes:
             and not kind.effect.single  # one step of it is a listed cause, or one that readings cannot tell from a listed one
         )
         columns = each(lambda kind: kind.columns(fit, kind.starts, _highest(kind)), kinds)
-        return cls(fit, kinds, tuple(columns), tuple(candidates(fit, list(causes))))
+        return cls(fit, always, kinds, tuple(columns), tuple(candidates(fit, list(causes))))
 
     def is_near(self, fit: Fit) -> bool:
-        """Whether the predictions of a fit are nearly those of this one."""
+        """Whether the predictions of a fit are nearly those of this one, and follow the rig's numbers as well."""
         apart = (fit.predicted_T - self.fit.predicted_T).square().sum()
-        return float(apart) < NEAR**2 * float(self.fit.predicted_T.square().sum())
+        if float(apart) >= NEAR**2 * float(self.fit.predicted_T.square().sum()):
+            return False
+        return not bool(stalled(self.fit, fit).any())
 
-    def lighter(self, fit: Fit) -> Float[Tensor, " component"]:
-        """Factor from what is whitened here to what a fit has whitened."""
-        return fit.whitening_per_T / self.fit.whitening_per_T.clamp(min=1e-300)
+    def moved(self, fit: Fit, always: Projector, causes: Sequence[Cause]) -> Changes:
+        """The same about a fit nearby, of some listed causes.
 
-    def pool_of(self, fit: Fit, causes: Sequence[Cause]) -> list[Candidate]:
-        """Columns of some listed causes about a fit nearby."""
+        What the rig follows of a column moves with the rig: else the difference of the two would look like a cause where nearly all of a
+        column can be followed, as of turns that are wound otherwise.
+        """
+        if fit is self.fit:
+            return self
+        lighter = fit.whitening_per_T / self.fit.whitening_per_T.clamp(min=1e-300)
+
+        def moved(columns: Float[Tensor, "component column"]) -> Tensor:
+            followed = self.always.factor @ (self.always.factor.T @ (self.always.jacobian.T @ columns))
+            left = columns - self.always.jacobian @ followed
+            return lighter[:, None] * left + always.jacobian @ followed
+
         known = {candidate.cause for candidate in self.pool}
-        lighter, wanted = self.lighter(fit), set(causes)
-        made = [candidate.weighed(lighter) for candidate in self.pool if candidate.cause in wanted]
-        return made + candidates(fit, [cause for cause in causes if cause not in known])
+        pool = [
+            replace(c, columns=moved(c.columns), shift=moved(c.shift[:, None])[:, 0])
+            for c in self.pool
+            if c.cause in set(causes)
+        ]
+        pool += candidates(fit, [cause for cause in causes if cause not in known])
+        columns = tuple(torch.stack([moved(start) for start in of_kind]) for of_kind in self.columns)
+        return Changes(fit, always, self.kinds, columns, tuple(pool))
 
 
 def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:
     """All departures of a session, of each kind with many starts the most probable ones alone.
 
     Args:
-        changes: Of the readings, about the fit or one nearby.
+        changes: Of the readings.
         fit: Whose residual is asked.
-        listed: Listed causes. A departure that changes the readings as one of them does is that one.
+        listed: Listed causes. A departure that changes the readings as one of them can is that one.
     """
     kinds = changes.kinds
     by_link: dict[Link, set[str]] = {}
@@ -110,8 +130,7 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
     for kind in kinds:
         by_link.setdefault(link_of(kind.effect), set()).add(kind.cause.name)
         places[kind.cause.name] = places.get(kind.cause.name, 0) + 1
-    result, bases = [], _bases(listed)
-    lighter = changes.lighter(fit)[:, None]
+    result = list[Departure]()
     for kind, of_kind in zip(kinds, changes.columns, strict=True):
         n_places = places[kind.cause.name]
         n = len(by_link) * len(by_link[link_of(kind.effect)]) * (n_places + (n_places > 1) * n_places)
@@ -125,10 +144,10 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
                 widths,
                 share - math.log(n * len(priors.AMPLITUDES)),
             )
-            for start, keys, columns, widths, share in _of_kind(fit, kind, of_kind * lighter)
-            if not _is_listed(columns[:, : len(keys)] * columns.new_tensor(widths), bases)
+            for start, keys, columns, widths, share in _of_kind(fit, kind, of_kind)
         ]
-    return [*result, *_everywhere(result, places)]
+    unlisted = _without_listed(result, listed)
+    return [*unlisted, *_everywhere(unlisted, places)]
 
 
 def _everywhere(made: Sequence[Departure], n_places: Mapping[str, int]) -> list[Departure]:
@@ -152,22 +171,35 @@ def _everywhere(made: Sequence[Departure], n_places: Mapping[str, int]) -> list[
     ]
 
 
-def _bases(listed: Sequence[Candidate]) -> dict[int, list[Tensor]]:
-    """Orthonormal bases of what listed causes change in the readings, by their number of columns."""
-    result: dict[int, list[Tensor]] = {}
-    for candidate in listed:
-        if candidate.is_at_null:
-            scale = candidate.columns.square().sum(0).sqrt().clamp(min=1e-300)
-            basis = torch.linalg.qr(candidate.columns / scale).Q
-            result.setdefault(basis.shape[1], []).append(basis)
-    return result
+def _without_listed(made: Sequence[Departure], listed: Sequence[Candidate]) -> list[Departure]:
+    """Departures that change the readings otherwise than a listed cause can, with all of its quantities."""
+    bases = [_basis(candidate) for candidate in listed]
+    most = max((basis.shape[1] for basis in bases), default=0)
+    some = [departure for departure in made if len(departure.keys) <= most]
+    if not some:
+        return list(made)
+    own = [d.blocks[0][:, : len(d.keys)] * d.blocks[0].new_tensor(d.widths) for d in some]
+    followed = _summed(_summed((torch.cat(bases, 1).T @ torch.cat(own, 1)).square(), bases).T, own)
+    square = torch.stack([columns.square().sum() for columns in own])
+    is_listed = (square - followed.amax(1) < SAME * square).tolist()
+    gone = {id(departure) for departure, is_gone in zip(some, is_listed, strict=True) if is_gone}
+    return [departure for departure in made if id(departure) not in gone]
 
 
-def _is_listed(columns: Float[Tensor, "component column"], bases: Mapping[int, Sequence[Tensor]]) -> bool:
-    """Whether a listed cause changes the readings in the same ways."""
-    square = float(columns.square().sum())
-    same = bases.get(columns.shape[1], ())
-    return any(square - float((basis.T @ columns).square().sum()) < SAME * square for basis in same)
+def _basis(candidate: Candidate) -> Float[Tensor, "component column"]:
+    """Orthonormal basis of what a listed cause changes in the readings, to first order about its start."""
+    columns = candidate.columns
+    if not candidate.is_at_null:
+        columns = torch.cat((columns, candidate.shift[:, None]), dim=1)
+    basis: Tensor = torch.linalg.qr(columns / columns.square().sum(0).sqrt().clamp(min=1e-300)).Q
+    return basis
+
+
+def _summed(rows: Float[Tensor, "row column"], blocks: Sequence[Tensor]) -> Float[Tensor, "block column"]:
+    """Sums of the rows that belong to each block's columns."""
+    number = torch.repeat_interleave(torch.tensor([block.shape[1] for block in blocks]))
+    sums: Tensor = rows.new_zeros(len(blocks), rows.shape[1]).index_add(0, number.to(rows.device), rows)
+    return sums
 
 
 _Made = tuple[dict[str, float], tuple[str, ...], Tensor, tuple[float, ...], float]

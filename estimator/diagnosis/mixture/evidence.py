@@ -122,6 +122,10 @@ class Products:
         )
         return torch.from_numpy(result)
 
+    def of_one(self, item: int, others: Sequence[int], noise: float) -> float:
+        """Log Bayes factor of one item beside some others, against these alone."""
+        return float(self.among([*others, item]).beside(range(len(others)), noise)[-1])
+
     def _followed(
         self, columns: Tensor, widths: Tensor, score: Tensor, noise: float
     ) -> tuple[Tensor, Tensor]:

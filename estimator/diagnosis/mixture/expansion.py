@@ -14,6 +14,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.mixture.following import limiting
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.listed import Start
 from estimator.effects import EFFECTS
@@ -23,6 +24,7 @@ from estimator.rig.parameters import LogNormal, Parameter
 from estimator.rig.rig import Cause, Rig
 
 LEAST_POSITIVE = 0.1  # of its usual value: where a fit of a positive quantity starts at least
+CERTAIN = 1e3  # log prior of what is there in every set
 NEAR_A_BOUND = 0.01  # standard deviations of a prior from its bound, within which no fit starts
 
 
@@ -159,7 +161,13 @@ class Expansion:
         stacked = torch.stack(shapes, dim=1) if shapes else shift.new_zeros(len(shift), 0)
         # Shapes that are free have the whole width of their prior: they are at no start of several any more.
         n_starts = len(EFFECTS[cause.name].starts(circumstances, cause.place)) if shapes else 1
-        return Start(candidate, self.log_prior[cause] + math.log(n_starts), stacked)
+        certain = CERTAIN if cause in self.limiting else 0.0
+        return Start(candidate, self.log_prior[cause] + math.log(n_starts) + certain, stacked)
+
+    @cached_property
+    def limiting(self) -> frozenset[Cause]:
+        """Causes that are there in every set about this fit: only full fits tell what readings would say without them."""
+        return limiting(self.plain, self.fit)
 
     def moved(
         self, dictionary: Dictionary, chosen: Sequence[int], sizes: Float[Tensor, " column"]

@@ -28,6 +28,7 @@ WITHIN = (
     12.0  # of the log posterior of the best item of a cause: what is further below cannot matter beside it
 )
 MOST_PER_CAUSE, MOST_OF_FAINT = 10, 2
+STARTS_OF_MANY = 8  # that are offered of a cause with more starts than items
 FAINT = (
     -6.0
 )  # log posterior of the best item of a cause against nothing: fainter ones are there to be counted
@@ -248,13 +249,20 @@ def _weighed(fit: Fit, starts: Sequence[Start]) -> dict[Cause, list[_Weighed]]:
 
 
 def _most_probable(by_start: Sequence[_Weighed]) -> list[Offered]:
-    """The items of one cause that may matter."""
-    values = torch.cat([of_start.values for of_start in by_start])
+    """The items of one cause that may matter: the most probable ones, and of a cause with many starts the best of several of them.
+
+    Beside what acts too another of its periods may be the right one.
+    """
+    values = torch.stack([of_start.values for of_start in by_start])
     best = float(values.max())
     most = MOST_PER_CAUSE if best > FAINT else MOST_OF_FAINT
-    top = values.topk(min(most, len(values)))
-    n = len(by_start[0].values)
+    top = values.flatten().topk(min(most, values.numel()))
     rows = [
         i for i, value in zip(top.indices.tolist(), top.values.tolist(), strict=True) if value > best - WITHIN
     ]
+    n = values.shape[1]
+    if len(values) > MOST_PER_CAUSE and best > FAINT:
+        of_each, item = values.max(1)
+        starts = of_each.topk(STARTS_OF_MANY).indices
+        rows += [row for row in (starts * n + item[starts]).tolist() if row not in rows]
     return [_items(by_start[i // n].start)[i % n] for i in rows]

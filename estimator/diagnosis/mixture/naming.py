@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.mixture.answer import Answer, Found
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.rig.rig import Cause

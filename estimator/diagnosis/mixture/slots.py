@@ -14,6 +14,7 @@ from __future__ import annotations
 import math
 from collections import Counter, defaultdict
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -29,6 +30,7 @@ from estimator.diagnosis.mixture.evidence import Products
 N_NOISES = 46
 LEAST_NOISE, MOST_NOISE = 0.05, 1.6  # of that of the fit
 MOST_MISSTATED = 4.0  # factor on a noise that is stated as known, or its inverse
+MOST_CLIMBS, HIGHER = 3, 1.0  # further ones; the rise in log density that counts
 NEGLIGIBLE = 1e-5  # probability of an item beside others below which it is not drawn
 
 
@@ -179,6 +181,7 @@ class Slots:
         names = {name: i for i, name in enumerate(dict.fromkeys(item.name for item in items))}
         self.name = np.array([names[item.name] for item in items], dtype=int)
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
+        self._densities: dict[tuple[int, ...], Tensor] = {}
 
     def conditional(self, rest: Sequence[int], noise: int) -> np.ndarray:
         """Probability of each item, and last of none, in one slot beside the items in the others."""
@@ -193,16 +196,21 @@ class Slots:
 
     def noise_of(self, chosen: Sequence[int]) -> np.ndarray:
         """Probability of each factor on the noise, given the items."""
-        density = self.products.log_likelihood(chosen, self.grid) + self.log_prior_noise
-        return torch.softmax(density, 0).numpy()
+        return torch.softmax(self._by_noise(chosen), 0).numpy()
+
+    def _by_noise(self, chosen: Sequence[int]) -> Float[Tensor, " noise"]:
+        """Log density of the readings with some items, and of each factor on the noise."""
+        key = tuple(sorted(chosen))
+        if key not in self._densities:
+            self._densities[key] = self.products.log_likelihood(key, self.grid) + self.log_prior_noise
+        return self._densities[key]
 
     def log_density(self, chosen: Sequence[int]) -> float:
         """Log density of the readings and of some items in any slots, the others empty, up to a constant."""
         n, n_empty = self.n_slots, self.n_slots - len(chosen)
         ways = math.lgamma(n + 1) - math.lgamma(n_empty + 1)
         prior = float(self.log_prior[list(chosen)].sum()) + n_empty * math.log(priors.EMPTY) + ways
-        density = self.products.log_likelihood(chosen, self.grid) + self.log_prior_noise
-        return float(torch.logsumexp(density, 0)) + prior
+        return float(torch.logsumexp(self._by_noise(chosen), 0)) + prior
 
     def climbed(self, begin: Sequence[int] = ()) -> tuple[list[int | None], int]:
         """Slots filled one by one with what is most probable beside the others, and the most probable noise.
@@ -223,6 +231,38 @@ class Slots:
                 break
         return slots, noise
 
+    def highest(self, begin: Sequence[int] = ()) -> tuple[list[int | None], int]:
+        """What a climb leads to, or a climb that does without the strongest item of another, where that leads higher.
+
+        Two departures that together stand for several causes keep these out one by one.
+
+        Args:
+            begin: Items where the first climb begins.
+        """
+        slots, noise = self.climbed(begin)
+        for _ in range(MOST_CLIMBS):
+            chosen = [i for i in slots if i is not None]
+            if len(chosen) < 2:
+                break
+            strongest = max(
+                chosen,
+                key=lambda i: self.products.of_one(i, [j for j in chosen if j != i], float(self.grid[noise])),
+            )
+            other, _ = self._barring(strongest).climbed()
+            other, noise_there = self.climbed([i for i in other if i is not None])
+            if self.log_density([i for i in other if i is not None]) < self.log_density(chosen) + HIGHER:
+                break
+            slots, noise = other, noise_there
+        return slots, noise
+
+    def _barring(self, item: int) -> Slots:
+        """These slots, which hold nothing of an item's name."""
+        without = copy(self)
+        without.log_prior = self.log_prior.clone()
+        without.log_prior[torch.from_numpy(self.name == self.name[item])] = -math.inf
+        without._known = {}
+        return without
+
     def sample(self, sweeps: Sweeps, seed: int, begin: Sequence[int] = ()) -> Samples:
         """Draw items slot by slot, of those alone that were probable at some point of a climb.
 
@@ -231,7 +271,7 @@ class Slots:
             seed: Of the draws.
             begin: Items where the climb begins.
         """
-        climbed, noise = self.climbed(begin)
+        climbed, noise = self.highest(begin)
         numbers = self._probable(climbed)
         few = self.among(numbers)
         slots = [None if i is None else numbers.index(i) for i in climbed]

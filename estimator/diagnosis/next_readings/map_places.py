@@ -16,7 +16,8 @@ from estimator.model.clearance import clearance_m
 from estimator.model.hide import cause_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 
 
 def with_correction(fit: Fit, text: str, degree: int) -> tuple[Fit, list[str]]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.mixture.answer import Found
 from estimator.diagnosis.mixture.comparison import NOTHING
+from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.statements.gain import misses
 from estimator.diagnosis.structure.pull import pull_of

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.result import Diagnosis
-from estimator.rig.rig import AnyCoil
+from estimator.rig.bodies import AnyCoil
 
 MOST_COILS = 2
 

@@ -20,7 +20,7 @@ from estimator.diagnosis.structure.curves import Collection, axes_of, before, di
 from estimator.diagnosis.structure.harmonics import harmonic_gradients
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.model.bodies import winding_of
-from estimator.rig.rig import AnyCoil, Coil
+from estimator.rig.bodies import AnyCoil, Coil
 
 SAME = 1e-6
 

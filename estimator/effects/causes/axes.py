@@ -16,7 +16,7 @@ from estimator.effects.causes.pose_record import SMALLEST_TURN_RAD
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during, from_instants
 from estimator.effects.stages import Components, ReadingEffect
-from estimator.rig.rig import MotionKind
+from estimator.rig.bodies import MotionKind
 from estimator.tensors import Tensor, torch
 
 OWN, OF_BASE, OF_ROOM = range(3)  # axes in which fields are recorded
@@ -39,17 +39,20 @@ def _reads_one_twice(values: Mapping[str, float]) -> tuple[str, str] | None:
     return next(iter(values)), "must be, with the other two, 1, 2 and 3 in some order and with any signs"
 
 
+# Quantities: which component, 1 to 3, each axis reads, negative where it is reversed.
 @ReadingEffect.cause(
-    words="the sensor's axes are in another order or direction",
-    source="46 signed permutations; the reversal of all is current_sign",
-    # Which component, 1 to 3, each axis reads, negative where it is reversed.
     quantities=tuple(switch(key, -3.0, 3.0, i + 1.0) for i, key in enumerate(READS)),
     starts=_signed_permutations(),
     broken_rule=_reads_one_twice,
     is_record_mistake=True,
 )
 def axes_swapped(field_sensor_T: Components, theta: Theta) -> Components:
-    """The sensor's axes are named or wired in another order or direction."""
+    """The sensor's axes are in another order or direction.
+
+    The sensor's axes are named or wired in another order or direction.
+
+    Source: 46 signed permutations; the reversal of all is current_sign.
+    """
     reads = vector(theta, READS)[..., 0, :]
     mix = torch.nn.functional.one_hot(reads.abs().round().long() - 1, 3).to(field_sensor_T.dtype)
     mix = mix * torch.sign(reads)[..., None]
@@ -58,12 +61,15 @@ def axes_swapped(field_sensor_T: Components, theta: Theta) -> Components:
 
 @during(
     axes_swapped,
-    words="from one instant on the sensor's axes are in another order or direction",
-    source="47 signed permutations",
     starts=lambda circumstances: from_instants((*_signed_permutations(), REVERSAL), circumstances),
 )
 def axes_swapped_since() -> None:
-    """From one instant on the sensor's axes are in another order or direction: it was taken out and put back turned over."""
+    """From one instant on the sensor's axes are in another order or direction.
+
+    From one instant on the sensor's axes are in another order or direction: it was taken out and put back turned over.
+
+    Source: 47 signed permutations.
+    """
 
 
 def _turns(
@@ -98,10 +104,8 @@ def _has_turned(circumstances: Circumstances, place: str) -> bool:
     return bool(torch.acos(cosine.clamp(-1.0, 1.0)).max() > SMALLEST_TURN_RAD)
 
 
+# Quantities: axes of the record: 0 the sensor's, 1 those of the base of the mover that carries it, 2 those of the room.
 @ReadingEffect.cause(
-    words="fields are recorded in the axes of the base or of the room, not in the sensor's own",
-    source="software of arms and trackers that turns readings into the axes of its base or of the room",
-    # Axes of the record: 0 the sensor's, 1 those of the base of the mover that carries it, 2 those of the room.
     quantities=(switch("axes", float(OWN), float(OF_ROOM), float(OWN), KNOWN),),
     places=lambda rig: tuple(sensor.name for sensor in rig.sensors if sensor.carried_by is not None),
     starts=_axes_of_base_and_room,
@@ -111,6 +115,11 @@ def _has_turned(circumstances: Circumstances, place: str) -> bool:
 def field_frame(
     field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
 ) -> Components:
-    """The record holds fields in the axes of the mover's base or of the room: software has turned what the sensor said by its pose."""
+    """Fields are recorded in the axes of the base or of the room, not in the sensor's own.
+
+    The record holds fields in the axes of the mover's base or of the room: software has turned what the sensor said by its pose.
+
+    Source: software of arms and trackers that turns readings into the axes of its base or of the room.
+    """
     each = torch.stack(_turns(circumstances, sensor)).to(field_sensor_T)
     return (each[theta["axes"].round().long()] @ field_sensor_T[..., None])[..., 0]

@@ -25,13 +25,16 @@ def _about_the_winding(circumstances: Circumstances, place: str) -> Starts:
 
 
 @SourceEffect.cause(
-    words="something magnetised moves with the coil",
-    source="brakes and screws of an arm: a steel ball of 1 to 2 cm at 50 mT has 0.1 to 0.7 A m2",
     quantities=(*triple(MOMENT, "_A_m2", "A m2", 0.3), *box("xyz", "_m", "m", FARTHEST_M)),
     starts=_about_the_winding,
     is_permanent=True,
 )
 def magnetised_link(points_coil_m: Points, theta: Theta) -> Field:
-    """Something on the coil's arm is magnetised: a dipole that moves with the coil, also while no current flows."""
+    """Something magnetised moves with the coil.
+
+    Something on the coil's arm is magnetised: a dipole that moves with the coil, also while no current flows.
+
+    Source: brakes and screws of an arm: a steel ball of 1 to 2 cm at 50 mT has 0.1 to 0.7 A m2.
+    """
     from_dipole_m = points_coil_m - vector(theta, "xyz", "_m")
     return MU0_T_M_PER_A / (4.0 * torch.pi) * dipole_field(from_dipole_m, vector(theta, MOMENT, "_A_m2"))

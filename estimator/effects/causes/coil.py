@@ -8,7 +8,8 @@ from estimator.effects.base import Quantity, Theta, normal, shape
 from estimator.effects.stages import Current, Field, Points, SourceEffect
 from estimator.field.node_sum import Nodes
 from estimator.field.straight import MU0_OVER_4PI, segment_field
-from estimator.field.winding import Rule, Winding, field_of_loops, loops_of
+from estimator.field.winding import Winding, field_of_loops, loops_of
+from estimator.field.winding_shape import Rule
 from estimator.rig.parameters import LogNormal
 from estimator.tensors import Tensor, torch
 
@@ -16,15 +17,15 @@ POINTS_AT_ONCE = 1000  # in all of a batch: more would push the dozen arrays of 
 OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
 
 
-@SourceEffect.cause(
-    words="the loops are oval",
-    source="a coil pressed in a vice or wound on a printed former, 0 to 2 %",
-    # Cosine and sine part of the relative change of radius.
-    quantities=(normal("cos2", "1", 0.01), normal("sin2", "1", 0.01)),
-    is_structural=True,
-)
+# Quantities: cosine and sine part of the relative change of radius.
+@SourceEffect.cause(quantities=(normal("cos2", "1", 0.01), normal("sin2", "1", 0.01)), is_structural=True)
 def coil_ovality(points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
-    """Loops are ellipses: r = a (1 + e cos 2(phi - phi0))."""
+    """The loops are oval.
+
+    Loops are ellipses: r = a (1 + e cos 2(phi - phi0)).
+
+    Source: a coil pressed in a vice or wound on a printed former, 0 to 2 %.
+    """
     batch = torch.broadcast_shapes(points_coil_m.shape[:-2], winding.radius_m.shape)
     n_points = max(1, POINTS_AT_ONCE // math.prod(batch))
     parts = [
@@ -60,15 +61,17 @@ def _oval_less_round(points_coil_m: Points, winding: Winding, rule: Rule, theta:
     return scale * torch.stack([(weight[..., None, :] * part).sum(-1) for part in parts], dim=-1)
 
 
+# Quantities: shift along x and y per height above the middle of the winding.
 @SourceEffect.cause(
-    words="the winding leans: its loops' centres shift with the height",
-    source="turns that slipped on a former, or a former printed askew: 0.2 to 1 mm over 50 mm",
-    # Shift along x and y per height above the middle of the winding.
-    quantities=(normal("shear_x", "1", 0.02), normal("shear_y", "1", 0.02)),
-    is_structural=True,
+    quantities=(normal("shear_x", "1", 0.02), normal("shear_y", "1", 0.02)), is_structural=True
 )
 def winding_sheared(points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
-    """Loops lean: each stands across the axis, but their centres run away from it with the height."""
+    """The winding leans: its loops' centres shift with the height.
+
+    Loops lean: each stands across the axis, but their centres run away from it with the height.
+
+    Source: turns that slipped on a former, or a former printed askew: 0.2 to 1 mm over 50 mm.
+    """
     loops = loops_of(winding, rule)
     above_m = loops.height_m[..., 0] + 0.5 * winding.length_m[..., None]
     x_m, y_m = (theta[f"shear_{axis}"][..., None] * above_m for axis in "xy")
@@ -78,10 +81,8 @@ def winding_sheared(points_coil_m: Points, winding: Winding, rule: Rule, theta: 
     return of_heights.sum(-3) - field_of_loops(points_coil_m, loops, rule.steps)
 
 
+# Quantities: distance of the leads (positive: the current runs out on the side of the front face), azimuth and length.
 @SourceEffect.cause(
-    words="the leads run out of the winding apart instead of twisted",
-    source="leads lie some millimetres to centimetres apart over 0.1 to 0.5 m",
-    # Distance of the leads (positive: the current runs out on the side of the front face), azimuth and length.
     quantities=(
         normal("gap_m", "m", 0.01),
         shape("azimuth_rad", "rad", -2.0 * math.pi, 2.0 * math.pi),
@@ -90,7 +91,12 @@ def winding_sheared(points_coil_m: Points, winding: Winding, rule: Rule, theta: 
     starts=tuple({"azimuth_rad": math.pi * i / 4.0, "length_m": 0.2} for i in range(-3, 5)),
 )
 def lead_wire(points_coil_m: Points, winding: Winding, theta: Theta) -> Field:
-    """The two leads run straight out from the middle of the winding, apart along the axis instead of twisted."""
+    """The leads run out of the winding apart instead of twisted.
+
+    The two leads run straight out from the middle of the winding, apart along the axis instead of twisted.
+
+    Source: leads lie some millimetres to centimetres apart over 0.1 to 0.5 m.
+    """
     azimuth, zero = theta["azimuth_rad"], torch.zeros_like(theta["gap_m"])
     outward = torch.stack((torch.cos(azimuth), torch.sin(azimuth), zero), dim=-1)
     up = points_coil_m.new_tensor([0.0, 0.0, 1.0])
@@ -114,14 +120,15 @@ def _rod_per_moment(points_coil_m: Points, winding: Winding) -> Field:
     return pole * field
 
 
-@SourceEffect.cause(
-    words="iron in the bore adds to the coil's moment",
-    source="wide: a screw adds per mille, a core multiplies",
-    quantities=(normal("share", "1", 0.1),),  # moment of the rod in units of the winding's
-    is_structural=True,
-)
+# Quantities: moment of the rod in units of the winding's.
+@SourceEffect.cause(quantities=(normal("share", "1", 0.1),), is_structural=True)
 def iron_core(points_coil_m: Points, winding: Winding, theta: Theta) -> Field:
-    """Iron in the bore adds a moment along the axis, proportional to the current."""
+    """Iron in the bore adds to the coil's moment.
+
+    Iron in the bore adds a moment along the axis, proportional to the current.
+
+    Source: wide: a screw adds per mille, a core multiplies.
+    """
     return theta["share"][..., None, None] * _rod_per_moment(points_coil_m, winding)
 
 
@@ -131,10 +138,8 @@ def _saturating(current_A: Current, theta: Theta) -> Current:
     return (share - loss * current_A**2) * current_A
 
 
+# Quantities: moment at small current in units of the winding's, and its loss per square ampere.
 @SourceEffect.cause(
-    words="iron in the bore saturates",
-    source="wide: a core in a coil of some amperes may lose any part of its moment",
-    # Moment at small current in units of the winding's, and its loss per square ampere.
     quantities=lambda extent: (
         normal("share", "1", 0.1),
         normal("loss_per_A2", "1/A2", 0.05 / extent.largest_current_A**2),
@@ -144,5 +149,10 @@ def _saturating(current_A: Current, theta: Theta) -> Current:
     is_linear=False,
 )
 def core_saturation(points_coil_m: Points, winding: Winding) -> Field:
-    """Iron in the bore that gives less the more current flows."""
+    """Iron in the bore saturates.
+
+    Iron in the bore that gives less the more current flows.
+
+    Source: wide: a core in a coil of some amperes may lose any part of its moment.
+    """
     return _rod_per_moment(points_coil_m, winding)

@@ -40,8 +40,6 @@ def _of_others(current_A: Currents, source: Int[Tensor, "*#batch coil"]) -> Curr
 
 @RecordEffect.cause(
     "commanded_A",
-    words="two coils are connected in each other's place",
-    source="any two coils",
     quantities=TWO_BODIES,
     places=lambda rig: ("record",) if len(rig.coils) > 1 else (),
     starts=lambda circumstances: pairs(len(circumstances.rig.coils)),
@@ -49,7 +47,12 @@ def _of_others(current_A: Currents, source: Int[Tensor, "*#batch coil"]) -> Curr
     exchanges_coils=True,
 )
 def coils_exchanged(recorded_A: Currents, theta: Theta) -> Currents:
-    """The currents of two coils are exchanged."""
+    """Two coils are connected in each other's place.
+
+    The currents of two coils are exchanged.
+
+    Source: any two coils.
+    """
     index = torch.arange(recorded_A.shape[-1], device=recorded_A.device)
     return _of_others(recorded_A, exchanged(index, theta))
 
@@ -61,47 +64,59 @@ def _later_coils(circumstances: Circumstances, place: str) -> Starts:
 
 
 @CurrentEffect.cause(
-    words="this coil and another are connected in each other's place",
-    source="any two coils",
     quantities=(switch("later_by", 0.0, MOST_BODIES, 0.0, COILS_LATER),),
     places=lambda rig: tuple(coil.name for coil in rig.coils[:-1]),
     starts=_later_coils,
     is_record_mistake=True,
 )
 def _exchanged_with_a_later_one(current_A: Currents, theta: Theta, coil: int) -> Currents:
-    """A coil and one that stands later in the rig file are connected in each other's place."""
+    """This coil and another are connected in each other's place.
+
+    A coil and one that stands later in the rig file are connected in each other's place.
+
+    Source: any two coils.
+    """
     index = torch.arange(current_A.shape[-1], device=current_A.device)
     other = (coil + theta["later_by"][..., None].round().long()).clamp(max=len(index) - 1)
     return _of_others(current_A, torch.where(index == coil, other, torch.where(index == other, coil, index)))
 
 
-@during(
-    _exchanged_with_a_later_one,
-    words="from one instant on this coil and another are connected in each other's place",
-    exchanges_coils=True,
-)
+@during(_exchanged_with_a_later_one, exchanges_coils=True)
 def coils_exchanged_since() -> None:
-    """From one instant on two coils are connected in each other's place."""
+    """From one instant on this coil and another are connected in each other's place.
+
+    From one instant on two coils are connected in each other's place.
+    """
 
 
+# Quantities: of the delivered current over the commanded one.
 @OneCoilCurrent.cause(
-    words="the coil is connected the other way round",
-    source="there or not",
-    quantities=(switch("sign", -1.0, 1.0, 1.0, SIGN),),  # of the delivered current over the commanded one
+    quantities=(switch("sign", -1.0, 1.0, 1.0, SIGN),),
     starts=({"sign": -1.0},),
     is_structural=True,
     is_record_mistake=True,
 )
 def current_sign(current_A: Current, theta: Theta) -> Current:
-    """The leads of a coil are exchanged."""
+    """The coil is connected the other way round.
+
+    The leads of a coil are exchanged.
+
+    Source: there or not.
+    """
     return theta["sign"][..., None] * current_A
 
 
-@during(current_sign, words="from one instant on the coil is connected the other way round")
+@during(current_sign)
 def current_sign_since() -> None:
-    """From one instant on the leads of a coil are exchanged."""
+    """From one instant on the coil is connected the other way round.
+
+    From one instant on the leads of a coil are exchanged.
+    """
 
 
-@spell(current_sign_since, words="for a while the coil is connected the other way round")
+@spell(current_sign_since)
 def current_sign_spell() -> None:
-    """For a while the leads of a coil are exchanged, or its current is written with the other sign."""
+    """For a while the coil is connected the other way round.
+
+    For a while the leads of a coil are exchanged, or its current is written with the other sign.
+    """

@@ -35,10 +35,8 @@ def _in_the_bore(circumstances: Circumstances, place: str) -> Starts:
     )
 
 
+# Quantities: strength (0 no iron, 1 unlimited permeability); sizes, place of the front face, and polarisation when saturated.
 @CoreMagnetisation.cause(
-    words="the coil has an iron core, which the other coils magnetise too",
-    source="soft iron and steel: susceptibility 100 to 10000, saturation 1.6 to 2.2 T (Bozorth, Ferromagnetism, 1951); sizes wide",
-    # Strength (0 no iron, 1 unlimited permeability); sizes, place of the front face, and polarisation when saturated.
     quantities=(
         Quantity("strength", "1", Normal(0.0, 0.5, lower=0.0, upper=1.0)),
         Quantity("radius_m", "m", LogNormal(0.01, 0.7), 0.01, is_shape=True),
@@ -51,9 +49,13 @@ def _in_the_bore(circumstances: Circumstances, place: str) -> Starts:
     is_structural=True,
 )
 def cross_magnetisation(theta: Theta) -> Core:
-    """A coil has an iron core, which its own current magnetises, and so do the other coils and their cores.
+    """The coil has an iron core, which the other coils magnetise too.
+
+    A coil has an iron core, which its own current magnetises, and so do the other coils and their cores.
 
     It is a cylinder about the coil's axis. A rig file that knows it states its sizes; a strength of 0.96 is a susceptibility of 500.
+
+    Source: soft iron and steel: susceptibility 100 to 10000, saturation 1.6 to 2.2 T (Bozorth, Ferromagnetism, 1951); sizes wide.
     """
     return Core(**theta)
 
@@ -64,18 +66,20 @@ def _has_core_that_remembers(circumstances: Circumstances, place: str) -> bool:
     return has_core and circumstances.has_turned_back(place)
 
 
+# Quantities: half the play of the core's memory, as a current.
 @CoreMemory.cause(
-    words="the iron core lags behind the current and stays magnetised without",
-    source="coercivity 10 to 1000 A/m of soft iron and steel, over 1e4 turns per metre",
-    # Half the play of the core's memory, as a current.
     quantities=lambda extent: (at_least_zero("coercive_A", "A", max(0.02, 0.02 * extent.largest_current_A)),),
     concerns=_has_core_that_remembers,
     depends_on="which current flowed before",
 )
 def core_remanence(theta: Theta, circumstances: Circumstances, coil: int) -> Current:
-    """The core lags behind its coil's current by a play: it stays magnetised when the current is switched off.
+    """The iron core lags behind the current and stays magnetised without.
+
+    The core lags behind its coil's current by a play: it stays magnetised when the current is switched off.
 
     The play is that of the coil's own current; what other coils did before is left out.
+
+    Source: coercivity 10 to 1000 A/m of soft iron and steel, over 1e4 turns per metre.
     """
     history_A = circumstances.observations.history.current_A[:, coil]
     lag_A = played(history_A, theta["coercive_A"]) - history_A

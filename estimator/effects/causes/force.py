@@ -53,8 +53,6 @@ def _round_coils(rig: Rig) -> tuple[str, ...]:
 
 
 @MountEffect.cause(
-    words="the coil gives way to the pull of other coils that carry current",
-    source="a collaborative arm gives way by 10 to 100 micrometres under a newton, a printed bracket by half a millimetre",
     quantities=(normal("compliance_m_per_N", "m/N", 5e-4),),
     kind=Kind.COIL,
     places=_round_coils,
@@ -67,8 +65,12 @@ def _round_coils(rig: Rig) -> tuple[str, ...]:
     never_negative=("compliance_m_per_N",),
 )
 def coil_pulled(columns: Columns, theta: Theta) -> Transform:
-    """Coils that carry current pull or push each other, and the mount of this one gives way.
+    """The coil gives way to the pull of other coils that carry current.
+
+    Coils that carry current pull or push each other, and the mount of this one gives way.
 
     The shift is along the force, which is that of two circles at the nominal poses, and as large as the mount is soft.
+
+    Source: a collaborative arm gives way by 10 to 100 micrometres under a newton, a printed bracket by half a millimetre.
     """
     return shift(theta["compliance_m_per_N"][..., None, None] * columns)

@@ -44,11 +44,9 @@ def _is_small(theta: Theta) -> bool:
     return float(theta["radius_cubed_m3"]) < largest_m**3
 
 
+# Quantities: radius cubed of an equivalent ball of iron, and where it sits in the sensor's frame.
 @HolderEffect.cause(
     "answer_T",
-    words="a piece of iron moves with the sensor",
-    source="a screw or a nut of a probe's holder is like a ball of 1 to 4 mm",
-    # Radius cubed of an equivalent ball of iron, and where it sits in the sensor's frame.
     quantities=(at_least_zero("radius_cubed_m3", "m3", RADIUS_M**3), *box("xyz", "_m", "m", FARTHEST_M)),
     concerns=_has_moved,
     starts=PLACES,
@@ -56,7 +54,12 @@ def _is_small(theta: Theta) -> bool:
     place_m=_place_m,
 )
 def iron_on_sensor(field_there_T: Components, theta: Theta) -> Components:
-    """A small piece of soft iron on the sensor's holder is magnetised by the field there and answers as a dipole."""
+    """A piece of iron moves with the sensor.
+
+    A small piece of soft iron on the sensor's holder is magnetised by the field there and answers as a dipole.
+
+    Source: a screw or a nut of a probe's holder is like a ball of 1 to 4 mm.
+    """
     # Field of the dipole 4 pi a^3 / mu0 times the field there.
     to_sensor_m = -vector(theta, "xyz", "_m")
     return theta["radius_cubed_m3"][..., None, None] * dipole_field(to_sensor_m, field_there_T)

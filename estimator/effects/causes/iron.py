@@ -61,11 +61,9 @@ def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
     return not bool(along_m.min() < theta["distance_m"] < along_m.max())
 
 
+# Quantities: strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
 @RoomEffect.cause(
     "response",
-    words="a plate of iron mirrors the coils",
-    source="strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less",
-    # Strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
     quantities=lambda extent: (
         Quantity("strength", "1", Normal(0.0, 0.5, lower=0.0, upper=MOST_STRENGTH)),
         *DIRECTION,
@@ -75,7 +73,12 @@ def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
     is_itself=_is_beside_sensors,
 )
 def iron_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """A large plate of iron mirrors the coils and shields what is behind it."""
+    """A plate of iron mirrors the coils.
+
+    A large plate of iron mirrors the coils and shields what is behind it.
+
+    Source: strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less.
+    """
     across = _across(theta)
     depth_m = (points_m * across).sum(-1) - theta["distance_m"][..., None]
     coil_m = (per_ampere.position_m * across).sum(-1) - theta["distance_m"][..., None]
@@ -99,10 +102,13 @@ def _planes_between(circumstances: Circumstances) -> Starts:
 
 
 def _is_between_sensors(theta: Theta, circumstances: Circumstances) -> bool:
-    """Whether sensors are on both of its sides: from far away its step is a field of the room."""
-    from_middle_m = circumstances.sensor_positions_m - vector(theta, "xyz", "_m")
-    depth_m = (from_middle_m * _across(theta)).sum(-1)
-    return bool(depth_m.min() < 0.0 < depth_m.max())
+    """Whether sensors are on both of its sides, and came there through the opening: from far away its step is a field of the room."""
+    from_middle_m, across = circumstances.sensor_positions_m - vector(theta, "xyz", "_m"), _across(theta)
+    depth_m = (from_middle_m * across).sum(-1)
+    if not bool(depth_m.min() < 0.0 < depth_m.max()):
+        return False
+    beside_m = from_middle_m - depth_m[:, None] * across
+    return bool(beside_m.mean(0).norm() < theta["radius_m"])
 
 
 def _step_T(points_m: Points, theta: Theta) -> Field:
@@ -120,11 +126,9 @@ def _lie_apart(circumstances: Circumstances) -> bool:
     return float((high_m - low_m).max()) > LEAST_BETWEEN * circumstances.reach_m
 
 
+# Quantities: share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening.
 @RoomEffect.cause(
     "response",
-    words="a plate of iron with a round opening stands between the readings",
-    source="1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11)",
-    # Share of a perfect plate, step of the room's field along its normal, the normal, and middle and radius of the opening.
     quantities=lambda extent: (
         Quantity("strength", "1", Normal(0.0, 1.0, lower=0.0, upper=MOST_STRENGTH)),
         normal("step_T", "T", 3e-4),
@@ -138,9 +142,13 @@ def _lie_apart(circumstances: Circumstances) -> bool:
     steady_T=_step_T,
 )
 def pierced_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """A large plate of iron with a round opening, through which sensors reached both of its sides.
+    """A plate of iron with a round opening stands between the readings.
+
+    A large plate of iron with a round opening, through which sensors reached both of its sides.
 
     It answers the coils, and the room's own field across it may differ from one side to the other.
+
+    Source: 1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11).
     """
     # A plate without opening, and what the opening lets through (see `through_opening`).
     across = _across(theta)
@@ -233,15 +241,12 @@ def _around(circumstances: Circumstances) -> Starts:
 IRON = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
 
 
-@RoomEffect.cause(
-    "response",
-    words="a piece of iron in the room answers the coils",
-    source=IRON,
-    quantities=_somewhere_near,
-    starts=_around,
-)
+@RoomEffect.cause("response", source=IRON, quantities=_somewhere_near, starts=_around)
 def iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """One small piece of iron in the room."""
+    """A piece of iron in the room answers the coils.
+
+    One small piece of iron in the room.
+    """
     return _dipole_of_body(per_ampere, points_m, theta)
 
 
@@ -254,14 +259,15 @@ def _dipole_of_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fi
 
 @RoomEffect.cause(
     "response",
-    words="a second piece of iron in the room answers the coils",
     source=IRON,
     quantities=_somewhere_near,
     starts=_around,
     concerns=lambda circumstances, place: Cause(iron_body.name, place) in circumstances.rig.effects,
 )
 def second_iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """Another piece beside the one that the rig has; they do not answer each other.
+    """A second piece of iron in the room answers the coils.
+
+    Another piece beside the one that the rig has; they do not answer each other.
 
     It is asked once a first piece is there, for before that both would be the same cause twice. It is no second picture of the first, as a
     plate would be.

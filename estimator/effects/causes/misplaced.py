@@ -14,7 +14,8 @@ from estimator.effects.base import Kind, Quantities, Theta, triple, vector
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import ElementEffect, MountEffect
 from estimator.frames import Transform, rotation_from_vector
-from estimator.rig.rig import Body, MotionKind, Rig, SidedCoil
+from estimator.rig.bodies import Body, MotionKind, SidedCoil
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor
 
 ELEMENTS = tuple(f"{element}_at_{axis}_m" for element in "xyz" for axis in "xyz")
@@ -50,15 +51,13 @@ def _askew(circumstances: Circumstances, place: str) -> frozenset[str]:
     return ASKEW_KEYS if is_loose else frozenset()
 
 
-@MountEffect.cause(
-    words="the sensor sits elsewhere on its holder, or turned in it",
-    source="probes are glued or clamped to about 1 mm and 1 degree",
-    quantities=elsewhere(1e-3, math.radians(1.0)),  # in its own frame
-    kind=Kind.SENSOR,
-    unseen=_askew,
-)
+# Quantities: in its own frame.
+@MountEffect.cause(quantities=elsewhere(1e-3, math.radians(1.0)), kind=Kind.SENSOR, unseen=_askew)
 def sensor_misplaced(theta: Theta) -> Transform:
-    """The sensor sits elsewhere on its holder, or turned in it."""
+    """The sensor sits elsewhere on its holder, or turned in it.
+
+    Source: probes are glued or clamped to about 1 mm and 1 degree.
+    """
     return of_numbers(theta)
 
 
@@ -69,29 +68,31 @@ def _askew_or_about_the_axis(circumstances: Circumstances, place: str) -> frozen
     return _askew(circumstances, place) | frozenset(() if can_show else ("rz_rad",))
 
 
+# Quantities: in its own frame.
 @MountEffect.cause(
-    words="the coil sits elsewhere than stated, or turned there",
-    source="coils are bolted or clamped to about 1 mm and 1 degree",
-    quantities=elsewhere(1e-3, math.radians(1.0)),  # in its own frame
-    kind=Kind.COIL,
-    unseen=_askew_or_about_the_axis,
+    quantities=elsewhere(1e-3, math.radians(1.0)), kind=Kind.COIL, unseen=_askew_or_about_the_axis
 )
 def coil_misplaced(theta: Theta) -> Transform:
-    """The coil sits elsewhere on what carries it, or in the room, or is turned there."""
+    """The coil sits elsewhere than stated, or turned there.
+
+    The coil sits elsewhere on what carries it, or in the room, or is turned there.
+
+    Source: coils are bolted or clamped to about 1 mm and 1 degree.
+    """
     return of_numbers(theta)
 
 
-@ElementEffect.cause(
-    words="the sensor's three elements sit at different positions",
-    source="probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm",
-    # Position of each element from where the sensor is said to be, in the sensor frame.
-    quantities=triple(ELEMENTS, "", "m", 500e-6),
-)
+# Quantities: position of each element from where the sensor is said to be, in the sensor frame.
+@ElementEffect.cause(quantities=triple(ELEMENTS, "", "m", 500e-6))
 def element_displacement(theta: Theta) -> Float[Tensor, "*batch 3 3"]:
-    """The elements of the three axes sit at different positions in the probe.
+    """The sensor's three elements sit at different positions.
+
+    The elements of the three axes sit at different positions in the probe.
 
     A shift that all three share looks like another place of the sensor. So each number by itself stays as wide as its prior where that
     place is free, and differences such as `z_at_x_m - x_at_x_m` are known far better.
+
+    Source: probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm.
     """
     at_m: Tensor = vector(theta, ELEMENTS)[..., 0, :].unflatten(-1, (3, 3))
     return at_m

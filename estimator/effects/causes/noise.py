@@ -43,15 +43,18 @@ def _rms(whitened: Float[Tensor, " component"]) -> NoiseEstimate | None:
 
 @NoiseEffect.cause(
     "sigma_T",
-    words="the readings scatter more, or less, than the noise that is stated",
-    source="data sheets give the noise of another bandwidth: a factor of two either way",
     quantities=(Quantity("factor", "1", LogNormal(1.0, 0.7), 1.0),),
     concerns=_is_stated,
     estimate=_rms,
     disturbed_T=lambda error_T, theta: error_T * theta["factor"],
 )
 def noise_misstated(sigma_T: Deviations, theta: Theta) -> Deviations:
-    """A sensor's readings scatter by a multiple of what the rig file says."""
+    """The readings scatter more, or less, than the noise that is stated.
+
+    A sensor's readings scatter by a multiple of what the rig file says.
+
+    Source: data sheets give the noise of another bandwidth: a factor of two either way.
+    """
     return sigma_T * theta["factor"][..., None]
 
 
@@ -88,11 +91,9 @@ def _some_wild(error_T: Errors, theta: Theta, rng: np.random.Generator) -> Error
     return torch.where(is_wild, theta["ratio"] * error_T, error_T)
 
 
+# Quantities: share of wrong components and their scatter in units of the noise.
 @NoiseEffect.cause(
     "contamination",
-    words="a share of the readings is wrong",
-    source="dropped bits, late triggers: some per mille to 10 %",
-    # Share of wrong components and their scatter in units of the noise.
     quantities=(
         Quantity("share", "1", Uniform(0.0, 0.5), 0.0, is_fixed=True),
         Quantity("ratio", "1", Uniform(1.0, 1e4), 1.0, is_shape=True, is_fixed=True),
@@ -104,19 +105,28 @@ def _some_wild(error_T: Errors, theta: Theta, rng: np.random.Generator) -> Error
     disturbed_T=_some_wild,
 )
 def outliers(theta: Theta) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
-    """A share of the readings is wrong: a contaminated normal distribution with a wide second component."""
+    """A share of the readings is wrong.
+
+    A share of the readings is wrong: a contaminated normal distribution with a wide second component.
+
+    Source: dropped bits, late triggers: some per mille to 10 %.
+    """
     return theta["share"], theta["ratio"]
 
 
+# Quantities: of the component that is read.
 @NoiseEffect.cause(
     "sigma_T",
-    words="the readings scatter the more, the larger they are",
-    source="two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading",
-    quantities=(Quantity("share", "1", LogNormal(3e-3, 1.0), 0.0),),  # of the component that is read
+    quantities=(Quantity("share", "1", LogNormal(3e-3, 1.0), 0.0),),
     exposure=lambda prediction: prediction.field_sensor_T.abs(),
 )
 def noise_grows(sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
-    """The sensor scatters by a share of what each axis shows, beside its noise: too few digits, an unsteady supply or amplifier."""
+    """The readings scatter the more, the larger they are.
+
+    The sensor scatters by a share of what each axis shows, beside its noise: too few digits, an unsteady supply or amplifier.
+
+    Source: two or three digits of a display, ripple of a supply: 0.05 to 3 % of the reading.
+    """
     return torch.sqrt(sigma_T**2 + (theta["share"][..., None] * exposure) ** 2)
 
 
@@ -128,16 +138,20 @@ def _moved(
     return error_T + torch.einsum("rij,rj->ri", prediction.gradient_T_per_m(place), off_m)
 
 
+# Quantities: along each axis.
 @NoiseEffect.cause(
     "sigma_T",
-    words="the mover scatters about its targets",
-    source="repeatability of small arms, 10 to 100 um",
-    quantities=(Quantity("sd_m", "m", LogNormal(50e-6, 1.0), 0.0),),  # along each axis
+    quantities=(Quantity("sd_m", "m", LogNormal(50e-6, 1.0), 0.0),),
     kind=Kind.MOVER,
     exposure=lambda prediction, place: prediction.gradient_T_per_m(place).norm(dim=-1),
     directions_T=lambda prediction, theta, place: prediction.gradient_T_per_m(place) * theta["sd_m"],
     disturbed_T=_moved,
 )
 def position_jitter(sigma_T: Deviations, exposure: Float[Tensor, " component"], theta: Theta) -> Deviations:
-    """The mover scatters about its target; the field's gradient turns that into scatter of the reading."""
+    """The mover scatters about its targets.
+
+    The mover scatters about its target; the field's gradient turns that into scatter of the reading.
+
+    Source: repeatability of small arms, 10 to 100 um.
+    """
     return torch.sqrt(sigma_T**2 + (theta["sd_m"][..., None] * exposure) ** 2)

@@ -14,7 +14,8 @@ from estimator.effects.base import POSITIVE, SIGN, Starts, Theta, box, switch, v
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 from estimator.tensors import torch
 
 # mm under m, m under mm, mm under cm, ..., inch under mm.
@@ -51,24 +52,26 @@ def _usual_slips(circumstances: Circumstances, place: str) -> Starts:
     )
 
 
+# Quantities: recorded over true positions.
 @MotionEffect.cause(
-    words="positions are recorded in another unit than stated, along one axis or all",
-    source="powers of ten between m, cm and mm; inches",
-    quantities=tuple(switch(key, 0.0, 1e9, 1.0, POSITIVE) for key in FACTORS),  # recorded over true positions
+    quantities=tuple(switch(key, 0.0, 1e9, 1.0, POSITIVE) for key in FACTORS),
     places=lambda rig: tuple(mover.name for mover in rig.movers if mover.table is None),
     starts=_usual_slips,
     concerns=lambda circumstances, place: bool(_moved(circumstances, place)),
     is_record_mistake=True,
 )
 def position_unit(pose: Transform, theta: Theta) -> Transform:
-    """One axis of a mover, or all of them, was recorded in another unit than the file says."""
+    """Positions are recorded in another unit than stated, along one axis or all.
+
+    One axis of a mover, or all of them, was recorded in another unit than the file says.
+
+    Source: powers of ten between m, cm and mm; inches.
+    """
     return Transform(pose.rotation, pose.translation_m / vector(theta, FACTORS))
 
 
+# Quantities: 0: a rotation vector; 1 to 6: angles about fixed axes, in the order xyz, xzy, yxz, yzx, zxy, zyx; 7: the inverse; 8: degrees.
 @MotionEffect.cause(
-    words="rotations are recorded in another convention than rotation vectors",
-    source="angles about the axes in each of 6 orders, the inverse rotation, degrees",
-    # 0: a rotation vector; 1 to 6: angles about fixed axes, in the order xyz, xzy, yxz, yzx, zxy, zyx; 7: the inverse; 8: degrees.
     quantities=(switch("convention", 0.0, float(IN_DEGREES), 0.0, A_CONVENTION),),
     places=_that_report(MotionKind.DISPLACEMENT, MotionKind.POSE),
     starts=tuple({"convention": float(i)} for i in range(1, IN_DEGREES + 1)),
@@ -77,7 +80,12 @@ def position_unit(pose: Transform, theta: Theta) -> Transform:
     is_record_mistake=True,
 )
 def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Transform:
-    """The three columns of a rotation are no rotation vector: angles about three axes, the inverse rotation, or degrees."""
+    """Rotations are recorded in another convention than rotation vectors.
+
+    The three columns of a rotation are no rotation vector: angles about three axes, the inverse rotation, or degrees.
+
+    Source: angles about the axes in each of 6 orders, the inverse rotation, degrees.
+    """
     axes = torch.eye(3).to(columns)
     about = [rotation_from_vector(columns[:, i : i + 1] * axes[i]) for i in range(3)]
     as_angles = [about[third] @ about[second] @ about[first] for first, second, third in ORDERS]
@@ -87,8 +95,6 @@ def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Tran
 
 
 @MotionEffect.cause(
-    words="one axis of the displacements is reversed: their frame is left-handed",
-    source="3 axes",
     quantities=tuple(switch(key, -1.0, 1.0, 1.0, SIGN) for key in SIGNS),
     # Each axis alone, and all.
     starts=(
@@ -98,7 +104,12 @@ def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Tran
     is_record_mistake=True,
 )
 def left_handed(pose: Transform, theta: Theta) -> Transform:
-    """One axis of the recorded displacements is reversed, so that their frame is left-handed."""
+    """One axis of the displacements is reversed: their frame is left-handed.
+
+    One axis of the recorded displacements is reversed, so that their frame is left-handed.
+
+    Source: 3 axes.
+    """
     return Transform(pose.rotation, vector(theta, SIGNS) * pose.translation_m)
 
 
@@ -120,10 +131,9 @@ def _is_large(theta: Theta) -> bool:
     return math.hypot(*(float(turn_rad) for turn_rad in theta.values())) > SMALLEST_TURN_RAD
 
 
+# Quantities: from the reported to the real axes.
 @MotionEffect.cause(
-    words="displacements are reported in other axes than the rig says",
-    source="any rotation: a tool may point anywhere",
-    quantities=box(TURN, "", "rad", 2.0 * math.pi),  # from the reported to the real axes
+    quantities=box(TURN, "", "rad", 2.0 * math.pi),
     places=_that_report(MotionKind.DISPLACEMENT),
     # The other 23 rotations of a cube, and those half way between about each of its axes.
     starts=lambda: tuple(dict(zip(TURN, turn, strict=True)) for turn in _turns()),
@@ -131,6 +141,11 @@ def _is_large(theta: Theta) -> bool:
     is_record_mistake=True,
 )
 def displacement_frame(pose: Transform, theta: Theta) -> Transform:
-    """Displacements are reported in other axes than the rig says, such as those of the robot's base."""
+    """Displacements are reported in other axes than the rig says.
+
+    Displacements are reported in other axes than the rig says, such as those of the robot's base.
+
+    Source: any rotation: a tool may point anywhere.
+    """
     turn = rotation_from_vector(vector(theta, TURN)[..., 0, :])
     return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])

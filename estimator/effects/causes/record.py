@@ -21,14 +21,15 @@ ROWS = whole(f"must be a whole number from {-MOST_ROWS} to {MOST_ROWS}", -MOST_R
 
 @RecordEffect.cause(
     "place_of",
-    words="two sensors stand at each other's places, or their cables are exchanged",
-    source="any two sensors",
     quantities=TWO_BODIES,
     places=lambda rig: ("record",) if len(rig.sensors) > 1 else (),
     starts=lambda circumstances: pairs(len(circumstances.rig.sensors)),
 )
 def sensors_exchanged(sensor: Int[Tensor, "*#batch row"], theta: Theta) -> Int[Tensor, "*#batch row"]:
-    """Two sensors stand at each other's places, or their cables are exchanged."""
+    """Two sensors stand at each other's places, or their cables are exchanged.
+
+    Source: any two sensors.
+    """
     return exchanged(sensor, theta)
 
 
@@ -38,33 +39,34 @@ def _late_and_early(circumstances: Circumstances) -> Starts:
     return tuple({"rows": float(sign * n)} for n in range(1, most + 1) for sign in (1, -1))
 
 
+# Quantities: rows by which fields come late; negative where they come early.
 @RecordEffect.cause(
     "rows_late",
-    words="fields stand some rows beside the poses and currents that they belong to",
     source=f"buffers of loggers, {MOST_ROWS} readings at most",
-    # Rows by which fields come late; negative where they come early.
     quantities=(switch("rows", -float(MOST_ROWS), float(MOST_ROWS), 0.0, ROWS),),
     starts=_late_and_early,
 )
 def rows_shifted(values: Mapping[str, float]) -> int:
-    """Fields were written down some rows late or early: each belongs to the pose and the currents of another row."""
+    """Fields stand some rows beside the poses and currents that they belong to.
+
+    Fields were written down some rows late or early: each belongs to the pose and the currents of another row.
+    """
     return round(values["rows"])
 
 
-@during(
-    rows_shifted,
-    words="from one instant on fields stand some rows beside the poses and currents that they belong to",
-    source="readings lost (negative) or written twice (positive), two at most",
-)
+@during(rows_shifted)
 def rows_shifted_since() -> None:
-    """From one instant on fields stand beside other rows: a trigger was missed, or a reading written twice, when two files were joined."""
+    """From one instant on fields stand some rows beside the poses and currents that they belong to.
+
+    From one instant on fields stand beside other rows: a trigger was missed, or a reading written twice, when two files were joined.
+
+    Source: readings lost (negative) or written twice (positive), two at most.
+    """
 
 
+# Quantities: recorded over true fields, which scales the noise too; recorded over true currents.
 @RecordEffect.cause(
     "recorded_T",
-    words="fields or currents are in another unit than stated",
-    source="powers of ten between T, G, mT, uT and between A, mA",
-    # Recorded over true fields, which scales the noise too; recorded over true currents.
     quantities=tuple(switch(key, 0.0, 1e9, 1.0, POSITIVE) for key in ("field_factor", "current_factor")),
     # The usual slips between units.
     starts=(
@@ -75,5 +77,10 @@ def rows_shifted_since() -> None:
     recorded_error_T=lambda error_T, theta: error_T * theta["field_factor"][..., None],
 )
 def unit_error(field_sensor_T: Components, theta: Theta) -> Components:
-    """Fields or currents are in another unit than the file says."""
+    """Fields or currents are in another unit than stated.
+
+    Fields or currents are in another unit than the file says.
+
+    Source: powers of ten between T, G, mT, uT and between A, mA.
+    """
     return field_sensor_T * theta["field_factor"][..., None, None]

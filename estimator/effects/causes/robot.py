@@ -15,7 +15,8 @@ from estimator.frames import Transform, rotation_from_vector
 from estimator.geometry.kinematics import base_from_joints
 from estimator.geometry.motion import base_from_motion, ends_of
 from estimator.rig.arms import N_JOINTS
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 LEAST_TURN = 1e-6  # of a rotation matrix: below, a mover only moves
@@ -33,24 +34,24 @@ def _shifted(pose: Transform, shift_m: Tensor) -> Transform:
     return Transform(pose.rotation, pose.translation_m + shift_m)
 
 
-@MotionEffect.cause(
-    words="the robot's axes have a wrong scale",
-    source="uncalibrated arms err by 1 mm in 0.5 m; worn screws by per mille",
-    quantities=triple("xyz", "", "1", 0.005),
-)
+@MotionEffect.cause(quantities=triple("xyz", "", "1", 0.005))
 def robot_scale(pose: Transform, theta: Theta) -> Transform:
-    """The robot moves a fixed multiple of what it says, axis by axis."""
+    """The robot's axes have a wrong scale.
+
+    The robot moves a fixed multiple of what it says, axis by axis.
+
+    Source: uncalibrated arms err by 1 mm in 0.5 m; worn screws by per mille.
+    """
     return _shifted(pose, vector(theta, "xyz") * pose.translation_m)
 
 
-@MotionEffect.cause(
-    words="the robot's axes are not at right angles",
-    source="portal axes are squared to 1 mrad and better; arms err as in robot_scale",
-    # How far x leans along y, x along z, and y along z.
-    quantities=triple(("xy", "xz", "yz"), "", "1", 0.005),
-)
+# Quantities: how far x leans along y, x along z, and y along z.
+@MotionEffect.cause(quantities=triple(("xy", "xz", "yz"), "", "1", 0.005))
 def robot_shear(pose: Transform, theta: Theta) -> Transform:
-    """The robot's axes are not at right angles."""
+    """The robot's axes are not at right angles.
+
+    Source: portal axes are squared to 1 mrad and better; arms err as in robot_scale.
+    """
     _, y, z = pose.translation_m.unbind(-1)
     xy, xz, yz = (theta[key][..., None] for key in ("xy", "xz", "yz"))
     shift = torch.broadcast_tensors(xy * y + xz * z, yz * z, torch.zeros_like(z))
@@ -62,26 +63,30 @@ def _direction_of_last_move(circumstances: Circumstances, mover: str) -> Columns
 
 
 @MotionEffect.cause(
-    words="the mover stops short along its last move",
-    source="in-position windows of controllers, 10 to 100 um",
-    quantities=(normal("lag_m", "m", 200e-6),),
-    columns=_direction_of_last_move,
-    depends_on=BEFORE,
+    quantities=(normal("lag_m", "m", 200e-6),), columns=_direction_of_last_move, depends_on=BEFORE
 )
 def position_lag(pose: Transform, columns: Columns, theta: Theta) -> Transform:
-    """The mover stops short of its target by a fixed length, along its last move."""
+    """The mover stops short along its last move.
+
+    The mover stops short of its target by a fixed length, along its last move.
+
+    Source: in-position windows of controllers, 10 to 100 um.
+    """
     return _shifted(pose, -theta["lag_m"][..., None, None] * columns)
 
 
 @MotionEffect.cause(
-    words="the axes have play: the position depends on the side it was reached from",
-    source="spindles and gears, 10 to 200 um",
     quantities=triple("xyz", "_m", "m", 200e-6),
     columns=lambda circumstances, mover: circumstances.approach(mover),
     depends_on=BEFORE,
 )
 def backlash(pose: Transform, columns: Columns, theta: Theta) -> Transform:
-    """Each axis stands half its play short of its target, on the side it came from."""
+    """The axes have play: the position depends on the side it was reached from.
+
+    Each axis stands half its play short of its target, on the side it came from.
+
+    Source: spindles and gears, 10 to 200 um.
+    """
     return _shifted(pose, -0.5 * vector(theta, "xyz", "_m") * columns)
 
 
@@ -110,32 +115,35 @@ def _turned(pose: Transform, columns: Columns, turns_rad: Mapping[int, Tensor]) 
     return pose
 
 
+# Quantities: how far each joint stands beyond its reading.
 @MotionEffect.cause(
-    words="the joints' encoders have other zeros than the arm's kinematics",
-    source="UR arms whose factory calibration is not used, about 2 mrad a joint",
-    # How far each joint stands beyond its reading.
     quantities=tuple(normal(f"q{i}_rad", "rad", 2e-3) for i in range(N_JOINTS)),
     places=_arms,
     columns=_joint_axes,
 )
 def joint_zeros(pose: Transform, columns: Columns, theta: Theta) -> Transform:
-    """The encoders of an arm's joints do not read zero where its kinematics have their zeros."""
+    """The joints' encoders have other zeros than the arm's kinematics.
+
+    The encoders of an arm's joints do not read zero where its kinematics have their zeros.
+
+    Source: UR arms whose factory calibration is not used, about 2 mrad a joint.
+    """
     return _turned(pose, columns, {i: theta[f"q{i}_rad"][..., None] for i in range(N_JOINTS)})
 
 
+# Quantities: angle by which a joint gives way for each metre of lever: the shoulder under either, the elbow under that at the flange.
 @MotionEffect.cause(
-    words="shoulder and elbow of the arm give way under its weight",
-    source="gears of 10 kN m/rad under 30 N: 3 mrad for each metre of lever; light arms with belts several times that",
-    # Angle by which a joint gives way for each metre of lever: the shoulder under either, the elbow under that at the flange.
-    quantities=tuple(normal(key, "rad/m", 0.01) for key in SAGGING),
-    places=_arms,
-    columns=_joint_axes,
+    quantities=tuple(normal(key, "rad/m", 0.01) for key in SAGGING), places=_arms, columns=_joint_axes
 )
 def joint_sag(pose: Transform, columns: Columns, theta: Theta) -> Transform:
-    """The gears of shoulder and elbow give way under the weight of the arm and of what it carries, so that it sags with its reach.
+    """Shoulder and elbow of the arm give way under its weight.
+
+    The gears of shoulder and elbow give way under the weight of the arm and of what it carries, so that it sags with its reach.
 
     A joint turns by its compliance times the torque, the lever of each weight about it: weights sit at the elbow and at the flange.
     The base stands upright; where it hangs, sizes are negative.
+
+    Source: gears of 10 kN m/rad under 30 N: 3 mrad for each metre of lever; light arms with belts several times that.
     """
     turns_rad: dict[int, Tensor] = {}
     for key, (joint, weight) in SAGGING.items():
@@ -148,15 +156,19 @@ def joint_sag(pose: Transform, columns: Columns, theta: Theta) -> Transform:
     return _turned(pose, columns, turns_rad)
 
 
+# Quantities: in the frame of the base as stated.
 @MotionEffect.cause(
-    words="the base of the mover stands elsewhere in the room, or turned",
-    source="bases are placed by tape and level to about 2 mm and 0.5 degree",
-    quantities=elsewhere(2e-3, math.radians(0.5)),  # in the frame of the base as stated
+    quantities=elsewhere(2e-3, math.radians(0.5)),
     # Displacements begin wherever the reference pose is.
     places=lambda rig: tuple(m.name for m in rig.movers if m.motion is not MotionKind.DISPLACEMENT),
 )
 def base_misplaced(pose: Transform, theta: Theta) -> Transform:
-    """The base of an arm or a mapper stands elsewhere in the room, or turned."""
+    """The base of the mover stands elsewhere in the room, or turned.
+
+    The base of an arm or a mapper stands elsewhere in the room, or turned.
+
+    Source: bases are placed by tape and level to about 2 mm and 0.5 degree.
+    """
     return of_numbers(theta) @ pose
 
 
@@ -171,43 +183,48 @@ def _is_no_bump(circumstances: Circumstances, place: str) -> bool:
     return len(shifted) > 1 or (is_turned and any(sensor.carried_by == place for sensor in shifted))
 
 
-@MotionEffect.cause(
-    words="the mover stands elsewhere than it says",
-    source="lost steps of a motor and pushed feet, 0.1 to 1 mm",
-    quantities=triple("xyz", "_m", "m", 500e-6),  # in the frame that the mover reports in
-    concerns=_is_no_bump,
-)
+# Quantities: in the frame that the mover reports in.
+@MotionEffect.cause(quantities=triple("xyz", "_m", "m", 500e-6), concerns=_is_no_bump)
 def _mover_off(pose: Transform, theta: Theta) -> Transform:
-    """The mover stands elsewhere than it says, as far everywhere."""
+    """The mover stands elsewhere than it says.
+
+    The mover stands elsewhere than it says, as far everywhere.
+
+    Source: lost steps of a motor and pushed feet, 0.1 to 1 mm.
+    """
     return _shifted(pose, vector(theta, "xyz", "_m"))
 
 
-@during(
-    _mover_off,
-    words="from one instant on the mover stands elsewhere than it says",
-)
+@during(_mover_off)
 def mover_slipped() -> None:
-    """The mover lost steps, or its feet were pushed: from one instant on it stands elsewhere than it says, as far everywhere."""
+    """From one instant on the mover stands elsewhere than it says.
+
+    The mover lost steps, or its feet were pushed: from one instant on it stands elsewhere than it says, as far everywhere.
+    """
 
 
-@spell(
-    mover_slipped,
-    words="for a while the mover stands elsewhere than it says",
-    source="another tool or work frame in part of a program, 0.1 to 1 mm",
-)
+@spell(mover_slipped)
 def mover_spell() -> None:
-    """For a while the mover stands elsewhere than it says, as far everywhere: another tool frame, a wrong height in part of a record."""
+    """For a while the mover stands elsewhere than it says.
+
+    For a while the mover stands elsewhere than it says, as far everywhere: another tool frame, a wrong height in part of a record.
+
+    Source: another tool or work frame in part of a program, 0.1 to 1 mm.
+    """
 
 
 @MotionEffect.cause(
-    words="in each segment of the session the mover stands elsewhere, or turned",
-    source="feet, stops and references are found again to about 1 mm and 0.5 degree",
     **each_segment(elsewhere(1e-3, math.radians(0.5))),  # in the frame that the mover reports in
     concerns=lambda circumstances: is_several(circumstances.extent.segments),
     columns=lambda circumstances: circumstances.segment.to(circumstances.current_A.dtype)[:, None],
 )
 def segment_misplaced(pose: Transform, columns: Columns, theta: Theta) -> Transform:
-    """The mover was set up anew before each segment, and stands elsewhere each time, or turned."""
+    """In each segment of the session the mover stands elsewhere, or turned.
+
+    The mover was set up anew before each segment, and stands elsewhere each time, or turned.
+
+    Source: feet, stops and references are found again to about 1 mm and 0.5 degree.
+    """
     segment = columns[:, 0].long()
     turn = rotation_from_vector(of_segment(theta, TURN, segment))
     return Transform(turn, of_segment(theta, SHIFT, segment)) @ pose

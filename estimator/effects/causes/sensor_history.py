@@ -5,7 +5,8 @@ from __future__ import annotations
 from jaxtyping import Float
 
 from estimator.effects.base import Starts, Theta, at_least_zero, normal
-from estimator.effects.circumstances import LONG_AGO_S, Circumstances
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.history import LONG_AGO_S
 from estimator.effects.stages import Components, ReadingEffect
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.tensors import Tensor, torch
@@ -29,8 +30,6 @@ def _shares_of_a_dwell(circumstances: Circumstances, place: str) -> Starts:
 
 
 @ReadingEffect.cause(
-    words="the sensor is read before it has settled",
-    source="filters of teslameters, 10 ms to 1 s; stops of 0.5 to 10 s are meant to be ten times as long",
     quantities=lambda extent: (at_least_zero("tau_s", "s", 0.1 * extent.interval_h * SECONDS_PER_HOUR),),
     starts=_shares_of_a_dwell,
     # Readings of the sensor follow one another in time.
@@ -40,11 +39,15 @@ def _shares_of_a_dwell(circumstances: Circumstances, place: str) -> Starts:
 def sensor_lag(
     field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
 ) -> Components:
-    """The sensor is read before it has settled: a share of what it showed at the reading before is left.
+    """The sensor is read before it has settled.
+
+    The sensor is read before it has settled: a share of what it showed at the reading before is left.
 
     shown = field + (shown before - field) exp(-dwell / tau): a filter of the first order, and a field that jumps at the beginning of each
     dwell. What was shown before is what was recorded, with its noise, of which a small share enters; a component that was not recorded
     before counts as settled. In a session without any recorded field, such as one to be simulated, it follows from the fields themselves.
+
+    Source: filters of teslameters, 10 ms to 1 s; stops of 0.5 to 10 s are meant to be ten times as long.
     """
     row, ago_s = circumstances.previous(sensor)
     left = torch.exp(-ago_s / theta["tau_s"].clamp(min=LEAST_TAU_S)[..., None])[..., None]
@@ -73,10 +76,9 @@ def _follows_another(circumstances: Circumstances, place: str) -> bool:
     return bool((row >= 0)[circumstances.is_of(place)].any())
 
 
+# Quantities: of the channel before.
 @ReadingEffect.cause(
-    words="the sensor keeps a share of what was read on the channel before",
-    source="multiplexers that switch faster than their converter settles, 0.01 to 5 % of the channel before",
-    quantities=(normal("share", "1", 0.02),),  # of the channel before
+    quantities=(normal("share", "1", 0.02),),
     places=lambda rig: tuple(sensor.name for sensor in rig.sensors) if len(rig.sensors) > 1 else (),
     concerns=_follows_another,
     depends_on="the reading of another sensor before",
@@ -84,11 +86,15 @@ def _follows_another(circumstances: Circumstances, place: str) -> bool:
 def channel_crosstalk(
     field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
 ) -> Components:
-    """The sensor keeps a share of what the sensor that was read just before it showed, axis by axis: a multiplexer before one converter.
+    """The sensor keeps a share of what was read on the channel before.
+
+    The sensor keeps a share of what the sensor that was read just before it showed, axis by axis: a multiplexer before one converter.
 
     shown = field + share (shown by the sensor before - field). What that showed is what was recorded, with its noise, of which a small
     share enters; a component that was not recorded changes nothing. In a session without any recorded field, such as one to be simulated,
     it is the field at that sensor.
+
+    Source: multiplexers that switch faster than their converter settles, 0.01 to 5 % of the channel before.
     """
     row = circumstances.read_before(sensor)
     history = circumstances.observations.history

@@ -39,13 +39,16 @@ def _in_turn(*parts: ReadingEffect) -> ReadingEffect:
 
 @during(
     _in_turn(cross_axis, axis_gain, sensor_offset),
-    words="from one instant on another sensor reads, with gains and a zero of its own",
-    source="sensors of one make differ as axis_gain, cross_axis and sensor_offset say",
     # Enough readings of either sensor to tell its constants: fewer readings follow any twelve numbers.
     starts=lambda circumstances, place: instants_within(circumstances, place, LEAST_SHARE),
 )
 def sensor_exchanged() -> None:
-    """From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own."""
+    """From one instant on another sensor reads, with gains and a zero of its own.
+
+    From one instant on another sensor hangs on the same cable, with gains, mixings and a zero of its own.
+
+    Source: sensors of one make differ as axis_gain, cross_axis and sensor_offset say.
+    """
 
 
 _CONTACT = _in_turn(axis_gain, sensor_offset)
@@ -82,8 +85,6 @@ def _sides(circumstances: Circumstances, place: str) -> Starts:
 
 
 @ReadingEffect.cause(
-    words="on one side of the mover's way the sensor has other gains and another zero",
-    source="a worn cable or plug: per mille to per cents of a gain, and zeros as sensor_offset says",
     quantities=_contact,
     # Readings all on one side would have another gain and another zero.
     concerns=lambda circumstances, place: circumstances.moved_between(place),
@@ -92,9 +93,13 @@ def _sides(circumstances: Circumstances, place: str) -> Starts:
 def sensor_contact(
     field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
 ) -> Components:
-    """The sensor has other gains and another zero where the mover stands beyond some place along one axis: a cable pulls at its contact.
+    """On one side of the mover's way the sensor has other gains and another zero.
+
+    The sensor has other gains and another zero where the mover stands beyond some place along one axis: a cable pulls at its contact.
 
     The mover is that of the sensor, or of the first coil that has one where the sensor stands still.
+
+    Source: a worn cable or plug: per mille to per cents of a gain, and zeros as sensor_offset says.
     """
     at_m = circumstances.mover_of_sensor_m(sensor)
     if at_m is None:
@@ -120,23 +125,25 @@ def _in_segments(quantities: Quantities) -> dict[str, Any]:
     return each_segment(quantities) | {"concerns": was_read_in_several, "unseen": not_read}
 
 
-@ReadingEffect.cause(
-    words="in each segment of the session the sensor has another gain",
-    source="ranges and excitation currents of Hall teslameters agree to 0.1 to 1 %",
-    **_in_segments((normal("gain", "1", 0.01),)),
-)
+@ReadingEffect.cause(**_in_segments((normal("gain", "1", 0.01),)))
 def segment_gain(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
-    """The sensor has another gain in each segment: another range, excitation or day."""
+    """In each segment of the session the sensor has another gain.
+
+    The sensor has another gain in each segment: another range, excitation or day.
+
+    Source: ranges and excitation currents of Hall teslameters agree to 0.1 to 1 %.
+    """
     return field_sensor_T * (1.0 + of_segment(theta, ("gain",), circumstances.segment))
 
 
-@ReadingEffect.cause(
-    words="in each segment of the session the sensor shows another constant in no field",
-    source="zeroing in a chamber or in the field of the room leaves as much as sensor_offset says",
-    **_in_segments(triple("xyz", "_T", "T", 50e-6)),
-)
+@ReadingEffect.cause(**_in_segments(triple("xyz", "_T", "T", 50e-6)))
 def segment_zero(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
-    """The sensor was zeroed anew before each segment."""
+    """In each segment of the session the sensor shows another constant in no field.
+
+    The sensor was zeroed anew before each segment.
+
+    Source: zeroing in a chamber or in the field of the room leaves as much as sensor_offset says.
+    """
     return field_sensor_T + of_segment(theta, ("x_T", "y_T", "z_T"), circumstances.segment)
 
 
@@ -147,12 +154,15 @@ def _inside_the_largest(circumstances: Circumstances, place: str) -> Starts:
 
 
 @ReadingEffect.cause(
-    words="components beyond the sensor's range are cut off",
-    source="any range; the readings show where it ends",
     quantities=lambda extent: (at_most("limit_T", "T", 0.2, 3.0, extent.largest_field_T),),
     starts=_inside_the_largest,
 )
 def range_clipping(field_sensor_T: Components, theta: Theta) -> Components:
-    """Components beyond the range read as its end."""
+    """Components beyond the sensor's range are cut off.
+
+    Components beyond the range read as its end.
+
+    Source: any range; the readings show where it ends.
+    """
     limit = theta["limit_T"][..., None, None]
     return torch.minimum(torch.maximum(field_sensor_T, -limit), limit)

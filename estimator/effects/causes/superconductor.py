@@ -12,11 +12,13 @@ from estimator.effects.base import Quantity, Theta, triple, vector
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Currents, WindingMagnetisation
 from estimator.field.magnetised import Rings, field_inside_per_ampere
-from estimator.field.winding import Rule, Winding, winding_field_per_ampere
+from estimator.field.winding import Winding, winding_field_per_ampere
+from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.geometry.motion import pose_of
+from estimator.rig.bodies import POSE_KEYS, Coil
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import POSE_KEYS, Coil, Rig
+from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 LEFT = ("axial", "radial", "fan")  # what an earlier field leaves of itself
@@ -88,15 +90,10 @@ def _unscreened(circumstances: Circumstances) -> frozenset[str]:
     return frozenset(() if has_current else ("susceptibility",))
 
 
+# Quantities: share of the present field that is turned against it; mu0 M that an earlier field has left. That is taken to first order
+# along the winding: along the axis, outwards, and fanned out (outwards at the front face, inwards at the back).
 @WindingMagnetisation.cause(
     "drives",
-    words="currents that persist in the superconductor's filaments magnetise the winding",
-    source=(
-        "Bean's model: 2/(3 pi) mu0 Jc d of the superconductor, 5 to 100 mT for filaments of 10 to 50 um below 1 T, times its share of "
-        "the winding; twice that share answers a small change (Wilson, Superconducting Magnets, 1983, chapter 8)"
-    ),
-    # Share of the present field that is turned against it; mu0 M that an earlier field has left. That is taken to first order along the
-    # winding: along the axis, outwards, and fanned out (outwards at the front face, inwards at the back).
     quantities=(
         Quantity("susceptibility", "1", Normal(0.0, 0.3, lower=0.0, upper=1.0)),
         *triple(LEFT, "_T", "T", 0.02),
@@ -106,10 +103,15 @@ def _unscreened(circumstances: Circumstances) -> frozenset[str]:
     rings=_patterns,
 )
 def filament_magnetisation(current_A: Currents, theta: Theta) -> Float[Tensor, "*#batch reading pattern"]:
-    """Persistent currents in a superconductor's filaments magnetise its winding: against the field, and as an earlier field has left it.
+    """Currents that persist in the superconductor's filaments magnetise the winding.
+
+    Persistent currents in a superconductor's filaments magnetise its winding: against the field, and as an earlier field has left it.
 
     The field is that of the windings as the rig file describes them, averaged around this one: its own, and those of coils that do
     not move relative to it.
+
+    Source: Bean's model: 2/(3 pi) mu0 Jc d of the superconductor, 5 to 100 mT for filaments of 10 to 50 um below 1 T, times its share of
+    the winding; twice that share answers a small change (Wilson, Superconducting Magnets, 1983, chapter 8).
     """
     # Screened current of each coil in A, then what an earlier field has left, in T.
     screened = theta["susceptibility"][..., None, None] * current_A

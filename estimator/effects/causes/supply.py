@@ -7,8 +7,9 @@ from collections.abc import Callable
 from jaxtyping import Float
 
 from estimator.effects.base import Quantities, Quantity, Starts, Theta, at_most, fixed, normal
-from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
+from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.during import during, spell
+from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Current, CurrentEffect, Currents, OneCoilCurrent
 from estimator.rig.parameters import LogNormal
 from estimator.tensors import Tensor, torch
@@ -38,36 +39,37 @@ def _missing(key: str) -> Callable[[Extent], Quantities]:
     return lambda extent: (normal(key, "A", max(0.02, 0.01 * extent.largest_current_A)),)
 
 
-@OneCoilCurrent.cause(
-    words="the supply delivers a fixed multiple of the commanded current",
-    source="read-back accuracy of bench supplies, 0.1 to 1 %",
-    quantities=(normal("excess", "1", 0.01),),
-)
+@OneCoilCurrent.cause(quantities=(normal("excess", "1", 0.01),))
 def current_gain(current_A: Current, theta: Theta) -> Current:
-    """The supply delivers a fixed multiple of the commanded current."""
+    """The supply delivers a fixed multiple of the commanded current.
+
+    Source: read-back accuracy of bench supplies, 0.1 to 1 %.
+    """
     return current_A * (1.0 + theta["excess"][..., None])
 
 
-@OneCoilCurrent.cause(
-    words="a constant current flows on top of the commanded one",
-    source="offset of bipolar supplies, about 0.1 % of a range of 20 A",
-    quantities=_missing("offset_A"),
-)
+@OneCoilCurrent.cause(quantities=_missing("offset_A"))
 def current_offset(current_A: Current, theta: Theta) -> Current:
-    """A constant current flows on top of the commanded one, also at zero."""
+    """A constant current flows on top of the commanded one.
+
+    A constant current flows on top of the commanded one, also at zero.
+
+    Source: offset of bipolar supplies, about 0.1 % of a range of 20 A.
+    """
     return current_A + theta["offset_A"][..., None]
 
 
+# Quantities: a negative band is a jump of the current at zero.
 @OneCoilCurrent.cause(
-    words="about zero the supply delivers nothing, and a constant less than commanded beyond",
-    source="cross-over of bipolar amplifiers, 0.1 to 1 % of their range",
-    quantities=_missing("band_A"),  # a negative band is a jump of the current at zero
-    concerns=_has_sizes,
-    is_linear=False,
-    never_negative=("band_A",),
+    quantities=_missing("band_A"), concerns=_has_sizes, is_linear=False, never_negative=("band_A",)
 )
 def current_dead_band(current_A: Current, theta: Theta) -> Current:
-    """About zero the supply delivers nothing, and beyond it a constant less than commanded: a cross-over of two output stages."""
+    """About zero the supply delivers nothing, and a constant less than commanded beyond.
+
+    About zero the supply delivers nothing, and beyond it a constant less than commanded: a cross-over of two output stages.
+
+    Source: cross-over of bipolar amplifiers, 0.1 to 1 % of their range.
+    """
     return torch.sign(current_A) * (current_A.abs() - theta["band_A"][..., None]).clamp(min=0.0)
 
 
@@ -76,30 +78,31 @@ def _has_both_signs(circumstances: Circumstances, place: str) -> bool:
     return bool((current_A > 0.0).any() and (current_A < 0.0).any())
 
 
-@OneCoilCurrent.cause(
-    words="the supply delivers another share of positive than of negative currents",
-    source="for each polarity a gain of its own: bench supplies 0.1 to 1 %, half bridges with a shunt each 1 to 3 %",
-    quantities=(
-        normal("excess", "1", 0.015),
-    ),  # of the gain of positive currents; negative ones lack as much
-    concerns=_has_both_signs,
-    is_linear=False,
-)
+# Quantities: of the gain of positive currents; negative ones lack as much.
+@OneCoilCurrent.cause(quantities=(normal("excess", "1", 0.015),), concerns=_has_both_signs, is_linear=False)
 def current_asymmetry(current_A: Current, theta: Theta) -> Current:
-    """Positive and negative currents have gains of their own: a bipolar supply has an output stage and a shunt for each."""
+    """The supply delivers another share of positive than of negative currents.
+
+    Positive and negative currents have gains of their own: a bipolar supply has an output stage and a shunt for each.
+
+    Source: for each polarity a gain of its own: bench supplies 0.1 to 1 %, half bridges with a shunt each 1 to 3 %.
+    """
     return current_A + theta["excess"][..., None] * current_A.abs()
 
 
 @OneCoilCurrent.cause(
-    words="the supply lacks the more of a current, the larger it is",
-    source="linearity of supplies near the limit of their voltage, 0.1 to 2 %",
     quantities=lambda extent: (normal("loss_per_A2", "1/A2", 0.01 / extent.largest_current_A**2),),
     concerns=_has_sizes,
     is_linear=False,
     never_negative=("loss_per_A2",),
 )
 def current_compression(current_A: Current, theta: Theta) -> Current:
-    """The larger the current, the more of it the supply lacks: it nears the limit of its voltage, or its shunt warms up at once."""
+    """The supply lacks the more of a current, the larger it is.
+
+    The larger the current, the more of it the supply lacks: it nears the limit of its voltage, or its shunt warms up at once.
+
+    Source: linearity of supplies near the limit of their voltage, 0.1 to 2 %.
+    """
     return current_A * (1.0 - theta["loss_per_A2"][..., None] * current_A**2)
 
 
@@ -110,17 +113,19 @@ def _shares_of_the_largest(circumstances: Circumstances, place: str) -> Starts:
 
 
 @OneCoilCurrent.cause(
-    words="beyond some current the supply delivers no more, as at the limit of its voltage",
-    source="any limit; the largest currents of the session show where it is",
     quantities=lambda extent: (at_most("limit_A", "A", 0.1, NO_LIMIT, extent.largest_current_A),),
     starts=_shares_of_the_largest,
     concerns=_has_sizes,
     is_linear=False,
 )
 def current_limit(current_A: Current, theta: Theta) -> Current:
-    """The supply reaches the limit of its voltage: it delivers no more than some current, whatever is commanded.
+    """Beyond some current the supply delivers no more, as at the limit of its voltage.
+
+    The supply reaches the limit of its voltage: it delivers no more than some current, whatever is commanded.
 
     A limit that sinks while the coil warms up is that of the resistance, `coil_heating`.
+
+    Source: any limit; the largest currents of the session show where it is.
     """
     limit_A = theta["limit_A"][..., None]
     return torch.minimum(torch.maximum(current_A, -limit_A), limit_A)
@@ -136,10 +141,8 @@ def _ends_of_ranges(circumstances: Circumstances, place: str) -> Starts:
     return tuple({"below_A": end_A} for end_A in between_A or [0.5 * circumstances.largest_current_A])
 
 
+# Quantities: excess of the gain in the low range, and the current at which it ends.
 @OneCoilCurrent.cause(
-    words="below some current the supply works in another range, with another gain",
-    source="ranges of supplies have gain errors of their own, 0.1 to 1 %",
-    # Excess of the gain in the low range, and the current at which it ends.
     quantities=lambda extent: (
         normal("excess", "1", 0.01),
         fixed("below_A", "A", 0.0, 2.0 * extent.largest_current_A),
@@ -149,47 +152,60 @@ def _ends_of_ranges(circumstances: Circumstances, place: str) -> Starts:
     is_linear=False,
 )
 def current_range(current_A: Current, theta: Theta) -> Current:
-    """Below some current the supply works in another range, whose shunt or amplifier has a gain of its own."""
+    """Below some current the supply works in another range, with another gain.
+
+    Below some current the supply works in another range, whose shunt or amplifier has a gain of its own.
+
+    Source: ranges of supplies have gain errors of their own, 0.1 to 1 %.
+    """
     is_low = current_A.abs() < theta["below_A"][..., None]
     return current_A * (1.0 + theta["excess"][..., None] * is_low)
 
 
 @OneCoilCurrent.cause(
-    words="the coil carries less current",
-    source="a shorted layer of a winding of 50 layers, 2 %; a supply that changes range, 0.1 to 1 %",
-    quantities=(normal("step", "1", 0.02),),  # share that is lost
+    quantities=(normal("step", "1", 0.02),)  # share that is lost
 )
 def _current_loss(current_A: Current, theta: Theta) -> Current:
-    """The coil carries less current, or has fewer turns that count."""
+    """The coil carries less current.
+
+    The coil carries less current, or has fewer turns that count.
+
+    Source: a shorted layer of a winding of 50 layers, 2 %; a supply that changes range, 0.1 to 1 %.
+    """
     return current_A * (1.0 - theta["step"][..., None])
 
 
-@during(
-    _current_loss,
-    words="from one instant on the coil carries less current, as after a shorted turn",
-)
+@during(_current_loss)
 def current_step() -> None:
-    """From one instant on the coil carries less current, or has fewer turns that count."""
+    """From one instant on the coil carries less current, as after a shorted turn.
+
+    From one instant on the coil carries less current, or has fewer turns that count.
+    """
 
 
-@spell(
-    current_step,
-    words="for a while the coil carries another share of its current",
-    source="a supply in another range, a contact that warms: 0.1 to 2 %",
-)
+@spell(current_step)
 def current_spell() -> None:
-    """For a while the coil carries less current: another range of its supply, a bad contact."""
+    """For a while the coil carries another share of its current.
+
+    For a while the coil carries less current: another range of its supply, a bad contact.
+
+    Source: a supply in another range, a contact that warms: 0.1 to 2 %.
+    """
 
 
+# Quantities: what stays of the last local extreme of the current.
 @OneCoilCurrent.cause(
-    words="a share of the current before its last turn still acts",
-    source="remanence of steel cores and screws, 0.1 to 2 % of the field they were in",
-    quantities=(normal("share", "1", 0.01),),  # what stays of the last local extreme of the current
+    quantities=(normal("share", "1", 0.01),),
     concerns=lambda circumstances, place: circumstances.has_turned_back(place),
     depends_on="which current flowed before",
 )
 def current_remanence(current_A: Current, theta: Theta, circumstances: Circumstances, coil: int) -> Current:
-    """The coil acts as if a share of the current from which it last turned back still flowed: hysteresis of its core or its supply."""
+    """A share of the current before its last turn still acts.
+
+    The coil acts as if a share of the current from which it last turned back still flowed: hysteresis of its core or its supply.
+
+    Source: remanence of steel cores and screws, 0.1 to 2 % of the field they were in.
+    """
     return current_A + theta["share"][..., None] * circumstances.last_turn_A(coil)
 
 
@@ -210,8 +226,6 @@ def _unseen_losses(circumstances: Circumstances, place: str) -> frozenset[str]:
 
 
 @OneCoilCurrent.cause(
-    words="the current sags while the coil warms up by its own losses",
-    source="copper gains 0.39 % of resistance a kelvin; coils of this size warm up by some kelvins",
     quantities=_losses,
     starts=lambda circumstances: tuple(
         {"tau_h": share * circumstances.duration_h} for share in (0.08, 0.3, 1.0, 3.0)
@@ -222,9 +236,13 @@ def _unseen_losses(circumstances: Circumstances, place: str) -> frozenset[str]:
     never_negative=("loss_per_K", "loss_per_A2"),
 )
 def coil_heating(current_A: Current, theta: Theta, circumstances: Circumstances, coil: int) -> Current:
-    """The coil warms up by its own losses, and the current sags with its resistance (a supply at its voltage limit).
+    """The current sags while the coil warms up by its own losses.
+
+    The coil warms up by its own losses, and the current sags with its resistance (a supply at its voltage limit).
 
     While cold, at the coolest of the session, it carries what was commanded: whole loop counts leave no room for another reference.
+
+    Source: copper gains 0.39 % of resistance a kelvin; coils of this size warm up by some kelvins.
     """
     loss = theta["loss_per_A2"][..., None] * circumstances.heat_A2(coil, theta["tau_h"])
     kelvin = circumstances.warming_K(circumstances.rig.coils[coil].name)
@@ -233,15 +251,19 @@ def coil_heating(current_A: Current, theta: Theta, circumstances: Circumstances,
     return current_A * (1.0 - loss)
 
 
+# Quantities: of the summed current of the other coils.
 @CurrentEffect.cause(
-    words="this coil carries a share of its neighbours' currents",
-    source="wide: nothing is specified for wiring",
-    quantities=(normal("share", "1", 0.05),),  # of the summed current of the other coils
+    quantities=(normal("share", "1", 0.05),),
     places=lambda rig: tuple(coil.name for coil in rig.coils) if len(rig.coils) > 1 else (),
     couples_coils=True,
 )
 def neighbour_coil(current_A: Currents, theta: Theta, coil: int) -> Currents:
-    """This coil carries a share of the other coils' currents, by coupling or leakage of its supply."""
+    """This coil carries a share of its neighbours' currents.
+
+    This coil carries a share of the other coils' currents, by coupling or leakage of its supply.
+
+    Source: wide: nothing is specified for wiring.
+    """
     neighbours_A = current_A.sum(-1) - current_A[..., coil]
     leak_A = theta["share"][..., None] * neighbours_A
     is_coil = (torch.arange(current_A.shape[-1], device=current_A.device) == coil).to(current_A.dtype)

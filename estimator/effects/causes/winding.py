@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import fields
 
 import numpy as np
 
@@ -13,7 +12,8 @@ from estimator.effects.stages import AddedLoops, SidesEffect, WindingEffect
 from estimator.field.loop import FEWEST_STEPS
 from estimator.field.node_sum import Nodes
 from estimator.field.sided import SidedWinding
-from estimator.field.winding import Rule, Winding, loops_of
+from estimator.field.winding import Winding, loops_of
+from estimator.field.winding_shape import Rule
 from estimator.rig.parameters import LogNormal, Normal
 from estimator.tensors import Tensor, torch
 
@@ -33,21 +33,23 @@ def _wire_of_an_open_pitch(circumstances: Circumstances, place: str) -> frozense
     return frozenset(("wire",)) if any(pitch.is_free for pitch in pitches) else frozenset()
 
 
+# Quantities: of the external radius, of the wire's thickness and of both numbers of loops.
 @WindingEffect.cause(
-    words="the winding has another radius, wire or number of loops than stated",
-    source="radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %",
-    # Of the external radius, of the wire's thickness and of both numbers of loops.
     quantities=_excesses(radius=0.02, wire=0.02, axial_loops=0.03, radial_loops=0.03),
     unseen=_wire_of_an_open_pitch,
     can_begin=False,
     is_structural=True,
 )
 def winding_misstated(winding: Winding, theta: Theta) -> Winding:
-    """The winding has another radius, wire or number of loops than the rig file says."""
-    keys = ("radius", "axial_loops", "radial_loops", "wire", "wire")
-    numbers = (getattr(winding, field.name) for field in fields(winding))
-    factors = (1.0 + theta[key] for key in keys)
-    return Winding(*torch.broadcast_tensors(*(n * f for n, f in zip(numbers, factors, strict=True))))
+    """The winding has another radius, wire or number of loops than stated.
+
+    The winding has another radius, wire or number of loops than the rig file says.
+
+    Source: radii by calliper over the insulation, 2 %; enamelled wire, 2 %; loops counted from outside, 3 %.
+    """
+    keys = {"radius_m": "radius", "axial_pitch_m": "wire", "radial_pitch_m": "wire"}
+    numbers = ("radius_m", "axial_loops", "radial_loops", "axial_pitch_m", "radial_pitch_m")
+    return winding.scaled(**{number: 1.0 + theta[keys.get(number, number)] for number in numbers})
 
 
 def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]:
@@ -56,10 +58,8 @@ def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]
     return _wire_of_an_open_pitch(circumstances, place) | frozenset(() if has_corner else ("corner",))
 
 
+# Quantities: of both sides of the bore, of its corner radius, of the wire's thickness and of both numbers of loops.
 @SidesEffect.cause(
-    words="the winding has other sides, corners, wire or number of loops than stated",
-    source="formers by calliper under a wire that bulges, 2 %; corners by radius gauge, 10 %; enamelled wire, 2 %; loops from outside, 3 %",
-    # Of both sides of the bore, of its corner radius, of the wire's thickness and of both numbers of loops.
     quantities=_excesses(
         side_x=0.02, side_y=0.02, corner=0.1, wire=0.02, axial_loops=0.03, radial_loops=0.03
     ),
@@ -67,7 +67,12 @@ def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]
     is_structural=True,
 )
 def sides_misstated(winding: SidedWinding, theta: Theta) -> SidedWinding:
-    """The winding with straight sides has other sides, corners, wire or number of loops than the rig file says."""
+    """The winding has other sides, corners, wire or number of loops than stated.
+
+    The winding with straight sides has other sides, corners, wire or number of loops than the rig file says.
+
+    Source: formers by calliper under a wire that bulges, 2 %; corners by radius gauge, 10 %; enamelled wire, 2 %; loops from outside, 3 %.
+    """
     keys = ("side_x", "side_y", "corner", "axial_loops", "radial_loops", "wire", "wire")
     numbers = (number * (1.0 + theta[key]) for number, key in zip(winding.numbers, keys, strict=True))
     return SidedWinding(winding.is_rounded, *torch.broadcast_tensors(*numbers))
@@ -79,56 +84,60 @@ def _is_pitch_fixed(key: str) -> Callable[[Circumstances, str], bool]:
 
 
 @WindingEffect.cause(
-    words="turns lie wider along the axis than the wire is thick",
-    source="play between turns of orthocyclic windings, 0 to 2 %",
-    quantities=_excesses(excess=0.02),
-    concerns=_is_pitch_fixed("axial_pitch_m"),
-    can_begin=False,
+    quantities=_excesses(excess=0.02), concerns=_is_pitch_fixed("axial_pitch_m"), can_begin=False
 )
 def axial_pitch(winding: Winding, theta: Theta) -> Winding:
-    """The wire lies wider (or closer) along the axis than its diameter."""
-    factor = 1.0 + theta["excess"]
-    return winding.with_pitches(factor, torch.ones_like(factor))
+    """Turns lie wider along the axis than the wire is thick.
+
+    The wire lies wider (or closer) along the axis than its diameter.
+
+    Source: play between turns of orthocyclic windings, 0 to 2 %.
+    """
+    return winding.scaled(axial_pitch_m=1.0 + theta["excess"])
 
 
 @WindingEffect.cause(
-    words="layers lie closer than the wire is thick",
-    source="layers in each other's grooves: up to 13 % closer; the MICE coils 39 %",
-    quantities=_excesses(excess=0.05),
-    concerns=_is_pitch_fixed("radial_pitch_m"),
-    can_begin=False,
+    quantities=_excesses(excess=0.05), concerns=_is_pitch_fixed("radial_pitch_m"), can_begin=False
 )
 def radial_pitch(winding: Winding, theta: Theta) -> Winding:
-    """Layers lie closer (or wider) than the wire is thick."""
-    factor = 1.0 + theta["excess"]
-    return winding.with_pitches(torch.ones_like(factor), factor)
+    """Layers lie closer than the wire is thick.
+
+    Layers lie closer (or wider) than the wire is thick.
+
+    Source: layers in each other's grooves: up to 13 % closer; the MICE coils 39 %.
+    """
+    return winding.scaled(radial_pitch_m=1.0 + theta["excess"])
 
 
-@AddedLoops.cause(
-    words="turns lie denser towards one end",
-    source="wide: hand-wound coils",
-    quantities=(normal("slope", "1", 0.05),),  # relative excess of turns per length at the front face
-    can_begin=False,
-)
+# Quantities: relative excess of turns per length at the front face.
+@AddedLoops.cause(quantities=(normal("slope", "1", 0.05),), can_begin=False)
 def turns_gradient(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
-    """Turns lie denser towards one end of the winding."""
+    """Turns lie denser towards one end.
+
+    Turns lie denser towards one end of the winding.
+
+    Source: wide: hand-wound coils.
+    """
     loops = loops_of(winding, rule)
     half_m = 0.5 * winding.length_m[..., None, None]
     excess = theta["slope"][..., None, None] * (loops.height_m + half_m) / half_m
     return loops._replace(weight=loops.weight * excess), rule.steps
 
 
+# Quantities: share of the layer that is missing, and at which end.
 @AddedLoops.cause(
-    words="the outermost layer is not wound to its end",
-    source="up to a whole layer may be missing",
-    # Share of the layer that is missing, and at which end.
     quantities=(normal("missing", "1", 0.5), fixed("at_front", "1", 0.0, 1.0)),
     starts=({"at_front": 1.0}, {"at_front": 0.0}),
     can_begin=False,
     is_structural=True,
 )
 def short_layer(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
-    """The outermost layer ends before the face of the winding."""
+    """The outermost layer is not wound to its end.
+
+    The outermost layer ends before the face of the winding.
+
+    Source: up to a whole layer may be missing.
+    """
     nodes, weights = _gauss(LAYER_NODES, winding)
     share, at_front = theta["missing"][..., None], theta["at_front"][..., None]
     depth = 0.5 * (nodes + 1.0) * share  # from the end, in units of the length
@@ -138,17 +147,20 @@ def short_layer(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]
     return _single_file(height_m, radius_m, weight), rule.steps
 
 
+# Quantities: share of a layer that runs the other way, and where: 0 is the outermost, 1 the innermost.
 @AddedLoops.cause(
-    words="a layer is wound the other way",
-    source="up to a whole layer",
-    # Share of a layer that runs the other way, and where: 0 is the outermost, 1 the innermost.
     quantities=(normal("share", "1", 0.5), shape("depth", "1", 0.0, 1.0)),
     starts=({"depth": 0.05}, {"depth": 0.5}, {"depth": 0.95}),
     can_begin=False,
     is_structural=True,
 )
 def reversed_layer(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
-    """A layer of the winding is wound the other way; half as much the other way round is a layer that is missing, or is there twice."""
+    """A layer is wound the other way.
+
+    A layer of the winding is wound the other way; half as much the other way round is a layer that is missing, or is there twice.
+
+    Source: up to a whole layer.
+    """
     in_m = theta["depth"] * winding.radial_pitch_m * (winding.radial_loops - 1.0)
     radius_m, *others = torch.broadcast_tensors(
         winding.radius_m - in_m,
@@ -175,10 +187,8 @@ def _hidden_places(circumstances: Circumstances, place: str) -> Starts:
     return tuple(dict(zip(("radius", "middle", "length"), values, strict=True)) for values in places)
 
 
+# Quantities: share of the coil's turns, negative where wound the other way; radius, middle and length in external radii.
 @AddedLoops.cause(
-    words="another winding about the same axis carries the coil's current",
-    source="wide: shields and compensations have a tenth of the turns and more",
-    # Share of the coil's turns, negative where wound the other way; radius, middle and length in external radii.
     quantities=(
         normal("turns", "1", 0.1),
         Quantity("radius", "1", LogNormal(1.0, 0.5), 1.0, is_shape=True),
@@ -190,9 +200,13 @@ def _hidden_places(circumstances: Circumstances, place: str) -> Starts:
     is_structural=True,
 )
 def hidden_winding(winding: Winding, rule: Rule, theta: Theta) -> tuple[Nodes, int]:
-    """Another winding about the same axis carries the same current, in either sense: a shield, a compensation, a second coil.
+    """Another winding about the same axis carries the coil's current.
+
+    Another winding about the same axis carries the same current, in either sense: a shield, a compensation, a second coil.
 
     Its numbers count in those of the coil: turns in the coil's turns, lengths in its external radius, heights from its front face.
+
+    Source: wide: shields and compensations have a tenth of the turns and more.
     """
     nodes, weights = _gauss(HIDDEN_NODES, winding)
     turns, radius, middle, length = (theta[key][..., None] for key in ("turns", "radius", "middle", "length"))

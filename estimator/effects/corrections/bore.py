@@ -12,8 +12,8 @@ from jaxtyping import Float
 
 from estimator.effects.base import Quantities, Theta, box, fixed, vector, written
 from estimator.effects.circumstances import Extent
-from estimator.effects.corrections.correction import Limit, limit_of_places
-from estimator.effects.corrections.static import MIDDLE, StaticField
+from estimator.effects.corrections.correction import Limit, constant
+from estimator.effects.corrections.static import MIDDLE, StaticField, limit_of_places
 from estimator.effects.stages import Field, Points
 from estimator.field.bore import WAVES, bore_field
 from estimator.tensors import Tensor, torch
@@ -88,7 +88,7 @@ class Cylinder(StaticField):
     def field(self, points_m: Points, theta: Theta) -> Field:
         """Field in the frame of the points, in the unit of the amplitudes."""
         amplitudes = self.amplitudes(theta)
-        cylinder = {key: theta[key].flatten()[0] for key in FIXED}  # alike in a batch
+        cylinder = {key: constant(theta, key) for key in FIXED}
         waves = {degree: amplitude for degree, amplitude in amplitudes.items() if degree}
         length = cylinder["length_m"] / cylinder["radius_m"]
         local = bore_field(_in_radii(points_m, cylinder), length, amplitudes.get(0), waves)

@@ -1,32 +1,31 @@
 """The contract of a correction: a smooth field or response that physics allows, for what is left where no known cause explains it.
 
-A correction is an effect without a name for what has happened. Its quantities are amplitudes of terms, degree by degree, in tesla (per
-ampere) at the edge of the readings; keys tell the degree. A diagnosis gives them priors and asks how high a degree readings support.
+A correction is an effect without a name for what has happened: of a target, which says what it corrects, and a basis, which says as a
+function of what. Its quantities are amplitudes of terms, degree by degree, in tesla (per ampere) at the edge of the readings; keys tell the
+degree. A diagnosis gives them priors and asks how high a degree readings support.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 import re
-from abc import abstractmethod
+import types
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jaxtyping import Float
 
 from estimator.effects.base import POSITIVE, Effect, Quantities, Starts, Theta, fixed, normal, vector, written
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.frames import Transform
-from estimator.rig.rig import AnyCoil
+from estimator.effects.declaring import made
 from estimator.tensors import Tensor, torch
 
 KEY = re.compile(r"degree(?P<degree>\d+)_\w+")
 TYPICAL_SHARE = 1e-3  # of the largest field, or of the reach: the width until a diagnosis sets it
-SAME_PLACE = 1e-3  # of the reach: nearer places count once
 READINGS_PER_TERM = 3  # of each component: fewer readings would be followed rather than described
-THIN = 0.03  # of the widest extent: thinner sets of places are a plane or a line
-PLANE_DEGREE = 2  # from a plane: what is off it is extrapolated from slopes across it
+FUNCTION = "variable"  # of a target: what the function of a declaration stands for
 
 
 @dataclass(frozen=True)
@@ -77,6 +76,7 @@ class Correction(Effect):
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
         single: Name of the cause that one step alone is.
+        counts: What there must be many of for many degrees, in words, and as rows at a place: alike ones count once.
     """
 
     is_correction = True
@@ -89,6 +89,10 @@ class Correction(Effect):
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0
     single: ClassVar[str | None] = None
+    counts: ClassVar[tuple[str, Callable[[Circumstances, str], Tensor]]] = (
+        "readings",
+        lambda circumstances, _: circumstances.observations.row,
+    )
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """Names of the terms of a degree."""
@@ -102,15 +106,27 @@ class Correction(Effect):
         """The scales of this session."""
         return (written({scale.key: scale.here(circumstances, place) for scale in self.scales}),)
 
-    @abstractmethod
     def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """How high a degree the readings determine."""
+        """How high a degree the readings determine: by the number of what counts, each with up to three components."""
+        what, rows = self.counts
+        n, total, highest = len(torch.unique(rows(circumstances, place), dim=0)), 0, self.lowest - 1
+        for degree in range(self.lowest, self.highest + 1):
+            total += len(self.terms(degree))
+            wanted = READINGS_PER_TERM * math.ceil(total / 3)
+            if wanted > n:
+                return Limit(highest, f"there are {n} {what}; take {wanted} or more")
+            highest = degree
+        return Limit(highest)
 
     def factors(
         self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
     ) -> Float[Tensor, "start reading"] | None:
         """Factor of each reading by which its terms are there, where starts differ in nothing else; the first start has all of them."""
         return None
+
+    def value(self, variable: Any, theta: Theta) -> Float[Tensor, "*batch reading component"]:
+        """Each component as a function of a variable, with an axis for components where these differ in it."""
+        raise NotImplementedError
 
     def typical_width(self, extent: Extent) -> float:
         """Width of the amplitudes of the first degree until a diagnosis sets it."""
@@ -133,85 +149,56 @@ class Correction(Effect):
     def quantities(self, extent: Extent) -> Quantities:
         """Its fixed numbers, then the amplitudes up to the extent's degree."""
         width = self.typical_width(extent)
-        return (
-            *self.shapes(extent),
-            *(
-                normal(self.key(degree, term), self.unit, width * self.relative_width(degree))
-                for degree in range(self.lowest, min(extent.degree, self.highest) + 1)
-                for term in self.terms(degree)
-            ),
+        amplitudes = (
+            normal(self.key(degree, term), self.unit, width * self.relative_width(degree))
+            for degree in range(self.lowest, min(extent.degree, self.highest) + 1)
+            for term in self.terms(degree)
         )
+        return (*self.shapes(extent), *amplitudes)
 
     def extent_of(self, keys: Iterable[str]) -> Extent:
         """One with the highest degree that they tell of."""
-        return Extent(degree=max((int(m["degree"]) for m in map(KEY.fullmatch, keys) if m), default=2))
+        return Extent(degree=max(_degrees(keys), default=2))
 
     def amplitudes(self, theta: Theta) -> dict[int, Float[Tensor, "*batch term"]]:
         """Amplitudes by degree."""
-        degrees = sorted({int(match["degree"]) for match in map(KEY.fullmatch, theta) if match})
         return {
             degree: vector(theta, [self.key(degree, term) for term in self.terms(degree)])[..., 0, :]
-            for degree in degrees
+            for degree in sorted(_degrees(theta))
         }
 
 
-def positions_m(circumstances: Circumstances, coil: AnyCoil | None = None) -> Float[Tensor, "reading 3"]:
-    """Nominal position of the sensor at each reading, in the frame of a coil or in the room."""
-    n = len(circumstances)
-    each = [
-        circumstances.world_from(sensor).translation_m.expand(n, 3) for sensor in circumstances.rig.sensors
-    ]
-    world_m = torch.stack(each)[circumstances.sensor, torch.arange(n, device=circumstances.sensor.device)]
-    if coil is None:
-        return world_m
-    world_from_coil = circumstances.world_from(coil)
-    turns = Transform(world_from_coil.rotation.expand(n, 3, 3), world_from_coil.translation_m.expand(n, 3))
-    return turns.inverse().apply(world_m)
+def _degrees(keys: Iterable[str]) -> set[int]:
+    return {int(match["degree"]) for match in map(KEY.fullmatch, keys) if match}
 
 
-def limit_of_places(places_m: Float[Tensor, "reading 3"], n_terms: dict[int, int]) -> Limit:
-    """How high a degree of a field the places determine at which it was read.
+def correction(*parts: type[Effect], **declared: Any) -> Callable[[Callable[..., Any]], Correction]:
+    """Make a correction of a target and a basis, of a function that has its name and whose docstring says what it is, as with causes.
+
+    The function is what the basis is a function of; it takes those arguments of the target's `variable` that it needs, by name. One
+    without arguments only explains: then it is what target and basis say, such as the time.
 
     Args:
-        places_m: Of all readings, in the frame of the field.
-        n_terms: By degree, the number of terms up to it.
+        *parts: The target, then the basis.
+        **declared: Attributes and methods of `Correction` and the parts.
+    Raises:
+        InvalidInput: The parts have no such attribute or argument.
     """
-    lowest, highest = min(n_terms), max(n_terms)
-    middle_m = places_m.mean(0)
-    reach_m = float((places_m - middle_m).norm(dim=-1).max())
-    if reach_m == 0.0:
-        return Limit(lowest - 1, "all readings are at one place; move the sensor")
-    places = torch.unique(((places_m - middle_m) / (SAME_PLACE * reach_m)).round(), dim=0)
-    spread = torch.linalg.svdvals(places - places.mean(0))
-    n_wide = int((spread > THIN * spread[0]).sum())
-    if n_wide == 1:
-        return Limit(lowest - 1, "all readings lie on one line; measure beside it, on both sides")
-    enough = [degree for degree, n in n_terms.items() if n <= len(places)]
-    if not enough:
-        return Limit(
-            lowest - 1, f"readings are at {len(places)} places; measure at {n_terms[lowest]} or more"
-        )
-    if n_wide == 2 and max(enough) > PLANE_DEGREE:
-        return Limit(PLANE_DEGREE, "all readings lie in one plane; measure off it, on both sides")
-    if max(enough) < highest:
-        wanted = n_terms[max(enough) + 1]
-        return Limit(max(enough), f"readings are at {len(places)} places; measure at {wanted} or more")
-    return Limit(highest)
+    both: Any = types.new_class("Correction", parts)
+
+    def joined(function: Callable[..., Any]) -> Correction:
+        method = FUNCTION if inspect.signature(function).parameters else None
+        effect: Correction = made(both, function, declared, method, both.source)
+        return effect
+
+    return joined
 
 
-def limit_of_number(correction: Correction, n: int, what: str) -> Limit:
-    """How high a degree a number of readings determines, each with up to three components.
+def constant(theta: Theta, key: str) -> Float[Tensor, ""]:
+    """A quantity that no fit changes, so that it is alike in a batch."""
+    return theta[key].flatten()[0]
 
-    Args:
-        correction: Says how many terms it has.
-        n, what: How many there are, and of what.
-    """
-    n_terms, total = {}, 0
-    for degree in range(correction.lowest, correction.highest + 1):
-        total += len(correction.terms(degree))
-        n_terms[degree] = math.ceil(total / 3)
-    enough = [degree for degree, terms in n_terms.items() if READINGS_PER_TERM * terms <= n]
-    highest = max(enough, default=correction.lowest - 1)
-    if highest == correction.highest:
-        return Limit(highest)
-    return Limit(highest, f"there are {n} {what}; take {READINGS_PER_TERM * n_terms[highest + 1]} or more")
+
+def constants(theta: Theta, keys: Iterable[str]) -> Float[Tensor, " key"]:
+    """Such quantities as a vector."""
+    return torch.stack([constant(theta, key) for key in keys])

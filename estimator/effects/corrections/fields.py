@@ -6,10 +6,11 @@ from jaxtyping import Float
 
 from estimator.effects.base import Starts, Theta
 from estimator.effects.circumstances import Circumstances
+from estimator.effects.corrections.bases import Steps, Wanders
 from estimator.effects.corrections.bore import Cylinder
-from estimator.effects.corrections.correction import Limit
-from estimator.effects.corrections.in_time import Room, Steps, Waves
+from estimator.effects.corrections.correction import Limit, correction
 from estimator.effects.corrections.static import Answer, Ball, OfCoil, OfRoom, ball, in_reach
+from estimator.effects.corrections.targets import Room
 from estimator.effects.stages import Field, Points
 from estimator.field import harmonics
 from estimator.tensors import Tensor
@@ -17,11 +18,12 @@ from estimator.tensors import Tensor
 NEAREST = 0.5  # of the mean distance of the readings from a coil: nearer to it multipoles grow beyond what the others tell
 
 
-class CoilHarmonics(OfCoil, Ball):
-    """What sources outside the readings' ball add to a coil: connections, iron, a winding that is built otherwise."""
+@correction(OfCoil, Ball)
+def coil_harmonics() -> None:
+    """A smooth field that moves with the coil and goes with its current.
 
-    name = "coil_harmonics"
-    words = "a smooth field that moves with the coil and goes with its current"
+    What sources outside the readings' ball add to a coil: connections, iron, a winding that is built otherwise.
+    """
 
 
 class CoilMultipoles(OfCoil, Ball):
@@ -62,45 +64,49 @@ class CoilMultipoles(OfCoil, Ball):
         return at_m + at_m.new_tensor([0.0, 0.0, 0.5 * length_m])
 
 
-class CoilBore(OfCoil, Cylinder):
-    """What sources beside the places add to a coil: a winding of another shape than said, iron, leads."""
+@correction(OfCoil, Cylinder)
+def coil_bore() -> None:
+    """A field along the bore that moves with the coil and goes with its current.
 
-    name = "coil_bore"
-    words = "a field along the bore that moves with the coil and goes with its current"
-
-
-class RoomHarmonics(OfRoom, Ball):
-    """What sources outside the readings' ball add that stay in the room, without current."""
-
-    name = "room_harmonics"
-    words = "a smooth field that stays in the room"
+    What sources beside the places add to a coil: a winding of another shape than said, iron, leads.
+    """
 
 
-class RoomBore(OfRoom, Cylinder):
-    """What sources beside the places add without current: magnetised windings and steel."""
+@correction(OfRoom, Ball)
+def room_harmonics() -> None:
+    """A smooth field that stays in the room.
 
-    name = "room_bore"
-    words = "a field along the bore that stays in the room"
-
-
-class RoomAnswers(Answer, Ball):
-    """What answers a coil's current and stays in the room: spare cable on the table, compensation of fields, iron, a return lead."""
-
-    name = "room_answers"
-    words = "a smooth field that stays in the room and goes with the coil's current"
+    What sources outside the readings' ball add that stay in the room, without current.
+    """
 
 
-class RoomWanders(Room, Waves):
-    """The field of the room wanders smoothly, everywhere alike."""
+@correction(OfRoom, Cylinder)
+def room_bore() -> None:
+    """A field along the bore that stays in the room.
 
-    name = "room_wanders"
-    words = "the field of the room wanders with time"
+    What sources beside the places add without current: magnetised windings and steel.
+    """
 
 
-class RoomSteps(Room, Steps):
-    """The field of the room jumps, everywhere alike: something is brought near, or taken away."""
+@correction(Answer, Ball)
+def room_answers() -> None:
+    """A smooth field that stays in the room and goes with the coil's current.
 
-    name = "room_steps"
-    single = "background_step"
-    words = "the field of the room jumps"
-    highest = 5
+    What answers a coil's current and stays in the room: spare cable on the table, compensation of fields, iron, a return lead.
+    """
+
+
+@correction(Room, Wanders)
+def room_wanders() -> None:
+    """The field of the room wanders with time.
+
+    The field of the room wanders smoothly, everywhere alike.
+    """
+
+
+@correction(Room, Steps, single="background_step", highest=5)
+def room_steps() -> None:
+    """The field of the room jumps.
+
+    The field of the room jumps, everywhere alike: something is brought near, or taken away.
+    """

@@ -9,9 +9,16 @@ from jaxtyping import Float
 
 from estimator.effects.base import Quantities, Starts, Theta, box, shape, vector
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit, Scale, limit_of_number
-from estimator.effects.corrections.in_time import MOST_HALF_CYCLES, Guides, Periodic, Steps, Waves
-from estimator.effects.corrections.way import SMALLEST_SPAN, AlongWay
+from estimator.effects.corrections.bases import (
+    MOST_HALF_CYCLES,
+    SMALLEST_SPAN,
+    AlongWay,
+    Periodic,
+    Steps,
+    Wanders,
+)
+from estimator.effects.corrections.correction import Correction, Limit, Scale, constant, correction
+from estimator.effects.corrections.targets import Place
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
 from estimator.tensors import Tensor, torch
@@ -57,7 +64,7 @@ class GuideErrors(AlongWay, MotionEffect):
         span_m = at_m.max(0).values - at_m.min(0).values
         moved = [i for i in range(3) if float(span_m[i]) > SMALLEST_SPAN * float(span_m.max())]
         n = min(len(torch.unique((at_m[:, i] / (SMALLEST_SPAN * span_m[i])).round())) for i in moved)
-        bound = limit_of_number(self, len(at_m), "readings")
+        bound = super().limit(circumstances, place)
         if n > self.highest or bound.degree < n:
             return bound
         return Limit(n - 1, f"the mover was at {n} positions along one axis; measure at more")
@@ -75,60 +82,50 @@ class GuideErrors(AlongWay, MotionEffect):
         return Transform(pose.rotation, pose.translation_m + shift_m)
 
 
-class GuidesWander(Guides, Waves):
+@correction(
+    Place,
+    Wanders,
+    words="where the mover stands wanders with time",
+    highest=12,
+    # Share of the session that has gone.
+    columns=lambda circumstances: (circumstances.hours_for_instants / circumstances.duration_h)[:, None],
+)
+def guides_wander(columns: Columns, theta: Theta) -> Tensor:
     """The mover's real position wanders: it warms up, creeps, or its clock runs apart from the sensor's."""
-
-    name = "guides_wander"
-    words = "where the mover stands wanders with time"
-    highest = 12
-
-    def columns(self, circumstances: Circumstances, mover: str) -> Columns:
-        """Share of the session that has gone."""
-        return super().columns(circumstances, mover) / circumstances.duration_h
-
-    def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
-        """Real pose, or real displacement."""
-        return super().apply(pose, columns * theta["duration_h"].flatten()[0], theta)
+    return columns * constant(theta, "duration_h")
 
 
-class GuideSwings(Periodic, MotionEffect):
-    """Each axis of a mover runs fast and slow with one period along its way, as of a screw or a rack."""
-
-    name = "guide_swings"
-    words = "the mover errs with a period along its guides"
-    unit = "m"
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """The frequency, in cycles per metre."""
-        return (shape("frequency_per_m", "1/m", 0.0, 1.0 / SHORTEST_PERIOD_M),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Frequencies half a cycle over the longest way apart, as many as there are readings at most."""
-        spacing = 0.5 / max(_span_m(circumstances, place), SHORTEST_PERIOD_M)
-        n = min(len(circumstances), MOST_HALF_CYCLES, int(1.0 / (SHORTEST_PERIOD_M * spacing)))
-        return tuple({"frequency_per_m": (i + 1) * spacing} for i in range(max(1, n)))
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the mover moved farther than the shortest period."""
-        return _span_m(circumstances, place) > SHORTEST_PERIOD_M
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """Highest degree that the number of readings determines."""
-        return limit_of_number(self, len(circumstances), "readings")
-
-    def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
-        """Real pose, or real displacement."""
-        cycles = pose.translation_m * theta["frequency_per_m"][..., None, None]
-        return Transform(pose.rotation, pose.translation_m + self.swing(theta, cycles))
+def _span_m(circumstances: Circumstances, mover: str) -> float:
+    """The longest way of a mover along an axis."""
+    at_m = circumstances.positions_of_m(mover)
+    return float((at_m.max(0).values - at_m.min(0).values).max())
 
 
-class GuidesStep(Guides, Steps):
+def _frequencies(circumstances: Circumstances, place: str) -> Starts:
+    """Frequencies half a cycle over the longest way apart, as many as there are readings at most."""
+    spacing = 0.5 / max(_span_m(circumstances, place), SHORTEST_PERIOD_M)
+    n = min(len(circumstances), MOST_HALF_CYCLES, int(1.0 / (SHORTEST_PERIOD_M * spacing)))
+    return tuple({"frequency_per_m": (i + 1) * spacing} for i in range(max(1, n)))
+
+
+@correction(
+    Place,
+    Periodic,
+    shapes=(shape("frequency_per_m", "1/m", 0.0, 1.0 / SHORTEST_PERIOD_M),),
+    starts=_frequencies,
+    concerns=lambda circumstances, place: _span_m(circumstances, place) > SHORTEST_PERIOD_M,
+)
+def guide_swings(pose: Transform, theta: Theta) -> Tensor:
+    """The mover errs with a period along its guides.
+
+    Each axis of a mover runs fast and slow with one period along its way, as of a screw or a rack.
+    """
+    return pose.translation_m * theta["frequency_per_m"][..., None, None]
+
+
+@correction(Place, Steps, words="where the mover stands jumps", single="mover_slipped", highest=4)
+def guides_step() -> None:
     """The mover's real position jumps: a slipped clamp, a lost step, a knock."""
-
-    name = "guides_step"
-    single = "mover_slipped"
-    words = "where the mover stands jumps"
-    highest = 4
 
 
 def _rms_of_moves_m(circumstances: Circumstances, mover: str) -> float:
@@ -166,16 +163,12 @@ class MovesRemembered(AfterMoves):
     words = "where the mover stands depends on the move that led there"
     scales = (MOVE, REACH)
     highest = 3
+    counts = ("different moves", lambda now, place: (1e6 * now.last_move_m(place)).round())
 
     def terms(self, degree: int) -> tuple[str, ...]:
         """What errs after a move along which axis: `z_after_x`; `rz_after_x` turns, as an arc at the reach."""
         kinds = ("", "r") if degree == BY_SIDE else ("",)
         return tuple(f"{kind}{axis}_after_{way}" for kind in kinds for axis in "xyz" for way in "xyz")
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """Highest degree that the number of different moves determines."""
-        n_moves = len(torch.unique((1e6 * circumstances.last_move_m(place)).round(), dim=0))
-        return limit_of_number(self, n_moves, "different moves")
 
     def columns(self, circumstances: Circumstances, mover: str) -> Columns:
         """The last move, the side from which each axis came, and the last move times the share of the session that has gone."""
@@ -186,7 +179,7 @@ class MovesRemembered(AfterMoves):
     def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
         """Real pose, or real displacement."""
         move_m, side, late_move_m = columns.unflatten(-1, (3, 3)).unbind(-2)
-        typical_m, reach_m = (theta[key].flatten()[0] for key in ("move_m", "reach_m"))
+        typical_m, reach_m = (constant(theta, key) for key in ("move_m", "reach_m"))
         by_degree = {BY_MOVE: move_m / typical_m, BY_SIDE: side, BY_MOVE_AND_TIME: late_move_m / typical_m}
         shift_m, rotation = torch.zeros_like(move_m), pose.rotation
         for degree, amplitude in self.amplitudes(theta).items():
@@ -233,7 +226,7 @@ class SidesRemembered(AfterMoves):
         """Highest degree that the number of readings determines; 0 where all moves left the mover on one side."""
         if bool((_sides(circumstances, place) == 1.0).all()):
             return Limit(0, "the mover went to one side only; come to some places from the other")
-        return limit_of_number(self, len(circumstances), "readings")
+        return super().limit(circumstances, place)
 
     def columns(self, circumstances: Circumstances, mover: str) -> Columns:
         """The side along each direction of the set."""
@@ -244,7 +237,7 @@ class SidesRemembered(AfterMoves):
         side = columns.T[_nearest(vector(theta, UNIT)[..., 0, :])]
         [amplitude] = self.amplitudes(theta).values()
         shift_m, arc_m = (side[..., None] * amplitude[..., None, :]).split(3, dim=-1)
-        turn = rotation_from_vector(arc_m / theta["reach_m"].flatten()[0])
+        turn = rotation_from_vector(arc_m / constant(theta, "reach_m"))
         return Transform(pose.rotation @ turn, pose.translation_m + shift_m)
 
 
@@ -284,9 +277,3 @@ def _distinct_rows(rows: Float[Tensor, "row column"]) -> tuple[Tensor, Tensor]:
     number = torch.arange(len(rows), device=rows.device)
     first = torch.full_like(number[: len(distinct)], len(rows)).scatter_reduce(0, which, number, "amin")
     return distinct, first.sort().values
-
-
-def _span_m(circumstances: Circumstances, mover: str) -> float:
-    """The longest way of a mover along an axis."""
-    at_m = circumstances.positions_of_m(mover)
-    return float((at_m.max(0).values - at_m.min(0).values).max())

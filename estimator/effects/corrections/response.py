@@ -3,80 +3,45 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Sequence
 from itertools import combinations_with_replacement
 
 from jaxtyping import Float
 
 from estimator.effects.base import Quantities, Starts, Theta, fixed, shape, switch
-from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
-from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Correction, Limit, limit_of_number
-from estimator.effects.corrections.in_time import MOST_HALF_CYCLES, Periodic
-from estimator.effects.corrections.way import AlongWay
+from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.corrections.bases import MOST_HALF_CYCLES, AboveLevel, AlongWay, Periodic, Table, Waves
+from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Correction, Limit, constant, correction
+from estimator.effects.corrections.targets import Gain, Zero
+from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Components, ReadingEffect
 from estimator.tensors import Tensor, torch
 
 MOST_LEVELS = 100  # of each axis
 FEWEST_BEYOND = 3  # readings on either side of a level
+MOST_POWERS = 3  # of the currents
 
 
-class OfShown(Correction, ReadingEffect):
-    """A function of what the sensor shows."""
-
-    @abstractmethod
-    def added_T(self, shown_T: Components, theta: Theta) -> Components:
-        """What it adds to what the sensor would show."""
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """Highest degree that the number of different readings of the sensor determines."""
-        n_different = len(torch.unique(_shown_T(circumstances, place), dim=0))
-        return limit_of_number(self, n_different, "different readings")
-
-    def apply(
-        self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
-    ) -> Components:
-        """Components as they are read."""
-        return field_sensor_T + self.added_T(field_sensor_T, theta)
+def _shown_T(circumstances: Circumstances, sensor: str) -> Float[Tensor, "own 3"]:
+    """What one sensor read."""
+    return circumstances.observations.field_sensor_T[circumstances.is_of(sensor)]
 
 
-class OverRange(OfShown):
-    """A function of what the sensor shows, in units of its largest component."""
-
-    scales = (RANGE_T,)
-
-    def curve(self, way: Tensor, theta: Theta) -> Tensor:
-        """Sum of half waves times their amplitudes, component by component.
-
-        Args:
-            way: Share of the range, with an axis for components.
-            theta: Quantities.
-        """
-        waves = (
-            amplitude[..., None, :] * torch.cos(math.pi * degree * way)
-            for degree, amplitude in self.amplitudes(theta).items()
-        )
-        return sum(waves, start=way.new_zeros(()))
+DIFFERENT = ("different readings", _shown_T)
 
 
-class SensorResponse(OverRange):
-    """Each component that the sensor shows bends with all three."""
-
-    name = "sensor_response"
-    words = "a smooth response of the sensor in the three components that it shows"
-    lowest = 0
-    asked_from = 1  # a constant is `sensor_offset`
-    highest = 3
+class Products(Correction):
+    """Products of components: `x_yy` adds the square of y to x; `x` alone a constant."""
 
     def terms(self, degree: int) -> tuple[str, ...]:
-        """For each component, the products of components: `x_yy` adds the square of y to x; `x` alone a constant."""
+        """For each component, the products of components."""
         products = ["".join(axes) for axes in combinations_with_replacement("xyz", degree)]
         return tuple(f"{axis}_{product}".rstrip("_") for axis in "xyz" for product in products)
 
-    def added_T(self, shown_T: Components, theta: Theta) -> Components:
+    def value(self, share: Components, theta: Theta) -> Components:
         """Polynomials of the components."""
-        parts = dict(zip("xyz", (shown_T / theta["range_T"].flatten()[0]).unbind(-1), strict=True))
-        total = shown_T.new_zeros(())
+        parts = dict(zip("xyz", share.unbind(-1), strict=True))
+        total = share.new_zeros(())
         for degree, amplitude in self.amplitudes(theta).items():
             products = [
                 math.prod((parts[axis] for axis in axes), start=torch.ones_like(parts["x"]))
@@ -85,6 +50,30 @@ class SensorResponse(OverRange):
             by_component = amplitude.unflatten(-1, (3, len(products)))
             total = total + torch.stack(products, dim=-1) @ by_component.mT
         return total
+
+
+@correction(
+    Zero,
+    Products,
+    lowest=0,
+    asked_from=1,  # a constant is `sensor_offset`
+    highest=3,
+    scales=(RANGE_T,),
+    counts=DIFFERENT,
+)
+def sensor_response(field_sensor_T: Components, theta: Theta) -> Components:
+    """A smooth response of the sensor in the three components that it shows.
+
+    Each component that the sensor shows bends with all three.
+    """
+    return field_sensor_T / constant(theta, "range_T")
+
+
+def _mover_m(circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
+    """Reported positions of the mover of a sensor, in m."""
+    at_m = circumstances.mover_of_sensor_m(place)
+    assert at_m is not None  # see `concerns`
+    return at_m
 
 
 class ResponseByPlace(AlongWay, ReadingEffect):
@@ -102,34 +91,27 @@ class ResponseByPlace(AlongWay, ReadingEffect):
     highest = 8
     falloff = 1.0
     scales = (RANGE_T,)
+    counts = ("different places", lambda now, place: (1e6 * _mover_m(now, place)[now.is_of(place)]).round())
 
     def shapes(self, extent: Extent) -> Quantities:
         """The field in units of which gains are told, where the way along each axis begins, and how long it is."""
         begin, length = self.ends(extent)
-        return (*Correction.shapes(self, extent), *begin, *length)
+        return (*super().shapes(extent), *begin, *length)
 
     def at_m(self, circumstances: Circumstances, place: str) -> Float[Tensor, "reading 3"]:
         """Reported positions of the mover, in m."""
-        at_m = circumstances.mover_of_sensor_m(place)
-        assert at_m is not None  # see `concerns`
-        return at_m
+        return _mover_m(circumstances, place)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether a mover moved from one reading of the sensor to another."""
         return circumstances.moved_between(place)
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """Highest degree that the number of different positions of the mover at the sensor's own readings determines."""
-        own_m = self.at_m(circumstances, place)[circumstances.is_of(place)]
-        n_places = len(torch.unique((1e6 * own_m).round(), dim=0))
-        return limit_of_number(self, n_places, "different places")
 
     def apply(
         self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
     ) -> Components:
         """Components as they are read."""
         way = self.way(self.at_m(circumstances, sensor), theta)
-        share = field_sensor_T / theta["range_T"].flatten()[0]
+        share = field_sensor_T / constant(theta, "range_T")
         for degree, amplitude in self.amplitudes(theta).items():
             zero, gain = amplitude.unflatten(-1, (2, 3, 3)).unbind(-3)  # way, axis
             waves = torch.cos(math.pi * degree * way)
@@ -137,159 +119,22 @@ class ResponseByPlace(AlongWay, ReadingEffect):
         return field_sensor_T
 
 
-class AxisCurves(OverRange):
-    """Each axis of a sensor has a curve of its own: cosines of half waves over its range, as of steps and bends of a converter."""
+@correction(Zero, Waves, scales=(RANGE_T,), counts=DIFFERENT)
+def axis_curves(field_sensor_T: Components, theta: Theta) -> Components:
+    """Each axis of the sensor errs as a function of what it shows.
 
-    name = "axis_curves"
-    words = "each axis of the sensor errs as a function of what it shows"
-    highest = 16
-    falloff = 1.0
-
-    def added_T(self, shown_T: Components, theta: Theta) -> Components:
-        """The curve of each component."""
-        return self.curve(0.5 * (shown_T / theta["range_T"].flatten()[0] + 1.0), theta)
+    Each axis of a sensor has a curve of its own: cosines of half waves over its range, as of steps and bends of a converter.
+    """
+    return 0.5 * (field_sensor_T / constant(theta, "range_T") + 1.0)
 
 
-class GainCurve(OverRange):
-    """The gain of a sensor depends on the largest of its components, as where an instrument changes its range: cosines of half waves."""
+@correction(Gain, Waves, scales=(RANGE_T,), counts=DIFFERENT)
+def gain_curve(field_sensor_T: Components, theta: Theta) -> Tensor:
+    """The gain of the sensor depends on how strong its largest component is.
 
-    name = "gain_curve"
-    words = "the gain of the sensor depends on how strong its largest component is"
-    unit = "1"
-    components = ("share",)  # of all axes
-    highest = 16
-    falloff = 1.0
-
-    def added_T(self, shown_T: Components, theta: Theta) -> Components:
-        """A share of all components, by the largest of them."""
-        largest_T = shown_T.abs().amax(-1, keepdim=True)
-        return shown_T * self.curve(largest_T / theta["range_T"].flatten()[0], theta)
-
-
-class AboveLevel(OfShown):
-    """One step at one level. It would be many half waves over the range, which swing where nothing was read."""
-
-    highest = 1
-
-    def concerns(self, circumstances: Circumstances, place: str) -> bool:
-        """Whether the sensor was read at several levels."""
-        return len(self.starts(circumstances, place)) > 1
-
-
-class AxisSteps(AboveLevel):
-    """One axis of a sensor reads more by a step wherever its component exceeds a level, as where codes are missing."""
-
-    name = "axis_steps"
-    words = "one axis of the sensor is off by a step above some level"
-    components = ("step",)
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """Number of the axis, and the level."""
-        ends_T = 2.0 * extent.largest_field_T
-        return (switch("axis", 0.0, 2.0, 0.0), fixed("above_T", "T", -ends_T, ends_T))
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Between any two readings of each axis."""
-        by_axis = enumerate(_shown_T(circumstances, place).T)
-        return tuple(
-            {"axis": float(axis), "above_T": at_T} for axis, own_T in by_axis for at_T in _levels(own_T)
-        )
-
-    def added_T(self, shown_T: Components, theta: Theta) -> Components:
-        """The step, above the level of the axis."""
-        is_axis = torch.arange(3, device=shown_T.device) == theta["axis"][..., None, None]
-        is_above = (shown_T > theta["above_T"][..., None, None]) & is_axis
-        return self.amplitudes(theta)[1][..., None, :] * is_above
-
-
-class GainSteps(AboveLevel):
-    """The gain of a sensor is another one where its largest component exceeds a level, as where an instrument changes its range."""
-
-    name = "gain_steps"
-    words = "the gain of the sensor is another one above some level"
-    unit = "1"
-    components = ("share",)  # of all axes
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """Level above which the share holds, in T."""
-        return (fixed("above_T", "T", 0.0, 2.0 * extent.largest_field_T),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Level 0, under all readings, then levels between any two readings."""
-        largest_T = _shown_T(circumstances, place).abs().amax(-1)
-        return tuple({"above_T": level_T} for level_T in (0.0, *_levels(largest_T)))
-
-    def factors(
-        self, circumstances: Circumstances, place: str, starts: Sequence[dict[str, float]]
-    ) -> Float[Tensor, "start reading"]:
-        """For each level 1 at readings above it, else 0."""
-        shown_T = circumstances.observations.field_sensor_T.abs().amax(-1)
-        levels_T = shown_T.new_tensor([start["above_T"] for start in starts])
-        return (shown_T > levels_T[:, None]).to(circumstances.hours)
-
-    def added_T(self, shown_T: Components, theta: Theta) -> Components:
-        """A share of all components above the level."""
-        is_above = shown_T.abs().amax(-1) > theta["above_T"][..., None]
-        return shown_T * (self.amplitudes(theta)[1] * is_above)[..., None]
-
-
-class CurrentPickup(Correction, ReadingEffect):
-    """A sensor shows something of the coils' currents themselves, as over a common return wire: powers of their sum."""
-
-    name = "current_pickup"
-    words = "the sensor shows something of the currents themselves"
-    scales = (RANGE_A,)
-    highest = 3
-
-    def limit(self, circumstances: Circumstances, place: str) -> Limit:
-        """Highest degree that the number of different currents besides 0 determines, of those while the sensor was read."""
-        total_A = circumstances.current_A[circumstances.is_of(place)].sum(-1)
-        least_A = LEAST_STEP * circumstances.largest_current_A
-        n = len(torch.unique((total_A[total_A != 0.0] / least_A).round()))
-        if n >= self.highest:
-            return Limit(self.highest)
-        return Limit(n, f"there are {n} currents besides 0; measure at {self.highest} or more")
-
-    def apply(
-        self, field_sensor_T: Components, theta: Theta, circumstances: Circumstances, sensor: str
-    ) -> Components:
-        """Components as they are read."""
-        share = circumstances.current_A.sum(-1) / theta["range_A"].flatten()[0]
-        for degree, amplitude in self.amplitudes(theta).items():
-            field_sensor_T = field_sensor_T + amplitude[..., None, :] * share[:, None] ** degree
-        return field_sensor_T
-
-
-class ReadingRipples(OfShown, Periodic):
-    """Errors of a sensor's converter repeat over its range: each component is off by a wave of its own value."""
-
-    name = "reading_ripples"
-    words = "errors of the sensor repeat over its range"
-
-    def shapes(self, extent: Extent) -> Quantities:
-        """The frequency, in cycles per tesla."""
-        most_per_T = 1e3 * MOST_HALF_CYCLES * _half_a_cycle_per_T(extent.largest_field_T)
-        return (shape("frequency_per_T", "1/T", 0.0, most_per_T),)
-
-    def starts(self, circumstances: Circumstances, place: str) -> Starts:
-        """Frequencies half a cycle over the range apart, as many as there are readings at most."""
-        spacing = _half_a_cycle_per_T(circumstances.largest_of_sensor_T(place))
-        n = min(len(torch.unique(_shown_T(circumstances, place), dim=0)), MOST_HALF_CYCLES)
-        return tuple({"frequency_per_T": (i + 1) * spacing} for i in range(n))
-
-    def added_T(self, shown_T: Components, theta: Theta) -> Components:
-        """A wave of each component's own value."""
-        return self.swing(theta, shown_T * theta["frequency_per_T"][..., None, None])
-
-
-def _shown_T(circumstances: Circumstances, sensor: str) -> Float[Tensor, "own 3"]:
-    """What one sensor read."""
-    return circumstances.observations.field_sensor_T[circumstances.is_of(sensor)]
-
-
-def _half_a_cycle_per_T(largest_T: float) -> float:
-    """Frequency of half a cycle from minus to plus the largest component, in cycles per tesla."""
-    return 0.25 / largest_T
+    The gain of a sensor depends on the largest of its components, as where an instrument changes its range: cosines of half waves.
+    """
+    return field_sensor_T.abs().amax(-1, keepdim=True) / constant(theta, "range_T")
 
 
 def _levels(shown_T: Float[Tensor, " reading"]) -> list[float]:
@@ -299,6 +144,105 @@ def _levels(shown_T: Float[Tensor, " reading"]) -> list[float]:
     if not len(between_T):
         return []
     rows = torch.linspace(0, len(between_T) - 1, min(MOST_LEVELS, len(between_T)), device=between_T.device)
-    rows = rows.round().long().unique()
-    levels_T: list[float] = between_T[rows].tolist()
+    levels_T: list[float] = between_T[rows.round().long().unique()].tolist()
     return levels_T
+
+
+def _axis_and_level(extent: Extent) -> Quantities:
+    """Number of the axis, and the level."""
+    ends_T = 2.0 * extent.largest_field_T
+    return (switch("axis", 0.0, 2.0, 0.0), fixed("above_T", "T", -ends_T, ends_T))
+
+
+def _levels_of_axes(circumstances: Circumstances, place: str) -> Starts:
+    """Between any two readings of each axis."""
+    by_axis = enumerate(_shown_T(circumstances, place).T)
+    return tuple({"axis": float(axis), "above_T": at_T} for axis, own_T in by_axis for at_T in _levels(own_T))
+
+
+@correction(
+    Zero, AboveLevel, components=("step",), shapes=_axis_and_level, starts=_levels_of_axes, counts=DIFFERENT
+)
+def axis_steps(field_sensor_T: Components, theta: Theta) -> Components:
+    """One axis of the sensor is off by a step above some level.
+
+    One axis of a sensor reads more by a step wherever its component exceeds a level, as where codes are missing.
+    """
+    is_axis = torch.arange(3, device=field_sensor_T.device) == theta["axis"][..., None, None]
+    return torch.where(is_axis, field_sensor_T, -torch.inf)
+
+
+def _levels_of_largest(circumstances: Circumstances, place: str) -> Starts:
+    """Level 0, under all readings, then levels between any two readings."""
+    largest_T = _shown_T(circumstances, place).abs().amax(-1)
+    return tuple({"above_T": level_T} for level_T in (0.0, *_levels(largest_T)))
+
+
+def _is_above(circumstances: Circumstances, starts: Sequence[dict[str, float]]) -> Tensor:
+    """For each level 1 at readings above it, else 0."""
+    shown_T = circumstances.observations.field_sensor_T.abs().amax(-1)
+    levels_T = shown_T.new_tensor([start["above_T"] for start in starts])
+    return (shown_T > levels_T[:, None]).to(circumstances.hours)
+
+
+@correction(
+    Gain,
+    AboveLevel,
+    shapes=lambda extent: (fixed("above_T", "T", 0.0, 2.0 * extent.largest_field_T),),
+    starts=_levels_of_largest,
+    factors=_is_above,
+    counts=DIFFERENT,
+)
+def gain_steps(field_sensor_T: Components) -> Tensor:
+    """The gain of the sensor is another one above some level.
+
+    The gain of a sensor is another one where its largest component exceeds a level, as where an instrument changes its range.
+    """
+    return field_sensor_T.abs().amax(-1, keepdim=True)
+
+
+def _by_currents(circumstances: Circumstances, place: str) -> Limit:
+    """Highest degree that the number of different currents besides 0 determines, of those while the sensor was read."""
+    total_A = circumstances.current_A[circumstances.is_of(place)].sum(-1)
+    least_A = LEAST_STEP * circumstances.largest_current_A
+    n = len(torch.unique((total_A[total_A != 0.0] / least_A).round()))
+    if n >= MOST_POWERS:
+        return Limit(MOST_POWERS)
+    return Limit(n, f"there are {n} currents besides 0; measure at {MOST_POWERS} or more")
+
+
+@correction(Zero, Table, scales=(RANGE_A,), highest=MOST_POWERS, limit=_by_currents)
+def current_pickup(theta: Theta, circumstances: Circumstances) -> dict[int, Tensor]:
+    """The sensor shows something of the currents themselves.
+
+    A sensor shows something of the coils' currents themselves, as over a common return wire: powers of their sum.
+    """
+    share = circumstances.current_A.sum(-1, keepdim=True) / constant(theta, "range_A")
+    return {degree: share**degree for degree in range(1, MOST_POWERS + 1)}
+
+
+def _half_a_cycle_per_T(largest_T: float) -> float:
+    """Frequency of half a cycle from minus to plus the largest component, in cycles per tesla."""
+    return 0.25 / largest_T
+
+
+def _frequencies(circumstances: Circumstances, place: str) -> Starts:
+    """Frequencies half a cycle over the range apart, as many as there are readings at most."""
+    spacing = _half_a_cycle_per_T(circumstances.largest_of_sensor_T(place))
+    n = min(len(torch.unique(_shown_T(circumstances, place), dim=0)), MOST_HALF_CYCLES)
+    return tuple({"frequency_per_T": (i + 1) * spacing} for i in range(n))
+
+
+def _frequency(extent: Extent) -> Quantities:
+    """The frequency, in cycles per tesla."""
+    most_per_T = 1e3 * MOST_HALF_CYCLES * _half_a_cycle_per_T(extent.largest_field_T)
+    return (shape("frequency_per_T", "1/T", 0.0, most_per_T),)
+
+
+@correction(Zero, Periodic, shapes=_frequency, starts=_frequencies, counts=DIFFERENT)
+def reading_ripples(field_sensor_T: Components, theta: Theta) -> Components:
+    """Errors of the sensor repeat over its range.
+
+    Errors of a sensor's converter repeat over its range: each component is off by a wave of its own value.
+    """
+    return field_sensor_T * theta["frequency_per_T"][..., None, None]

@@ -10,18 +10,68 @@ from abc import abstractmethod
 from jaxtyping import Float
 
 from estimator.effects.base import POSITIVE, Kind, Quantities, Starts, Theta, box, fixed, written
-from estimator.effects.circumstances import LEAST_STEP, Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Limit, limit_of_places, positions_m
+from estimator.effects.circumstances import Circumstances, Extent
+from estimator.effects.corrections.correction import Correction, Limit, constant, constants
+from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect, SourceEffect
 from estimator.field import harmonics
 from estimator.field.coil import AnyWinding
-from estimator.field.winding import Rule
+from estimator.field.winding_shape import Rule
+from estimator.frames import Transform
+from estimator.rig.bodies import AnyCoil
 from estimator.rig.harmonic_terms import terms
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 LEAST_REACH_M = 1e-6
+SAME_PLACE = 1e-3  # of the reach: nearer places count once
+THIN = 0.03  # of the widest extent: thinner sets of places are a plane or a line
+PLANE_DEGREE = 2  # from a plane: what is off it is extrapolated from slopes across it
 MIDDLE = ("middle_x_m", "middle_y_m", "middle_z_m")
+
+
+def positions_m(circumstances: Circumstances, coil: AnyCoil | None = None) -> Float[Tensor, "reading 3"]:
+    """Nominal position of the sensor at each reading, in the frame of a coil or in the room."""
+    n = len(circumstances)
+    each = [
+        circumstances.world_from(sensor).translation_m.expand(n, 3) for sensor in circumstances.rig.sensors
+    ]
+    world_m = torch.stack(each)[circumstances.sensor, torch.arange(n, device=circumstances.sensor.device)]
+    if coil is None:
+        return world_m
+    world_from_coil = circumstances.world_from(coil)
+    turns = Transform(world_from_coil.rotation.expand(n, 3, 3), world_from_coil.translation_m.expand(n, 3))
+    return turns.inverse().apply(world_m)
+
+
+def limit_of_places(places_m: Float[Tensor, "reading 3"], n_terms: dict[int, int]) -> Limit:
+    """How high a degree of a field the places determine at which it was read.
+
+    Args:
+        places_m: Of all readings, in the frame of the field.
+        n_terms: By degree, the number of terms up to it.
+    """
+    lowest, highest = min(n_terms), max(n_terms)
+    middle_m = places_m.mean(0)
+    reach_m = float((places_m - middle_m).norm(dim=-1).max())
+    if reach_m == 0.0:
+        return Limit(lowest - 1, "all readings are at one place; move the sensor")
+    places = torch.unique(((places_m - middle_m) / (SAME_PLACE * reach_m)).round(), dim=0)
+    spread = torch.linalg.svdvals(places - places.mean(0))
+    n_wide = int((spread > THIN * spread[0]).sum())
+    if n_wide == 1:
+        return Limit(lowest - 1, "all readings lie on one line; measure beside it, on both sides")
+    enough = [degree for degree, n in n_terms.items() if n <= len(places)]
+    if not enough:
+        return Limit(
+            lowest - 1, f"readings are at {len(places)} places; measure at {n_terms[lowest]} or more"
+        )
+    if n_wide == 2 and max(enough) > PLANE_DEGREE:
+        return Limit(PLANE_DEGREE, "all readings lie in one plane; measure off it, on both sides")
+    if max(enough) < highest:
+        wanted = n_terms[max(enough) + 1]
+        return Limit(max(enough), f"readings are at {len(places)} places; measure at {wanted} or more")
+    return Limit(highest)
 
 
 class StaticField(Correction):
@@ -86,8 +136,7 @@ def ball(middle_m: Tensor, reach_m: float) -> dict[str, float]:
 
 def in_reach(points_m: Points, theta: Theta) -> Points:
     """Points about the middle, in units of the reach. Both are fixed, so alike in a batch."""
-    middle_m = torch.stack([theta[key].flatten()[0] for key in MIDDLE])
-    return (points_m - middle_m) / theta["reach_m"].flatten()[0]
+    return (points_m - constants(theta, MIDDLE)) / constant(theta, "reach_m")
 
 
 class PerAmpereOfCoil(StaticField):

@@ -1,1 +1,1 @@
-"""Paths of the API, one file for each thing that it is about."""
+"""HTTP routes: the application includes the `router` of every module here."""

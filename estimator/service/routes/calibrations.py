@@ -7,34 +7,24 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from pydantic import BaseModel, Field
 from sqlalchemy import select
 from starlette.responses import JSONResponse, Response
 
+from estimator.calibration.files import POSTERIOR_STORE, SUMMARY_FILE
 from estimator.calibration.panels import CalibrationPanels, calibration_panels
-from estimator.calibration.result import POSTERIOR_STORE, SUMMARY_FILE, Calibration
+from estimator.calibration.result import Calibration
 from estimator.code_version import code_version
 from estimator.rig_files.write import rig_text
-from estimator.service.archives import zipped
+from estimator.service.answers import UNCHANGED, ListingOf, Page, file_of, row_of, shown_as, with_etag
 from estimator.service.core import Core
-from estimator.service.requests import (
-    UNCHANGED,
-    CoreOf,
-    Id,
-    JsonRoute,
-    ListingOf,
-    Page,
-    Reader,
-    file_of,
-    row_of,
-    shown_as,
-    with_etag,
-)
+from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.schema import CalibrationRow, Job
-from estimator.service.work import calibration_folder
+from estimator.service.tasks import TASKS
+from estimator.store.zipped import zipped
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
+router = router_of("/v1/calibrations", "calibrations")
 
 
 class CalibrationInfo(BaseModel):
@@ -70,35 +60,33 @@ def calibration_of(core: Core, calibration_id: str) -> tuple[CalibrationRow, Pat
     with core.database.reading() as db:
         row = row_of(db, CalibrationRow, calibration_id, "calibration")
         kind = db.scalars(select(Job.kind).where(Job.id == row.job_id)).one()
-    folder = calibration_folder(kind, core.jobs.folder(row.job_id))
+    folder = core.jobs.folder(row.job_id) / TASKS[kind].calibration
     return row, folder, core.calibration(folder)
 
 
 @router.get("")
 def list_calibrations(
-    caller: Reader,  # noqa: ARG001
-    listing: ListingOf,
-    rig_name: Annotated[str | None, Query(max_length=200)] = None,
+    listing: ListingOf, rig_name: Annotated[str | None, Query(max_length=200)] = None
 ) -> Page[CalibrationInfo]:
     """Calibrations, newest first."""
     return listing.page(CalibrationRow, CalibrationInfo, rig_name=rig_name)
 
 
 @router.get("/{calibration_id}")
-def get_calibration(core: CoreOf, caller: Reader, calibration_id: Id) -> CalibrationInfo:  # noqa: ARG001
+def get_calibration(core: CoreOf, calibration_id: Id) -> CalibrationInfo:
     """One calibration."""
     return shown_as(CalibrationInfo, calibration_of(core, calibration_id)[0])
 
 
 @router.get("/{calibration_id}/summary", response_model=dict[str, Any], responses=UNCHANGED)
-def get_summary(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+def get_summary(request: Request, core: CoreOf, calibration_id: Id) -> Response:
     """The content of summary.json."""
     calibration = calibration_of(core, calibration_id)[2]
     return with_etag(request, calibration_id, lambda: JSONResponse(dict(calibration.summary())))
 
 
 @router.get("/{calibration_id}/intervals", response_model=Intervals, responses=UNCHANGED)
-def get_intervals(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+def get_intervals(request: Request, core: CoreOf, calibration_id: Id) -> Response:
     """Credible intervals of every parameter."""
     calibration = calibration_of(core, calibration_id)[2]
     summary = calibration.summary()
@@ -108,7 +96,7 @@ def get_intervals(request: Request, core: CoreOf, caller: Reader, calibration_id
 
 
 @router.get("/{calibration_id}/panels", response_model=CalibrationPanels, responses=UNCHANGED)
-def get_panels(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+def get_panels(request: Request, core: CoreOf, calibration_id: Id) -> Response:
     """What the page shows of a calibration, as numbers: fields, what the data taught, residuals."""
     calibration = calibration_of(core, calibration_id)[2]
     return with_etag(
@@ -119,14 +107,14 @@ def get_panels(request: Request, core: CoreOf, caller: Reader, calibration_id: I
 
 
 @router.get("/{calibration_id}/rig", **file_of("application/yaml", {"description": "A rig file."}))
-def get_calibrated_rig(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+def get_calibrated_rig(request: Request, core: CoreOf, calibration_id: Id) -> Response:
     """The rig that was fitted, as a rig file."""
     rig = calibration_of(core, calibration_id)[2].rig
     return with_etag(request, calibration_id, lambda: Response(rig_text(rig), media_type="application/yaml"))
 
 
 @router.get("/{calibration_id}/calibration.zip", **file_of("application/zip"))
-def download_calibration(request: Request, core: CoreOf, caller: Reader, calibration_id: Id) -> Response:  # noqa: ARG001
+def download_calibration(request: Request, core: CoreOf, calibration_id: Id) -> Response:
     """The folder of a calibration as a zip, for `estimator.Calibration.load` and `coilcal predict`; its hashes seal it."""
     folder = calibration_of(core, calibration_id)[1]
     headers = {"Content-Disposition": 'attachment; filename="calibration.zip"'}

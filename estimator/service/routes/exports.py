@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import numpy as np
 import torch
-from fastapi import APIRouter, Depends
+from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.responses import Response
 
@@ -20,11 +20,11 @@ from estimator.export.request import Grid
 from estimator.service.core import Core
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
+from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.routes.calibrations import calibration_of
-from estimator.service.routes.predictions import MOST_COORDINATES
+from estimator.service.routes.predictions import MOST_COORDINATES, OfCoilsAlone
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
+router = router_of("/v1/calibrations", "calibrations")
 BYTES = "application/octet-stream"
 FILE: dict[str, Any] = {
     "response_class": Response,
@@ -59,9 +59,10 @@ class ExportQuestion(BaseModel):
     motion: Annotated[
         dict[str, Six], Field(description="The six numbers of movers, in SI, where nothing moves.")
     ] = {}
+    is_of_coils_alone: OfCoilsAlone = False
 
 
-async def _room(core: CoreOf) -> AsyncIterator[None]:
+async def _exporting(core: CoreOf) -> AsyncIterator[None]:
     async with core.exporting.taken():
         yield
 
@@ -69,15 +70,15 @@ async def _room(core: CoreOf) -> AsyncIterator[None]:
 @router.post("/{calibration_id}/export", **FILE)
 def export_calibration(
     core: CoreOf,
-    caller: Reader,  # noqa: ARG001
     calibration_id: Id,
     body: ExportQuestion,
-    room: Annotated[None, Depends(_room)],  # noqa: ARG001
+    turn: Annotated[None, Depends(_exporting)],  # noqa: ARG001
 ) -> Response:
     """The calibrated model as a file for another program; the header Content-Disposition has its usual name."""
     if body.to not in FORMATS:
         raise Problem(422, "to", f"must be one of {', '.join(FORMATS)}", body.to, "body")
     calibration = calibration_of(core, calibration_id)[2]
+    calibration = calibration.coils_alone() if body.is_of_coils_alone else calibration
     grid = None if body.grid is None else _grid_of(core, body.grid)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in body.motion.items()}
     with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:

@@ -1,4 +1,4 @@
-"""Whether the service lives and can work, and who changed what."""
+"""State of the service: whether it answers and can work, its metrics and its audit log."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ from prometheus_client import CONTENT_TYPE_PLAIN_0_0_4
 from pydantic import BaseModel
 from sqlalchemy import func, select
 
+from estimator.service.answers import Limit, shown_as
 from estimator.service.job_queue import QUEUED, RUNNING
 from estimator.service.problems import Problem
-from estimator.service.requests import Admin, CoreOf, JsonRoute, Limit, Reader, shown_as
+from estimator.service.requests import Admin, CoreOf, JsonRoute, Reader
 from estimator.service.schema import Audit, Job
 from estimator.service.tokens import Scope
 

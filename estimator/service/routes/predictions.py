@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import torch
-from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
@@ -21,12 +20,15 @@ from estimator.service.core import Core
 from estimator.service.predictions import BLOCK
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, JsonRoute, Reader
+from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.routes.calibrations import calibration_of
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/calibrations", tags=["calibrations"])
+router = router_of("/v1/calibrations", "calibrations")
 Point = Annotated[list[Number], Field(min_length=3, max_length=3)]
 Vector = list[float | None]
+OfCoilsAlone = Annotated[
+    bool, Field(description="Without what is there without current, such as the Earth's field.")
+]
 MOST_COORDINATES = 10_000  # of one axis
 JSON = "application/json"
 ARROW_RESPONSE: dict[str, Any] = {
@@ -48,9 +50,7 @@ class Wish(BaseModel):
     has_intervals: Annotated[
         bool, Field(description="With credible intervals, from 400 evenly spaced draws of the posterior.")
     ] = True
-    is_of_coils_alone: Annotated[
-        bool, Field(description="Without what is there without current, such as the Earth's field.")
-    ] = False
+    is_of_coils_alone: OfCoilsAlone = False
 
 
 class PointsQuestion(Wish):
@@ -97,19 +97,19 @@ class GridPrediction(Prediction):
 
 
 @router.post("/{calibration_id}/predict", response_model=Prediction, response_model_exclude_none=True)
-async def predict(core: CoreOf, caller: Reader, calibration_id: Id, body: PointsQuestion) -> Response:  # noqa: ARG001
+async def predict(core: CoreOf, calibration_id: Id, body: PointsQuestion) -> Response:
     """Field and gradient of the calibrated model at points."""
     return await _as_json(_blocks(core, calibration_id, _points_of(core, body), body), {})
 
 
 @router.post("/{calibration_id}/predict.arrow", **ARROW_RESPONSE)
-async def predict_arrow(core: CoreOf, caller: Reader, calibration_id: Id, body: PointsQuestion) -> Response:  # noqa: ARG001
+async def predict_arrow(core: CoreOf, calibration_id: Id, body: PointsQuestion) -> Response:
     """Field and gradient of the calibrated model at points, as an Arrow stream with a row for each point."""
     return await _as_arrow(_blocks(core, calibration_id, _points_of(core, body), body), calibration_id, body)
 
 
 @router.post("/{calibration_id}/grid", response_model=GridPrediction, response_model_exclude_none=True)
-async def predict_grid(core: CoreOf, caller: Reader, calibration_id: Id, body: GridQuestion) -> Response:  # noqa: ARG001
+async def predict_grid(core: CoreOf, calibration_id: Id, body: GridQuestion) -> Response:
     """Field and gradient of the calibrated model on a regular grid."""
     axes = _axes_of(core, body)
     blocks = _blocks(core, calibration_id, torch.cartesian_prod(*axes.values()), body)
@@ -117,12 +117,7 @@ async def predict_grid(core: CoreOf, caller: Reader, calibration_id: Id, body: G
 
 
 @router.post("/{calibration_id}/grid.arrow", **ARROW_RESPONSE)
-async def predict_grid_arrow(
-    core: CoreOf,
-    caller: Reader,  # noqa: ARG001
-    calibration_id: Id,
-    body: GridQuestion,
-) -> Response:
+async def predict_grid_arrow(core: CoreOf, calibration_id: Id, body: GridQuestion) -> Response:
     """Field and gradient of the calibrated model on a regular grid, as an Arrow stream with a row for each point."""
     points_m = torch.cartesian_prod(*_axes_of(core, body).values())
     return await _as_arrow(_blocks(core, calibration_id, points_m, body), calibration_id, body)
@@ -153,7 +148,7 @@ async def _blocks(
     folder = await run_in_threadpool(_checked_folder, core, calibration_id, wish)
     wanted = predictions.Wanted(wish.has_field, wish.has_gradient, wish.has_intervals, wish.is_of_coils_alone)
     motion = {name: torch.tensor(values, dtype=torch.float64) for name, values in wish.motion.items()}
-    with core.predictor.places.taken():
+    with core.predictor.limit.taken():
         for block in points_m.split(BLOCK):
             question = predictions.Question(block, wish.currents_A, motion, wish.level)
             yield block, await core.predictor.ask(folder, question, wanted)

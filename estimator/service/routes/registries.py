@@ -7,33 +7,24 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import select
 
+from estimator.recalibration.log import Entry
 from estimator.recalibration.recalibrate import roll_back
-from estimator.recalibration.registry import Entry, Registry, RegistryBusy
+from estimator.recalibration.registry import Registry, RegistryBusy
+from estimator.service.answers import Item, Listing, ListingOf, Page
 from estimator.service.core import Core
 from estimator.service.job_queue import RETRY_AFTER_S
 from estimator.service.ownership import OWN_REGISTRY
 from estimator.service.problems import Problem
-from estimator.service.requests import (
-    ChangeOf,
-    CoreOf,
-    Id,
-    Item,
-    JsonRoute,
-    Listing,
-    ListingOf,
-    Page,
-    Reader,
-)
+from estimator.service.requests import ChangeOf, CoreOf, Id, router_of
 from estimator.service.routes.calibrations import Interval
 from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schedules import is_judgement_of
 from estimator.service.schema import CalibrationRow, Job
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
+router = router_of("/v1/rigs/{rig_id}/registry", "registry")
 Row = TypeVar("Row")
 
 
@@ -105,7 +96,7 @@ def registry_of(core: Core, rig_id: str) -> tuple[str, Registry]:
 
 
 @router.get("")
-def get_registry(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryInfo:  # noqa: ARG001
+def get_registry(core: CoreOf, rig_id: Id) -> RegistryInfo:
     """The state of a rig's registry."""
     name, registry = registry_of(core, rig_id)
     entries, current = registry.entries(), registry.current
@@ -120,14 +111,14 @@ def get_registry(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryInfo:  # n
 
 
 @router.get("/entries")
-def list_entries(caller: Reader, rig_id: Id, listing: ListingOf) -> Page[EntryInfo]:  # noqa: ARG001
+def list_entries(rig_id: Id, listing: ListingOf) -> Page[EntryInfo]:
     """Conclusions and rollbacks, newest first."""
     entries = registry_of(listing.core, rig_id)[1].entries()
     return numbered_page(listing, list(enumerate(entries, start=1)), lambda row: _entry_info(*row))
 
 
 @router.get("/versions")
-def list_versions(caller: Reader, rig_id: Id, listing: ListingOf) -> Page[VersionInfo]:  # noqa: ARG001
+def list_versions(rig_id: Id, listing: ListingOf) -> Page[VersionInfo]:
     """Versions with their parameters, newest first."""
     name, registry = registry_of(listing.core, rig_id)
     made = [(entry.made, entry) for entry in registry.entries() if entry.made is not None]

@@ -6,14 +6,14 @@ from datetime import datetime
 from pathlib import Path
 from typing import Annotated
 
-from fastapi import APIRouter
 from pydantic import BaseModel, Field
 
 from estimator.recalibration.timeline import judged, summary_of, versions_in_use
-from estimator.service.requests import CoreOf, Id, JsonRoute, Reader, shown_as
+from estimator.service.answers import shown_as
+from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.routes.registries import registry_of
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/rigs/{rig_id}/registry", tags=["registry"])
+router = router_of("/v1/rigs/{rig_id}/registry", "registry")
 MOST_SESSIONS = 500  # ten years of weekly ones
 Numbers = Annotated[list[float], Field(min_length=2, max_length=3)]
 
@@ -51,7 +51,7 @@ class RegistryHistory(BaseModel):
 
 
 @router.get("/history")
-def get_history(core: CoreOf, caller: Reader, rig_id: Id) -> RegistryHistory:  # noqa: ARG001
+def get_history(core: CoreOf, rig_id: Id) -> RegistryHistory:
     """Every parameter over time: what each session says of it, and the versions in use."""
     name, registry = registry_of(core, rig_id)
     entries = registry.entries()

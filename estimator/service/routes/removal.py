@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from fastapi import APIRouter
-
+from estimator.service.answers import row_of
 from estimator.service.ownership import OWN_JOB, OWN_SESSION
 from estimator.service.removal import remove_job, remove_session
-from estimator.service.requests import ChangeOf, Id, JsonRoute, row_of
+from estimator.service.requests import ChangeOf, Id, router_of
 from estimator.service.schema import Job, SessionRow
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1")
+router = router_of("/v1")
 
 
 @router.delete("/jobs/{job_id}", status_code=204, tags=["jobs"], dependencies=[OWN_JOB])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import Depends, Query, Request
 from pydantic import BaseModel
 from sqlalchemy import select
 from starlette.responses import Response
@@ -13,27 +13,14 @@ from starlette.responses import Response
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.service.answers import ListingOf, Page, file_of, row_of, shown_as, with_etag
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
-from estimator.service.requests import (
-    ChangeOf,
-    CoreOf,
-    Id,
-    JsonRoute,
-    ListingOf,
-    Page,
-    Reader,
-    documented_body,
-    file_of,
-    raw_body,
-    row_of,
-    shown_as,
-    with_etag,
-)
+from estimator.service.requests import ChangeOf, CoreOf, Id, documented_body, raw_body, router_of
 from estimator.service.schema import RigVersion
 
 YAML = ("application/yaml", "application/x-yaml", "text/yaml")
-router = APIRouter(route_class=JsonRoute, prefix="/v1/rigs", tags=["rigs"])
+router = router_of("/v1/rigs", "rigs")
 Text = Annotated[bytes, Depends(raw_body(*YAML))]
 BODY = documented_body("application/yaml", "Text of a rig file.")
 
@@ -111,14 +98,13 @@ def upload_rig(response: Response, change: ChangeOf, body: Text) -> RigInfo:
 
 
 @router.post("/validate", openapi_extra=BODY)
-def validate_rig(caller: Reader, body: Text) -> RigContent:  # noqa: ARG001  asked for its scope
+def validate_rig(body: Text) -> RigContent:
     """Check a rig file without keeping it."""
     return content_of(rig_of(body)[0])
 
 
 @router.get("")
 def list_rigs(
-    caller: Reader,  # noqa: ARG001
     listing: ListingOf,
     name: Annotated[
         str | None, Query(max_length=200, description="Versions of the rig of this name only.")
@@ -129,13 +115,13 @@ def list_rigs(
 
 
 @router.get("/{rig_id}")
-def get_rig(core: CoreOf, caller: Reader, rig_id: Id) -> RigInfo:  # noqa: ARG001
+def get_rig(core: CoreOf, rig_id: Id) -> RigInfo:
     """One version of a rig."""
     return shown_as(RigInfo, rig_row_of(core, rig_id))
 
 
 @router.get("/{rig_id}/text", **file_of("application/yaml", {"description": "A rig file."}))
-def get_rig_text(request: Request, core: CoreOf, caller: Reader, rig_id: Id) -> Response:  # noqa: ARG001
+def get_rig_text(request: Request, core: CoreOf, rig_id: Id) -> Response:
     """The text of a rig file, as it was uploaded."""
     row = rig_row_of(core, rig_id)
     return with_etag(request, row.hash, lambda: Response(row.text, media_type="application/yaml"))

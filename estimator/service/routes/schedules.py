@@ -5,31 +5,19 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
-from fastapi import APIRouter
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import func, select
 
+from estimator.service.answers import ListingOf, Page, row_of, shown_as
 from estimator.service.database import new_id, now
 from estimator.service.ownership import OWN_SCHEDULE, check_registry
 from estimator.service.problems import Problem, check_limits
-from estimator.service.requests import (
-    ID,
-    ChangeOf,
-    CoreOf,
-    Id,
-    JsonRoute,
-    ListingOf,
-    Page,
-    Reader,
-    Seed,
-    row_of,
-    shown_as,
-)
+from estimator.service.requests import ID, ChangeOf, CoreOf, Id, Seed, router_of
 from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schedules import next_run, trigger_of
 from estimator.service.schema import RigVersion, Schedule
 
-router = APIRouter(route_class=JsonRoute, prefix="/v1/schedules", tags=["schedules"])
+router = router_of("/v1/schedules", "schedules")
 MOST_SCHEDULES, MOST_OF_USER = 100, 50
 
 
@@ -97,13 +85,13 @@ def create_schedule(change: ChangeOf, body: NewSchedule) -> ScheduleInfo:
 
 
 @router.get("")
-def list_schedules(caller: Reader, listing: ListingOf) -> Page[ScheduleInfo]:  # noqa: ARG001
+def list_schedules(listing: ListingOf) -> Page[ScheduleInfo]:
     """Schedules, newest first."""
     return listing.page(Schedule, ScheduleInfo)
 
 
 @router.get("/{schedule_id}")
-def get_schedule(core: CoreOf, caller: Reader, schedule_id: Id) -> ScheduleInfo:  # noqa: ARG001
+def get_schedule(core: CoreOf, schedule_id: Id) -> ScheduleInfo:
     """One schedule."""
     with core.database.reading() as db:
         return shown_as(ScheduleInfo, row_of(db, Schedule, schedule_id, "schedule"))

@@ -1,4 +1,4 @@
-"""Sessions: begun for a rig and appended to, or imported as a whole; closed ones are downloaded and calibrated."""
+"""Sessions: begun for a rig, appended to and closed, then downloaded and calibrated."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, ConfigDict, Field
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session as DatabaseSession
 from starlette.responses import Response
 
-from estimator.readings.clock import Clock
 from estimator.rig_files.read import rig_from_text
-from estimator.service.archives import check_length, unpacked_session, zipped
+from estimator.service.answers import ListingOf, Page, file_of, row_of, shown_as, with_etag
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.ownership import OWN_SESSION
@@ -26,41 +25,25 @@ from estimator.service.problems import Problem, check_limits, not_found
 from estimator.service.readings import readings_of
 from estimator.service.requests import (
     ID,
-    Change,
+    STREAM,
     ChangeOf,
     CoreOf,
     Id,
-    ImportRoom,
-    JsonRoute,
     Key,
-    ListingOf,
-    Page,
-    Reader,
-    StreamRoom,
     documented_body,
-    file_of,
     raw_body,
-    row_of,
-    shown_as,
-    with_etag,
+    router_of,
 )
-from estimator.service.routes.rigs import rig_row_of
 from estimator.service.schema import RigVersion, SessionRow
 from estimator.service.tokens import Caller
 from estimator.service.watching import Watched
-from estimator.store.files import sync
-from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants
-from estimator.store.importers.forms.sources import kind_of
-from estimator.store.importers.forms.understand import understood
 from estimator.store.importers.readings_csv import write_readings_csv
-from estimator.store.session import Session, load_session
+from estimator.store.session import load_session
+from estimator.store.zipped import zipped
 
 OPEN, CLOSED = "open", "closed"
-router = APIRouter(route_class=JsonRoute, prefix="/v1/sessions", tags=["sessions"])
-RigId = Annotated[str, Query(pattern=ID, description="Version of the rig on which the readings were taken.")]
+router = router_of("/v1/sessions", "sessions")
 Ndjson = Annotated[bytes, Depends(raw_body("application/x-ndjson", "application/jsonl"))]
-Csv = Annotated[bytes, Depends(raw_body("text/csv"))]
-Zip = Annotated[bytes, Depends(raw_body("application/zip"))]
 
 
 class NewSession(BaseModel):
@@ -87,34 +70,6 @@ class SessionInfo(BaseModel):
     hash: str | None
 
 
-class Form(BaseModel):
-    """How a table of readings is read; the parameters are those options of `coilcal import`."""
-
-    accept: Annotated[
-        bool, Field(description="Accept what was understood of a table that is no readings CSV.")
-    ] = False
-    column: Annotated[
-        list[str], Field(description="Meaning of a column: `HEADER=NAME`.", max_length=200)
-    ] = []
-    constant: Annotated[
-        list[str], Field(description="A column that is missing: `NAME=VALUE`.", max_length=200)
-    ] = []
-    decimal: Literal["point", "comma"] | None = None
-    clock: Clock = Clock.AS_WRITTEN
-    skip_bad_lines: bool = False
-
-    def recipe(self) -> Recipe:
-        """The recipe that they make.
-
-        Raises:
-            InvalidInput: One of them has another form.
-        """
-        columns, constants = named_columns(self.column), named_constants(self.constant)
-        return Recipe(
-            columns, constants, decimal=self.decimal, clock=self.clock, skips_bad=self.skip_bad_lines
-        )
-
-
 class Appended(BaseModel):
     """Readings that are on disk: all of the session, and how many of them this request has added."""
 
@@ -136,9 +91,7 @@ def closed_row_of(core: Core, session_id: str) -> SessionRow:
 
 
 @router.post(
-    "",
-    status_code=201,
-    responses={200: {"model": SessionInfo, "description": "The key was used before."}},
+    "", status_code=201, responses={200: {"model": SessionInfo, "description": "The key was used before."}}
 )
 def create_session(response: Response, change: ChangeOf, body: NewSession, key: Key = None) -> SessionInfo:
     """Begin a session that takes readings."""
@@ -149,7 +102,7 @@ def create_session(response: Response, change: ChangeOf, body: NewSession, key: 
                 response.status_code = 200
                 return known
             version = row_of(db, RigVersion, body.rig_id, "rig")
-            _check_room(core, db, caller)
+            _check_open_sessions(core, db, caller)
             core.sessions.create(session_id, rig_from_text(version.text, "rig"), body.source)
             row = SessionRow(id=session_id, rig_id=version.id, source=body.source, state=OPEN, created=now())
             row.user, row.idempotency_key = caller.user, key
@@ -161,7 +114,7 @@ def create_session(response: Response, change: ChangeOf, body: NewSession, key: 
         raise
 
 
-def _check_room(core: Core, db: DatabaseSession, caller: Caller) -> None:
+def _check_open_sessions(core: Core, db: DatabaseSession, caller: Caller) -> None:
     """Refuse one more open session where there are too many, of all users or of this one."""
     n_open = select(func.count()).where(SessionRow.state == OPEN)
     own, settings = n_open.where(SessionRow.user == caller.user), core.settings
@@ -183,53 +136,8 @@ def _begun_before(db: DatabaseSession, caller: Caller, body: NewSession, key: st
     return None if row is None else shown_as(SessionInfo, row)
 
 
-@router.post(
-    "/import-csv",
-    status_code=201,
-    openapi_extra=documented_body("text/csv", "Readings, units in the header."),
-)
-def import_csv(
-    change: ChangeOf,
-    rig_id: RigId,
-    body: Csv,
-    room: ImportRoom,  # noqa: ARG001
-    form: Annotated[Form, Query()],
-) -> SessionInfo:
-    """Make a closed session of a table of readings; what is not a readings CSV has to be accepted with `accept=true`."""
-    core = change.core
-    rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
-    with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
-        path = Path(folder) / "readings.csv"
-        path.write_bytes(body)
-        if kind_of(path) != "text":  # libraries for other files are not made for what strangers send
-            raise Problem(415, "body", "must be text; export the table as CSV")
-        read = understood(path, rig, form.recipe())
-        if read.proposal is not None and not form.accept:
-            meaning = ", ".join(f"{each.header!r} is {each.name}" for each in read.proposal.assigned)
-            rule = f"must be accepted with accept=true, for the table is no readings CSV: {meaning}"
-            raise Problem(422, "what was understood", rule, place="query accept")
-        check_length(len(read.session.observations), core.settings.most_readings)
-        return _kept(change, read.session, rig_id)
-
-
-@router.post(
-    "/import-zip",
-    status_code=201,
-    openapi_extra=documented_body("application/zip", "A session.zarr, its files at the top of the archive."),
-)
-def import_zip(change: ChangeOf, rig_id: RigId, body: Zip, room: ImportRoom) -> SessionInfo:  # noqa: ARG001
-    """Make a closed session of a zipped session.zarr, whose coils, sensors and movers must be those of the rig."""
-    core = change.core
-    rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
-    limits = int(core.settings.most_unpacked_MB * 1e6), core.settings.most_readings
-    with unpacked_session(body, core.scratch() / new_id(), *limits) as session:
-        session.check_rig(rig)
-        return _kept(change, session, rig_id)
-
-
 @router.get("")
 def list_sessions(
-    caller: Reader,  # noqa: ARG001
     listing: ListingOf,
     rig_id: Annotated[str | None, Query(pattern=ID)] = None,
     hash: Annotated[str | None, Query(pattern=r"^[0-9a-f]{64}$")] = None,
@@ -239,7 +147,7 @@ def list_sessions(
 
 
 @router.get("/{session_id}")
-def get_session(core: CoreOf, caller: Reader, session_id: Id) -> SessionInfo:  # noqa: ARG001
+def get_session(core: CoreOf, session_id: Id) -> SessionInfo:
     """One session; of an open one, the readings that are on disk are counted."""
     info = shown_as(SessionInfo, _row_of(core, session_id))
     if info.state == OPEN:
@@ -261,7 +169,7 @@ def append_readings(change: ChangeOf, session_id: Id, body: Ndjson) -> Appended:
     n_readings, n_new = core.sessions.append(session_id, readings)
     core.metrics.readings.inc(n_new)
     appender = session_id, change.caller.token_id
-    if appender not in core.appenders:  # thousands of entries with one meaning help nobody
+    if appender not in core.appenders:  # one entry is enough
         with core.database.writing() as db:
             change.note(db, "session.append", session_id)
         core.appenders.add(appender)
@@ -276,17 +184,14 @@ def _watched(core: CoreOf, session_id: Id) -> Iterator[Watched]:
         yield watched
 
 
-@router.get("/{session_id}/live", response_class=EventSourceResponse)
+@router.get("/{session_id}/live", response_class=EventSourceResponse, dependencies=[STREAM])
 async def watch_session(
-    core: CoreOf,
-    caller: Reader,  # noqa: ARG001
-    room: StreamRoom,  # noqa: ARG001
-    watched: Annotated[Watched, Depends(_watched)],
+    core: CoreOf, watched: Annotated[Watched, Depends(_watched)]
 ) -> AsyncIterator[ServerSentEvent]:
     """The estimate of an open session as server-sent events: `estimate` after readings were appended, and `end` when it is closed."""
-    async with aclosing(watched.news(lambda: core.is_ending)) as changes:
-        async for news in changes:
-            yield ServerSentEvent(data=asdict(news), event="end" if news.has_ended else "estimate")
+    async with aclosing(watched.states(lambda: core.is_ending)) as states:
+        async for state in states:
+            yield ServerSentEvent(data=asdict(state), event="end" if state.has_ended else "estimate")
 
 
 @router.post("/{session_id}/close", dependencies=[OWN_SESSION])
@@ -308,7 +213,7 @@ def close_session(change: ChangeOf, session_id: Id) -> SessionInfo:
 
 
 @router.get("/{session_id}/session.zip", **file_of("application/zip"))
-def download_zip(request: Request, core: CoreOf, caller: Reader, session_id: Id) -> Response:  # noqa: ARG001
+def download_zip(request: Request, core: CoreOf, session_id: Id) -> Response:
     """A closed session as a zipped session.zarr."""
     row = closed_row_of(core, session_id)
     name = {"Content-Disposition": 'attachment; filename="session.zarr.zip"'}
@@ -319,7 +224,7 @@ def download_zip(request: Request, core: CoreOf, caller: Reader, session_id: Id)
 
 
 @router.get("/{session_id}/readings.csv", **file_of("text/csv"))
-def download_csv(request: Request, core: CoreOf, caller: Reader, session_id: Id) -> Response:  # noqa: ARG001
+def download_csv(request: Request, core: CoreOf, session_id: Id) -> Response:
     """The readings of a closed session as CSV, in SI, with every digit."""
     row = closed_row_of(core, session_id)
 
@@ -331,30 +236,3 @@ def download_csv(request: Request, core: CoreOf, caller: Reader, session_id: Id)
             return Response(path.read_bytes(), headers=name, media_type="text/csv")
 
     return with_etag(request, f"{row.hash}-csv", csv)
-
-
-def _kept(change: Change, session: Session, rig_id: str) -> SessionInfo:
-    """Keep a whole session under a new id; the row is committed last."""
-    core, session_id = change.core, new_id()
-    try:
-        path = core.sessions.path(session_id)
-        session.save(path)
-        for part in (*path.rglob("*"), path, path.parent):  # on disk before it is acknowledged
-            sync(part)
-        with core.database.writing() as db:
-            row = SessionRow(
-                id=session_id,
-                rig_id=rig_id,
-                source=session.source,
-                state=CLOSED,
-                created=now(),
-                user=change.caller.user,
-                n_readings=len(session.observations),
-                hash=session.hash,
-            )
-            db.add(row)
-            change.note(db, "session.import", session_id)
-            return shown_as(SessionInfo, row)
-    except BaseException:
-        core.sessions.remove(session_id)
-        raise

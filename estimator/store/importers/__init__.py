@@ -7,6 +7,8 @@ is loaded when it is called, so that the command line can list the formats witho
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -21,57 +23,40 @@ __all__ = ["IMPORTERS", "Importer"]
 Importer: TypeAlias = "Callable[[Sequence[Path], Rig, Mapping[str, float]], Session]"
 
 
-def _readings(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
-    from estimator.store.importers.readings_csv import read_readings_csv
+@dataclass(frozen=True)
+class _Function:
+    """A function of a module of this package.
 
-    if currents_A:
-        raise InvalidInput(
-            f"currents must not be given for a readings CSV, which holds its own; received {', '.join(currents_A)}"
-        )
-    return read_readings_csv(_only(paths), rig)
+    Attributes:
+        module, name: Where it is.
+        takes_one: Whether it takes one file, instead of a list.
+        takes_currents: Whether it takes currents by coil.
+    """
 
+    module: str
+    name: str
+    takes_one: bool = False
+    takes_currents: bool = True
 
-def _mice(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
-    from estimator.store.importers.mice import read_mice
-
-    return read_mice(_only(paths), rig, currents_A)
-
-
-def _plane_map(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
-    from estimator.store.importers.plane_map import read_plane_maps
-
-    return read_plane_maps(paths, rig, currents_A)
-
-
-def _axis_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
-    from estimator.store.importers.axis_scan import read_axis_scan
-
-    return read_axis_scan(_only(paths), rig, currents_A)
-
-
-def _difference_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
-    from estimator.store.importers.difference_scan import read_difference_scan
-
-    return read_difference_scan(paths, rig, currents_A)
-
-
-def _grid_maps(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
-    from estimator.store.importers.grid_maps import read_grid_maps
-
-    return read_grid_maps(paths, rig, currents_A)
-
-
-def _only(paths: Sequence[Path]) -> Path:
-    if len(paths) != 1:
-        raise InvalidInput(f"this format takes one file; received {len(paths)}")
-    return paths[0]
+    def __call__(self, paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, float]) -> Session:
+        if currents_A and not self.takes_currents:
+            names = ", ".join(currents_A)
+            raise InvalidInput(
+                f"currents must not be given for a readings CSV, which holds its own; received {names}"
+            )
+        if self.takes_one and len(paths) != 1:
+            raise InvalidInput(f"this format takes one file; received {len(paths)}")
+        read = getattr(import_module(f"{__name__}.{self.module}"), self.name)
+        currents = [currents_A] if self.takes_currents else []
+        session: Session = read(paths[0] if self.takes_one else paths, rig, *currents)
+        return session
 
 
 IMPORTERS: Mapping[str, Importer] = {
-    "readings": _readings,
-    "mice": _mice,
-    "plane_map": _plane_map,
-    "axis_scan": _axis_scan,
-    "difference_scan": _difference_scan,
-    "grid_maps": _grid_maps,
+    "readings": _Function("readings_csv", "read_readings_csv", takes_one=True, takes_currents=False),
+    "mice": _Function("mice", "read_mice", takes_one=True),
+    "plane_map": _Function("plane_map", "read_plane_maps"),
+    "axis_scan": _Function("axis_scan", "read_axis_scan", takes_one=True),
+    "difference_scan": _Function("difference_scan", "read_difference_scan"),
+    "grid_maps": _Function("grid_maps", "read_grid_maps"),
 }

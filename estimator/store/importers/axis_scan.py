@@ -12,7 +12,7 @@ import torch
 
 from estimator.errors import InvalidInput, quoted
 from estimator.rig.rig import Rig
-from estimator.store.importers.common import current_by_coil, map_observations, read_numbers
+from estimator.store.importers.common import check_one_sensor, current_by_coil, map_observations, read_numbers
 from estimator.store.session import Session
 from estimator.units import UNITS
 
@@ -33,8 +33,7 @@ def read_axis_scan(
     Raises:
         InvalidInput: The file is not a table of two or three columns, a unit is unknown, or a coil has no current.
     """
-    if len(rig.sensors) != 1:
-        raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")
+    check_one_sensor(rig)
     to_m, to_T = _to_si(position_unit, "length"), _to_si(field_unit, "field")
     table = read_numbers(path)
     if table.shape[1] not in (2, 3):
@@ -43,14 +42,7 @@ def read_axis_scan(
     pose[:, 2] = table[:, 0] * to_m
     field_T = torch.full((len(table), 3), torch.nan, dtype=torch.float64)
     field_T[:, 2] = table[:, 1] * to_T
-    observations = map_observations(
-        rig,
-        torch.arange(len(table), dtype=torch.float64),
-        torch.zeros(len(table), dtype=torch.int64),
-        current_by_coil(rig, currents_A),
-        pose,
-        field_T,
-    )
+    observations = map_observations(rig, current_by_coil(rig, currents_A), pose, field_T)
     return Session(rig, observations, f"axis scan {path.name}; t_s counts the readings")
 
 

@@ -13,7 +13,8 @@ from torch import Tensor
 from estimator.errors import InvalidInput, Place, quoted
 from estimator.given_files import MOST_TABLE_BYTES, read_given_text
 from estimator.readings.observations import Observations
-from estimator.rig.rig import MotionKind, Mover, Rig
+from estimator.rig.bodies import MotionKind, Mover
+from estimator.rig.rig import Rig
 
 
 def finite_number(cell: str, name: str, location: str, place: Place | None = None) -> float:
@@ -112,23 +113,42 @@ def current_by_coil(rig: Rig, currents_A: Mapping[str, float]) -> list[float]:
 
 def map_observations(
     rig: Rig,
-    time_s: Float[Tensor, " reading"],
-    sensor: Int[Tensor, " reading"],
     current_A: Sequence[float] | Float[Tensor, "reading coil"],
     pose: Float[Tensor, "reading 6"],
     field_sensor_T: Float[Tensor, "reading 3"],
+    *,
+    time_s: Float[Tensor, " reading"] | None = None,
+    sensor: Int[Tensor, " reading"] | None = None,
     repeat: Int[Tensor, " reading"] | None = None,
 ) -> Observations:
     """Observations of a map taken with one pose mover; all readings take part in the fit.
 
     Args:
         rig: Must have one pose mover.
-        time_s, sensor, pose, field_sensor_T, repeat: As in `Observations`; `repeat` defaults to zero.
         current_A: Current by reading and coil, or by coil if constant.
+        pose, field_sensor_T: As in `Observations`.
+        time_s, sensor, repeat: As in `Observations`; by default the time counts the readings, and the others are zero.
     """
-    n = len(time_s)
+    n = len(pose)
     currents_A = torch.as_tensor(current_A, dtype=torch.float64).expand(n, len(rig.coils)).clone()
     zeros = torch.zeros(n, dtype=torch.int64)
-    motion = {pose_mover(rig).name: pose}
-    repeat = zeros if repeat is None else repeat
-    return Observations(time_s, sensor, currents_A, motion, field_sensor_T, zeros.bool(), repeat, {})
+    return Observations(
+        torch.arange(n, dtype=torch.float64) if time_s is None else time_s,
+        zeros if sensor is None else sensor,
+        currents_A,
+        {pose_mover(rig).name: pose},
+        field_sensor_T,
+        zeros.bool(),
+        zeros if repeat is None else repeat,
+        {},
+    )
+
+
+def check_one_sensor(rig: Rig) -> None:
+    """Refuse a rig with another number of sensors than one.
+
+    Raises:
+        InvalidInput: It has.
+    """
+    if len(rig.sensors) != 1:
+        raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")

@@ -1,4 +1,4 @@
-"""Reads a CSV table whose header names carry their units. A line that is no row is left out and told, each kind once.
+"""Reads a CSV table whose header names carry their units. Lines that are no rows are left out and reported, each kind once.
 
 `estimator.store.importers.readings_csv` turns the table into a session.
 """

@@ -44,15 +44,8 @@ def read_difference_scan(paths: Sequence[Path], rig: Rig, currents_A: Mapping[st
     position_off_m, field_off_T = _scan(off[0])
     if position_m.shape != position_off_m.shape or not torch.equal(position_m, position_off_m):
         raise InvalidInput(f"both scans must make the same moves; {on[0].name} and {off[0].name} do not")
-    n = len(position_m)
-    observations = map_observations(
-        rig,
-        torch.arange(n, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.int64),
-        current_by_coil(rig, currents_A),
-        torch.cat((position_m, torch.zeros(n, 3, dtype=torch.float64)), dim=1),
-        field_on_T - field_off_T,
-    )
+    pose = torch.cat((position_m, torch.zeros_like(position_m)), dim=1)
+    observations = map_observations(rig, current_by_coil(rig, currents_A), pose, field_on_T - field_off_T)
     return Session(rig, observations, f"{on[0].name} less {off[0].name}; t_s counts the readings")
 
 

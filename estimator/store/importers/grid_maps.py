@@ -16,7 +16,7 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput, quoted
 from estimator.rig.rig import Rig
-from estimator.store.importers.common import map_observations, read_lines, read_numbers
+from estimator.store.importers.common import check_one_sensor, map_observations, read_lines, read_numbers
 from estimator.store.session import Session
 
 NAME = re.compile(r"vfield_(\d+)$")
@@ -39,8 +39,7 @@ def read_grid_maps(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, flo
     """
     if not paths:
         raise InvalidInput("grid maps must be at least one file; received none")
-    if len(rig.sensors) != 1:
-        raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")
+    check_one_sensor(rig)
     unknown = [name for name in currents_A or {} if name not in [coil.name for coil in rig.coils]]
     if unknown:
         raise InvalidInput(f"currents must name coils of rig {rig.name!r}; received {quoted(unknown[0])}")
@@ -52,8 +51,7 @@ def read_grid_maps(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, flo
     each_A = torch.tensor([(currents_A or {}).get(coil.name, 1.0) for coil in rig.coils], dtype=torch.float64)
     current_A = torch.nn.functional.one_hot(on, len(rig.coils)) * each_A
     pose = torch.cat((rows[:, :3], torch.zeros(len(rows), 3, dtype=torch.float64)), dim=1)
-    time_s, sensor = torch.arange(len(rows), dtype=torch.float64), torch.zeros(len(rows), dtype=torch.int64)
-    observations = map_observations(rig, time_s, sensor, current_A, pose, rows[:, 3:])
+    observations = map_observations(rig, current_A, pose, rows[:, 3:])
     names = ", ".join(path.name for path in paths)
     return Session(rig, observations, source=f"grid maps {names} ({PROVENANCE})")
 

@@ -64,11 +64,11 @@ def read_mice(path: Path, rig: Rig, currents_A: Mapping[str, float] | None = Non
     currents = dict.fromkeys((coil.name for coil in rig.coils), NOMINAL_CURRENT_A)
     observations = map_observations(
         rig,
-        time_s - time_s[0],
-        sensor,
         current_by_coil(rig, currents_A or currents),
         pose,
         _field(table, angle_rad),
+        time_s=time_s - time_s[0],
+        sensor=sensor,
     )
     source = f"MICE map {path.name}; rows sorted by time, one instant per second holds all probes"
     return Session(rig, observations, source)

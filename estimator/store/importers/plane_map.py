@@ -17,7 +17,7 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
-from estimator.store.importers.common import current_by_coil, map_observations, read_numbers
+from estimator.store.importers.common import check_one_sensor, current_by_coil, map_observations, read_numbers
 from estimator.store.session import Session
 from estimator.units import UNITS
 
@@ -43,8 +43,7 @@ def read_plane_maps(
     """
     if not paths:
         raise InvalidInput("plane maps must be at least one file; received none")
-    if len(rig.sensors) != 1:
-        raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")
+    check_one_sensor(rig)
     maps = [_map_T(path) for path in paths]
     settings = [_setting(path, rig, currents_A) for path in paths]
     n_points = maps[0].numel()
@@ -55,14 +54,12 @@ def read_plane_maps(
     field_T[:, 2] = torch.cat([map_T.flatten() for map_T in maps])
     observations = map_observations(
         rig,
-        torch.arange(len(field_T), dtype=torch.float64),
-        torch.zeros(len(field_T), dtype=torch.int64),
         torch.tensor([current for current, _ in settings], dtype=torch.float64).repeat_interleave(
             n_points, dim=0
         ),
         pose.repeat(len(maps), 1),
         field_T,
-        torch.tensor([repeat for _, repeat in settings]).repeat_interleave(n_points),
+        repeat=torch.tensor([repeat for _, repeat in settings]).repeat_interleave(n_points),
     )
     segment = torch.arange(len(maps)).repeat_interleave(n_points)
     return Session(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -21,11 +21,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import Faults, InvalidInput, Place, in_order, quoted
+from estimator.errors import InvalidInput, Place, quoted
 from estimator.readings.clock import Clock, jumps_back, read_clock
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
-from estimator.rig.rig import MotionKind, Mover, Rig
+from estimator.rig.bodies import MotionKind, Mover
+from estimator.rig.rig import Rig
 from estimator.store.importers.csv_table import read_table
 from estimator.store.importers.places import MOST_PLACES, left_out
 from estimator.store.importers.recorded import moment
@@ -62,38 +63,6 @@ class ReadTable(NamedTuple):
 
     table: Table
     session: Session
-
-
-class CheckedReadings(NamedTuple):
-    """A readings CSV with all that is wrong in it, in the order of its lines; table and session only where nothing is."""
-
-    table: Table | None
-    session: Session | None
-    faults: list[InvalidInput]
-
-
-def readings_and_faults(
-    path: Path, rig: Rig, clock: Clock = Clock.AS_WRITTEN, skips_bad: bool = False
-) -> CheckedReadings:
-    """Read a readings CSV and go on behind each fault."""
-    faults, known = Faults(is_collected=True), columns_of(rig)
-    table = session = None
-    with faults.noting():
-        table = read_table(path, known, faults, skips_bad)
-        if any(fault.place is None or fault.place.line == 1 for fault in faults.noted):
-            _read_cells(table, known)
-        else:
-            table, session = session_of(table, rig, clock)
-    if faults.noted:
-        return CheckedReadings(None, None, in_order(faults.noted))
-    return CheckedReadings(table, session, [])
-
-
-def _read_cells(table: Table, known: Mapping[str, Column]) -> None:
-    """Read the numbers of a table that lacks columns, for their faults alone."""
-    for quantity in table.header:
-        if known[quantity].dimension is not None:
-            table.numbers(quantity, may_be_empty=quantity in FIELD)
 
 
 def session_of(table: Table, rig: Rig, clock: Clock = Clock.AS_WRITTEN) -> ReadTable:

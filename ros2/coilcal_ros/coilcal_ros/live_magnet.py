@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from estimator import Calibration, InvalidInput, Registry, System
-from estimator.rig.rig import Mover
+from estimator.rig.bodies import Mover
 
 Vector = Sequence[float]
 

@@ -28,13 +28,13 @@ from estimator.frames import Transform
 from estimator.rig.parameters import LogNormal
 
 
-@OneCoilCurrent.cause(
-    words="the supply leaves out a fixed current around zero",
-    source="class B output stages without bias, 10 to 100 mA",
-    quantities=(normal("width_A", "A", 0.05),),  # missing current
-)
+# Quantities: missing current.
+@OneCoilCurrent.cause(quantities=(normal("width_A", "A", 0.05),))
 def dead_band(current_A, theta):
-    """The supply leaves out a fixed current around zero."""
+    """The supply leaves out a fixed current around zero.
+
+    Source: class B output stages without bias, 10 to 100 mA.
+    """
     return current_A - theta["width_A"][..., None] * torch.sign(current_A)
 
 
@@ -84,27 +84,27 @@ class IronBeside(SourceEffect):
         return torch.stack(torch.broadcast_tensors(*parts), dim=-1)
 
 
-@RoomEffect.cause(
-    "steady_T",
-    words="the field of the room has a gradient",
-    source="a magnet some metres away, up to 1 mT/m",
-    quantities=(normal("vertical_T_per_m", "T/m", 5e-4),),
-)
+@RoomEffect.cause("steady_T", quantities=(normal("vertical_T_per_m", "T/m", 5e-4),))
 def field_gradient(points_m, theta):
-    """A magnet far away adds a gradient to the field of the room, free of sources: (-x/2, -y/2, z)."""
+    """The field of the room has a gradient.
+
+    A magnet far away adds a gradient to the field of the room, free of sources: (-x/2, -y/2, z).
+
+    Source: a magnet some metres away, up to 1 mT/m.
+    """
     shape = torch.tensor([-0.5, -0.5, 1.0], dtype=points_m.dtype)
     return theta["vertical_T_per_m"][..., None, None] * shape * points_m
 
 
-@MotionEffect.cause(
-    words="the arm sags the further it reaches",
-    source="bending of light arms, 0.1 mm at 0.1 m and more",
-    quantities=(
-        normal("curvature_per_m", "1/m", 0.05),
-    ),  # sag at a metre, which grows with the square of the reach
-)
+# Quantities: sag at a metre, which grows with the square of the reach.
+@MotionEffect.cause(quantities=(normal("curvature_per_m", "1/m", 0.05),))
 def arm_sag(pose, theta):
-    """The arm sags the further it reaches: lower by the square of the horizontal reach."""
+    """The arm sags the further it reaches.
+
+    The arm sags the further it reaches: lower by the square of the horizontal reach.
+
+    Source: bending of light arms, 0.1 mm at 0.1 m and more.
+    """
     x, y, z = pose.translation_m.unbind(-1)
     sag_m = theta["curvature_per_m"][..., None] * (x**2 + y**2)
     return Transform(pose.rotation, torch.stack(torch.broadcast_tensors(x, y, z - sag_m), dim=-1))
@@ -141,36 +141,43 @@ def ahead_m(theta):
 
 @HolderEffect.cause(
     "answer_T",
-    words="a ferrite bead sits on the sensor's holder",
-    source="some per cent at a centimetre or two",
     quantities=(normal("share", "1", 0.05),),  # of the axial field at the bead
     place_m=ahead_m,
 )
 def ferrite_bead(field_there_T, theta):
-    """A bead on the holder, ahead of the sensor, adds to the field along the sensor's axis."""
+    """A ferrite bead sits on the sensor's holder.
+
+    A bead on the holder, ahead of the sensor, adds to the field along the sensor's axis.
+
+    Source: some per cent at a centimetre or two.
+    """
     axis = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
     return theta["share"][..., None, None] * field_there_T * axis
 
 
-@ElementEffect.cause(
-    words="the elements sit on a ring",
-    source="dies on a printed board, 0.1 to 1 mm apart",
-    quantities=(normal("radius_m", "m", 5e-4),),
-)
+@ElementEffect.cause(quantities=(normal("radius_m", "m", 5e-4),))
 def element_ring(theta):
-    """The elements sit on a ring about the sensor's axis, a third of a turn apart."""
+    """The elements sit on a ring.
+
+    The elements sit on a ring about the sensor's axis, a third of a turn apart.
+
+    Source: dies on a printed board, 0.1 to 1 mm apart.
+    """
     angle = 2.0 * torch.pi / 3.0 * torch.arange(3, dtype=torch.float64)
     ring = torch.stack((torch.cos(angle), torch.sin(angle), torch.zeros_like(angle)), dim=-1)
     return theta["radius_m"][..., None, None] * ring
 
 
 @ReadingEffect.cause(
-    words="both signs of a large field read too much",
-    source="amplifiers of this kind, 2 % at the end of the range",
-    quantities=lambda extent: (normal("excess_per_T", "1/T", 0.02 / extent.largest_field_T),),
+    quantities=lambda extent: (normal("excess_per_T", "1/T", 0.02 / extent.largest_field_T),)
 )
 def quadratic_response(field_sensor_T, theta):
-    """The amplifier bends: both signs of the field read too much."""
+    """Both signs of a large field read too much.
+
+    The amplifier bends: both signs of the field read too much.
+
+    Source: amplifiers of this kind, 2 % at the end of the range.
+    """
     return field_sensor_T + theta["excess_per_T"][..., None, None] * field_sensor_T**2
 
 
@@ -197,11 +204,12 @@ class NoisyAxis(NoiseEffect):
 
 @RecordEffect.cause(
     "commanded_A",
-    words="currents are recorded from peak to peak",
-    source="there or not",
     quantities=(switch("factor", 0.1, 10.0, 1.0),),  # recorded over real current
     starts=({"factor": 2.0},),  # twice the amplitude
 )
 def peak_to_peak_current(recorded_A, theta):
-    """Currents are recorded from peak to peak."""
+    """Currents are recorded from peak to peak.
+
+    Source: there or not.
+    """
     return recorded_A / theta["factor"][..., None, None]

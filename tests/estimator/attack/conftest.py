@@ -12,7 +12,8 @@ import pytest
 import zarr
 
 from estimator.errors import CoilcalError, CorruptStore
-from estimator.store.session import Session, digest
+from estimator.store.arrays import digest
+from estimator.store.session import Session
 
 N = 36  # readings of the small session
 

@@ -14,7 +14,8 @@ import pytest
 import xarray as xr
 import zarr
 
-from estimator.calibration.result import SUMMARY_SEAL, Calibration
+from estimator.calibration.files import SUMMARY_SEAL
+from estimator.calibration.result import Calibration
 from estimator.store.tree import read_tree, tree_hash
 from tests.estimator.attack.conftest import refusal
 

@@ -11,7 +11,8 @@ import pytest
 
 from estimator.errors import CoilcalError, CorruptStore
 from estimator.store.admission import admit_readings
-from estimator.store.session import Session, load_session, observation_arrays
+from estimator.store.arrays import observation_arrays
+from estimator.store.session import Session, load_session
 from tests.estimator.attack.conftest import N, refusal, replace_array, seal
 
 pytestmark = pytest.mark.whole

@@ -18,7 +18,7 @@ from estimator.batching import batch, work
 from estimator.batching.jobs import jobs_of
 from estimator.batching.result import BatchResult
 from estimator.batching.work import fit, sampled
-from estimator.calibration.result import CALIBRATION
+from estimator.calibration.files import CALIBRATION
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig

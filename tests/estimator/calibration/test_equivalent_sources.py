@@ -16,7 +16,8 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.limits import Limits
 from estimator.errors import InvalidInput
-from estimator.rig.rig import EquivalentSourceCoil, Rig
+from estimator.rig.bodies import EquivalentSourceCoil
+from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.store.session import Session

@@ -72,10 +72,7 @@ def session_at(rig: Rig, places_m: np.ndarray, seed: int = 0) -> Session:
     n, rng = len(places_m), np.random.default_rng(seed)
     field_T = CURRENT_A * hidden_T(places_m) + rng.normal(0.0, NOISE_T, (n, 3))
     pose = torch.from_numpy(np.concatenate((places_m, np.zeros((n, 3))), 1))
-    indices = torch.arange(n)
-    observations = map_observations(
-        rig, indices.double(), 0 * indices, [CURRENT_A], pose, torch.from_numpy(field_T)
-    )
+    observations = map_observations(rig, [CURRENT_A], pose, torch.from_numpy(field_T))
     return Session(rig, observations, "two loops of magpylib")
 
 

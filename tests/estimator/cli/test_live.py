@@ -20,7 +20,7 @@ from rich.console import Console
 
 from estimator.cli import live_session
 from estimator.cli.live_view import LiveState, LiveView, screen
-from estimator.live import refresh
+from estimator.live import engine, refresh
 from estimator.live.refresh import Background, Refreshed
 from estimator.live.stream import Stream
 from estimator.live.watch import Alarm
@@ -111,6 +111,20 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
     assert "; 2 readings not fitted (validation, or no field)" in text
     assert "; READINGS LOST BY AN INSTRUMENT 2 times" in text
     assert "estimate polished: the same as a fit of all readings so far" in text
+
+
+def test_a_session_that_was_measured_before_has_alarms_too(
+    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
+) -> None:
+    """Its readings are taken in growing parts, each of which is compared with its prediction by those before."""
+    path = tmp_path / "session.zarr"
+    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
+        for one in stops:
+            journal.append(one.entry())
+    seal(path)
+    said = json.loads(run("live", path, "--no-refresh", "--json").stdout)
+    assert said["readings"] == N_STOPS
+    assert said["alarms"][0]["since"] == pytest.approx(81, abs=6)
 
 
 @pytest.mark.slow
@@ -247,8 +261,8 @@ def test_nothing_is_made_of_the_readings_while_none_is_new(
         for one in stops[:5]:
             journal.append(one.entry())
     calls = []
-    real = live_session.observations_of
-    monkeypatch.setattr(live_session, "observations_of", lambda *given: calls.append(1) or real(*given))
+    real = engine.observations_of
+    monkeypatch.setattr(engine, "observations_of", lambda *given: calls.append(1) or real(*given))
     monkeypatch.setattr(refresh, "Background", Failing)
     ending = threading.Timer(1.0, seal, [path])
     ending.start()

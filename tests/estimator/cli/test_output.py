@@ -17,8 +17,7 @@ from click.testing import CliRunner, Result
 from estimator.calibration.calibrate import Stage
 from estimator.cli.main import main
 from estimator.cli.output import CoilcalCommand, explained_errors, named_number, named_numbers
-from estimator.cli.stage_progress import StageReporter
-from estimator.cli.time_left import TimeLeft
+from estimator.cli.progress import Reporter, TimeLeft
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference.ensemble import Progress
 from estimator.inference.laplace import OpenDirection
@@ -44,9 +43,9 @@ WORDS = (
 
 def report(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO) -> str:
     monkeypatch.setattr(sys, "stderr", stream)
-    with StageReporter() as reporter:
+    with Reporter() as reporter:
         for stage in STAGES:
-            reporter(stage)
+            reporter.calibration(stage)
     return stream.getvalue()
 
 
@@ -135,9 +134,9 @@ def test_the_time_left_follows_from_what_was_done_since_the_beginning(
 def test_quiet_keeps_progress_back_and_verbose_logs(run: Callable[..., Result], tmp_path: Path) -> None:
     @click.command(cls=CoilcalCommand)
     def long_command() -> None:
-        with StageReporter() as reporter:
+        with Reporter() as reporter:
             for stage in STAGES:
-                reporter(stage)
+                reporter.calibration(stage)
         click.echo("done")
 
     loud, quiet = (CliRunner().invoke(long_command, options) for options in ([], ["--quiet"]))

@@ -15,7 +15,8 @@ from estimator.acquisition.pace import Pace, stops_of
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
 from estimator.readings.observations import Observations
 from estimator.readings.plan import load_plan
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 
 LIMITS = RigLimits(
     currents={"coil1": CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=100.0)}

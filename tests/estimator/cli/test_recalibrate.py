@@ -22,7 +22,8 @@ from estimator.cli.main import main
 from estimator.cli.schedule import keep_running
 from estimator.readings.observations import Observations
 from estimator.recalibration import recalibrate as recalibration
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from tests.estimator.conftest import TWO_COILS

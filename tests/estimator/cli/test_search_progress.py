@@ -5,8 +5,8 @@ from __future__ import annotations
 import io
 import sys
 
-from estimator.cli import search_progress
-from estimator.cli.search_progress import SearchReporter
+from estimator.cli import progress
+from estimator.cli.progress import LINE_EVERY_S, Reporter
 from estimator.diagnosis.progress import Pace, Progress
 
 SEVENTH = Progress("step 2", 7, 16, 20.3)
@@ -20,11 +20,11 @@ class Terminal(io.StringIO):
 
 def test_a_pipe_gets_every_stage_and_progress_only_now_and_then(capsys, monkeypatch):
     now_s = [100.0]
-    monkeypatch.setattr(search_progress.time, "monotonic", lambda: now_s[0])
-    with SearchReporter() as reporter:
+    monkeypatch.setattr(progress.time, "monotonic", lambda: now_s[0])
+    with Reporter(LINE_EVERY_S, LINE_EVERY_S) as reporter:
         reporter.stage("searching for causes")
         for now_s[0] in (110.0, 120.0, 131.0, 140.0, 150.0):
-            reporter.progress(SEVENTH)
+            reporter.fits(SEVENTH)
     assert capsys.readouterr().err.splitlines() == ["coilcal: searching for causes", f"coilcal: {WORDS}"]
 
 
@@ -33,9 +33,9 @@ def test_a_terminal_shows_progress_at_once_and_names_with_their_places(monkeypat
     monkeypatch.setattr(sys, "stderr", terminal)
     monkeypatch.setenv("TERM", "xterm")
     monkeypatch.setenv("COLUMNS", "150")
-    with SearchReporter() as reporter:
+    with Reporter(LINE_EVERY_S, LINE_EVERY_S) as reporter:
         reporter.stage("taking axis_gain[hall] (odds 160,000 to 1 for it)")
-        reporter.progress(SEVENTH)
+        reporter.fits(SEVENTH)
     shown = terminal.getvalue()
     assert "coilcal: taking axis_gain[hall] (odds 160,000 to 1 for it)" in shown
     assert WORDS in shown

@@ -12,11 +12,12 @@ from click.testing import Result
 
 from estimator.batching.work import RESULT_FILE
 from estimator.calibration import result
-from estimator.cli import contents
+from estimator.cli import kinds
 from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
 from estimator.diagnosis.verdict import UNKNOWN
 from estimator.recalibration import registry
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
 from estimator.service.core import DATABASE
 from estimator.store.growing import StopReadings, new_header
@@ -125,11 +126,11 @@ def test_a_diagnosis_and_a_broken_one(run: Run, tmp_path: Path) -> None:
 
 def test_names_that_mark_a_folder_are_those_of_what_writes_it() -> None:
     """The command states them by itself: what reads them needs torch, or an extra."""
-    assert (contents.SUMMARY_FILE, contents.CHAIN_STORE) == (result.SUMMARY_FILE, result.CHAIN_STORE)
-    assert (contents.DIAGNOSIS, contents.CALIBRATION_FOLDER) == (DIAGNOSIS, CALIBRATION_FOLDER)
-    assert (contents.VERSIONS, contents.LOG) == (registry.VERSIONS, registry.LOG)
-    assert (contents.RESULT_FILE, contents.DATABASE) == (RESULT_FILE, DATABASE)
-    assert (contents.UNKNOWN, contents.FIELD) == (UNKNOWN, FIELD)
+    assert (kinds.SUMMARY_FILE, kinds.CHAIN_STORE) == (result.SUMMARY_FILE, result.CHAIN_STORE)
+    assert (kinds.DIAGNOSIS, kinds.CALIBRATION_FOLDER) == (DIAGNOSIS, CALIBRATION_FOLDER)
+    assert (kinds.VERSIONS, kinds.LOG) == (registry.VERSIONS, registry.LOG)
+    assert (kinds.RESULT_FILE, kinds.DATABASE) == (RESULT_FILE, DATABASE)
+    assert (kinds.UNKNOWN, kinds.FIELD) == (UNKNOWN, FIELD)
 
 
 def test_a_batch_and_the_data_of_the_service(run: Run, tmp_path: Path) -> None:

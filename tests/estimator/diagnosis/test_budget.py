@@ -58,9 +58,9 @@ def test_share_of_each_cause_is_its_mean_over_both_orders(made, small_rig, two_c
     assert found.noise_T == pytest.approx(3.0**0.5 * NOISE_T)
     assert found.n_readings == len(unseen)
     for cause, share in expected.items():
-        assert found.causes[cause].value == pytest.approx(share, abs=2e-3)
+        assert found.causes[cause].value == pytest.approx(share, abs=5e-3)
     last = min(none - gain, offset - all_of_them) + min(none - offset, gain - all_of_them)
-    assert found.shared.value == pytest.approx((none - all_of_them - last) / misfit, abs=2e-3)
+    assert found.shared.value == pytest.approx((none - all_of_them - last) / misfit, abs=5e-3)
 
 
 def test_shares_and_what_is_left_make_the_whole(made) -> None:
@@ -99,7 +99,7 @@ def test_few_causes_are_added_in_all_orders(n: int) -> None:
     assert sorted(_orders(n, 1)) == sorted(permutations(range(n)))
 
 
-def test_many_causes_are_added_in_some_orders_and_their_reverses() -> None:
+def test_many_causes_are_added_in_one_order_and_its_reverse() -> None:
     orders = _orders(9, 1)
     assert all(sorted(order) == list(range(9)) for order in orders)
     assert all(order[::-1] in orders for order in orders)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import pytest
 
 from estimator.diagnosis import diagnose as module
+from estimator.diagnosis import posterior
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.headline import warnings_of
 from estimator.diagnosis.limits import Limits
@@ -25,7 +26,7 @@ def refuse(*_: object, **__: object) -> None:
 def test_a_combination_that_no_rig_can_have_is_a_fault_of_the_program(
     small_session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(module, "_found", refuse)
+    monkeypatch.setattr(module, "asked_beside_mistakes", refuse)
     with pytest.raises(RuntimeError, match=RULE) as caught:
         diagnose(small_session)
     assert not isinstance(caught.value, InvalidInput)
@@ -42,8 +43,8 @@ def test_a_rig_that_cannot_be_sampled_costs_the_posterior_and_not_the_report(
     small_session: Session, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     found = diagnose(small_session, limits=Limits(most_causes=0))
-    monkeypatch.setattr(module, "extended_posterior", refuse)
-    result = module._with_posterior(found, small_session, Limits(), None, "cpu", "double")
+    monkeypatch.setattr(posterior, "extended_posterior", refuse)
+    result = posterior.with_posterior(found, small_session, Limits(), None, "cpu", "double")
     assert result == replace(found, posterior_refusal=RULE)
     assert any(RULE in words for words in warnings_of(result))
     assert found.posterior_refusal == ""

@@ -57,7 +57,6 @@ def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.M
         return replace(improvement, elpd_difference=-100.0, elpd_se=1.0) if is_extended else improvement
 
     monkeypatch.setattr(outcome, "improvement_of", worse)
-    monkeypatch.setattr(outcome, "is_refuted", lambda *_: True)
     diagnosis = diagnose(
         session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(2)
     )

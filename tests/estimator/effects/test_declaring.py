@@ -63,12 +63,49 @@ def test_function_gives_name_and_explanation_and_takes_what_it_needs(circumstanc
     assert read_T.tolist() == [[1.5] * 3] * N
 
 
+def silent(field_sensor_T):
+    return field_sensor_T
+
+
+def test_docstring_says_words_and_source_and_explains() -> None:
+    @ReadingEffect.cause(quantities=BENT["quantities"])
+    def worn(field_sensor_T):
+        """The sensor is worn.
+
+        Its surface is rough.
+
+        Rougher each day.
+
+        Source: data sheets,
+        and experience.
+        """
+        return field_sensor_T
+
+    assert (worn.words, worn.source) == ("the sensor is worn", "data sheets, and experience")
+    assert inspect.getdoc(type(worn)) == "Its surface is rough.\n\nRougher each day."
+
+    @during(worn)
+    def worn_since():
+        """From one instant on the sensor is worn."""
+
+    assert (worn_since.words, worn_since.source) == ("from one instant on the sensor is worn", worn.source)
+    assert inspect.getdoc(type(worn_since)) == "From one instant on the sensor is worn."
+
+
 @pytest.mark.parametrize(
     ("declare", "sentence"),
     [
         (
             lambda: ReadingEffect.cause(**BENT, is_structral=True)(bent),
             "bent must declare attributes of ReadingEffect; received is_structral; the closest is is_structural",
+        ),
+        (
+            lambda: ReadingEffect.cause(quantities=())(silent),
+            "silent must have a docstring with words in its first line and a last paragraph 'Source: ...'; received ''",
+        ),
+        (
+            lambda: ReadingEffect.cause(quantities=())(bent),
+            "bent must have a docstring with words .* received 'With its field.'",
         ),
         (
             lambda: ReadingEffect.cause(**BENT)(lambda tau: tau),

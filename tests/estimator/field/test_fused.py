@@ -14,7 +14,8 @@ from torch.testing import assert_close
 
 from estimator.field.fused import fused_sum_of_loops, is_fusable
 from estimator.field.node_sum import Nodes, sum_over_nodes
-from estimator.field.winding import Rule, Winding, winding_field_per_ampere
+from estimator.field.winding import Winding, winding_field_per_ampere
+from estimator.field.winding_shape import Rule
 from tests.far import REAL
 
 INTERPRETED = "TRITON_INTERPRET" in os.environ

@@ -14,13 +14,13 @@ from estimator.derivatives import jacobian_of
 from estimator.field.node_sum import SumMode
 from estimator.field.sided import (
     SidedWinding,
-    choose_sided_rule,
     distance_to_sided,
     full_sided_rule,
     sided_field_per_ampere,
 )
 from estimator.field.straight import MU0_OVER_4PI
-from estimator.field.winding import Rule, Winding, exact_rule, winding_field_per_ampere
+from estimator.field.winding import Winding, exact_rule, winding_field_per_ampere
+from estimator.field.winding_shape import Rule, choose_rule
 from estimator.units import MU0_T_M_PER_A
 
 MAGPYLIB_OVER_OURS = 4e-7 * np.pi / MU0_T_M_PER_A  # it keeps the mu0 of before 2019
@@ -222,12 +222,12 @@ def test_first_derivatives_by_hand_are_those_of_torch(winding: SidedWinding):
 def test_chosen_rule_keeps_its_tolerance_with_few_nodes(winding: SidedWinding):
     large = SidedWinding(winding.is_rounded, *winding.numbers[:3], *map(tensor, (30.0, 12.0, 1e-3, 1e-3)))
     points_m = points_about(large, 10e-3)
-    rule, full = choose_sided_rule(large, points_m, 1e-5), full_sided_rule(large, points_m)
+    rule, full = choose_rule(large, points_m, 1e-5), full_sided_rule(large, points_m)
     assert rule.axial_nodes * rule.radial_nodes < 0.4 * full.axial_nodes * full.radial_nodes
     assert (rule.steps < full.steps) == winding.is_rounded
     error = relative_error(sided_field_per_ampere(points_m, large, rule), of_all_loops(points_m, large))
     assert error < 1e-5
-    assert choose_sided_rule(large, points_m, 0.0) == full
+    assert choose_rule(large, points_m, 0.0) == full
 
 
 @BOTH

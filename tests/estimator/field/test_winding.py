@@ -17,15 +17,13 @@ from estimator.errors import InvalidInput
 from estimator.field import winding as winding_module
 from estimator.field.loop import loop_field
 from estimator.field.winding import (
-    NODE_LADDER,
-    Rule,
     Winding,
-    choose_rule,
     distance_to_winding,
     exact_rule,
     winding_field,
     winding_field_per_ampere,
 )
+from estimator.field.winding_shape import NODE_LADDER, Rule, choose_rule
 
 
 def tensor(value: object) -> Tensor:

@@ -15,7 +15,7 @@ from estimator.frames import rotation_from_vector, vector_from_rotation
 from estimator.geometry.kinematics import base_from_flange
 from estimator.geometry.motion import base_from_motion
 from estimator.rig.arms import ARMS, DenavitHartenberg
-from estimator.rig.rig import MotionKind, Mover
+from estimator.rig.bodies import MotionKind, Mover
 
 # Arms of which public sources hold joint angles together with the controller's own answer. All these robots
 # share one geometry, so they prove the formula and every convention; the UR3 and UR3e tables come after.

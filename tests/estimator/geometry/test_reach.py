@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from estimator.frames import Transform
 from estimator.geometry.motion import flange_to_reach, motion_reached
-from estimator.rig.rig import DisplacementFrame, MotionKind, Mover
+from estimator.rig.bodies import DisplacementFrame, MotionKind, Mover
 
 AT_ZERO_M, TURN_AT_ZERO = np.array([0.3, -0.1, 0.4]), Rotation.from_rotvec([0.9, -0.4, 1.3])
 MOVED_M, TURN = np.array([0.02, 0.05, -0.03]), Rotation.from_rotvec([0.2, -0.1, 0.3])

@@ -17,8 +17,8 @@ from estimator.inference.ensemble import SamplerSettings, reported_parameters, s
 from estimator.inference.lattice import laplace_mixture
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
+from estimator.model.coil_field import unwound_field
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
-from estimator.model.unwound import unwound_field_per_ampere
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
@@ -89,7 +89,7 @@ def test_noise_does_not_vanish_where_readings_leave_combinations_of_amplitudes_o
     posterior = CollapsedPosterior(full_posterior(rig, observations))
     start = posterior.coordinates.start()
     below = start - torch.arange(0.0, 200.0, 5.0)[:, None]  # logarithms of the noise
-    log_evidence = posterior.log_evidence(below)
+    log_evidence = posterior.log_likelihood(below)
     assert torch.isfinite(log_evidence).all()
     assert log_evidence[-1] < log_evidence.max() - 50.0
     assert torch.argmax(log_evidence) < 3
@@ -101,7 +101,7 @@ def design(rig: Rig, observations: Observations) -> np.ndarray:
     names = [name for own in coil.amplitudes.values() for name in own]
     each = torch.eye(len(names), dtype=torch.float64)
     values = nominal_tensors(rig) | {name: each[i] for i, name in enumerate(names)}
-    field = unwound_field_per_ampere(coil, observations.motion["stage"][:, :3], values)
+    field = unwound_field(coil, values).by(None)(observations.motion["stage"][:, :3])
     return (field * observations.current_A[:, :1]).flatten(1).T.numpy()
 
 
@@ -133,7 +133,7 @@ def test_amplitudes_and_evidence_are_those_of_ridge_regression() -> None:
     assert float(collapsed(at[None])[0]) == pytest.approx(expected, rel=1e-10)
     given = torch.linalg.inv(collapsed.given(at).precision).numpy() * sd[:, None] * sd
     np.testing.assert_allclose(given, covariance, rtol=1e-8, atol=1e-25)
-    assert float(collapsed.log_evidence(at[None])[0]) == pytest.approx(
+    assert float(collapsed.log_likelihood(at[None])[0]) == pytest.approx(
         marginal_of(x, sd).logpdf(y), rel=1e-10
     )
     draws = collapsed.drawn(at.expand(4000, 5, 1).numpy(), seed=1)
@@ -259,3 +259,20 @@ def test_amplitudes_are_integrated_out_on_another_device_as_on_the_processor(tex
         np.testing.assert_allclose(far_draws[name], values, rtol=1e-6, atol=1e-6 * values.std())
     assert far_said["amplitudes"] == said["amplitudes"]
     assert far_said["next_degree_log_evidence"] == pytest.approx(said["next_degree_log_evidence"], abs=1e-6)
+
+
+@pytest.mark.parametrize("text", [TEXT, FREE_GAIN, TWO_SENSORS, TIED])
+@pytest.mark.parametrize("is_collapsed", [False, True])
+def test_densities_answer_alike_whether_or_not_amplitudes_are_integrated_out(text, is_collapsed):
+    rig, observations = problem(text)
+    full = LogPosterior(Coordinates(rig), MeasurementModel.build(rig, observations), observations)
+    density = CollapsedPosterior(full) if is_collapsed else full
+    assert density.full is full
+    start = density.coordinates.start()
+    torch.testing.assert_close(density(start), density(start.expand(2, 3, -1))[1, 2], rtol=1e-12, atol=0.0)
+    assert set(density.values(start)) == set(rig.parameters)
+    chain = start.expand(4, 2, -1).numpy()
+    drawn = density.drawn(chain, seed=1)
+    assert set(drawn) == set(density.amplitudes)
+    assert {*drawn, *density.coordinates.names} == {parameter.name for parameter in rig.free}
+    assert bool(density.determined(start)) == is_collapsed

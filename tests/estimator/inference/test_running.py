@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from estimator.field.winding import DEFAULT_TOLERANCE
+from estimator.field.winding_shape import DEFAULT_TOLERANCE
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit

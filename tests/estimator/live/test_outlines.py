@@ -15,7 +15,8 @@ from estimator.live.outlines import CoilOutline, outlines
 from estimator.live.places import places
 from estimator.model.measurement_model import nominal_tensors
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig, SidedCoil
+from estimator.rig.bodies import SidedCoil
+from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
 CONFIGS = Path(__file__).parents[3] / "configs"

@@ -9,9 +9,9 @@ import torch
 from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.model.coil_field import unwound_field
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.model.room_field import RoomField
-from estimator.model.unwound import unwound_field_per_ampere
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.model.test_unwound import readings
@@ -86,7 +86,7 @@ def columns(rig: Rig, points_m: Tensor) -> Tensor:
     names = [name for own in rig.unwound[0].amplitudes.values() for name in own]
     sds = torch.tensor([p.sd for name in names if (p := rig.parameters[name].prior) is not None]).double()
     values = nominal_tensors(rig) | dict(zip(names, torch.diag(sds), strict=True))
-    return unwound_field_per_ampere(rig.unwound[0], points_m, values).flatten(1).T
+    return unwound_field(rig.unwound[0], values).by(None)(points_m).flatten(1).T
 
 
 @pytest.mark.whole

@@ -14,8 +14,9 @@ from estimator.model import room_field
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import FieldSum
 from estimator.rig.coordinates import Coordinates, Values
-from estimator.rig.rig import FieldSum, Rig
+from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 
 COILS = """

@@ -14,7 +14,7 @@ from estimator.derivatives import jacobian_of
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.errors import InvalidInput
-from estimator.field.coil import coil_field_per_ampere
+from estimator.field.coil import field_of_coil
 from estimator.field.node_sum import SumMode
 from estimator.field.sided import distance_to_sided
 from estimator.field.zones import rules_by_level, zones_of
@@ -113,9 +113,7 @@ def test_rules_by_distance_keep_their_tolerance(rig: Rig, coil: int):
     for zone in zones_of(winding, distance_to_sided(points_m, winding), 1e-6):
         at_m = points_m[zone.points]
         full = rules_by_level(winding, 0.0)[1][0]
-        field, expected = (
-            coil_field_per_ampere(rig.wound[coil], at_m, winding, rule) for rule in (zone.rule, full)
-        )
+        field, expected = (field_of_coil(rig.wound[coil], winding, rule)(at_m) for rule in (zone.rule, full))
         assert ((field - expected).norm(dim=1) < 1e-6 * expected.norm(dim=1)).all()
 
 

@@ -12,13 +12,13 @@ from torch.func import jacrev, vmap
 
 from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
+from estimator.model.coil_field import unwound_field
 from estimator.model.measurement_model import MeasurementModel, nominal_tensors
 from estimator.model.room_field import RoomField
 from estimator.model.unit_gate import check_units
-from estimator.model.unwound import unwound_field_per_ampere
 from estimator.readings.observations import Observations
+from estimator.rig.bodies import HarmonicCoil
 from estimator.rig.harmonic_terms import terms
-from estimator.rig.rig import HarmonicCoil
 from estimator.rig_files.read import rig_from_text
 
 RADIUS_M = 0.05
@@ -97,7 +97,7 @@ def test_each_term_is_the_gradient_of_its_potential_with_rms_one_at_the_referenc
         rms = np.sqrt((weight * (gradient_of_potential(on_sphere, *arguments) ** 2).sum(1)).sum())
         expected = 2e-3 * gradient_of_potential(points, *arguments) / rms
         coil, values = coil_and_values(text, {f"degree{degree}_{term}_T_per_A": 2e-3})
-        field = unwound_field_per_ampere(coil, torch.from_numpy(points * RADIUS_M), values)
+        field = unwound_field(coil, values).by(None)(torch.from_numpy(points * RADIUS_M))
         np.testing.assert_allclose(field.numpy(), expected, rtol=1e-10, atol=1e-16)
 
 
@@ -112,7 +112,7 @@ def test_divergence_and_curl_vanish(text: str) -> None:
     points_m = torch.from_numpy(rng.normal(size=(20, 3))) * 0.06
 
     def at(point_m: Tensor) -> Tensor:
-        return unwound_field_per_ampere(rig.unwound[0], point_m[None], values)[0]
+        return unwound_field(rig.unwound[0], values).by(None)(point_m[None])[0]
 
     gradient = vmap(jacrev(at))(points_m)
     size = gradient.abs().amax((-1, -2))
@@ -129,7 +129,7 @@ def test_multipoles_fitted_to_a_loop_of_magpylib_give_its_field_farther_away() -
 
     def columns(points_m: np.ndarray) -> np.ndarray:
         unit = values | {name: each[i] for i, name in enumerate(names)}
-        return unwound_field_per_ampere(coil, torch.from_numpy(points_m), unit).flatten(1).T.numpy()
+        return unwound_field(coil, unit).by(None)(torch.from_numpy(points_m)).flatten(1).T.numpy()
 
     near, far = 1.2 * RADIUS_M * on_sphere, 3.0 * RADIUS_M * on_sphere
     amplitudes = np.linalg.lstsq(columns(near), loop.getB(near).ravel(), rcond=None)[0]

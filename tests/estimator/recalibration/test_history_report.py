@@ -9,7 +9,8 @@ import pytest
 
 from estimator.calibration.result import Calibration
 from estimator.recalibration.history_report import _warnings
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 
 DRIFT = Entry(
     "drifted",

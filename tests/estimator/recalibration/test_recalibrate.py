@@ -21,8 +21,9 @@ from estimator.recalibration import comparison, policy
 from estimator.recalibration.arrivals import arrivals
 from estimator.recalibration.conclusion import Conclusion, Judgement
 from estimator.recalibration.judgement import judge
+from estimator.recalibration.log import Entry, Log
 from estimator.recalibration.recalibrate import HISTORY, _in_use, _since, recalibrate, roll_back
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.growing import new_header
@@ -158,7 +159,7 @@ def test_a_version_that_a_kill_left_without_its_line_is_told_of(
         raise KeyboardInterrupt
 
     registry = Registry(tmp_path / "registry")
-    monkeypatch.setattr(Registry, "_log", end)
+    monkeypatch.setattr(Log, "append", end)
     with pytest.raises(KeyboardInterrupt):
         recalibrate(small_rig, inbox, registry.folder)
     monkeypatch.undo()

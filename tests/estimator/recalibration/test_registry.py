@@ -15,7 +15,8 @@ import pytest
 
 from estimator.calibration.result import Calibration
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import load_rig
 
 KILLS = """
@@ -23,7 +24,8 @@ import json, os, signal, sys, shutil
 from collections.abc import Callable
 from pathlib import Path
 from estimator.calibration.result import Calibration
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry, Log
+from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import load_rig
 
 kept, work = Path(sys.argv[1]), Path(sys.argv[2])
@@ -33,7 +35,7 @@ def die(*_):
     os.kill(os.getpid(), signal.SIGKILL)
 
 def torn(self, entry):
-    with (self.folder / "log.jsonl").open("a") as file:
+    with self.path.open("a") as file:
         file.write(entry.line()[:40])
     die()
 
@@ -44,20 +46,20 @@ def after(method):
     return run
 
 replaced = {
-    "before saving": ("_save", die),
-    "after saving": ("_save", after(Registry._save)),
-    "in the log": ("_log", torn),
-    "after the log": ("_log", after(Registry._log)),
-    "after all": ("_point", after(Registry._point)),
+    "before saving": (Registry, "_save", die),
+    "after saving": (Registry, "_save", after(Registry._save)),
+    "in the log": (Log, "append", torn),
+    "after the log": (Log, "append", after(Log.append)),
+    "after all": (Registry, "_point", after(Registry._point)),
 }
-for name, (method, how) in replaced.items():
+for name, (owner, method, how) in replaced.items():
     shutil.rmtree(work, ignore_errors=True)
     shutil.copytree(kept, work, symlinks=True)
     child = os.fork()
     if child == 0:
         registry = Registry(work)
         with registry.writing():
-            setattr(Registry, method, how)
+            setattr(owner, method, how)
             registry.commit(Entry("updated", "again", "b.zarr", "hash b"), successor)
     _, status = os.waitpid(child, 0)
     registry = Registry(work)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from estimator.cli.understood import _coil_words
+from estimator.rig.bodies import EquivalentSourceCoil
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import EquivalentSourceCoil
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from tests.estimator.rig_files.test_harmonic import assert_refused

@@ -9,8 +9,8 @@ import pytest
 
 from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS
+from estimator.rig.bodies import HarmonicCoil, Region
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import HarmonicCoil, Region
 from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.write import rig_text
 

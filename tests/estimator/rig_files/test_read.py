@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from estimator.errors import InvalidInput
+from estimator.rig.bodies import DisplacementFrame, MotionKind
 from estimator.rig.parameters import LogNormal, Normal, Uniform
-from estimator.rig.rig import DisplacementFrame, MotionKind, Rig
+from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig, rig_from_text
 
 

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
-from estimator.rig.rig import SidedCoil
+from estimator.rig.bodies import SidedCoil
 from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.write import rig_text
 

@@ -17,18 +17,9 @@ from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS, DenavitHartenberg
+from estimator.rig.bodies import POSE_QUANTITIES, Coil, DisplacementFrame, FieldSum, MotionKind, Mover, Sensor
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
-from estimator.rig.rig import (
-    POSE_QUANTITIES,
-    Cause,
-    Coil,
-    DisplacementFrame,
-    FieldSum,
-    MotionKind,
-    Mover,
-    Rig,
-    Sensor,
-)
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.numbers import SI_SYMBOL
 from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.write import rig_text

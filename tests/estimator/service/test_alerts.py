@@ -15,9 +15,11 @@ from starlette.testclient import TestClient
 from estimator.errors import InvalidInput
 from estimator.recalibration.alerts import calls_for_action
 from estimator.recalibration.conclusion import IS_CONVERGED
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.service import alerts, tasks
-from estimator.service.alerts import ALERTS, Alerts, leave_alert
+from estimator.service.alerts import ALERTS, leave_alert, run_alerts
+from estimator.service.assigned_job import AssignedJob
 from estimator.service.settings import load_settings
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK
@@ -45,10 +47,9 @@ def command(heard: Path) -> str:
 def test_the_command_hears_of_what_waits_once_and_in_order(tmp_path: Path) -> None:
     for entry in (LATER, DRIFT):
         leave_alert(tmp_path / ALERTS, "small", entry)
-    Alerts("", tmp_path / ALERTS).tick()
-    teller = Alerts(command(tmp_path / "heard"), tmp_path / ALERTS)
-    teller.tick()
-    teller.tick()
+    run_alerts("", tmp_path / ALERTS)
+    for _ in range(2):
+        run_alerts(command(tmp_path / "heard"), tmp_path / ALERTS)
     heard = [json.loads(line) for line in (tmp_path / "heard").read_text().splitlines()]
     assert [(one["rig"], one["conclusion"], one["session"]) for one in heard] == [
         ("small", "drifted", "abc"),
@@ -63,7 +64,7 @@ def test_what_is_damaged_is_logged_and_holds_up_no_other(
         leave_alert(tmp_path / ALERTS, "small", entry)
     first, _ = sorted((tmp_path / ALERTS).iterdir())
     first.write_text(first.read_text()[:30])
-    Alerts(command(tmp_path / "heard"), tmp_path / ALERTS).tick()
+    run_alerts(command(tmp_path / "heard"), tmp_path / ALERTS)
     (heard,) = (json.loads(line) for line in (tmp_path / "heard").read_text().splitlines())
     assert heard["conclusion"] == "rejected"
     assert "must be JSON" in caplog.records[0].fault
@@ -83,9 +84,9 @@ def test_a_command_that_is_interrupted_runs_again_and_one_that_fails_is_logged(
     with monkeypatch.context() as patch:
         patch.setattr(alerts, "run_command", killed)
         with pytest.raises(Killed):
-            Alerts("x", tmp_path / ALERTS).tick()
+            run_alerts("x", tmp_path / ALERTS)
     with caplog.at_level(logging.ERROR, "coilcal.service"):
-        Alerts("false", tmp_path / ALERTS).tick()
+        run_alerts("false", tmp_path / ALERTS)
     (record,) = caplog.records
     assert "ended with exit code 1" in record.__dict__["fault"]
     assert list((tmp_path / ALERTS).iterdir()) == []
@@ -101,10 +102,9 @@ def test_a_recalibration_leaves_a_conclusion_that_calls_for_action(
     Session(small_session.rig, wrong, "wrong unit").save(tmp_path / "abc.zarr")
     folder = tmp_path / "jobs" / "j"
     folder.mkdir(parents=True)
-    job = {"options": {"seed": 0, "settings": QUICK}, "registry": str(tmp_path / "registry"), "rig": None}
-    result = tasks.recalibrate_job(
-        {**job, "has_alerts": has_alerts}, folder, tmp_path / "abc.zarr", lambda *_: None
-    )
+    content = {"options": {"seed": 0, "settings": QUICK}, "registry": str(tmp_path / "registry"), "rig": None}
+    job = AssignedJob({**content, "has_alerts": has_alerts}, folder, tmp_path / "abc.zarr", lambda *_: None)
+    result = tasks.recalibrate_job(job)
     (entry,) = Registry(tmp_path / "registry").entries()
     assert result["conclusion"] == entry.conclusion == "rejected"
     left = [json.loads(path.read_text()) for path in (tmp_path / ALERTS).glob("*.json")]
@@ -130,7 +130,7 @@ def test_a_command_comes_from_the_settings_only(idle: Callable[..., TestClient])
         with pytest.raises(InvalidInput, match="alert_command must be a command"):
             load_settings(environment={"COILCAL_SERVE_ALERT_COMMAND": wrong})
     client = idle(alert_command="secret-command")
-    assert client.app.state.core.alerts._command == "secret-command"  # type: ignore[attr-defined]
+    assert client.app.state.core.settings.alert_command == "secret-command"  # type: ignore[attr-defined]
     schema = client.get("/v1/openapi.json").text
     assert "alert_command" not in schema
     assert "secret-command" not in schema + client.get("/v1/state").text

@@ -20,12 +20,12 @@ import pytest
 from starlette.testclient import TestClient
 
 from estimator.service import archives, connections
-from estimator.service.archives import zipped
+from estimator.service.concurrency import WaitingLimit
 from estimator.service.connections import PromptHttp
 from estimator.service.post import Undelivered, post
 from estimator.service.problems import Problem
-from estimator.service.room import Room
 from estimator.store.session import Session
+from estimator.store.zipped import zipped
 from tests.estimator.service.conftest import Served, begin_session, refusal, upload_rig
 
 YAML, JSON, ZIP = "application/yaml", "application/json", "application/zip"
@@ -234,7 +234,7 @@ def test_readings_that_an_archive_claims_and_does_not_hold_are_counted_before_th
 
 def test_few_sessions_are_imported_at_once_and_the_others_wait_without_a_thread() -> None:
     async def crowd() -> tuple[int, int, int]:
-        room, at_work, is_over, refused = Room("sessions", 2, 3), [0], asyncio.Event(), 0
+        room, at_work, is_over, refused = WaitingLimit("sessions", 2, 3), [0], asyncio.Event(), 0
         counts: list[int] = []
 
         async def one() -> None:
@@ -264,7 +264,7 @@ def test_imports_stand_in_that_line(
 ) -> None:
     client = idle()
     rig_id = upload_rig(client, rig_text)
-    client.app.state.core.importing = Room("sessions to import", 1, 0)
+    client.app.state.core.importing = WaitingLimit("sessions to import", 1, 0)
     for kind, body in (("csv", readings_csv), ("zip", b"PK")):
         headers = {"Content-Type": "text/csv" if kind == "csv" else ZIP}
         answer = client.post(f"/v1/sessions/import-{kind}?rig_id={rig_id}", content=body, headers=headers)

@@ -16,8 +16,8 @@ import zarr
 from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
-from estimator.service.archives import zipped
 from estimator.store.session import Session
+from estimator.store.zipped import zipped
 from tests.estimator.service.conftest import begin_session, lines_of, upload_rig
 
 LONGEST_S = 20.0  # on a busy computer

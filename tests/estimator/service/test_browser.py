@@ -27,8 +27,8 @@ from estimator.cli.main import main
 from estimator.readings.plan import load_plan
 from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Cause, Rig
-from estimator.service.archives import zipped
 from estimator.store.session import Session
+from estimator.store.zipped import zipped
 from tests.estimator.diagnosis.small_fits import with_wrong
 from tests.estimator.service.conftest import CHROMIUM, Served, append, begin_session, lines_of, upload_rig
 

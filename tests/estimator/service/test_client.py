@@ -33,8 +33,8 @@ from estimator.client import (
     RemoteRegistry,
     RemoteSession,
     ServiceFault,
+    connection,
     following,
-    steps,
 )
 from estimator.client.client import ATTEMPTS
 from estimator.client.connection import AsyncConnection, Connection
@@ -113,6 +113,11 @@ def test_a_calibration_there_is_read_as_one_here(
                 torch.stack(getattr(c, method)(points_m, {"coil1": 2.0}, 0.5)) for c in (here, there)
             )
             assert torch.equal(ours.nan_to_num(7.0), theirs.nan_to_num(7.0)), method
+        alone_here, alone_there = here.coils_alone(), there.coils_alone()
+        ours, theirs = (c.field(points_m, {"coil1": 2.0}) for c in (alone_here, alone_there))
+        assert torch.equal(ours.nan_to_num(7.0), theirs.nan_to_num(7.0))
+        files = [c.export("json", tmp_path / f"alone{i}") for i, c in enumerate((alone_here, alone_there))]
+        assert files[0].read_bytes() == files[1].read_bytes()
         table = there.grid({"coil1": 2.0}, 0.5, x=(0.0, 0.02, 3), has_gradient=True)
         on_grid = torch.tensor([[x, 0.0, 0.0] for x in (0.0, 0.01, 0.02)], dtype=torch.float64)
         upper_T = here.field_interval(on_grid, {"coil1": 2.0}, 0.5)[1]
@@ -184,7 +189,7 @@ def test_readings_are_streamed_and_a_job_that_fails_says_why(
 def test_a_service_that_is_not_there_is_said_in_words(
     monkeypatch: pytest.MonkeyPatch, small_session: Session
 ) -> None:
-    monkeypatch.setattr(steps, "FIRST_PAUSE_S", 0.001)
+    monkeypatch.setattr(connection, "FIRST_PAUSE_S", 0.001)
     sentence = "service must answer; http://127.0.0.1:9"
     with Client("http://127.0.0.1:9") as client, pytest.raises(ServiceFault, match=sentence):
         client.calibrate(small_session)
@@ -198,11 +203,32 @@ def test_a_service_that_is_not_there_is_said_in_words(
 
 
 @pytest.mark.parametrize(
-    "name", ["field", "gradient", "field_interval", "gradient_interval", "summary", "export"]
+    "name", ["field", "gradient", "field_interval", "gradient_interval", "coils_alone", "summary", "export"]
 )
 def test_reading_methods_have_the_parameters_of_the_python_api(name: str) -> None:
     here, there = (inspect.signature(getattr(kind, name)) for kind in (Calibration, RemoteCalibration))
     assert list(here.parameters) == list(there.parameters)
+
+
+def test_of_coils_alone_every_prediction_and_export_is_asked_so(tmp_path: Path) -> None:
+    asked: list[dict[str, Any]] = []
+
+    def answer(request: httpx.Request) -> httpx.Response:
+        asked.append(json.loads(request.content))
+        names = ("field_T", "field_lower_T", "field_upper_T", "gradient_T_per_m")
+        told = {key: [[0.0] * 3] for key in (*names, "gradient_lower_T_per_m", "gradient_upper_T_per_m")}
+        return httpx.Response(200, json=told, headers={"Content-Disposition": 'filename="model"'})
+
+    there = Client("http://service", transport=httpx.MockTransport(answer))
+    whole = RemoteCalibration("c", {}, there.connection)
+    points_m = torch.zeros(1, 3, dtype=torch.float64)
+    for calibration, words in ((whole, {None}), (whole.coils_alone(), {True})):
+        asked.clear()
+        for name in ("field", "gradient", "field_interval", "gradient_interval"):
+            getattr(calibration, name)(points_m, {"coil1": 1.0})
+        calibration.export("json", tmp_path / "model")
+        assert {body.get("is_of_coils_alone") for body in asked} == words
+        assert len(asked) == 5
 
 
 MIRRORED = [
@@ -219,8 +245,8 @@ def test_what_is_awaited_has_the_parameters_of_what_waits(waits: type, awaits: t
     names, mirrored = ({name for name in dir(kind) if not name.startswith("_")} for kind in (waits, awaits))
     assert names == mirrored
     for name in names:
-        here, there = (inspect.getattr_static(kind, name) for kind in (waits, awaits))
-        if not isinstance(here, property):
+        here, there = (getattr(kind, name) for kind in (waits, awaits))
+        if callable(here):
             parameters = [list(inspect.signature(method).parameters.values()) for method in (here, there)]
             assert [(p.name, p.kind, p.default) for p in parameters[0]] == [
                 (p.name, p.kind, p.default) for p in parameters[1]
@@ -301,16 +327,16 @@ def test_a_stream_that_breaks_goes_on_after_the_last_event(monkeypatch: pytest.M
             return httpx.Response(200, stream=Broken(streams[len(asked) - 1]))
         return httpx.Response(200, json={"id": "j", "state": "done"})
 
-    connection = Connection("http://service", None, httpx.MockTransport(answer), 1)
+    waits = Connection("http://service", None, httpx.MockTransport(answer), 1)
     told: list[Any] = []
-    connection.run(following.result_of("calibrate", {}, told.append))
+    waits.run(following.result_of(waits, "calibrate", {}, told.append))
     assert (asked, told) == (["0", "1"], [1, 2])
     asked.clear()
 
     async def there() -> None:
-        connection = AsyncConnection("http://service", None, httpx.MockTransport(answer), 1)
-        await connection.run(following.result_of("calibrate", {}, told.append))
-        await connection.close()
+        awaits = AsyncConnection("http://service", None, httpx.MockTransport(answer), 1)
+        await following.result_of(awaits, "calibrate", {}, told.append)
+        await awaits.close()
 
     asyncio.run(there())
     assert (asked, told) == (["0", "1"], [1, 2, 1, 2])
@@ -343,7 +369,7 @@ def test_a_service_that_is_busy_is_asked_again_when_it_says(monkeypatch: pytest.
     ]
     with Client("http://service", transport=httpx.MockTransport(lambda _: answers.pop(0))) as client:
         assert client.request("GET", "/v1/state").json() == {"id": "x"}
-        assert pauses_s == [3.0, steps.LONGEST_PAUSE_S, 4 * steps.FIRST_PAUSE_S]
+        assert pauses_s == [3.0, connection.LONGEST_PAUSE_S, 4 * connection.FIRST_PAUSE_S]
         answers += [httpx.Response(**busy)] * ATTEMPTS
         with pytest.raises(ServiceFault, match="queue must have room"):
             client.request("GET", "/v1/state")

@@ -22,7 +22,6 @@ from estimator.batching.engine import Cluster
 from estimator.cli import delivery
 from estimator.cli.delivery import Delivery
 from estimator.client import Client, ServiceFault
-from estimator.client.steps import Attempts
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.service import storage
@@ -227,8 +226,11 @@ def test_what_the_system_refuses_is_told_from_what_a_client_sent() -> None:
 @pytest.mark.parametrize("status", [408, 429, 500, 503, 507])
 def test_the_client_takes_no_such_answer_as_final(status: int) -> None:
     answer = httpx.Response(status, content=json.dumps({"detail": "service must have room"}))
-    with pytest.raises(ServiceFault):
-        Attempts("http://x", 1).pause_s(answer)
+    with (
+        Client("http://x", transport=httpx.MockTransport(lambda _: answer), attempts=1) as client,
+        pytest.raises(ServiceFault),
+    ):
+        client.request("GET", "/v1/state")
 
 
 def test_a_full_disk_at_the_client_holds_up_the_receipt_and_nothing_else(

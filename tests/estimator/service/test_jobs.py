@@ -17,12 +17,13 @@ from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.service import dispatcher as dispatcher_module
+from estimator.service.assigned_job import AssignedJob
 from estimator.service.database import now
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.schema import Job
-from estimator.service.tasks import command_of
-from estimator.service.work import RESULT, STOP, WORK
+from estimator.service.tasks import TASKS
+from estimator.service.work import RESULT, STOP
 from estimator.store.session import Session
 from tests.estimator.service.conftest import QUICK, import_csv, refusal, upload_rig, wait_for
 
@@ -333,9 +334,10 @@ def test_a_job_does_as_the_command_does_with_the_same_option(
         with core.database.reading() as db:
             row = db.scalar(select(Job).where(Job.id == job_id))
         path = core.sessions.path(session_id)
-        job = {"id": job_id, "options": row.options, "rig": None, "sessions": [str(path)]}
+        content = {"id": job_id, "options": row.options, "rig": None, "sessions": [str(path)]}
+        job = AssignedJob(content, core.jobs.folder(job_id), path, lambda *_: None)
         with pytest.raises(InvalidInput, match="heard"):
-            WORK[kind](job, core.jobs.folder(job_id), path, lambda *_: None)
+            TASKS[kind].work(job)
         ((name, value),) = options.items()
         assert heard[name] is (value if given else not value)
-        assert (words in command_of(job, kind)) is bool(given)
+        assert (words in job.command(kind)) is bool(given)

@@ -13,7 +13,7 @@ from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
-from estimator.service import guard, metrics, rate_limits
+from estimator.service import bodies, metrics, rate_limits
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, bearer, begin_session, lines_of, refusal, upload_rig
 
@@ -96,7 +96,7 @@ def test_who_has_not_said_who_it_is_sends_no_more_than_a_token(idle: Callable[..
 def test_bodies_of_all_requests_together_have_an_end_and_their_room_comes_back(
     idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(guard, "MOST_BODIES", 3)
+    monkeypatch.setattr(bodies, "MOST_BODIES", 3)
     client = idle(most_body_MB=1e-3)
 
     async def crowd() -> list[int]:
@@ -156,7 +156,7 @@ def test_requests_readings_sessions_and_jobs_are_counted(
     client.get("/v1/sessions/" + "f" * 32)
     client.get("/v1/nothing/" + "f" * 32)
     client.request("STEAL", "/v1/state")
-    with client.app.state.core.predictor.places.taken():
+    with client.app.state.core.predictor.limit.taken():
         counted = samples(client)
 
     def requests(method: str, route: str, status: int) -> float:
@@ -193,7 +193,7 @@ def test_a_fault_of_the_service_is_counted_and_has_the_headers_of_every_answer(
     def fails(*_: object, **__: object) -> None:
         raise RuntimeError("a secret")
 
-    monkeypatch.setattr("estimator.service.requests.Listing.page", fails)
+    monkeypatch.setattr("estimator.service.answers.Listing.page", fails)
     client = idle()
     answer = client.get("/v1/rigs")
     told = refusal(answer, 500)

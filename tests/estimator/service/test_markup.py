@@ -24,14 +24,16 @@ from estimator.diagnosis.panel_records import (
     Runner,
     Shown,
 )
-from estimator.recalibration.registry import Entry, Registry
+from estimator.recalibration.log import Entry
+from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import rig_from_text
 from estimator.service.app import create_app
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.schema import Job
 from estimator.service.settings import Settings
-from estimator.service.work import DIAGNOSIS, PANELS, PROGRESS, report_file, result_file
+from estimator.service.tasks import PANELS, TASKS
+from estimator.service.work import PROGRESS
 from tests.estimator.service.conftest import CHROMIUM, import_csv, listening, upload_rig
 
 pytest.importorskip("playwright.sync_api")
@@ -100,15 +102,16 @@ def stored_jobs(app: FastAPI, session_id: str, calibration: Calibration) -> dict
         job.user, job.created, job.starts, job.fault = MARK, now(), 1, MARK if name == "failed" else None
         with core.database.writing() as db:
             db.add(job)
-        path = result_file(kind, core.jobs.folder(ids[name]))
+        path = core.jobs.folder(ids[name]) / TASKS[kind].result
         path.parent.mkdir(parents=True)
         path.write_text(json.dumps(result), encoding="utf-8")
-        report_file(kind, core.jobs.folder(ids[name])).write_text(page, encoding="utf-8")
+        if (report := TASKS[kind].report) is not None:
+            (core.jobs.folder(ids[name]) / report).write_text(page, encoding="utf-8")
         line = {"time_s": 1.0, "words": MARK}
         (core.jobs.folder(ids[name]) / PROGRESS).write_text(json.dumps(line) + "\n", encoding="utf-8")
-    folder = core.jobs.folder(ids["diagnose"]) / DIAGNOSIS
+    folder = core.jobs.folder(ids["diagnose"])
     (folder / PANELS).write_text(json.dumps(asdict(panels())), encoding="utf-8")
-    (folder / "rig_extended.yaml").write_text(MARK, encoding="utf-8")
+    (folder / "diagnosis" / "rig_extended.yaml").write_text(MARK, encoding="utf-8")
     return ids
 
 

@@ -20,13 +20,12 @@ from starlette.testclient import TestClient
 
 from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
-from estimator.service import app as app_module
 from estimator.service import guard, rate_limits
 from estimator.service.app import create_app
 from estimator.service.core import Core
 from estimator.service.job_queue import DONE
 from estimator.service.requests import Id, Writer
-from estimator.service.routes import registries, schedules
+from estimator.service.routes import operation, registries, schedules
 from estimator.service.schema import Audit, Base, CalibrationRow, Job
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, create_token, revoke_token
@@ -344,7 +343,7 @@ def test_an_application_with_a_change_that_asks_for_no_owner_is_not_made(tmp_pat
     def rename(caller: Writer, session_id: Id) -> str:  # noqa: ARG001
         return session_id
 
-    routers = app_module.operation.router
+    routers = operation.router
     before = list(routers.routes)
     routers.include_router(router)
     try:

@@ -28,7 +28,7 @@ from estimator.service.core import Core
 from estimator.service.predictions import Predictor
 from estimator.service.problems import Problem
 from estimator.service.schema import CalibrationRow, Job, SessionRow
-from estimator.service.work import CALIBRATION
+from estimator.service.tasks import CALIBRATION
 from tests.estimator.conftest import CORED_SIZES, SIDEWAYS
 from tests.estimator.service.conftest import import_csv, refusal, upload_rig
 
@@ -238,16 +238,16 @@ def test_a_full_queue_says_when_to_come_again(slow: dict[str, Any], client: Test
     slow["go"].set()
     small: Predictor = slow["predictor"]
     with (
-        small.places.taken(),
-        small.places.taken(),
+        small.limit.taken(),
+        small.limit.taken(),
         pytest.raises(Problem, match="at most 2 at once"),
-        small.places.taken(),
+        small.limit.taken(),
     ):
         pass
     predictor: Predictor = client.app.state.core.predictor
     body = json.dumps({"points_m": POINTS_M, "currents_A": CURRENTS_A})
     call = {"content": body, "headers": {"Content-Type": "application/json"}}
-    with predictor.places.taken(), predictor.places.taken(), predictor.places.taken():
+    with predictor.limit.taken(), predictor.limit.taken(), predictor.limit.taken():
         answer = client.post(f"{PATH}/predict", **call)
         assert refusal(answer, 429)["thing"] == "predictions"
         assert int(answer.headers["retry-after"]) > 0

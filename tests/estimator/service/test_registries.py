@@ -13,6 +13,7 @@ from starlette.testclient import TestClient
 
 from estimator.recalibration.registry import Registry
 from estimator.service import tasks
+from estimator.service.assigned_job import AssignedJob
 from estimator.service.core import Core
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session
@@ -188,5 +189,5 @@ def test_two_recalibrations_of_one_rig_take_turns(
     job = {"options": {"seed": 0, "settings": QUICK}, "registry": str(registry.folder), "rig": None}
     job |= {"has_alerts": False}
     with registry.writing(), pytest.raises(Enough):
-        tasks.recalibrate_job(job, tmp_path, session, tell)
+        tasks.recalibrate_job(AssignedJob(job, tmp_path, session, tell))
     assert told[1:] == ["waiting for another recalibration of this rig"] * 2

@@ -8,9 +8,10 @@ from pathlib import Path
 from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
+from estimator.service.cache import Cache
 from estimator.service.core import Core
 from estimator.service.job_queue import DONE
-from estimator.service.recent import Recent
+from estimator.service.removal import remove_folders_without_row
 from estimator.service.schema import CalibrationRow, Job
 from estimator.store.session import Session
 from tests.estimator.service.conftest import (
@@ -59,7 +60,7 @@ def test_a_job_goes_with_its_calibration_and_its_folder_then_its_session(
     folder = ended(core, job_id, LONG_AGO)
     assert client.get("/v1/calibrations").json()["items"]
     loaded: list[Path] = []
-    core._calibrations = Recent(lambda path: loaded.append(path) or path, 10)
+    core._calibrations = Cache(lambda path: loaded.append(path) or path, 10)
     other = core.jobs.folder("0" * 32) / "calibration"
     for path in (folder / "calibration", folder / "diagnosis" / "calibration", other):
         core.calibration(path)
@@ -160,9 +161,9 @@ def test_old_jobs_are_removed_by_themselves_where_the_settings_say_so(
         ended(core, fresh, "2999-01-01T00:00:00.000+00:00"),
         ended(core, judgement, LONG_AGO),
     )
-    assert (core.tidy.tick(), core.tidy.tick()) == (1, 0)
+    assert (core.remove_old_jobs(), core.remove_old_jobs()) == (1, 0)
     assert not gone.exists()
     assert all(folder.exists() for folder in kept)
     (core.jobs.folder("f" * 32)).mkdir()  # as a kill between row and folder leaves it
-    core.tidy.remove_unknown(core.data / "jobs")
+    remove_folders_without_row(core.database, core.data / "jobs")
     assert sorted(path.name for path in (core.data / "jobs").iterdir()) == sorted([fresh, judgement])

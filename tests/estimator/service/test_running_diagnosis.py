@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -14,6 +14,8 @@ from estimator.live.refresh import FEWEST_READINGS, GROWTH, Refreshed
 from estimator.rig.rig import Rig
 from estimator.service import running_diagnosis
 from estimator.service.core import Core
+from estimator.service.live_state import Seen
+from estimator.service.periodic import scheduler_of
 from estimator.service.watching import Watched
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, upload_rig
@@ -56,18 +58,21 @@ def until(condition: Callable[[], Any]) -> None:
 
 
 @pytest.fixture
-def core(idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch) -> tuple[Core, Any]:
+def core(idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[Core, Any]]:
     Process.made, Process.may_end = [], threading.Event()
     monkeypatch.setattr(running_diagnosis, "Background", Process)
     monkeypatch.setattr(running_diagnosis, "LOOK_EVERY_S", 0.005)
     client = idle()
     made: Core = client.app.state.core  # type: ignore[attr-defined]
-    made.watching.start()
-    return made, client
+    scheduler = scheduler_of({"running diagnosis": (0.02, made.watching.diagnose)})
+    scheduler.start()
+    yield made, client
+    made.watching.stop()
+    scheduler.shutdown()
 
 
 def verdict(session: Watched) -> Any:
-    return session._news(-1, 0, 0)[2].diagnosis
+    return session.state_after(Seen())[0].diagnosis
 
 
 def test_sessions_take_turns_and_are_diagnosed_again_when_they_have_grown(
@@ -81,7 +86,7 @@ def test_sessions_take_turns_and_are_diagnosed_again_when_they_have_grown(
 
     with watching.watched(ids[0]) as first, watching.watched(ids[1]) as second:
         send(ids[0], 0, FEWEST_READINGS - 1)
-        until(lambda: len(first._entries) == FEWEST_READINGS - 1)
+        until(lambda: first.state_after(Seen())[0].n_appended == FEWEST_READINGS - 1)
         assert first.waits_since_s is None
         send(ids[0], FEWEST_READINGS - 1, FEWEST_READINGS)
         until(lambda: Process.made and Process.made[0].sessions)
@@ -114,4 +119,4 @@ def test_a_diagnosis_that_nobody_waits_for_any_more_is_ended(
     with watching.watched(session_id):
         until(lambda: len(Process.made) == 2 and Process.made[1].is_busy)
         watching.stop()
-        assert Process.made[1].is_ended
+        until(lambda: Process.made[1].is_ended)

@@ -17,11 +17,11 @@ from starlette.testclient import TestClient
 
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
-from estimator.service import app as app_module
 from estimator.service.app import create_app, scopes_by_route
 from estimator.service.database import Database, new_id
 from estimator.service.guard import PUBLIC
 from estimator.service.page_files import page_files
+from estimator.service.routes import operation
 from estimator.service.schema import Audit, Token
 from estimator.service.settings import Settings, load_settings
 from estimator.service.tokens import Scope, caller_of, create_token, revoke_token
@@ -118,7 +118,7 @@ def test_changes_need_more_than_read() -> None:
 def test_an_application_with_a_route_without_scope_is_not_made(
     tmp_path: Path,
 ) -> None:
-    forgotten = app_module.operation.router
+    forgotten = operation.router
     before = list(forgotten.routes)
 
     def answer() -> dict[str, int]:

@@ -14,8 +14,8 @@ import pytest
 from starlette.testclient import TestClient
 
 from estimator.rig.rig import Rig
-from estimator.service.archives import zipped
 from estimator.store.session import Session, load_session
+from estimator.store.zipped import zipped
 from tests.estimator.service.conftest import (
     append,
     begin_session,

@@ -21,7 +21,8 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
 from estimator.service.devices import Device, updated
-from estimator.service.watching import REDRAWN_AT, News, Watched
+from estimator.service.live_state import REDRAWN_AT, LiveState
+from estimator.service.watching import Watched
 from estimator.store.made import JOURNAL
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
@@ -53,14 +54,14 @@ def watched(
     acts: dict[int, Callable[[], object]],
     until: int,
     is_polished: bool | None = None,
-) -> list[News]:
-    """News of a session up to a number of readings; at some numbers something is done first."""
+) -> list[LiveState]:
+    """States of a session up to a number of readings; at some numbers something is done first."""
 
-    async def watch(session: Watched) -> list[News]:
-        told: list[News] = []
+    async def watch(session: Watched) -> list[LiveState]:
+        told: list[LiveState] = []
         is_redrawn = False
-        async with asyncio.timeout(PATIENCE_S), aclosing(session.news(lambda: False)) as news:
-            async for one in news:
+        async with asyncio.timeout(PATIENCE_S), aclosing(session.states(lambda: False)) as states:
+            async for one in states:
                 told.append(one)
                 if (act := acts.pop(one.n_appended, None)) is not None:
                     await asyncio.to_thread(act)
@@ -106,7 +107,7 @@ def test_each_batch_gives_the_estimate_of_all_readings_so_far(
     assert sum(one.is_redrawn for one in told) < len(told) * REDRAWN_AT
 
 
-def test_news_say_how_often_readings_came_and_for_how_long_none_has(
+def test_states_say_how_often_readings_came_and_for_how_long_none_has(
     client: TestClient, session_id: str, small_session: Session, small_rig: Rig
 ) -> None:
     acts = {0: lambda: append(client, session_id, lines_of(small_session, small_rig, 0, 12))}
@@ -162,8 +163,8 @@ def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(
     watching = core_of(client).watching
 
     async def both(first: Watched) -> None:
-        async with asyncio.timeout(PATIENCE_S), aclosing(first.news(lambda: False)) as news:
-            async for one in news:
+        async with asyncio.timeout(PATIENCE_S), aclosing(first.states(lambda: False)) as states:
+            async for one in states:
                 if one.n_appended == n - 2 and one.is_redrawn:
                     last = lines_of(small_session, small_rig, n - 2)  # too few for another drawing
                     await asyncio.to_thread(append, client, session_id, last)
@@ -171,7 +172,7 @@ def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(
                     break
             with watching.watched(session_id) as second:
                 assert second is first
-                async with aclosing(second.news(lambda: False)) as other:
+                async with aclosing(second.states(lambda: False)) as other:
                     late = await anext(other)
         assert late.is_redrawn
         assert [place.number for place in late.places] == list(range(1, n + 1))

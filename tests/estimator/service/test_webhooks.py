@@ -83,7 +83,7 @@ def made(client: TestClient, url: str) -> dict[str, Any]:
 
 
 def deliver(client: TestClient) -> int:
-    threads = client.app.state.core.courier.begin_due()
+    threads = client.app.state.core.deliveries.begin_due()
     for thread in threads:
         thread.join(60)
     return len(threads)
@@ -196,14 +196,14 @@ def test_a_receiver_that_hangs_holds_up_no_other(
         for webhook in (hanging, quick, quick):
             client.post(f"/v1/webhooks/{webhook['id']}/test")
         begin_s = time.monotonic()
-        begun = client.app.state.core.courier.begin_due()
+        begun = client.app.state.core.deliveries.begin_due()
         while len(receiver.got) < 1:
             time.sleep(0.01)
         begun[-1].join(60)
         assert deliver(client) == 1  # the next of the quick one, while the other hangs
         assert begun[0].is_alive()
         assert [entry["state"] for entry in log_of(client, quick)] == ["delivered"] * 2
-        client.app.state.core.courier.stop()
+        client.app.state.core.deliveries.stop()
         assert time.monotonic() - begin_s < 20
         assert log_of(client, hanging)[0]["fault"] == "receiver must answer within 3 s"
     finally:
@@ -347,11 +347,11 @@ def test_deleted_webhooks_are_told_nothing_and_old_messages_are_forgotten(
     old = (datetime.now(UTC) - timedelta(days=webhooks.KEPT_DAYS + 1)).isoformat(timespec="milliseconds")
     client.post(f"/v1/webhooks/{other['id']}/test")
     core = client.app.state.core
-    core.courier.tidy()
+    core.deliveries.remove_old()
     assert len(log_of(client, other)) == 2
     with core.database.writing() as db:
         db.execute(update(Delivery).values(created=old))
-    core.courier.tidy()
+    core.deliveries.remove_old()
     assert [entry["state"] for entry in log_of(client, other)] == ["waiting"]
 
 
@@ -368,7 +368,7 @@ def test_a_service_that_runs_tells_by_itself(
     monkeypatch.setattr(webhooks, "LOOK_EVERY_S", 0.05)
     app = create_app(Settings(data=tmp_path / "data", webhook_networks=LOOPBACK), has_workers=False)
     with TestClient(app, base_url="http://127.0.0.1:8765") as client:
-        client.app.state.core._tickers[0].start()
+        client.app.state.core.periodic.start()
         webhook = made(client, receiver.url)
         client.post(f"/v1/webhooks/{webhook['id']}/test")
         end_s = time.monotonic() + 20

@@ -14,10 +14,11 @@ from pathlib import Path
 import pytest
 
 from estimator.errors import DiskFull, InvalidInput
-from estimator.store import staging
+from estimator.store import stage
 from estimator.store.files import append_text, write_text
 from estimator.store.made import Made
-from estimator.store.staging import MARK, OutputBusy, clear, only_writer, staged, write_output
+from estimator.store.stage import MARK, OutputBusy
+from estimator.store.staging import clear, only_writer, staged, write_output
 from tests.estimator.store.interrupted import full_disk, killed_at_each_operation
 
 NOTES = Made("notes", r"note\d+\.txt", ("note1.txt",), lambda folder: (folder / "note1.txt").is_file())
@@ -118,7 +119,7 @@ def test_killed_at_any_file_operation_an_output_is_the_old_one_or_the_new_one(tm
 def test_where_names_cannot_be_exchanged_a_killed_output_is_put_back(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("estimator.store.staging._renamed", lambda *_: False)
+    monkeypatch.setattr("estimator.store.stage._renamed", lambda *_: False)
     output = tmp_path / "notes"
     write_notes(output, words="old")
     were_away = 0
@@ -290,7 +291,7 @@ def test_a_writer_that_ends_while_another_looks_is_none(
 ) -> None:
     """Its folder is gone between the look at its kind and the look into it."""
     output = tmp_path / "result"
-    folder = output.with_name(staging.unfinished_name(output.name))
+    folder = output.with_name(stage.unfinished_name(output.name))
     folder.mkdir()
 
     def gone(_: Path) -> str:
@@ -298,8 +299,8 @@ def test_a_writer_that_ends_while_another_looks_is_none(
             folder.rmdir()
         return "a folder"
 
-    monkeypatch.setattr(staging, "kind_of", gone)
-    assert staging._stages(output) == []
+    monkeypatch.setattr(stage, "kind_of", gone)
+    assert stage.stages(output) == []
 
 
 @pytest.mark.parametrize("n_writers", [2, 4])

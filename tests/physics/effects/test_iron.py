@@ -183,6 +183,14 @@ def test_step_of_the_rooms_field_goes_through_the_opening_as_the_potential_probl
     assert_same_field(difference_T, exact, 1e-4)
 
 
+@pytest.mark.parametrize(("x_m", "is_itself"), [(0.0, True), (0.02, True), (0.3, False), (20.0, False)])
+def test_sensors_went_through_the_opening_of_a_pierced_plate(x_m, is_itself):
+    """A search took a plate for one whose opening was five maps away."""
+    circumstances = Circumstances(rig_from_text(RIG), readings(AROUND_M))
+    theta = {key: torch.tensor(value) for key, value in (PIERCED | {"x_m": x_m}).items()}
+    assert pierced_plate.is_itself(theta, circumstances) is is_itself
+
+
 @pytest.mark.parametrize(
     ("height_m", "is_between"), [(0.08, True), (0.117, True), (0.3, False), (-3.0, False)]
 )

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from estimator.rig.rig import MotionKind, Rig
+from estimator.rig.bodies import MotionKind
+from estimator.rig.rig import Rig
 from estimator.store.importers.forms.layout import strip_brackets
 from estimator.store.importers.forms.units import FileUnit, split_file_unit, unit_named
 
@@ -248,8 +249,3 @@ ROLES: Mapping[str, frozenset[str]] = {
     "temperature": TEMPERATURE_WORDS,
     "sensor": SENSOR_WORDS,
 }
-
-
-def is_time_or_date(words: Iterable[str]) -> bool:
-    """Whether words name a time of day or a date."""
-    return bool((TIME_WORDS | DATE_WORDS) & set(words))

@@ -5,7 +5,6 @@ A file that is a readings CSV by its first line is read as such, at full speed a
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -18,29 +17,19 @@ from estimator.rig.rig import Rig
 from estimator.store.importers.csv_header import csv_header
 from estimator.store.importers.csv_lines import BadLine, Block, csv_blocks, row_of
 from estimator.store.importers.csv_table import filled_table, read_table
-from estimator.store.importers.forms.assignment import Assigned, Assignment, assigned_columns
+from estimator.store.importers.forms.assigner import Assigned
+from estimator.store.importers.forms.assignment import Assignment, assigned_columns
 from estimator.store.importers.forms.cells import is_number, plain_numbers
-from estimator.store.importers.forms.encoding import encoding_of
-from estimator.store.importers.forms.layout import (
-    SAMPLE_LETTERS,
-    SAMPLE_LINES,
-    SEPARATORS,
-    WORDS,
-    Layout,
-    Line,
-    is_comment,
-    layout_of,
-)
-from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, SEPARATOR_OF, Recipe
-from estimator.store.importers.forms.sources import CELL_SEPARATOR, MOST_COLUMNS, grid_of, kind_of, renumbered
+from estimator.store.importers.forms.layout import SAMPLE_LINES, WORDS, Layout, layout_of
+from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, Recipe
+from estimator.store.importers.forms.rows import Source, first_lines, grid_source, text_source
+from estimator.store.importers.forms.sources import CELL_SEPARATOR, MOST_COLUMNS, kind_of
 from estimator.store.importers.forms.times import with_times
 from estimator.store.importers.forms.units import split_file_unit
 from estimator.store.importers.forms.wide import lengthened
 from estimator.store.importers.readings_csv import columns_of, session_of, without_bad_rows
 from estimator.store.importers.table import Cells, Column, HeaderCell, Table
 from estimator.store.session import Session
-
-LONGEST_LINE = 100_000  # characters: more columns than a file may have
 
 
 @dataclass(frozen=True)
@@ -93,7 +82,7 @@ def understood(
         if not _has_other_numbers(table):
             table, session = session_of(table, rig, recipe.clock)
             return Understood(session, table, None)
-    source = _text(path, recipe) if kind == "text" else _grid(path, kind, recipe)
+    source = text_source(path, recipe) if kind == "text" else grid_source(path, kind, recipe)
     return _understood(source, rig, recipe, faults or Faults())
 
 
@@ -103,10 +92,10 @@ def understood_block(block: Block, rig: Rig, recipe: Recipe) -> Understood:
     Raises:
         InvalidInput: As in `understood`.
     """
-    layout = layout_of(_lines(block.texts, block.numbers), (CELL_SEPARATOR,), ".")
+    layout = layout_of(first_lines(block.texts, block.numbers), (CELL_SEPARATOR,), ".")
     if layout is None:
         raise InvalidInput(f"{block.path} must have names of columns and rows of numbers; it has none")
-    lines = tuple(_lines(block.texts, block.numbers))
+    lines = tuple(first_lines(block.texts, block.numbers))
     return _understood(Source(block.path, layout, "", "", lines, block, ()), rig, recipe, Faults())
 
 
@@ -124,7 +113,7 @@ def _understood(source: Source, rig: Rig, recipe: Recipe, faults: Faults) -> Und
     table = _table(source, assignment, rig, recipe, faults)
     if faults.noted:
         _read_numbers(table)
-        raise faults.noted.pop()  # whoever collects them notes it again
+        raise faults.noted.pop()  # a caller that collects faults notes it again
     created, table = with_times(table)
     has_time = "t" in table
     clock = recipe.clock if has_time else Clock.ROWS
@@ -163,135 +152,6 @@ def is_readings_csv(path: Path, rig: Rig) -> bool:
     except CoilcalError:
         return False
     return bool(row)
-
-
-@dataclass(frozen=True)
-class Source:
-    """Rows of a file with their layout.
-
-    Attributes:
-        path: The file.
-        layout: How its rows are read.
-        encoding: Of a text; empty for others.
-        sheet: Of a workbook; empty for others.
-        lines: Its first lines.
-        block: All rows of a file that is no text.
-        remarks: Sentences on how it is read.
-    """
-
-    path: Path
-    layout: Layout
-    encoding: str
-    sheet: str
-    lines: tuple[Line, ...]
-    block: Block | None
-    remarks: tuple[str, ...]
-
-    def rows(self) -> Iterator[Block]:
-        """Rows behind the header, without comments and repeated headers."""
-        blocks: Iterable[Block] = (
-            csv_blocks(self.path, self.encoding, self.layout.separator)
-            if self.block is None
-            else [self.block]
-        )
-        headings = [line.text for line in self.lines if line.number < self.layout.first_line]
-        repeated = frozenset(headings[-2:] if self.layout.units else headings[-1:])
-        for block in blocks:
-            if not block.texts or block.numbers[-1] < self.layout.first_line:
-                continue
-            rows = (
-                block
-                if block.numbers[0] >= self.layout.first_line
-                else renumbered(block, self.layout.first_line)
-            )
-            if any(is_comment(text) or text in repeated for text in rows.texts):
-                rows = rows.without(lambda text: is_comment(text) or text in repeated)
-            yield rows
-
-    def sample_rows(self) -> list[list[str]]:
-        """Cells of some rows."""
-        rows = []
-        for line in self.lines:
-            if line.number >= self.layout.first_line and not is_comment(line.text):
-                row = row_of(line.text, line.number, self.layout.separator)
-                if not isinstance(row, BadLine) and len(row) >= self.layout.width:
-                    rows.append(row)
-        return rows
-
-
-def _text(path: Path, recipe: Recipe) -> Source:
-    encoding = recipe.encoding or encoding_of(path)
-    try:
-        blocks = csv_blocks(path, encoding, None)
-        first = next(blocks, Block(path, [], [], True))
-    except LookupError:
-        raise InvalidInput(
-            f"encoding must be one that Python knows; received {encoding!r} ({path})"
-        ) from None
-    lines = _lines(first.texts, first.numbers)
-    for line in lines:
-        if len(line.text) > LONGEST_LINE:
-            words = f"a line must have at most {LONGEST_LINE} characters; received {len(line.text)}"
-            raise InvalidInput(
-                f"{words} ({path}, line {line.number}): write one reading a line",
-                Place(str(path), line.number),
-            )
-    separators = SEPARATORS if recipe.separator is None else (SEPARATOR_OF[recipe.separator],)
-    decimals = ".," if recipe.decimal is None else DECIMALS[recipe.decimal]
-    layout = layout_of(lines, separators, decimals)
-    if layout is None:
-        raise InvalidInput(
-            f"{path} must hold a header and rows of numbers; no line holds two numbers between commas, semicolons, tabs or blanks"
-        )
-    if layout.is_unclear:
-        raise InvalidInput(
-            f"commas must be decimal signs or part thousands; both fit all numbers: say it with --decimal comma or --decimal point "
-            f"({path}, line {layout.first_line})",
-            Place(str(path), layout.first_line),
-        )
-    decimal = "decimal commas" if layout.decimal == "," else "decimal points"
-    told = f"Text in {encoding.replace('_', '-')}, separated by {WORDS[layout.separator]}, with {decimal}"
-    return Source(path, layout, encoding, "", tuple(lines), None, (told + _above(layout, lines),))
-
-
-def _grid(path: Path, kind: str, recipe: Recipe) -> Source:
-    def layout_in(block: Block) -> Layout | None:
-        return layout_of(_lines(block.texts, block.numbers), (CELL_SEPARATOR,))
-
-    grid = grid_of(path, kind, recipe.sheet, lambda block: layout_in(block) is not None)
-    layout = layout_in(grid.block)
-    if layout is None:
-        raise InvalidInput(f"{path} must hold a header and rows of numbers; it holds none")
-    lines = _lines(grid.block.texts, grid.block.numbers)
-    told = f"Sheet {grid.name!r}" if kind == "workbook" else f"Arrays of one length in a file of kind {kind}"
-    if grid.others:
-        told += f" ({len(grid.others)} more are left out)"
-    sheet = grid.name if kind == "workbook" else ""
-    return Source(path, layout, "", sheet, tuple(lines), grid.block, (told + _above(layout, lines),))
-
-
-def _lines(texts: Sequence[str], numbers: Sequence[int]) -> list[Line]:
-    """The first lines, at least one, by which the layout is found."""
-    lines, n_letters = list[Line](), 0
-    for text, number in islice(zip(texts, numbers, strict=True), SAMPLE_LINES):
-        lines.append(Line(number, text))
-        n_letters += len(text)
-        if n_letters > SAMPLE_LETTERS:
-            break
-    return lines
-
-
-def _above(layout: Layout, lines: Sequence[Line]) -> str:
-    """The end of a sentence on lines that are left out above the rows."""
-    taken = layout.header_line
-    n_above = sum(line.number < layout.first_line for line in lines) - 1 - bool(layout.units)
-    above = (
-        f"; {n_above} more {'line' if n_above == 1 else 'lines'} above the rows left out"
-        if n_above > 0
-        else ""
-    )
-    units = ", units in a line below" if layout.units else ""
-    return f"; names of columns in line {taken}{units}{above}."
 
 
 def _no_header(path: Path, layout: Layout, rig: Rig) -> InvalidInput:

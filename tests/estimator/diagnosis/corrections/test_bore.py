@@ -12,7 +12,6 @@ from torch import Tensor
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.corrections.correction import Correction
-from estimator.effects.corrections.fields import RoomBore
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 
@@ -28,7 +27,7 @@ def bore_m(n: int, length_m: float = 1.2, radius_m: float = 0.1) -> Tensor:
 
 
 def test_cylinder_lies_about_the_places_along_their_widest_extent():
-    cylinder = RoomBore().around(bore_m(500))
+    cylinder = EFFECTS["room_bore"].around(bore_m(500))
     middle_m = [cylinder[f"middle_{axis}_m"] for axis in "xyz"]
     np.testing.assert_allclose(middle_m, [0.3, -0.2, 0.1], atol=0.02)
     assert cylinder["along_x"] == pytest.approx(0.6, abs=0.02)
@@ -48,7 +47,7 @@ def test_cylinder_lies_about_the_places_along_their_widest_extent():
     ],
 )
 def test_places_limit_the_number_of_waves(places_m: Tensor, degree: int, words: str):
-    limit = RoomBore().limit_around(places_m)
+    limit = EFFECTS["room_bore"].limit_around(places_m)
     assert limit.degree == degree
     assert words in limit.words
 
@@ -57,7 +56,7 @@ def test_uncertainty_of_the_prior_comes_back_beyond_the_ends():
     """Amplitudes fitted to places along the z axis with noise of a thirtieth of their width; half waves that end there would be mirrored."""
     places_m = torch.rand(200, 3, generator=torch.Generator().manual_seed(1)).double()
     places_m = (places_m - 0.5) * torch.tensor([0.14, 0.14, 0.8])
-    effect, cylinder = RoomBore(), RoomBore().around(places_m)
+    effect, cylinder = EFFECTS["room_bore"], EFFECTS["room_bore"].around(places_m)
     keys = [effect.key(degree, term) for degree in range(13) for term in effect.terms(degree)]
     theta = dict(zip(keys, torch.eye(len(keys)).double(), strict=True))
     theta |= {key: torch.tensor(value).double() for key, value in cylinder.items()}

@@ -13,7 +13,8 @@ from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.corrections.correction import Correction, Limit, limit_of_places
+from estimator.effects.corrections.correction import Correction, Limit
+from estimator.effects.corrections.static import limit_of_places
 from estimator.effects.use import is_in_field
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.diagnose import _are_doubtful
+from estimator.diagnosis.asking import _are_doubtful
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses import record_mistakes
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes

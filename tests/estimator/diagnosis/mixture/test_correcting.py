@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 import torch
@@ -104,10 +105,10 @@ def test_causes_that_are_not_sure_enough_to_be_stated_correct_by_themselves(
 ):
     """They have no name, but predictions with them are right where those of the bare rig are not."""
     monkeypatch.setattr(answer_module, "STATED", 1.1)
-    bare = of_two_causes.plain
-    assert not of_two_causes.stated
-    assert len(of_two_causes.beside) == 2
-    correction = corrected(of_two_causes, bare, bare, Limits())
+    unsure, bare = replace(of_two_causes), of_two_causes.plain
+    assert not unsure.stated
+    assert len(unsure.beside) == 2
+    correction = corrected(unsure, bare, bare, Limits())
     assert correction.is_taken
     assert correction.parts == ()
     assert len(correction.final.rig.effects) == 2

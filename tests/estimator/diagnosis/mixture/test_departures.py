@@ -18,8 +18,9 @@ from estimator.diagnosis.mixture.departures import Changes
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
-from estimator.rig.rig import EVERYWHERE, Cause
+from estimator.rig.rig import EVERYWHERE, Cause, Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.store.session import Session
 from tests.estimator.diagnosis.mixture.hand_made import said
 from tests.estimator.diagnosis.small_fits import fit_of
 
@@ -74,13 +75,29 @@ def test_columns_of_a_fit_nearby_are_reused_and_those_of_a_far_one_made_anew(ask
     causes = causes_of(fit.rig, fit, Limits())
     changes = asked.changes
     assert changes.is_near(fit)
-    again = changes.pool_of(fit, causes)
-    fresh = Changes.about(fit, causes).pool
-    assert [candidate.cause for candidate in again] == [candidate.cause for candidate in fresh]
-    for first, second in zip(again, fresh, strict=True):
+    fresh = Changes.about(fit, asked.expansion.always, causes).pool
+    assert [candidate.cause for candidate in changes.pool] == [candidate.cause for candidate in fresh]
+    for first, second in zip(changes.pool, fresh, strict=True):
         torch.testing.assert_close(first.columns, second.columns)
     readings = fit.observations.with_field(1.1 * fit.observations.field_sensor_T)
     assert not changes.is_near(fit_of(fit.rig, readings))
+
+
+def test_what_a_rig_follows_of_a_column_moves_with_the_rig(small_rig: Rig, small_session: Session):
+    """Of turns that are wound otherwise it follows nearly all: the rest is small beside what a fit nearby changes of it."""
+    readings = small_session.observations.calibration
+    first = Expansion.of(fit_of(small_rig, readings))
+    second = Expansion.of(fit_of(small_rig, readings.with_field(1.01 * readings.field_sensor_T)))
+    causes = [Cause("winding_misstated", "coil1")]
+    about = Changes.about(first.fit, first.always, causes)
+    assert about.is_near(second.fit)
+    (old,), (moved,) = about.pool, about.moved(second.fit, second.always, causes).pool
+    (fresh,) = Changes.about(second.fit, second.always, causes).pool
+    right = second.always.rest(fresh.columns).norm()
+    error = second.always.rest(moved.columns - fresh.columns).norm() / right
+    error_at_rest = second.always.rest(old.columns - fresh.columns).norm() / right
+    assert float(error) < 0.1
+    assert float(error) < 0.6 * float(error_at_rest)
 
 
 def test_two_sensors_that_respond_oddly_each_in_its_own_way_take_one_slot(asked: Asked):

@@ -66,7 +66,7 @@ def test_a_map_of_a_tilted_coil_is_predicted_exactly(tmp_path: Path, rig: Rig) -
     pose[:, 2], pose[:, 5] = instants[:, 0], torch.deg2rad(instants[:, 1])
     sensor = torch.arange(6).repeat(len(INSTANTS))
     no_field = torch.zeros(n, 3, dtype=torch.float64)
-    truth = map_observations(tilted, torch.zeros(n, dtype=torch.float64), sensor, [30.0], pose, no_field)
+    truth = map_observations(tilted, [30.0], pose, no_field, time_s=pose[:, 0], sensor=sensor)
     field_T = MeasurementModel.build(tilted, truth).predict(values_of(tilted)).tolist()
     lines = [
         row(p, *instant, tuple(field_T[6 * i + p])) for i, instant in enumerate(INSTANTS) for p in range(6)

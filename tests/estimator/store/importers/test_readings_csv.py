@@ -9,12 +9,14 @@ from pathlib import Path
 import pytest
 import torch
 
-from estimator.errors import InvalidInput
+from estimator.errors import Faults, InvalidInput
 from estimator.readings.clock import Clock
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.store.importers.readings_csv import read_readings_csv, readings_and_faults, write_readings_csv
+from estimator.store.importers.forms.recipe import Recipe
+from estimator.store.importers.forms.understand import understood
+from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
 from estimator.store.session import Session
 
 ONE_SENSOR = """
@@ -233,6 +235,14 @@ def test_an_unwritable_folder_is_refused(tmp_path: Path, rig: Rig) -> None:
         write_readings_csv(session, tmp_path / "file" / "readings.csv")
 
 
+def faults_of(path: Path, rig: Rig) -> list[InvalidInput]:
+    """All that is wrong with the rows of a file."""
+    faults = Faults(is_collected=True)
+    with faults.noting():
+        understood(path, rig, faults=faults)
+    return faults.noted
+
+
 def test_one_stray_quote_loses_no_rows(tmp_path: Path, rig: Rig) -> None:
     """To a reader that takes line ends into cells, rows 151 to 279 are the label of a segment."""
     rows = [f"{i}{ROW[1:]},day 1" for i in range(280)]
@@ -242,8 +252,7 @@ def test_one_stray_quote_loses_no_rows(tmp_path: Path, rig: Rig) -> None:
         InvalidInput, match=r"a quote must enclose a whole cell; cell 9 .*readings.csv, line 152"
     ):
         read_readings_csv(path, rig)
-    table, session, faults = readings_and_faults(path, rig)
-    assert (table, session, len(faults)) == (None, None, 1)
+    assert len(faults_of(path, rig)) == 1
 
 
 def test_a_cell_of_5000_digits_is_not_quoted_whole(tmp_path: Path, rig: Rig) -> None:
@@ -272,18 +281,17 @@ def test_a_hundred_thousand_columns_are_refused_at_once(tmp_path: Path, rig: Rig
 
 def test_one_cause_of_three_thousand_rows_is_one_sentence(tmp_path: Path, rig: Rig) -> None:
     rows = [f"{i}{ROW[1:]}".replace("1e-3", "high") for i in range(3000)]
-    (fault,) = readings_and_faults(written(tmp_path, HEADER, *rows), rig).faults
+    (fault,) = faults_of(written(tmp_path, HEADER, *rows), rig)
     places = "received 'high' in line 2, 'high' in line 3, 'high' in line 4 and 2997 more"
     assert f"Bx_T must be a finite number; {places}; leave such lines out with --skip-bad-lines" in str(fault)
-    (fault,) = readings_and_faults(written(tmp_path, HEADER, *[ROW + ",1"] * 9), rig).faults
+    (fault,) = faults_of(written(tmp_path, HEADER, *[ROW + ",1"] * 9), rig)
     assert "received 9 in line 2, 9 in line 3, 9 in line 4 and 6 more; leave such" in str(fault)
 
 
 def test_words_for_no_reading_are_components_that_were_not_measured(tmp_path: Path, rig: Rig) -> None:
     rows = (ROW, NEXT.replace("1e-3", "OVLD"), "2,3,0,0,0,nan,9.9E37,1e-3", "3,3,0,0,0,--,,NaN")
-    table, session, _ = readings_and_faults(written(tmp_path, HEADER, *rows), rig)
-    assert table is not None
-    assert session is not None
+    read = understood(written(tmp_path, HEADER, *rows), rig)
+    table, session = read.table, read.session
     assert session.observations.is_measured.tolist() == [
         [True] * 3,
         [False, True, True],
@@ -318,9 +326,8 @@ def test_bad_lines_are_left_out_where_that_is_asked_for(
     path = written(tmp_path, HEADER, ROW, bad, "2" + ROW[1:])
     with pytest.raises(InvalidInput, match="--skip-bad-lines|--clock spread"):
         read_readings_csv(path, rig)
-    table, session, _ = readings_and_faults(path, rig, skips_bad=True)
-    assert table is not None
-    assert session is not None
+    read = understood(path, rig, Recipe(skips_bad=True))
+    table, session = read.table, read.session
     assert (session.observations.time_s.tolist(), table.notes) == ([0.0, 2.0], [words])
 
 

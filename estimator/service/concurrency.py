@@ -1,4 +1,4 @@
-"""Limits of what goes on at once: places that are refused when all are taken, and a few for requests that may wait for one."""
+"""Limits of what is at work at once: one that refuses more, and one that lets some wait."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from estimator.service.problems import check_limits
 RETRY_AFTER_S = 10
 
 
-class Places:
-    """Admits some at once, in any number of threads, and refuses more.
+class RefusingLimit:
+    """At most so many at once, in any number of threads; more are refused.
 
     Args:
         thing: What they are, in words.
@@ -32,15 +32,15 @@ class Places:
         self._taken: Counter[str] = Counter()
 
     def n_taken(self) -> int:
-        """Number of places that are taken."""
+        """Number of those at work."""
         return self._taken.total()
 
     @contextmanager
     def taken(self, user: str = "") -> Iterator[None]:
-        """A place for a user.
+        """One of them, for a user.
 
         Raises:
-            Problem: There is none.
+            Problem: There are too many.
         """
         with self._counting:
             limits = {
@@ -57,8 +57,8 @@ class Places:
                 self._taken += Counter()  # forgets users without one
 
 
-class Room:
-    """Admits a few requests at once that take much memory; others wait for their turn, and hold up no thread meanwhile.
+class WaitingLimit:
+    """A few requests at once that take much memory; others wait for their turn, without a thread meanwhile.
 
     Args:
         thing: What they are, in words.
@@ -68,11 +68,11 @@ class Room:
 
     def __init__(self, thing: str, most: int, most_waiting: int) -> None:
         self._thing, self._most_waiting, self._n_waiting = thing, most_waiting, 0
-        self._places = asyncio.Semaphore(most)
+        self._turns = asyncio.Semaphore(most)
 
     @asynccontextmanager
     async def taken(self) -> AsyncIterator[None]:
-        """A place, as soon as one is free.
+        """One of them, as soon as it may begin.
 
         Raises:
             Problem: Too many wait already.
@@ -81,10 +81,10 @@ class Room:
         check_limits(limits, 429, "must be at most {} that wait", RETRY_AFTER_S)
         self._n_waiting += 1
         try:
-            await self._places.acquire()
+            await self._turns.acquire()
         finally:
             self._n_waiting -= 1
         try:
             yield
         finally:
-            self._places.release()
+            self._turns.release()

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from estimator.live import spare
-from estimator.live.spare import MOST_S, SHARE, SpareTime
+from estimator.live import processor_share
+from estimator.live.processor_share import MOST_S, SHARE, ProcessorShare
 
 
 class Clock:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = self.used_s = 100.0
-        monkeypatch.setattr(spare.time, "monotonic", lambda: self.now_s)
-        monkeypatch.setattr(spare.time, "thread_time", lambda: self.used_s)
+        monkeypatch.setattr(processor_share.time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(processor_share.time, "thread_time", lambda: self.used_s)
 
     def work(self, took_s: float) -> None:
         self.now_s += took_s
@@ -27,7 +27,7 @@ def test_updates_and_polishing_together_keep_to_the_share(
     monkeypatch: pytest.MonkeyPatch, update_s: float
 ) -> None:
     clock = Clock(monkeypatch)
-    time_left = SpareTime()
+    time_left = ProcessorShare()
     polished_s = 0.0
     for _ in range(200):  # readings, a second apart
         clock.work(update_s)
@@ -47,7 +47,7 @@ def test_a_pause_saves_up_no_more_than_a_burst_and_a_fast_stream_owes_no_more(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     clock = Clock(monkeypatch)
-    time_left = SpareTime()
+    time_left = ProcessorShare()
     clock.sleep(3600.0)
     assert time_left.is_left()
     clock.work(MOST_S / (1.0 - SHARE) + 1e-6)

@@ -1,4 +1,4 @@
-"""Time that work between readings may take, so that following a session leaves a computer to others."""
+"""Processor time that a thread may use between readings, so that following a session leaves a computer to others."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ MOST_S = 0.1  # of a core that idle time saves up, or that updates take in advan
 WAIT_S = 0.02  # until there may be time again
 
 
-class SpareTime:
+class ProcessorShare:
     """Whether the thread that asks has used less than its share of a core; all its work counts."""
 
     def __init__(self) -> None:

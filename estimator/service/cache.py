@@ -11,7 +11,7 @@ Key = TypeVar("Key")
 Value = TypeVar("Value")
 
 
-class Recent(Generic[Key, Value]):
+class Cache(Generic[Key, Value]):
     """Values by key, one made at a time.
 
     Args:
@@ -21,7 +21,7 @@ class Recent(Generic[Key, Value]):
 
     Examples:
         >>> made = []
-        >>> squares = Recent(lambda n: made.append(n) or n * n, 2)
+        >>> squares = Cache(lambda n: made.append(n) or n * n, 2)
         >>> [squares[n] for n in (1, 2, 1, 3, 1, 2)]
         [1, 4, 1, 9, 1, 4]
         >>> squares.forget(lambda n: n == 1)
@@ -47,7 +47,7 @@ class Recent(Generic[Key, Value]):
             return value
 
     def forget(self, is_gone: Callable[[Key], bool]) -> None:
-        """Drop the values of keys that are gone, which nobody asks for again."""
+        """Drop the values of keys that are gone."""
         with self._lock:
             for key in [key for key in self._values if is_gone(key)]:
                 del self._values[key]

@@ -1,0 +1,91 @@
+"""Asks what is wrong beside mistakes of the record, and doubts these where they only made the readings fit a wrong model."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+from estimator.diagnosis import policy
+from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.record_mistakes import (
+    RecordMistake,
+    leaves_much_of_the_field,
+    refit_outside,
+    without_record_mistakes,
+)
+from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.scatter import BesideScatter, answer_beside_scatter
+from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
+from estimator.diagnosis.progress import OnProgress
+from estimator.errors import InvalidInput
+from estimator.rig.rig import Cause
+
+
+class Asking(NamedTuple):
+    """What the readings say beside mistakes of the record, and what they can show and tell apart of any cause."""
+
+    said: BesideScatter
+    mistakes: Sequence[RecordMistake]
+    visible: Sequence[Visible]
+    twins: Sequence[tuple[Cause, ...]]
+
+
+def asked_beside_mistakes(
+    plain: Fit,
+    refusal: InvalidInput | None,
+    limits: Limits,
+    seed: int,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
+) -> Asking:
+    """What the readings say beside mistakes of the record; without such mistakes where they are doubtful.
+
+    A geometry that is refused is that of the record: it counts unless a mistake of the record puts it right.
+    """
+    tell("looking for mistakes of the record")
+    base, mistakes = without_record_mistakes(plain)
+    if refusal is not None:
+        base = refit_outside(base, refusal)
+    tell("asking what is wrong")
+    with_record_put_right = _asked(base, mistakes, limits, seed, tell, on_progress)
+    if mistakes and _are_doubtful(mistakes, with_record_put_right.said.answer):
+        if refusal is not None:
+            raise refusal
+        tell("the mistakes of the record are doubtful: asking again with the record as it is")
+        return _asked(plain, [], limits, seed, tell, on_progress)
+    return with_record_put_right
+
+
+def _asked(
+    base: Fit,
+    mistakes: Sequence[RecordMistake],
+    limits: Limits,
+    seed: int,
+    tell: Callable[[str], None],
+    on_progress: OnProgress,
+) -> Asking:
+    said = answer_beside_scatter(base, limits, seed, tell, on_progress)
+    pool = said.answer.first.pool
+    return Asking(said, mistakes, smallest_visible(base, pool), indistinguishable(base, pool))
+
+
+def _are_doubtful(mistakes: Sequence[RecordMistake], answer: Answer) -> bool:
+    """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
+
+    It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left
+    more of the field than causes do. It also may if the causes that were found explain the unchanged record better.
+    """
+    left, base, final = answer.left, answer.plain, answer.leading_fit
+    least = min(mistake.log_bayes_factor for mistake in mistakes)
+    is_little = least < left.log_bayes_factor or leaves_much_of_the_field(base)
+    if answer.leaves_something and is_little:
+        return True
+    rig = final.rig
+    for mistake in mistakes:
+        rig = rig.without_cause(mistake.cause)
+    if not rig.effects:
+        return False
+    rules = final.posterior.model.rules
+    as_recorded = fit_rig(rig, base.observations, rig.nominal_values(), rules, policy.MORE_STARTS)
+    return as_recorded.log_evidence > final.log_evidence

@@ -1,0 +1,81 @@
+"""What columns of a file lack for a rig, and what to write instead."""
+
+from __future__ import annotations
+
+from estimator.errors import quoted
+from estimator.store.importers.forms.assigner import MOST_LISTED, Assigner
+from estimator.store.importers.forms.units import split_file_unit
+from estimator.units import UNITS
+
+
+def check_missing(assigner: Assigner, quantities: set[str]) -> None:
+    """Refuse columns of which something that a rig needs is missing.
+
+    Raises:
+        InvalidInput: It is.
+    """
+    rig, quantities = (
+        assigner.rig,
+        quantities | {split_file_unit(name)[0] for name in assigner.recipe.constants},
+    )
+    for target in assigner.targets:
+        if target.quantity in quantities or target.role not in {"current", "place", "joint"}:
+            continue
+        may_be = [
+            assigner.text(index) for index, names in assigner.unsure.items() if target.quantity in names
+        ]
+        symbol = next(symbol for symbol, unit in UNITS.items() if unit.dimension == target.dimension)
+        name = f"{target.quantity}_{symbol}"
+        if may_be:
+            assigner.refuse(
+                f"columns must include {name}; it may be {' or '.join(map(quoted, may_be[:MOST_LISTED]))}: say which with "
+                f"--column '{may_be[0]}={target.quantity}_UNIT'"
+            )
+            continue
+        value = "AMPERE" if target.role == "current" else "0"
+        assigner.refuse(
+            f"columns must include {name}; none is it: name one with --column 'HEADER={target.quantity}_UNIT', "
+            f"or give it for all rows, such as --constant {name}={value}"
+        )
+    _check_rotations(assigner, quantities)
+    fields = [
+        target.quantity
+        for target in assigner.targets
+        if target.role == "field" and target.quantity in quantities
+    ]
+    if not fields:
+        assigner.refuse(
+            "columns must include a component of the field (Bx, By, Bz); none is one: name it with --column 'HEADER=Bz_UNIT'"
+        )
+    if (
+        len(rig.sensors) > 1
+        and "sensor" not in quantities
+        and all(name in {"Bx", "By", "Bz"} for name in fields)
+    ):
+        example = f"{rig.sensors[0].name}_Bx_mT"
+        assigner.refuse(
+            f"the rig has {len(rig.sensors)} sensors, so columns must include sensor, or the fields of each, such as {example}: "
+            f"name them with --column 'HEADER={example}'"
+        )
+
+
+def _check_rotations(assigner: Assigner, quantities: set[str]) -> None:
+    """Refuse some rotations of a mover without the others, and angles that are none of a rotation vector."""
+    for mover in assigner.rig.movers:
+        turns = [t.quantity for t in assigner.targets if t.role == "turn" and t.body == mover.name]
+        missing = [name for name in turns if name not in quantities]
+        if missing and len(missing) < len(turns):
+            assigner.refuse(
+                f"columns must include all rotations of {mover.name} or none; {missing[0]}_rad is missing: "
+                f"give it for all rows, such as --constant {missing[0]}_rad=0"
+            )
+        angles = [
+            assigner.text(index)
+            for index in assigner.free()
+            if (unit := assigner.headings[index].unit) is not None and unit.dimension == "angle"
+        ]
+        if missing and angles and not assigner.recipe.is_whole:
+            assigner.refuse(
+                f"angles must be the components of a rotation vector; {', '.join(map(quoted, angles[:MOST_LISTED]))} may be others: "
+                f"say what they are with --column '{angles[0]}={turns[0]}_deg', or leave them out with --column '{angles[0]}=-'"
+            )
