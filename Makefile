@@ -12,7 +12,7 @@ DOCS_INSTALLED := .venv/.docs_installed
 unexport PYTHONDONTWRITEBYTECODE
 
 STUDIES := paper two-arms coverage hidden open-world mixed imitations truthful written-wrong first-calibrations coils-and-probe \
-	unexplained-posteriors leave-one-out one-map policy real diagnose-real mice-floor mice-filaments \
+	unexplained-posteriors leave-one-out one-map autopilot policy real diagnose-real mice-floor mice-filaments \
 	harmonic-coils iron-cores storms streams batch-kills recalibrate-years recalibrate-mice fuzz-service \
 	service-storm service-soak figures bench bench-kernel bench-growth bench-profile bench-live \
 	bench-diagnose bench-commands bench-batch bench-device bench-service test-device browser

@@ -26,6 +26,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the sam
     from estimator.inference.ensemble import SamplerSettings
     from estimator.live.stream import Estimate, Stream
     from estimator.model.simulate import draw_truth, simulate
+    from estimator.planning.next_stop import NextStop, next_stop
+    from estimator.planning.plan import Planned, plan
     from estimator.readings.observations import Observations
     from estimator.readings.plan import Plan, load_plan
     from estimator.readings.split import block_split
@@ -47,8 +49,10 @@ __all__ = [
     "Entry",
     "Estimate",
     "InvalidInput",
+    "NextStop",
     "Observations",
     "Plan",
+    "Planned",
     "Registry",
     "Rig",
     "SamplerSettings",
@@ -67,6 +71,8 @@ __all__ = [
     "load_plan",
     "load_rig",
     "load_session",
+    "next_stop",
+    "plan",
     "recalibrate",
     "register_effect",
     "roll_back",
@@ -83,8 +89,10 @@ _MODULES = {
     "Entry": "estimator.recalibration.log",
     "Estimate": "estimator.live.stream",
     "InvalidInput": "estimator.errors",
+    "NextStop": "estimator.planning.next_stop",
     "Observations": "estimator.readings.observations",
     "Plan": "estimator.readings.plan",
+    "Planned": "estimator.planning.plan",
     "Registry": "estimator.recalibration.registry",
     "Rig": "estimator.rig.rig",
     "SamplerSettings": "estimator.inference.ensemble",
@@ -103,6 +111,8 @@ _MODULES = {
     "load_plan": "estimator.readings.plan",
     "load_rig": "estimator.rig_files.read",
     "load_session": "estimator.store.session",
+    "next_stop": "estimator.planning.next_stop",
+    "plan": "estimator.planning.plan",
     "recalibrate": "estimator.recalibration.recalibrate",
     "register_effect": "estimator.effects",
     "roll_back": "estimator.recalibration.recalibrate",

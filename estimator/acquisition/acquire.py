@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, TypeAlias
 
 from estimator.acquisition.pace import ANSWER_S, Pace, durations_s
 from estimator.acquisition.visit import Instruments, Visit
@@ -39,6 +40,50 @@ class Progress:
     stop: StopReadings
 
 
+class Choice(NamedTuple):
+    """The next stop.
+
+    Attributes:
+        row: Its number among the stops.
+        is_validation: Whether its readings are kept out of the fit.
+        repeat: How often it was visited before.
+        this_s: Expected duration.
+        left_s: Expected time for all stops after it.
+        record: What the journal shall hold of it beside the readings.
+    """
+
+    row: int
+    is_validation: bool
+    repeat: int
+    this_s: float
+    left_s: float
+    record: Mapping[str, Any]
+
+
+Chooser: TypeAlias = Callable[[Sequence[Mapping[str, Any]]], Choice | None]
+"""Takes the entries of the journal; None ends the session."""
+
+
+def in_turn(stops: Observations, rig: Rig, pace: Pace) -> Chooser:
+    """Choose the stops of a plan one after another.
+
+    Args:
+        stops: In order.
+        rig: The rig that is measured.
+        pace: Times, speeds and number of readings.
+    """
+    expected_s = durations_s(stops, rig, pace)
+
+    def choose(entries: Sequence[Mapping[str, Any]]) -> Choice | None:
+        row = len(entries)
+        if row >= len(stops):
+            return None
+        is_validation, repeat = bool(stops.is_validation[row]), int(stops.repeat[row])
+        return Choice(row, is_validation, repeat, expected_s[row], sum(expected_s[row + 1 :]), {})
+
+    return choose
+
+
 def references_of(rig: Rig, instruments: Instruments) -> dict[str, list[float]]:
     """Present pose of each mover's arm (base_from_flange), from which displacements are counted.
 
@@ -58,33 +103,39 @@ def acquire(
     journal: Journal,
     pace: Pace,
     on_stop: Callable[[Progress], None] | None = None,
+    choose: Chooser | None = None,
+    n_stops: int | None = None,
 ) -> None:
     """Visit the stops that the journal does not hold yet, then return the arms to zero displacement.
 
     Args:
-        stops: All stops of the session, in order (`estimator.acquisition.pace.stops_of`).
+        stops: All stops of the session, in order (`estimator.acquisition.pace.stops_of`), or those to choose from.
         rig: The rig whose coils, sensors and movers the instruments serve.
         instruments: Open instruments behind the limits of the rig.
         journal: Its header holds the references; each stop is on disk before `on_stop` is called.
         pace: Times, speeds and number of readings.
         on_stop: Called after each stop.
+        choose: Says which stop is next; by default all of them, in order.
+        n_stops: Number of stops to report progress by; all by default.
     Raises:
         InvalidInput: A sensor gives no new reading, or the journal cannot be written.
         drivers.errors.DriverError: An instrument failed, or refused a command beyond its limits. A stop at which the current
             differs from the requested one is not recorded.
     """
-    expected_s = durations_s(stops, rig, pace)
-    n_before = len(journal.entries)
-    begin_s = time.monotonic()
+    choose = choose or in_turn(stops, rig, pace)
+    begin_s, expected_s = time.monotonic(), 0.0
     visit = Visit(rig, instruments, pace, journal.header["references"], _session_time_s(journal) - begin_s)
     with _ending_without_current(instruments):
-        for row in range(n_before, len(stops)):
-            visit.go_to(stops, row)
-            readings = visit.read(stops, row)
-            journal.append(readings.entry())
+        while (choice := choose(journal.entries)) is not None:
+            visit.go_to(stops, choice.row)
+            readings = replace(
+                visit.read(stops, choice.row), is_validation=choice.is_validation, repeat=choice.repeat
+            )
+            journal.append({**readings.entry(), **choice.record})
+            expected_s += choice.this_s
             if on_stop is not None:
-                slowness = (time.monotonic() - begin_s) / sum(expected_s[n_before : row + 1])
-                on_stop(Progress(row + 1, len(stops), slowness * sum(expected_s[row + 1 :]), readings))
+                left_s = choice.left_s * (time.monotonic() - begin_s) / expected_s
+                on_stop(Progress(len(journal.entries), n_stops or len(stops), left_s, readings))
     visit.return_home()
 
 

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from jaxtyping import Float, Int
+from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
@@ -18,6 +20,8 @@ from estimator.rig.rig import Rig
 
 # Estimates until measured: duration of a reading, and of a motion besides its travel time.
 READING_S, MOTION_S = 0.02, 0.3
+
+SPEED_M_PER_S = 0.1  # of an arm whose limits are not known
 
 ANSWER_S = 5.0
 """Time to allow an instrument beyond the duration of a ramp, motion or measurement."""
@@ -52,11 +56,20 @@ class Pace:
     speed_m_per_s: Mapping[str, float]
     slew_A_per_s: Mapping[str, float]
 
+    def at_rest_s(self, rig: Rig) -> float:
+        """Expected time at a stop after its travel and its ramps."""
+        return self.settle_s + self.n_readings * READING_S * len(rig.sensors)
+
     def __post_init__(self) -> None:
         if self.n_readings < FEWEST_READINGS:
             raise InvalidInput(
                 f"pace.n_readings must be at least {FEWEST_READINGS} to tell whether the field has settled; received {self.n_readings}"
             )
+
+
+def default_pace(rig: Rig, settle_s: float) -> Pace:
+    """Pace of a rig whose limits are not known."""
+    return Pace(settle_s, 10, 10.0, {m.name: SPEED_M_PER_S for m in rig.movers}, {})
 
 
 def stops_of(plan: Plan, rig: Rig, seed: int) -> Observations:
@@ -102,21 +115,38 @@ def durations_s(stops: Observations, rig: Rig, pace: Pace) -> list[float]:
 
     The travel to the first stop is unknown and counts as zero.
     """
-    durations = []
-    reference = Transform.identity()
-    targets_m = {
-        m.name: flange_to_reach(m, stops.motion[m.name], reference).translation_m for m in rig.movers
-    }
-    for row in range(len(stops)):
-        before = max(row - 1, 0)
-        total_s = pace.settle_s + pace.n_readings * READING_S * len(rig.sensors)
-        for mover in rig.movers:
-            if row == 0 or bool((stops.motion[mover.name][row] != stops.motion[mover.name][before]).any()):
-                distance_m = float((targets_m[mover.name][row] - targets_m[mover.name][before]).norm())
-                total_s += MOTION_S + distance_m / pace.speed_m_per_s[mover.name]
-        for i, coil in enumerate(rig.coils):
-            if coil.name in pace.slew_A_per_s:
-                from_A = float(stops.current_A[before, i]) if row else 0.0
-                total_s += abs(float(stops.current_A[row, i]) - from_A) / pace.slew_A_per_s[coil.name]
-        durations.append(total_s)
-    return durations
+    rows = torch.arange(len(stops))
+    first_s = MOTION_S * len(rig.movers)
+    for i, coil in enumerate(rig.coils):
+        if coil.name in pace.slew_A_per_s and len(stops):
+            first_s += abs(float(stops.current_A[0, i])) / pace.slew_A_per_s[coil.name]
+    ways_s = [first_s, *ways_between_s(stops, rig, pace, rows[:-1], rows[1:]).tolist()]
+    return [pace.at_rest_s(rig) + way_s for way_s in ways_s[: len(stops)]]
+
+
+def ways_between_s(
+    stops: Observations,
+    rig: Rig,
+    pace: Pace,
+    before: Int[Tensor, "*#way"],
+    after: Int[Tensor, "*#way"],
+) -> Float[Tensor, "*way"]:
+    """Expected duration of travel and ramps from some stops to others.
+
+    Args:
+        stops: One row each.
+        rig: Names movers and coils.
+        pace: Speeds of the arms and ramp rates of the supplies.
+        before, after: Numbers of the stops at both ends of each way.
+    """
+    total_s = torch.zeros(torch.broadcast_shapes(before.shape, after.shape), dtype=torch.float64)
+    for mover in rig.movers:
+        motion = stops.motion[mover.name]
+        flange_m = flange_to_reach(mover, motion, Transform.identity()).translation_m
+        way_s = MOTION_S + (flange_m[after] - flange_m[before]).norm(dim=-1) / pace.speed_m_per_s[mover.name]
+        total_s = total_s + torch.where((motion[after] != motion[before]).any(-1), way_s, 0.0)
+    for i, coil in enumerate(rig.coils):
+        if coil.name in pace.slew_A_per_s:
+            change_A = (stops.current_A[after, i] - stops.current_A[before, i]).abs()
+            total_s = total_s + change_A / pace.slew_A_per_s[coil.name]
+    return total_s

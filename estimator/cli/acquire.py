@@ -25,7 +25,25 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 
 @click.command("acquire", cls=CoilcalCommand)
 @click.argument("rig_path", metavar="RIG", type=PATH)
-@click.argument("plan_path", metavar="PLAN", type=PATH)
+@click.argument("plan_path", metavar="[PLAN]", required=False, type=PATH)
+@option(
+    "--until goals",
+    "Choose the stops while measuring, among the places and currents of PLAN, until a goal is reached; goals as in coilcal plan. "
+    "Repeatable.",
+    multiple=True,
+    metavar="GOAL",
+)
+@option(
+    "--most-stops",
+    "With --until: stops after which to end in any case.",
+    click.IntRange(min=1),
+    default=200,
+)
+@option(
+    "--minutes",
+    "With --until: time after which to end in any case.",
+    click.FloatRange(min=0.0, min_open=True),
+)
 @option("--out", "Session to write (zarr).", OutputPath(), required=True)
 @devices_option
 @flag("--dry-run", "Show the plan and its duration; touch no instrument.")
@@ -55,7 +73,10 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
 @result_options
 def acquire_command(
     rig_path: Path,
-    plan_path: Path,
+    plan_path: Path | None,
+    goals: tuple[str, ...],
+    most_stops: int,
+    minutes: float | None,
     out: Path,
     devices_path: Path | None,
     dry_run: bool,
@@ -64,14 +85,19 @@ def acquire_command(
     as_json: bool,
     **pace: Any,
 ) -> None:
-    """Carry out PLAN with the instruments of RIG.
+    """Carry out PLAN with the instruments of RIG, or measure until a goal is reached.
+
+    With --until, each stop is the one of greatest expected gain by second, given the readings so far. Some are held out, visited again or
+    without current. The session ends when the goal is reached by held-out stops too, when more stops would not help, or at its limits.
 
     Each stop is on the disk before the next begins. Repeat the command to continue an interrupted measurement. However it ends, the
     currents are ramped to zero. Displacements count from where the arms stand at the start; a finished measurement returns them there.
     """
     from drivers.interlock import sigterm_as_exception
-    from estimator.cli.acquire_task import check_plan, measure, plan_record, plan_text, read_task
+    from estimator.cli.acquire_task import Until, check_plan, measure, plan_record, plan_text, read_task
+    from estimator.cli.contents import ending
     from estimator.cli.instruments import Bench
+    from estimator.planning.decision import Limits
     from estimator.store.journal import read_journal
     from estimator.store.made import JOURNAL
     from estimator.store.session import SESSION, is_growing, seal
@@ -85,7 +111,8 @@ def acquire_command(
         check_output(out, overwrite, SESSION)
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
-    task = read_task(bench, plan_path, **pace)
+    until = Until(goals, Limits(most_stops, None if minutes is None else 60.0 * minutes))
+    task = read_task(bench, plan_path, until=until, **pace)
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)
@@ -108,11 +135,14 @@ def acquire_command(
         "session": str(out),
         "readings": n_readings_taken,
         "validation": n_validation,
-        "stops": len(task.stops),
+        "stops": task.n_stops if task.pilot is None else n_readings_taken // len(task.bench.rig.sensors),
         "stops_of_earlier_runs": n_before,
         "session_hash": session.hash,
     }
     words = f"{n_readings_taken} readings ({n_validation} of them for validation) written to {out}"
+    if task.pilot is not None:
+        why = ending(out)
+        result["ended"], words = why, f"{words}\n{why['reason']}"
     _show_delivered(result, words, delivery, session, as_json)
 
 

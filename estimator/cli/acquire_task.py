@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -18,15 +19,21 @@ from drivers.safety import CoilLoad
 from estimator.acquisition.acquire import acquire, references_of
 from estimator.acquisition.pace import ANSWER_S, Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.cli.instruments import Bench
+from estimator.cli.places import places_of
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
 from estimator.cli.progress import Reporter
 from estimator.cli.words import duration_words, motion_words
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
+from estimator.planning.autopilot import Autopilot, pilot_of
+from estimator.planning.candidates import clear_candidates, one_row_each
+from estimator.planning.decision import Limits
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, load_plan
+from estimator.store.files import write_text
 from estimator.store.growing import new_header
 from estimator.store.journal import Journal, unwritten
+from estimator.store.made import END
 from estimator.store.session import remove_session
 
 MOST_SHOWN = 10
@@ -45,6 +52,7 @@ class Task:
         limits: Limits of the instruments.
         pace: Speeds of the arms, readings per stop, and how long to wait for the field to settle.
         times_s: Expected duration of each stop.
+        pilot: Chooses among the stops where goals are given instead of a plan.
     """
 
     bench: Bench
@@ -54,21 +62,50 @@ class Task:
     limits: RigLimits
     pace: Pace
     times_s: list[float]
+    pilot: Autopilot | None = None
+
+    @property
+    def n_stops(self) -> int:
+        """Number of stops of the session, or the most that it may have."""
+        return len(self.stops) if self.pilot is None else self.pilot.limits.most_stops
+
+
+@dataclass(frozen=True)
+class Until:
+    """Goals of a session whose stops are chosen while it is measured.
+
+    Attributes:
+        goals: As the user wrote them; none for a plan that is carried out.
+        ends: Limits of stops and time.
+    """
+
+    goals: tuple[str, ...]
+    ends: Limits
 
 
 def read_task(
     bench: Bench,
-    plan_path: Path,
+    plan_path: Path | None,
     n_readings: int,
     longest_settle_s: float,
     speed_mm_per_s: float | None,
     seed: int,
+    until: Until,
 ) -> Task:
-    """Read the plan and refuse whatever can be refused without an instrument."""
-    plan = load_plan(plan_path, bench.rig)
-    stops = stops_of(plan, bench.rig, seed)
+    """Read plan and goals, and refuse whatever can be refused without an instrument."""
     with bench.located():
         limits = limits_of(bench.devices)
+    if until.goals:
+        plan = places_of(bench.rig, plan_path, limits, is_any_order=True)
+        candidates = clear_candidates(plan, bench.rig, seed)
+        stops = one_row_each(candidates, bench.rig)
+    elif plan_path is not None:
+        plan = load_plan(plan_path, bench.rig)
+        stops = stops_of(plan, bench.rig, seed)
+    else:
+        raise InvalidInput(
+            "acquire must be given a PLAN to carry out, or goals with --until; received neither"
+        )
     sensors = {name for name, settings in bench.devices.items() if "sensor" in settings}
     instruments = {"sensors": sensors, "sources": set(limits.currents), "arms": set(limits.arms)}
     check_instruments(stops, bench.rig, instruments)
@@ -79,7 +116,8 @@ def read_task(
     pace = Pace(plan.settle_s, n_readings, longest_settle_s, speeds, limits.slews_A_per_s)
     check_ways(stops, bench.rig, limits, pace, {})
     times_s = durations_s(stops, bench.rig, pace)
-    return Task(bench, plan, seed, stops, limits, pace, times_s)
+    pilot = pilot_of(bench.rig, candidates, until.goals, pace, until.ends, seed) if until.goals else None
+    return Task(bench, plan, seed, stops, limits, pace, times_s, pilot)
 
 
 def check_plan(task: Task, records: Sequence[Mapping[str, Any]], now_s: float) -> dict[str, CoilLoad]:
@@ -92,7 +130,8 @@ def check_plan(task: Task, records: Sequence[Mapping[str, Any]], now_s: float) -
     Returns: What earlier runs left in each coil.
     """
     loads = loads_so_far(records, task.bench.rig, task.limits, now_s)
-    check_currents(task.stops, task.bench.rig, task.limits, task.times_s, len(records), loads)
+    if task.pilot is None:  # which chooses among currents that a coil bears for ever
+        check_currents(task.stops, task.bench.rig, task.limits, task.times_s, len(records), loads)
     return loads
 
 
@@ -126,14 +165,18 @@ def measure(
     if journal is None:
         if out.exists():
             remove_session(out)
-        header = new_header(rig, _source(task, devices), digest_of(task.stops), references, len(task.stops))
+        header = new_header(rig, _source(task, devices), digest_of(task.stops), references, task.n_stops)
+        header |= {} if task.pilot is None else task.pilot.header
         journal = stack.enter_context(Journal.create(out, header))
     on_begin()
     n_before = len(journal.entries)
     if n_before:
-        click.echo(f"coilcal: {n_before} of {len(task.stops)} stops were visited before", err=True)
+        click.echo(f"coilcal: {n_before} of {task.n_stops} stops were visited before", err=True)
+    choose = None if task.pilot is None else task.pilot.choose
     with Reporter(LINE_EVERY_S) as reporter:
-        acquire(task.stops, rig, devices, journal, task.pace, reporter.visits)
+        acquire(task.stops, rig, devices, journal, task.pace, reporter.visits, choose, task.n_stops)
+    if task.pilot is not None:
+        write_text(out / END, json.dumps(task.pilot.decide(journal.entries).to_json()))
     return n_before
 
 
@@ -142,6 +185,7 @@ def _check_same(journal: Journal, task: Task, out: Path) -> None:
     for subject, recorded, given in (
         ("rig", journal.header["rig_hash"], task.bench.rig.hash),
         ("plan and seed", journal.header["plan"], digest_of(task.stops)),
+        ("goals", journal.header.get("goals"), None if task.pilot is None else task.pilot.header["goals"]),
     ):
         if recorded != given:
             raise InvalidInput(
@@ -158,6 +202,8 @@ def _source(task: Task, devices: DeviceSet) -> str:
 def plan_record(task: Task) -> dict[str, Any]:
     """The planned stops, for programs."""
     rig, stops = task.bench.rig, task.stops
+    if task.pilot is not None:
+        return {"candidates": len(stops), **task.pilot.header, "first": task.pilot.decide([]).to_json()}
     begins_s = list(itertools.accumulate(task.times_s, initial=0.0))
     return {
         "plan": task.plan.name,
@@ -178,6 +224,13 @@ def plan_record(task: Task) -> dict[str, Any]:
 def plan_text(task: Task) -> str:
     """The first planned stops and the duration, for people."""
     record = plan_record(task)
+    if task.pilot is not None:
+        return "\n".join(
+            [
+                f"{record['candidates']} stops to choose from, at most {task.n_stops} visits",
+                *(f"goal: {goal}" for goal in record["goals"]),
+            ]
+        )
     n_validation = int(task.stops.is_validation.sum())
     lines = [
         f"plan {record['plan']!r}: {len(task.stops)} stops ({n_validation} for validation), {record['readings_per_stop']} readings each, "

@@ -24,6 +24,8 @@ from estimator.errors import CorruptStore, InvalidInput
 from estimator.json_files import read_json
 from estimator.reporting.numbers import displays, interval_with_unit, probability, quantity_words
 from estimator.rig_files.read import load_rig
+from estimator.store.journal import read_journal
+from estimator.store.made import END, JOURNAL
 from estimator.yaml_section import Section
 
 if TYPE_CHECKING:
@@ -80,7 +82,29 @@ def _session(path: Path) -> Contents:
     ]
     if session.truth:
         lines.append(f"simulated, with the truth of {len(session.truth)} numbers")
-    return record, [*lines, "next: coilcal calibrate, coilcal diagnose"]
+    chosen, of_chosen = _chosen(path)
+    return {**record, **chosen}, [*lines, *of_chosen, "next: coilcal calibrate, coilcal diagnose"]
+
+
+def ending(path: Path) -> dict[str, Any]:
+    """Why a session ended whose stops were chosen while it was measured; empty where they were not, or it has not ended."""
+    return read_json(path / END, fault=CorruptStore) if (path / END).is_file() else {}
+
+
+def _chosen(path: Path) -> Contents:
+    """Goals of a session whose stops were chosen while it was measured, and the decisions; nothing for any other one."""
+    header, entries = read_journal(path) if (path / JOURNAL).is_file() else ({}, [])
+    if not header.get("goals"):
+        return {}, []
+    decisions = [entry["decision"] for entry in entries]
+    lines = [f"measured until {goal}" for goal in header["goals"]]
+    step = max(1, len(decisions) // MOST_LINES)
+    for number, decision in list(enumerate(decisions, start=1))[::step]:
+        width = max(decision["widths"])
+        lines.append(f"  stop {number}, with {width:.3g} times the wanted half-width: {decision['reason']}")
+    end = ending(path)
+    lines += [end["reason"]] if end else []
+    return {"goals": header["goals"], "decisions": decisions, "ended": end}, lines
 
 
 def _current_lines(session: Session) -> list[str]:

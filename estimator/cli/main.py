@@ -25,6 +25,7 @@ from estimator.cli.live import live_command
 from estimator.cli.multipoles import multipoles_command
 from estimator.cli.options import MOST_PROCESSES, option
 from estimator.cli.output import CoilcalGroup
+from estimator.cli.plan import plan_command
 from estimator.cli.predict import predict_command
 from estimator.cli.recalibrate import recalibrate_command
 from estimator.cli.report import report_command
@@ -57,6 +58,7 @@ def main(threads: int) -> None:
 for command in (
     init_command,
     check_command,
+    plan_command,
     simulate_command,
     import_command,
     multipoles_command,

@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
@@ -27,6 +28,18 @@ MOST_STOPS = 200_000  # of a plan; two days at one a second
 JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 
 
+class Stop(NamedTuple):
+    """A pose of all movers, as six numbers of each mover's columns in SI, and the currents to set there, in ampere.
+
+    Attributes:
+        is_validation: Whether its readings are kept out of the fit.
+    """
+
+    pose: Mapping[str, np.ndarray]
+    current_A: Mapping[str, float]
+    is_validation: bool = False
+
+
 @dataclass(frozen=True)
 class Plan:
     """Poses by role and the currents to set at each of them.
@@ -34,7 +47,7 @@ class Plan:
     Attributes:
         calibration, validation: For each pose and mover the six numbers of the mover's columns, in SI.
         currents_A: Settings visited at every pose; coils that are not named are off.
-        stops: Single pairs of pose and setting, visited after all others in the order of the file.
+        stops: Single stops, visited after all others in the order of the file.
         order: Poses in the order of the file (`raster`) or at random (`random`); with `mixed`, currents are in random order too.
         repeats: Number of visits to every pose and setting.
         settle_s: Time from one reading to the next.
@@ -48,7 +61,7 @@ class Plan:
     order: str
     repeats: int
     settle_s: float
-    stops: tuple[tuple[Mapping[str, np.ndarray], Mapping[str, float]], ...] = ()
+    stops: tuple[Stop, ...] = ()
     n_revisited: int = 0
 
 
@@ -83,7 +96,7 @@ def _plan(top: Section, rig: Rig) -> Plan:
             top.refuse("schema_version", "must be 1", repr(top.value("schema_version")))
     with noting():
         name = str(top.required("name"))
-    stops: list[tuple[Mapping[str, np.ndarray], Mapping[str, float]]] = []
+    stops: list[Stop] = []
     with noting():
         for entry in top.sections("stops"):
             with noting():
@@ -131,7 +144,7 @@ def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observati
                     settings = rng.permutation(settings)
                 visit = number * plan.repeats + repeat
                 rows += [(poses[pose], plan.currents_A[i], is_validation, visit) for i in settings]
-    rows += [(*stop, False, repeat) for repeat in range(plan.repeats) for stop in plan.stops]
+    rows += [(*stop, repeat) for repeat in range(plan.repeats) for stop in plan.stops]
     n_sensors = len(rig.sensors)
     times = [i * plan.settle_s for i in range(len(rows)) for _ in range(n_sensors)]
     current_A = [[setting.get(coil.name, 0.0) for coil in rig.coils] for _, setting, _, _ in rows]
@@ -196,8 +209,7 @@ def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
     return tuple(poses)
 
 
-def _stop(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], Mapping[str, float]]:
-    """One pose of all movers, and the currents there."""
+def _stop(section: Section, rig: Rig) -> Stop:
     setting = section.required("current_A")
     _check_setting(section, "current_A", setting, rig)
     pose = {}
@@ -205,8 +217,9 @@ def _stop(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], Mapping
         block = section.section(mover.name)
         pose[mover.name] = np.array([_stops(block, *quantity, False)[0] for quantity in quantities_of(mover)])
         block.finish()
+    is_validation = section.flag("validation")
     section.finish()
-    return pose, {str(name): float(value) for name, value in setting.items()}
+    return Stop(pose, {str(name): float(value) for name, value in setting.items()}, is_validation)
 
 
 def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
@@ -312,7 +325,9 @@ def _check_setting(section: Section, key: str, setting: object, rig: Rig) -> Non
             section.refuse(key, f"must hold numbers between {-LARGEST:g} and {LARGEST:g}", repr(setting))
 
 
-def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> str:
+def plan_text(
+    name: str, rig: Rig, readings: Observations, settle_s: float, reasons: Sequence[str] = ()
+) -> str:
     """Text of a plan file that visits the poses and currents of some readings one by one.
 
     Args:
@@ -320,8 +335,10 @@ def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> s
         rig: Names movers and coils.
         readings: One row per stop.
         settle_s: Time from one reading to the next.
+        reasons: Why each stop is there, as a comment in its line; none by default.
     """
-    stops = []
+    head = {"schema_version": 1, "name": name, "settle_s": round(settle_s, 3)}
+    lines = [yaml.safe_dump(head, sort_keys=False, width=math.inf), "stops:\n"]
     for row in range(len(readings)):
         stop: dict[str, object] = {}
         for mover in rig.movers:
@@ -333,6 +350,8 @@ def plan_text(name: str, rig: Rig, readings: Observations, settle_s: float) -> s
             }
         currents = zip(rig.coils, readings.current_A[row].tolist(), strict=True)
         stop["current_A"] = {coil.name: round(current, 6) for coil, current in currents}
-        stops.append(stop)
-    content = {"schema_version": 1, "name": name, "settle_s": round(settle_s, 3), "stops": stops}
-    return yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=200)
+        if readings.is_validation[row]:
+            stop["validation"] = True
+        entry = yaml.safe_dump(stop, sort_keys=False, default_flow_style=True, width=math.inf).rstrip()
+        lines.append(f"- {entry}  # {reasons[row]}\n" if reasons else f"- {entry}\n")
+    return "".join(lines)

@@ -138,6 +138,24 @@ def observations_of(entries: Sequence[Mapping[str, Any]], rig: Rig) -> Observati
     )
 
 
+def entries_of(readings: Observations, rig: Rig) -> list[Entry]:
+    """Entries for the stops of readings: those of one time are one stop. The inverse of `observations_of`, but for temperatures."""
+    stops = []
+    for time_s in readings.time_s.unique().tolist():
+        own = (readings.time_s == time_s).nonzero().flatten().tolist()
+        row, named = own[0], [rig.sensors[int(readings.sensor[i])].name for i in own]
+        stop = StopReadings(
+            time_s,
+            readings.current_A[row].tolist(),
+            {name: columns[row].tolist() for name, columns in readings.motion.items()},
+            {name: readings.field_sensor_T[i].tolist() for name, i in zip(named, own, strict=True)},
+            bool(readings.is_validation[row]),
+            int(readings.repeat[row]),
+        )
+        stops.append(stop.entry())
+    return stops
+
+
 def _measured_A(stops: Sequence[Mapping[str, Any]], rig: Rig) -> Tensor | None:
     """Currents measured by the supplies, by coil; None if there are none."""
     currents_A = [

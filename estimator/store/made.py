@@ -14,6 +14,7 @@ from estimator.store.files import is_unfinished, kind_of
 MOST_NAMED = 3
 ZARR_PARTIAL = re.compile(r".+\.[0-9a-f]{32}\.partial")  # of zarr, while it replaces a chunk
 JOURNAL, GROUP = "journal.jsonl", "zarr.json"
+END = "end.json"  # why a session ended whose stops were chosen while it was measured
 FIRST_LINE = re.compile(rb'[0-9a-f]{8} \{"n": 0\b')
 
 

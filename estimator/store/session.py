@@ -30,7 +30,7 @@ from estimator.store.arrays import ARRAYS, digest, observation_arrays, observati
 from estimator.store.files import sync, unwritable
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import read_journal, unwritten
-from estimator.store.made import GROUP, JOURNAL, Made, arrays_of, has_journal, holds
+from estimator.store.made import END, GROUP, JOURNAL, Made, arrays_of, has_journal, holds
 from estimator.store.staging import scratch_folder, staged
 
 SCHEMA_VERSION = 1
@@ -305,7 +305,7 @@ def is_session(path: Path) -> bool:
 
 SESSION = Made(
     "a session",
-    rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json",
+    rf"{arrays_of(ARRAYS)}|{JOURNAL}|delivery\.json|{END}",
     (GROUP, JOURNAL),
     lambda folder: has_journal(folder) or holds(folder / GROUP, KIND),
 )

@@ -95,9 +95,9 @@ def best_to_shrink(
     chosen: list[int] = []
     sds = [variance.sqrt()]
     for _ in range(min(n, len(stops))):
-        lowered = _lowered(covariance, columns, gradients)
-        lowered[chosen] = -torch.inf
-        best = int(lowered.argmax())
+        by_each = lowered(covariance, columns, gradients) / len(gradients)
+        by_each[chosen] = -torch.inf
+        best = int(by_each.argmax())
         chosen.append(best)
         covariance = torch.linalg.inv(torch.linalg.inv(covariance) + columns[best].T @ columns[best])
         sds.append((gradients @ covariance * gradients).sum(-1).mean().sqrt())
@@ -105,17 +105,29 @@ def best_to_shrink(
     return torch.tensor(chosen), torch.stack(sds)
 
 
-def _lowered(
-    covariance: Float[Tensor, "coordinate coordinate"],
-    columns: Float[Tensor, "stop 3 coordinate"],
-    gradients: Float[Tensor, "parameter coordinate"],
-) -> Float[Tensor, " stop"]:
-    """Decrease of the mean variance of the parameters by each stop: Woodbury's identity with three rows a stop."""
-    spread = columns @ covariance
-    inner = torch.eye(3, dtype=columns.dtype) + spread @ columns.mT
-    seen = spread @ gradients.T
-    lowered: Tensor = (seen * torch.linalg.solve(inner, seen)).sum((-1, -2)) / len(gradients)
-    return lowered
+def lowered(
+    covariance: Float[Tensor, "*batch coordinate coordinate"],
+    columns: Float[Tensor, "*batch stop row coordinate"],
+    gradients: Float[Tensor, "*batch number coordinate"],
+) -> Float[Tensor, "*batch stop"]:
+    """Decrease of the summed variances of some numbers by each stop, to first order: Woodbury's identity with the rows of a stop.
+
+    Args:
+        covariance: Before the stop.
+        columns: Derivatives of the readings of each stop in the coordinates, over their noise.
+        gradients: Derivatives of the numbers in the coordinates.
+
+    Examples:
+        >>> lowered(torch.eye(1), torch.ones(1, 1, 1), torch.ones(1, 1))
+        tensor([0.5000])
+    """
+    by_stop = columns.shape[-3:-1]
+    # Few large products take a fifth of the time of many small ones.
+    spread = (columns.flatten(-3, -2) @ covariance).unflatten(-2, by_stop)
+    inner = torch.eye(by_stop[1]).to(columns) + spread @ columns.mT
+    seen = (spread.flatten(-3, -2) @ gradients.mT).unflatten(-2, by_stop)
+    decrease: Tensor = (torch.linalg.inv(inner) * (seen @ seen.mT)).sum((-1, -2))
+    return decrease
 
 
 class _Pair:

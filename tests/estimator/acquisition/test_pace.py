@@ -8,7 +8,7 @@ import torch
 from estimator.acquisition.pace import Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
-from estimator.readings.plan import Plan
+from estimator.readings.plan import Plan, Stop
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
 from tests.estimator.acquisition.test_acquire import stops
@@ -41,7 +41,7 @@ def test_a_stop_is_one_row_for_any_number_of_sensors(small_plan: Plan, small_rig
     assert len(stops_of(small_plan, small_rig, 0)) == 27 + 9
     mice = load_rig("configs/mice_ssu_e1_cc_e2.yaml")
     pose = {"mapper": torch.zeros(6).numpy()}
-    plan = Plan("two", (), (), (), "raster", 1, 1.0, ((pose, {"E1": 1.0}), (pose, {"E1": 2.0})))
+    plan = Plan("two", (), (), (), "raster", 1, 1.0, (Stop(pose, {"E1": 1.0}), Stop(pose, {"E1": 2.0})))
     assert stops_of(plan, mice, 0).current_A[:, 0].tolist() == [1.0, 2.0]
 
 

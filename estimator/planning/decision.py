@@ -1,0 +1,52 @@
+"""Which stop is next, or why a session ends, as its journal holds it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Ends of a session beside its goals.
+
+    Attributes:
+        most_stops: Number of stops.
+        longest_s: Time; None for no limit.
+    """
+
+    most_stops: int
+    longest_s: float | None = None
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Which stop is next, or why there is none.
+
+    Attributes:
+        row: Number of the candidate; None ends the session.
+        reason: In words.
+        widths: Half-width of the 90 % interval of each goal over its target, widened by what the readings contradict.
+        misfit_T: Root mean square of what held-out readings show beyond noise and uncertainty.
+        gain_per_s: Expected fall of the logarithm of the criterion, by second of travel, ramps and readings; 0 where it is not why.
+        n_candidates: Number of stops to choose from.
+        left: Stops that are expected to be still needed.
+    """
+
+    row: int | None
+    reason: str
+    widths: tuple[float, ...]
+    misfit_T: float
+    gain_per_s: float
+    n_candidates: int
+    left: int
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of the journal of a session."""
+        return asdict(self)
+
+
+def elapsed_s(entries: Sequence[Mapping[str, Any]]) -> float:
+    """Time from the beginning of a session to its last entry."""
+    return float(entries[-1].get("end_s") or entries[-1]["time_s"])

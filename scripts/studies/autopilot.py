@@ -1,0 +1,143 @@
+"""Stops that an autopilot needs for what the paper's raster of 125 stops gives, on coils of independent code; some with a hidden flaw.
+
+`make autopilot` runs it. Each row: seed, flaw, half-width that the raster gives, stops and time over those of the raster, why the session
+ended, share of 2000 fresh components of the field within the promised half-width, and seconds to decide a stop.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from estimator import load_plan, load_rig
+from estimator.acquisition.acquire import Choice
+from estimator.acquisition.pace import default_pace, durations_s
+from estimator.model.room_field import RoomField
+from estimator.planning.autopilot import Autopilot, pilot_of
+from estimator.planning.candidates import candidates_of, clear_candidates, places_within
+from estimator.planning.decision import Limits
+from estimator.readings.plan import Plan
+from estimator.rig.rig import Rig
+from tests.estimator.planning.measured import World
+from tests.hidden.coil import Winding, blocks_of, circular_field
+from tests.hidden.protocols import Array
+from tests.hidden.session import NOMINAL
+from tests.hidden.visible_size import PRIOR_SD
+
+RIG, RASTER = "configs/paper_simulation.yaml", "configs/plans/paper_grid.yaml"
+HALF_M = np.array([0.05, 0.05, 0.025])  # of the paper's workspace
+GOAL = "field {:.6g} % in box x_mm=-50:50 y_mm=-50:50 z_mm=-25:25"
+FLAWED = 0.3  # share of the rigs
+LARGEST_A, N_RASTER, N_FRESH = 3.0, 125, 667
+
+
+class Truth:
+    """A coil that no code of the estimator knows, and a sensor whose x axis may read too much."""
+
+    def __init__(self, seed: int) -> None:
+        rng = np.random.default_rng([58, seed])
+        draw = {name: sd * np.clip(rng.normal(), -2.0, 2.0) for name, sd in PRIOR_SD.items()}
+        sizes = {name: value + draw[name] for name, value in NOMINAL.items()}
+        loops = round(sizes["axial_loops"]), round(sizes["radial_loops"])
+        self.field = circular_field(blocks_of(Winding(sizes["radius_m"], sizes["wire_radius_m"], *loops)))
+        self.place_m = np.array([draw["x_m"], draw["y_m"], draw["z_m"] - 0.04])
+        self.rotation = Rotation.from_rotvec([draw["tilt_x_rad"], draw["tilt_y_rad"], 0.0]).as_matrix()
+        self.noise_T = 1e-6 * np.exp(rng.uniform(np.log(10.0), np.log(40.0)))
+        self.gain = np.array([1.0 + (rng.random() < FLAWED) * rng.uniform(0.01, 0.03), 1.0, 1.0])
+
+    def field_T(self, points_m: Array, displacement_m: Array, current_A: Array) -> Array:
+        """Field at world points, the coil displaced in its own frame (Osinde et al., eq 18-22)."""
+        in_coil_m = (points_m - self.place_m) @ self.rotation - displacement_m
+        return np.asarray(current_A * (self.field(in_coil_m) @ self.rotation.T))
+
+    def world(self, pilot: Autopilot, seed: int) -> World:
+        """What a sensor at the origin of the room shows at each candidate."""
+        moved_m, current_A = pilot.settings.motion["arm1"][:, :3].numpy(), pilot.settings.current_A.numpy()
+        shown_T = self.field_T(np.zeros((1, 3)), moved_m, current_A) * self.gain
+        return World(pilot, torch.from_numpy(shown_T)[:, None], self.noise_T, seed)
+
+
+def row(rig: Rig, seed: int) -> dict[str, Any]:
+    """One rig: its raster, then an autopilot that is to reach the same."""
+    truth = Truth(seed)
+    grid = replace(load_plan(RASTER, rig), validation=())
+    percent, raster_s = raster_half_width(rig, grid, truth, seed)
+    places = places_within(rig, {"arm1": np.stack((-HALF_M, HALF_M))}, {"coil1": LARGEST_A})
+    pace, limits = default_pace(rig, grid.settle_s), Limits(2 * N_RASTER)
+    pilot = pilot_of(rig, clear_candidates(places, rig, 0), [GOAL.format(percent)], pace, limits, seed)
+    world, entries, took_s = truth.world(pilot, seed), [], []
+    while True:
+        begin_s = time.perf_counter()
+        choice = pilot.choose(entries)
+        took_s.append(time.perf_counter() - begin_s)
+        if choice is None:
+            break
+        entries.append(world.entry(choice, len(entries)))
+    end = pilot.decide(entries)
+    visited = pilot.settings.rows(torch.tensor([entry["decision"]["row"] for entry in entries])).alone
+    return {
+        "seed": seed,
+        "gain": truth.gain[0],
+        "raster_percent": percent,
+        "stops": len(entries) / N_RASTER,
+        "time": sum(durations_s(visited, rig, pace)) / raster_s,
+        "reason": end.reason,
+        "kept": share_kept(pilot, truth, end.widths[0] * percent, seed),
+        "median_s": float(np.median(took_s)),
+        "longest_s": max(took_s),
+    }
+
+
+def raster_half_width(rig: Rig, grid: Plan, truth: Truth, seed: int) -> tuple[float, float]:
+    """Half-width of the field's 90 % interval in per cent that the raster gives, and how long it takes."""
+    stops = candidates_of(grid, rig, 0)
+    pilot = pilot_of(rig, stops, [GOAL.format(1.0)], default_pace(rig, grid.settle_s), Limits(N_RASTER), seed)
+    world = truth.world(pilot, seed)
+    choices = [Choice(i, False, 0, 1.0, 1.0, {"decision": {"row": i}}) for i in range(N_RASTER)]
+    (width,) = pilot.decide([world.entry(choice, i) for i, choice in enumerate(choices)]).widths
+    in_order = torch.from_numpy(np.lexsort(stops.motion["arm1"][:, :3].numpy().T[::-1]).copy())
+    return width, sum(durations_s(stops.rows(in_order).alone, rig, pilot.pace))
+
+
+def share_kept(pilot: Autopilot, truth: Truth, percent: float, seed: int) -> float:
+    """Share of the components of the field at fresh points that lie within a half-width of the truth."""
+    points_m = np.random.default_rng([59, seed]).uniform(-HALF_M, HALF_M, (N_FRESH, 3))
+    true_T = truth.field_T(points_m, np.zeros(3), np.array([LARGEST_A]))
+    values = pilot.estimate()
+    room = RoomField(pilot.rig, values, torch.from_numpy(points_m))
+    current_A = torch.tensor([LARGEST_A], dtype=torch.float64)
+    added_T = (room.field_T(values, current_A) - room.field_T(values, 0.0 * current_A)).numpy()
+    size_T = np.sqrt((true_T**2).sum(-1).mean())
+    return float((np.abs(added_T - true_T) <= 0.01 * percent * size_T).mean())
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cases", type=int, default=60)
+    parser.add_argument("--first-seed", type=int, default=58_000)
+    arguments = parser.parse_args()
+    rig, rows = load_rig(RIG), []
+    for seed in range(arguments.first_seed, arguments.first_seed + arguments.cases):
+        rows.append(row(rig, seed))
+        print(json.dumps(rows[-1]), flush=True)
+    for name, some in (
+        ("without flaw", [r for r in rows if r["gain"] == 1.0]),
+        ("with a hidden gain", [r for r in rows if r["gain"] > 1.0]),
+    ):
+        if some:
+            reached = sum(r["reason"].startswith("goal") for r in some)
+            medians = {
+                key: float(np.median([r[key] for r in some])) for key in ("stops", "time", "kept", "median_s")
+            }
+            print(f"{name}: {len(some)} rigs, goal reached in {reached}, medians {json.dumps(medians)}")
+
+
+if __name__ == "__main__":
+    main()

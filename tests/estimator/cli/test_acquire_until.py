@@ -1,0 +1,113 @@
+"""`coilcal acquire --until` with simulated instruments: ends when the question is answered, goes on after a kill, is shown later."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from click.testing import Result
+
+from estimator.store.journal import JOURNAL, read_journal
+from estimator.store.session import is_growing, load_session
+from tests.estimator.cli.test_acquire import BUSY, NOISE, bring_home, is_off
+from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, START_S, start
+
+GOAL = "field 0.5 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
+PLAN = """\
+schema_version: 1
+name: places to choose from
+settle_s: 0.02
+poses:
+  calibration:
+    arm1: {x_mm: {from: -40, to: 40, count: 3}, y_mm: {from: -40, to: 40, count: 3}, z_mm: {from: -20, to: 20, count: 2}}
+currents_A: [{coil1: 3}, {coil1: -3}, {}]
+"""
+Run = Callable[..., Result]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[Path]:
+    """Rig, places and the devices of a rig that runs."""
+    path = tmp_path_factory.mktemp("until")
+    (path / "rig.yaml").write_text(rig_text.replace("noise_uT: 5", NOISE), encoding="utf-8")
+    (path / "plan.yaml").write_text(PLAN, encoding="utf-8")
+    simulator = start(path / "rig.yaml", path / "devices.yaml", "--set", "hall.noise_T=2e-5", "--seed", "1")
+    devices = (path / "devices.yaml").read_text()
+    (path / "devices.yaml").write_text(devices.replace("slew_A_per_s: 20", "slew_A_per_s: 100"))
+    yield path
+    simulator.terminate()
+    simulator.communicate()
+
+
+def call(folder: Path, out: Path, *more: object) -> list[str]:
+    files = [folder / "rig.yaml", folder / "plan.yaml", "--devices", folder / "devices.yaml", "--out", out]
+    return [str(part) for part in ("acquire", *files, "--until", GOAL, "--longest-settle", "0.5", *more)]
+
+
+def gone_on(run: Run, folder: Path, out: Path, *more: object) -> Result:
+    for _ in range(4):
+        result = run(*call(folder, out, "--json", *more))
+        if BUSY not in result.stderr:
+            break
+    return result
+
+
+@pytest.mark.flaky(reruns=2)
+def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
+    run: Run, folder: Path, tmp_path: Path
+) -> None:
+    bring_home(folder)
+    out = tmp_path / "session.zarr"
+    program = subprocess.Popen([*PROGRAM, *call(folder, out)], cwd=ROOT, stderr=subprocess.PIPE)
+    deadline_s = time.monotonic() + START_S
+    while not (out / JOURNAL).exists() or (out / JOURNAL).read_bytes().count(b"\n") < 4:
+        assert program.poll() is None, program.stderr and program.stderr.read()
+        assert time.monotonic() < deadline_s
+        time.sleep(0.02)
+    program.kill()
+    program.communicate()
+    assert is_growing(out)
+    before = read_journal(out)[1]
+    result = gone_on(run, folder, out)
+    assert result.exit_code == 0, result.stderr
+    shown = json.loads(result.stdout)
+    assert shown["ended"]["reason"].startswith("goal reached, also by")
+    header, entries = read_journal(out)
+    assert entries[: len(before)] == before
+    assert header["goals"] == [GOAL]
+    assert shown["stops"] == len(entries) == len(load_session(out).observations)
+    assert is_off(folder)
+    told = run("show", out)
+    assert "goal reached, also by" in told.stdout
+    assert "greatest expected gain by second" in told.stdout
+
+
+@pytest.mark.flaky(reruns=2)
+def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(
+    run: Run, folder: Path, tmp_path: Path, refused: Callable[[Result], str]
+) -> None:
+    bring_home(folder)
+    out = tmp_path / "session.zarr"
+    result = gone_on(run, folder, out, "--most-stops", 3)
+    assert json.loads(result.stdout)["ended"]["reason"].startswith("limit of 3 stops")
+    assert len(json.loads(run("show", out, "--json").stdout)["decisions"]) == 3
+    (out / "zarr.json").unlink()  # as if it were interrupted
+    other = [word.replace("0.5 %", "0.4 %") for word in call(folder, out)]
+    assert "must go on with the goals" in refused(run(*other))
+
+
+def test_the_dry_run_names_candidates_and_goals(run: Run, folder: Path, tmp_path: Path) -> None:
+    dry = run(*call(folder, tmp_path / "s.zarr", "--dry-run"))
+    assert "54 stops to choose from" in dry.stdout
+    assert GOAL in dry.stdout
+
+
+def test_neither_plan_nor_goal_is_refused(
+    run: Run, folder: Path, tmp_path: Path, refused: Callable[[Result], str]
+) -> None:
+    files = (folder / "rig.yaml", "--devices", folder / "devices.yaml", "--out", tmp_path / "s.zarr")
+    assert "must be given a PLAN to carry out, or goals with --until" in refused(run("acquire", *files))
