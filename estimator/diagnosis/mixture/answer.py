@@ -132,11 +132,8 @@ class Answer:
         items, leading = self.asked.dictionary.items, self.asked.leading
         rest = [i for i in leading if items[i].cause not in alternatives]
         products, noise = self.asked.slots.products, self.asked.noise
-        of_rest = {i: products.of_one(i, [j for j in leading if j != i], noise) for i in rest}
-        of_departures = sum(value for i, value in of_rest.items() if not items[i].is_listed)
-        return Standing(
-            products.of_one(self.item_of(cause), rest, noise), sum(of_rest.values()), of_departures
-        )
+        of_others = sum(products.of_one(i, [j for j in leading if j != i], noise) for i in rest)
+        return Standing(products.of_one(self.item_of(cause), rest, noise), of_others)
 
     @cached_property
     def is_full(self) -> bool:

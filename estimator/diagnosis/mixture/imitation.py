@@ -1,8 +1,8 @@
 """How probable it is that what looks like a listed cause is something that no list holds.
 
 Something unlisted takes the name of the cause that it resembles most, and readings cannot always tell the two apart. How often it does was
-counted in sessions of known truth (`make study NAME=imitations`, docs/results.md): the more often the less evidence a name has, more often
-beside other things that are clear, and less often where what is unlisted is seen by itself.
+counted in sessions of known truth (`make study NAME=imitations`, docs/results.md): beside other things that are clear, the more often the
+less evidence a name has. Whether something unlisted is seen by itself tells nothing where there may be two such things.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 LEAST_LOG_BAYES_FACTOR = 1.0  # below it a name is as doubtful as at it
 CLEAR = 15.0  # log Bayes factor from which something else counts
-WEIGHTS = (-0.2, -1.2, 0.0, 0.7)  # of the `features` of a name, in its log odds
+WEIGHTS = (-0.2, -1.2, 0.7)  # of the `features` of a name, in its log odds
 
 
 class Standing(NamedTuple):
@@ -21,12 +21,10 @@ class Standing(NamedTuple):
     Attributes:
         log_bayes_factor: Of the set against nothing, beside all else.
         of_others: Of everything else together.
-        of_departures: Of what is unlisted and leads, together.
     """
 
     log_bayes_factor: float
     of_others: float
-    of_departures: float = 0.0
 
     @property
     def p_imitation(self) -> float:
@@ -42,8 +40,8 @@ class Standing(NamedTuple):
         return 1.0 / (1.0 + math.exp(log_odds))
 
     @property
-    def features(self) -> tuple[float, float, float, float]:
-        """What the log odds of a name are linear in: whether it is alone, or not, whether a departure leads, and its evidence."""
-        is_beside, departs = float(self.of_others > CLEAR), float(self.of_departures > CLEAR)
+    def features(self) -> tuple[float, float, float]:
+        """What the log odds of a name are linear in: whether it is alone, whether it is not, and the logarithm of its evidence."""
+        is_beside = float(self.of_others > CLEAR)
         evidence = math.log(max(self.log_bayes_factor, LEAST_LOG_BAYES_FACTOR))
-        return 1.0 - is_beside, is_beside, departs, evidence
+        return 1.0 - is_beside, is_beside, evidence
