@@ -110,8 +110,8 @@ class FieldOfHarmonics(CoilField):
     """
 
     coil: HarmonicCoil
-    amplitudes: Float[Tensor, "*batch amplitude"]
-    radius_m: Float[Tensor, "*batch"]
+    amplitudes: Float[Tensor, "*#batch amplitude"]
+    radius_m: Float[Tensor, "*#batch"]
 
     def by(self, rule: Rule | None, mode: SumMode = SumMode.PLAIN) -> Callable[[Tensor], Tensor]:
         """Field of sources outside the ball, or inside it."""

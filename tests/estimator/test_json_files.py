@@ -110,4 +110,4 @@ def test_no_other_loader_reads_json() -> None:
         for path in root.rglob("*.py")
         if re.search(r"\bjson\.loads?\(|model_validate_json\(", path.read_text(encoding="utf-8"))
     }
-    assert others == {"json_files.py", "diagnosis/fit_journal.py", "service/tasks.py"}
+    assert others == {"json_files.py", "service/tasks.py"}
