@@ -15,7 +15,7 @@ from estimator.units import split_unit
 from estimator.yaml_section import Section
 
 # Of the modules that write them; a test holds each together with its own.
-SUMMARY_FILE, CHAIN_STORE = "summary.json", "chain.zarr"  # `calibration.result`
+SUMMARY_FILE, CHAIN_STORE = "summary.json", "chain.zarr"  # `calibration.files`
 DIAGNOSIS, CALIBRATION_FOLDER = "diagnosis.json", "calibration"  # `diagnosis.result`
 UNKNOWN = "something not in the library"  # `diagnosis.verdict`
 VERSIONS, LOG = "versions", "log.jsonl"  # `recalibration.registry`

@@ -11,7 +11,7 @@ import pytest
 from click.testing import Result
 
 from estimator.batching.work import RESULT_FILE
-from estimator.calibration import result
+from estimator.calibration import files
 from estimator.cli import kinds
 from estimator.diagnosis.result import CALIBRATION_FOLDER, DIAGNOSIS
 from estimator.diagnosis.verdict import UNKNOWN
@@ -126,7 +126,7 @@ def test_a_diagnosis_and_a_broken_one(run: Run, tmp_path: Path) -> None:
 
 def test_names_that_mark_a_folder_are_those_of_what_writes_it() -> None:
     """The command states them by itself: what reads them needs torch, or an extra."""
-    assert (kinds.SUMMARY_FILE, kinds.CHAIN_STORE) == (result.SUMMARY_FILE, result.CHAIN_STORE)
+    assert (kinds.SUMMARY_FILE, kinds.CHAIN_STORE) == (files.SUMMARY_FILE, files.CHAIN_STORE)
     assert (kinds.DIAGNOSIS, kinds.CALIBRATION_FOLDER) == (DIAGNOSIS, CALIBRATION_FOLDER)
     assert (kinds.VERSIONS, kinds.LOG) == (registry.VERSIONS, registry.LOG)
     assert (kinds.RESULT_FILE, kinds.DATABASE) == (RESULT_FILE, DATABASE)
