@@ -203,8 +203,8 @@ def ask(
         changes = before.changes
         known = {**places_in(fit, before.dictionary.items), **shapes}
     else:
-        changes = Changes.about(fit, expansion.always, causes)
-    here = changes.moved(fit, expansion.always, causes)
+        changes = Changes.about(expansion, causes)
+    here = changes.moved(expansion, causes)
     starts = starts_of(fit, here.pool)
     starts += [more for cause, of_cause in known.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts, is_near)

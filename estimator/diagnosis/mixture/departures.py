@@ -13,8 +13,8 @@ from torch import Tensor
 from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
-from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.following import stalled
 from estimator.diagnosis.mixture.links import Link, link_of
 from estimator.effects.corrections.correction import Correction
@@ -58,22 +58,21 @@ class Changes:
     """What causes and departures change in the readings about a fit, also used about others with nearly the same predictions.
 
     Attributes:
-        fit: The fit.
-        always: What its rig can follow.
+        expansion: The fit.
         kinds: All kinds of departures that a session may have.
         columns: By kind, whitened changes per unit of each amplitude, at each start.
         pool: Listed causes.
     """
 
-    fit: Fit
-    always: Projector
+    expansion: Expansion
     kinds: tuple[CorrectionKind, ...]
     columns: tuple[Float[Tensor, "start component amplitude"], ...]
     pool: tuple[Candidate, ...]
 
     @classmethod
-    def about(cls, fit: Fit, always: Projector, causes: Sequence[Cause]) -> Changes:
-        """About a fit and what its rig can follow, of some listed causes."""
+    def about(cls, expansion: Expansion, causes: Sequence[Cause]) -> Changes:
+        """About a fit, of some listed causes."""
+        fit = expansion.fit
         kinds = tuple(
             kind
             for kind in kinds_of(fit)
@@ -81,29 +80,34 @@ class Changes:
             and not kind.effect.single  # one step of it is a listed cause, or one that readings cannot tell from a listed one
         )
         columns = each(lambda kind: kind.columns(fit, kind.starts, _highest(kind)), kinds)
-        return cls(fit, always, kinds, tuple(columns), tuple(candidates(fit, list(causes))))
+        return cls(expansion, kinds, tuple(columns), tuple(candidates(fit, list(causes))))
 
     def is_near(self, fit: Fit) -> bool:
         """Whether the predictions of a fit are nearly those of this one, and follow the rig's numbers as well."""
-        apart = (fit.predicted_T - self.fit.predicted_T).square().sum()
-        if float(apart) >= NEAR**2 * float(self.fit.predicted_T.square().sum()):
+        own = self.expansion.fit
+        apart = (fit.predicted_T - own.predicted_T).square().sum()
+        if float(apart) >= NEAR**2 * float(own.predicted_T.square().sum()):
             return False
-        return not bool(stalled(self.fit, fit).any())
+        return not bool(stalled(own, fit).any())
 
-    def moved(self, fit: Fit, always: Projector, causes: Sequence[Cause]) -> Changes:
+    def moved(self, expansion: Expansion, causes: Sequence[Cause]) -> Changes:
         """Changes about a fit nearby, of some listed causes.
 
         What the rig follows of a column moves with the rig: else the difference of the two would look like a cause where nearly all of a
         column can be followed, as of turns that are wound otherwise.
         """
-        if fit is self.fit:
+        if expansion.fit is self.expansion.fit:
             return self
-        lighter = fit.whitening_per_T / self.fit.whitening_per_T.clamp(min=1e-300)
+        old, fit, keys = self.expansion, expansion.fit, expansion.keys
+        shared = [key for key in old.keys if key in keys]
+        before = old.always.jacobian[:, [old.keys.index(key) for key in shared]]
+        now = expansion.always.jacobian[:, [keys.index(key) for key in shared]]
+        factor = old.always.factor[[old.keys.index(key) for key in shared]]
+        lighter = fit.whitening_per_T / old.fit.whitening_per_T.clamp(min=1e-300)
 
         def moved(columns: Float[Tensor, "component column"]) -> Tensor:
-            followed = self.always.factor @ (self.always.factor.T @ (self.always.jacobian.T @ columns))
-            left = columns - self.always.jacobian @ followed
-            return lighter[:, None] * left + always.jacobian @ followed
+            followed = factor @ (old.always.basis.T @ columns)
+            return lighter[:, None] * (columns - before @ followed) + now @ followed
 
         known = {candidate.cause for candidate in self.pool}
         pool = [
@@ -113,7 +117,7 @@ class Changes:
         ]
         pool += candidates(fit, [cause for cause in causes if cause not in known])
         columns = tuple(torch.stack([moved(start) for start in of_kind]) for of_kind in self.columns)
-        return Changes(fit, always, self.kinds, columns, tuple(pool))
+        return Changes(expansion, self.kinds, columns, tuple(pool))
 
 
 def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[Departure]:

@@ -83,6 +83,12 @@ class Expansion:
         return tuple(self.fit.posterior.coordinates.names[i] for i in self._base)
 
     @property
+    def keys(self) -> list[tuple[str, str]]:
+        """Name and label of each of these coordinates, which tell them from all others."""
+        coordinates = self.fit.posterior.coordinates
+        return [(coordinates.names[i], coordinates.labels[i]) for i in self._base]
+
+    @property
     def prior_mean(self) -> Float[Tensor, " parameter"]:
         """Their prior means."""
         mean: Tensor = self.fit.vector[self._base] - self._pulled

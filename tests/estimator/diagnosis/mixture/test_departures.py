@@ -75,7 +75,7 @@ def test_columns_of_a_fit_nearby_are_reused_and_those_of_a_far_one_made_anew(ask
     causes = causes_of(fit.rig, fit, Limits())
     changes = asked.changes
     assert changes.is_near(fit)
-    fresh = Changes.about(fit, asked.expansion.always, causes).pool
+    fresh = Changes.about(asked.expansion, causes).pool
     assert [candidate.cause for candidate in changes.pool] == [candidate.cause for candidate in fresh]
     for first, second in zip(changes.pool, fresh, strict=True):
         torch.testing.assert_close(first.columns, second.columns)
@@ -89,10 +89,10 @@ def test_what_a_rig_follows_of_a_column_moves_with_the_rig(small_rig: Rig, small
     first = Expansion.of(fit_of(small_rig, readings))
     second = Expansion.of(fit_of(small_rig, readings.with_field(1.01 * readings.field_sensor_T)))
     causes = [Cause("winding_misstated", "coil1")]
-    about = Changes.about(first.fit, first.always, causes)
+    about = Changes.about(first, causes)
     assert about.is_near(second.fit)
-    (old,), (moved,) = about.pool, about.moved(second.fit, second.always, causes).pool
-    (fresh,) = Changes.about(second.fit, second.always, causes).pool
+    (old,), (moved,) = about.pool, about.moved(second, causes).pool
+    (fresh,) = Changes.about(second, causes).pool
     right = second.always.rest(fresh.columns).norm()
     error = second.always.rest(moved.columns - fresh.columns).norm() / right
     error_at_rest = second.always.rest(old.columns - fresh.columns).norm() / right
