@@ -30,7 +30,9 @@ def unexplained(diagnosis: Diagnosis) -> str:
         why = f"how far readings miss depends on {findings.scatter.along.removeprefix('one circumstance, ')}"
     else:
         why = misses(diagnosis)
-    is_probable = any(entry.first.is_listed for entry in findings.answer.beside)
+    is_probable = any(entry.first.is_listed for entry in findings.answer.beside) or bool(
+        _withdrawn(diagnosis)
+    )
     unknown = "no cause is sure enough to be stated" if is_probable else "no known cause explains it"
     return f"Something is wrong, and {unknown}: {why}."
 
@@ -53,18 +55,42 @@ def doubts(diagnosis: Diagnosis) -> str:
 
 
 def beside(diagnosis: Diagnosis) -> Iterator[str]:
-    """What else is probable: first what no list holds, then listed causes that are not sure enough to be stated."""
-    answer = diagnosis.findings.answer
+    """What else is probable: what no list holds, listed causes that are not sure enough, and those that unseen readings withdraw."""
     if not diagnosis.verdict.leaves_something:
         return
+    yield from (sentences for sentences in (_beside_names(diagnosis), _unseen(diagnosis)) if sentences)
+
+
+def _withdrawn(diagnosis: Diagnosis) -> list[Found]:
+    """Sets that the readings hold for sure and that have no name because of unseen readings."""
+    named = {each.cause for each in diagnosis.causes}
+    return [entry for entry in diagnosis.findings.answer.stated if entry.first_listed not in named]
+
+
+def _unseen(diagnosis: Diagnosis) -> str:
+    """Says why sets are withdrawn; empty where none is."""
+    shares, withdrawn = diagnosis.fits.budget, _withdrawn(diagnosis)
+    small = [e for e in withdrawn if shares is not None and shares.is_negligible(e.first_listed)]
+    refuted = [entry for entry in withdrawn if entry not in small]
+    words = []
+    if small:
+        words.append(f"Clear, but less than 1 % of the misfit of unseen readings: {_told(diagnosis, small)}.")
+    if refuted:
+        words.append(f"Refuted by unseen readings: {_told(diagnosis, refuted)}.")
+    return " ".join(words)
+
+
+def _beside_names(diagnosis: Diagnosis) -> str:
+    """Says what else is probable; empty where nothing is."""
+    answer = diagnosis.findings.answer
     listed = [entry for entry in answer.beside if entry.first.is_listed]
     links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
     if answer.is_full:
         where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
         most = f" Most probable, but not stated: {_told(diagnosis, listed[:MOST_OF_MANY])}." if listed else ""
         them = "the others " if diagnosis.causes else ""
-        yield f"At least {len(answer.asked.leading)} things are wrong at once, too many to tell {them}apart.{most}{where}"
-        return
+        n = len(answer.asked.leading)
+        return f"At least {n} things are wrong at once, too many to tell {them}apart.{most}{where}"
     unlisted = [entry for entry in answer.beside if not entry.first.is_listed]
     refused = [entry for entry in listed if entry.first_listed in answer.refused]
     faint = [entry for entry in listed if entry not in refused]
@@ -79,7 +105,7 @@ def beside(diagnosis: Diagnosis) -> Iterator[str]:
     if refused:
         words = "Probable where readings count as linear, but not borne out by a full fit"
         sentences.append(f"{words}: {_told(diagnosis, refused)}.")
-    yield " ".join(sentences)
+    return " ".join(sentences)
 
 
 def _told(diagnosis: Diagnosis, entries: list[Found]) -> str:

@@ -8,7 +8,7 @@ import pytest
 from torch import Tensor
 
 from estimator import diagnose
-from estimator.diagnosis import outcome
+from estimator.diagnosis import budget, outcome
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.headline import headline
 from estimator.diagnosis.limits import Limits
@@ -63,9 +63,28 @@ def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.M
     assert diagnosis.findings.answer.stated
     assert diagnosis.verdict == "unexplained"
     assert not diagnosis.causes
+    words = " ".join(headline(diagnosis))
+    assert "Refuted by unseen readings: the sensor's axes have wrong gains (axis_gain" in words
+    assert "no known cause explains it" not in words
     assert not diagnosis.findings.stand_ins
     assert not diagnosis.extended_rig.effects
     improvement = diagnosis.improvement
     assert improvement is not None
     if not diagnosis.extended_rig.corrections:
         assert improvement.after.errors.vector_T == improvement.before.errors.vector_T
+
+
+def test_a_cause_that_is_next_to_nothing_in_unseen_readings_is_told_without_a_name(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(budget, "NEGLIGIBLE", 10.0)
+    diagnosis = diagnose(
+        session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(2)
+    )
+    assert not diagnosis.causes
+    assert [cause.name for cause in diagnosis.findings.stand_ins] == ["axis_gain"]
+    words = " ".join(headline(diagnosis))
+    assert (
+        "Clear, but less than 1 % of the misfit of unseen readings: the sensor's axes have wrong gains"
+        in words
+    )
