@@ -176,7 +176,7 @@ def _written(out: Path) -> str:
 
 
 def _text(diagnosis: Diagnosis) -> str:
-    from estimator.diagnosis.headline import NOT_SURE, headline
+    from estimator.diagnosis.headline import NOT_SURE, headline, not_sampled
     from estimator.diagnosis.result import EXTENDED_RIG
     from estimator.diagnosis.statements.gain import unseen_line
     from estimator.diagnosis.statements.left import evidence
@@ -186,6 +186,7 @@ def _text(diagnosis: Diagnosis) -> str:
     lines = [*tension(diagnosis), *headline(diagnosis)]
     lines += [line for cause in diagnosis.sized_causes for line in _cause_lines(cause)]
     lines += held_back(diagnosis)
+    lines += not_sampled(diagnosis)
     if stand_ins := diagnosis.findings.stand_ins:
         lines.append(f"{EXTENDED_RIG} also has {', '.join(map(diagnosis.label, stand_ins))}: {NOT_SURE}")
     lines += evidence(diagnosis)

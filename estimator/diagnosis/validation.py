@@ -14,10 +14,14 @@ from estimator.calibration.result import Calibration
 from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.predicted_field import not_predicted, shown_by_prediction_T
 from estimator.effects.use import as_meant
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
+from estimator.rig.rig import Cause
+
+SAME_ERROR = 0.02  # relative difference of two errors that are told as one
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,8 @@ class ValidationScores:
         elpd: Expected log predictive density, summed over the readings.
         coverage50, coverage90: Share of the components inside the 50 % and 90 % predictive intervals.
         log_density: Log predictive density of each reading.
+        predicted: Errors of the field that `predict` gives, which has nothing that only these readings have.
+        predicted_coverage90: Share of the components inside its 90 % intervals.
     """
 
     errors: ErrorMetrics
@@ -36,6 +42,13 @@ class ValidationScores:
     coverage50: float
     coverage90: float
     log_density: Float[Tensor, " reading"]
+    predicted: ErrorMetrics
+    predicted_coverage90: float
+
+    @property
+    def is_of_field(self) -> bool:
+        """Whether the predicted field has all that was fitted to readings, up to the last digits of an error."""
+        return math.isclose(self.predicted.vector_T, self.errors.vector_T, rel_tol=SAME_ERROR)
 
     def to_json(self) -> dict[str, Any]:
         """These scores in the form of JSON; None stands for what does not apply, such as angles where one component was measured."""
@@ -44,6 +57,8 @@ class ValidationScores:
             "coverage50": self.coverage50,
             "coverage90": self.coverage90,
             "elpd": self.elpd,
+            "predicted_vector_T": self.predicted.vector_T,
+            "predicted_coverage90": self.predicted_coverage90,
         }
         return {name: value if math.isfinite(value) else None for name, value in numbers.items()}
 
@@ -56,6 +71,7 @@ class Improvement:
         elpd_difference, elpd_se: Elpd after less elpd before, and its standard error over readings.
         moved_sd: Shift of each parameter of the rig, in standard deviations of the fit before.
         known_before: Value and standard deviation of each in the fit before.
+        not_predicted: Causes after it that only readings of this session have.
     """
 
     before: ValidationScores
@@ -64,6 +80,7 @@ class Improvement:
     elpd_se: float
     moved_sd: dict[str, float]
     known_before: dict[str, tuple[float, float]] = field(default_factory=dict)
+    not_predicted: tuple[Cause, ...] = ()
 
     def with_after(self, after: ValidationScores) -> Improvement:
         """This improvement with other scores of the later model."""
@@ -94,9 +111,9 @@ def improvement_of(
         unseen: The readings.
         widened: Covariance that stands for the later fit's own, where something unexplained has widened it.
     """
-    return improvement_between(
-        before, after, validation_scores(before, unseen), validation_scores(after, unseen, widened)
-    )
+    scores = validation_scores(before, unseen), validation_scores(after, unseen, widened)
+    lacking = () if scores[1].is_of_field else not_predicted(after, unseen)
+    return replace(improvement_between(before, after, *scores), not_predicted=lacking)
 
 
 def improvement_between(
@@ -132,12 +149,20 @@ def validation_scores(
     parameter_variance = ((jacobian @ covariance) * jacobian).sum(-1)
     residual_T = posterior.measured_T - mean_T
     log_density, probability_below = _mixture(posterior, fit, residual_T, noise_T, parameter_variance)
+    shown_T = shown_by_prediction_T(fit, unseen) if fit.rig.acting else predicted_T
+    beside_T = posterior.measured_T - posterior.measured_components(shown_T)
+    _, below_prediction = _mixture(posterior, fit, beside_T, noise_T, parameter_variance)
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
     coverage = {p: float(((probability_below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
+    of_prediction = float(((below_prediction - 0.5).abs() <= 0.45).double().mean())
     is_on = numpy_of((unseen.current_A != 0.0).any(-1))
-    errors = error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(predicted_T), is_on)
-    return ValidationScores(errors, float(by_reading.sum()), coverage[0.5], coverage[0.9], by_reading)
+    errors, predicted = (
+        error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each), is_on)
+        for each in (predicted_T, shown_T)
+    )
+    elpd = float(by_reading.sum())
+    return ValidationScores(errors, elpd, coverage[0.5], coverage[0.9], by_reading, predicted, of_prediction)
 
 
 def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -> ValidationScores:

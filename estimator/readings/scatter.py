@@ -21,21 +21,20 @@ def scatter_T(observations: Observations, n_sensors: int) -> list[float | None]:
     _, place = torch.unique(torch.cat(settings, dim=1), dim=0, return_inverse=True)
     order = torch.argsort(place, stable=True)
     groups = torch.split(order, torch.bincount(place).tolist())
-    squares, n_free = torch.zeros(n_sensors), torch.zeros(n_sensors)
+    squares, n_free = torch.zeros(2, n_sensors, dtype=torch.float64)
     for rows in groups:
-        if len(rows) < 2:
-            continue
         sensor = int(observations.sensor[rows[0]])
         for axis in range(3):
             read = rows[observations.is_measured[rows, axis]]
+            if len(read) < 2:
+                continue
             left, n_left = _about_a_line(
                 observations.current_A[read], observations.field_sensor_T[read, axis]
             )
             squares[sensor] += left
             n_free[sensor] += n_left
     return [
-        float((square / n).sqrt()) if n >= FEWEST else None
-        for square, n in zip(squares.to(torch.float64), n_free.to(torch.float64), strict=True)
+        float((square / n).sqrt()) if n >= FEWEST else None for square, n in zip(squares, n_free, strict=True)
     ]
 
 

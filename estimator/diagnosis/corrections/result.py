@@ -11,8 +11,11 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.cycles import CYCLE, cycle_of_currents_s, is_of_cycle
 from estimator.readings.observations import SECONDS_PER_HOUR
+from estimator.reporting.numbers import size_with_unit
 from estimator.rig.rig import Cause
 
+# Error of the predicted field over that without a correction, where the rig as described can follow half of what acts on readings alone.
+MOST_TAKEN = 2.0**0.5
 INSTANT = re.compile(r"since\d+_h")
 # Factor on a period, and its unit, by the key of the frequency.
 PERIODS = {
@@ -110,8 +113,16 @@ class Correction:
     def judged_by(self, gain: Improvement) -> Correction:
         """The correction after its gain on unseen readings, which drop it where it predicts them worse."""
         is_worse = gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T
-        words = "unseen readings are predicted worse with what was tried"
-        return replace(self, gain=gain, refusal=words if is_worse else self.refusal)
+        without, with_it = (scores.predicted.vector_T for scores in (gain.before, gain.after))
+        refusal = self.refusal
+        if is_worse:
+            refusal = "unseen readings are predicted worse with what was tried"
+        elif with_it > MOST_TAKEN * without:
+            refusal = (
+                "what follows these readings takes so much from the coil that the field alone would miss them by "
+                f"{size_with_unit(with_it, 'T', 3)} instead of {size_with_unit(without, 'T', 3)}"
+            )
+        return replace(self, gain=gain, refusal=refusal)
 
     def to_json(self) -> dict[str, Any]:
         """Content of `correction` in `diagnosis.json`."""

@@ -132,8 +132,10 @@ class Answer:
         items, leading = self.asked.dictionary.items, self.asked.leading
         rest = [i for i in leading if items[i].cause not in alternatives]
         products, noise = self.asked.slots.products, self.asked.noise
-        of_others = sum(products.of_one(i, [j for j in leading if j != i], noise) for i in rest)
-        return Standing(products.of_one(self.item_of(cause), rest, noise), of_others)
+        of_others = sum(
+            gain for i, gain in zip(leading, products.gains(leading, noise), strict=True) if i in rest
+        )
+        return Standing(products.gains([*rest, self.item_of(cause)], noise)[-1], of_others)
 
     @cached_property
     def is_full(self) -> bool:

@@ -19,7 +19,7 @@ from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import CERTAIN, Expansion
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.links import Link
-from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
+from estimator.diagnosis.mixture.listed import Offered, again, best_starts, offered, present_items, starts_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.rig.parameters import LogNormal
@@ -79,9 +79,8 @@ class Asked:
         causes = (*self.expansion.causes, *known)
         items = self.dictionary.items
         new = [i for i in model if items[i].is_listed and items[i].cause not in causes]
-        products = self.slots.products
-        lost = {i: products.of_one(i, [j for j in model if j != i], self.noise) for i in new}
-        return sorted(new, key=lambda i: -lost[i])
+        gain = dict(zip(model, self.slots.products.gains(model, self.noise), strict=True)) if new else {}
+        return sorted(new, key=lambda i: -gain[i])
 
     def is_worse_than(self, before: Asked, causes: Collection[Cause]) -> bool:
         """Whether the readings are clearly less probable with some causes and departures than before, each about a fit that has its own."""
@@ -201,7 +200,8 @@ def ask(
     is_near = before is not None and before.changes.is_near(fit)
     if before is not None and is_near:
         changes = before.changes
-        known = {**places_in(fit, before.dictionary.items), **shapes}
+        of_led = best_starts(fit, led)
+        known = {**best_starts(fit, before.dictionary.items), **of_led, **shapes}
     else:
         changes = Changes.about(expansion, causes)
     here = changes.moved(expansion, causes)
@@ -209,7 +209,7 @@ def ask(
     starts += [more for cause, of_cause in known.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts, is_near)
     if expansion.causes:
-        listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
+        listed = _joined(listed, offered(fit, starts, is_near)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(here, alone, others))
     slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))

@@ -5,6 +5,7 @@ Of what a current has done in this session only that is taken which a single mom
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 from torch import Tensor
@@ -35,7 +36,7 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
     kinds = {kind.cause: kind for kind in kinds_of(extended)}
     lacking = {kind.cause.label: kind.limit.words for kind in kinds.values() if kind.limit.words}
     terms = _Terms(extended, extended.rig, dict(extended.values))
-    parts, of_session = list[Part](), list[Part]()
+    departures, of_session = dict[Cause, tuple[Part, _AtPlace]](), list[Part]()
     for entry in answer.beside:
         if entry.first.is_listed:
             terms = terms.with_cause(answer, entry.first.cause)
@@ -45,12 +46,17 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
             if kind is None:
                 continue
             part = _part(answer, entry, kind, at_place)
-            if part.is_predicted or entry.first.link is not Link.CURRENT:
-                terms = terms.with_departure(kind, part, at_place)
-                parts.append(part)
-            else:
+            if not part.is_predicted and entry.first.link is Link.CURRENT:
                 of_session.append(part)
-    session = tuple(of_session)
+            elif at_place.cause not in departures:
+                departures[at_place.cause] = part, at_place
+            elif departures[at_place.cause][1].start == at_place.start:
+                before, there = departures[at_place.cause]
+                higher = max(part, before, key=lambda each: each.degree)
+                departures[at_place.cause] = higher, there.joined(at_place)
+    for part, at_place in departures.values():
+        terms = terms.with_departure(kinds[at_place.cause], part, at_place)
+    parts, session = [part for part, _ in departures.values()], tuple(of_session)
     if terms.rig is extended.rig:
         refusal = "nothing beside the stated causes is sure enough to predict by"
         return Correction(extended, (), lacking, refusal, after, of_session=session)
@@ -75,6 +81,13 @@ class _AtPlace:
     start: dict[str, float]
     widths: dict[str, float]
     sizes: dict[str, float]
+
+    def joined(self, other: _AtPlace) -> _AtPlace:
+        """This departure and another of the same kind: their amplitudes add up."""
+        keys = dict.fromkeys((*self.widths, *other.widths))
+        widths = {k: math.hypot(self.widths.get(k, 0.0), other.widths.get(k, 0.0)) for k in keys}
+        sizes = {k: self.sizes.get(k, 0.0) + other.sizes.get(k, 0.0) for k in keys}
+        return replace(self, widths=widths, sizes=sizes)
 
 
 def _at_places(answer: Answer, number: int) -> list[_AtPlace]:

@@ -22,6 +22,7 @@ from torch import Tensor
 
 from estimator.devices import numpy_of
 from estimator.diagnosis.mixture import priors
+from estimator.diagnosis.mixture.evidence import Beside
 from estimator.diagnosis.mixture.slots import Slots
 from estimator.geometry.motion import base_from_motion
 from estimator.readings.observations import Observations
@@ -82,7 +83,7 @@ def expected_in_half(slots: Slots, leading: Sequence[int], sizes: Tensor, noise:
     result = {}
     for item in leading:
         rest = [other for other in leading if other != item]
-        evidence = products.beside(sorted(rest), float(slots.grid[noise]), signal) + slots.log_prior
+        evidence = Beside(products, rest, float(slots.grid[noise]), signal).evidence() + slots.log_prior
         is_own = slots.name == slots.name[item]
         is_open = ~np.isin(slots.name, slots.name[rest]) & ~is_own
         others = torch.cat((evidence[is_open], evidence.new_tensor([math.log(priors.EMPTY)])))

@@ -27,7 +27,7 @@ MOST_ALTERNATIVES = 4  # that a sentence lists; the others stand in diagnosis.js
 def what(diagnosis: Diagnosis) -> Iterator[str]:
     """What is wrong, where, and how sure that is."""
     if diagnosis.verdict is Verdict.NAMED and is_only_flagged(diagnosis):
-        yield doubts(diagnosis) or f"Nothing else is wrong{would_have_shown(diagnosis, 'these readings')}."
+        yield doubts(diagnosis) or f"Nothing else shows{would_have_shown(diagnosis, 'these readings')}."
     elif diagnosis.verdict is Verdict.NOTHING_FOUND:
         yield doubts(diagnosis) or f"These readings show nothing wrong{would_have_shown(diagnosis, 'they')}."
     else:

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import residual_T
 from estimator.diagnosis.validation import Improvement, ValidationScores
 from estimator.effects import EFFECTS
-from estimator.effects.circumstances import Extent
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import is_in_field
 from estimator.readings.flags import COMPONENTS
 from estimator.reporting.numbers import percent, size_with_unit
 from estimator.reporting.page import Table
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import Cause
 
 MOSTLY = (
     0.75  # of the squares beyond the noise, for one component to be told: a fit spreads some over the others
@@ -76,27 +75,42 @@ def gained(diagnosis: Diagnosis) -> Iterator[str]:
         gain = f"does not fall ({before} before, {after} after), but how far they miss is told better: {told}"
     else:
         gain = f"falls from {before} to {after}"
-    yield f"{unseen} {gain}.{_beside_the_field(diagnosis)}"
+    yield f"{unseen} {gain}.{_of_session(diagnosis, improvement)}{_beside_the_field(diagnosis, improvement)}"
 
 
-def _beside_the_field(diagnosis: Diagnosis) -> str:
-    """Causes that act in readings of this session and not in the field that the extended rig predicts; empty where there are none."""
-    rig = diagnosis.fits.final.rig
-    lacking = [diagnosis.label(cause) for cause in rig.acting if not _is_predicted(rig, cause)]
-    names = ", ".join(lacking[:MOST_BESIDE])
-    if not names:
+def _of_session(diagnosis: Diagnosis, improvement: Improvement) -> str:
+    """How far the predicted field misses, where readings have something of their own; empty where they have nothing."""
+    after = improvement.after
+    if after.is_of_field:
         return ""
-    more = f" and {len(lacking) - MOST_BESIDE} more" if len(lacking) > MOST_BESIDE else ""
-    return f" That is with {names}{more}, which acts on readings and not on the field that predict gives."
+    names = _first_few(diagnosis, improvement.not_predicted) or "what only sensors show"
+    error = size_with_unit(after.predicted.vector_T, "T", 3)
+    return f" That is with {names}, which only these readings have: the field that predict gives misses them by {error}."
 
 
-def _is_predicted(rig: Rig, cause: Cause) -> bool:
-    """Whether a prediction has all that a cause changes in readings; what scatters, or is a mistake of the record, changes no field."""
-    effect = EFFECTS[cause.name]
-    if effect.is_record_mistake or isinstance(effect, NoiseEffect):
-        return True
-    sizes = [quantity for quantity in effect.quantities(Extent()) if not quantity.is_shape]
-    return is_in_field(rig, cause) and not any(effect.beyond_the_moment(size.key) for size in sizes)
+def _beside_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
+    """Causes that change what sensors show, and where, in every session; empty where there are none."""
+    rig = diagnosis.fits.final.rig
+    lacking = [
+        cause
+        for cause in rig.effects
+        if cause not in improvement.not_predicted
+        and not is_in_field(rig, cause)
+        and not EFFECTS[cause.name].is_record_mistake
+        and not isinstance(EFFECTS[cause.name], NoiseEffect)
+    ]
+    names = _first_few(diagnosis, lacking)
+    return (
+        f" That is with {names}, which acts on readings and not on the field that predict gives."
+        if names
+        else ""
+    )
+
+
+def _first_few(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
+    """Names of some causes, and how many more there are."""
+    names = ", ".join(diagnosis.label(cause) for cause in causes[:MOST_BESIDE])
+    return f"{names} and {len(causes) - MOST_BESIDE} more" if len(causes) > MOST_BESIDE else names
 
 
 def validation_warnings(diagnosis: Diagnosis) -> Iterator[str]:
@@ -110,12 +124,18 @@ def validation_warnings(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def unseen_line(improvement: Improvement) -> str:
-    """Error, coverage and log predictive density on unseen readings, in one line."""
+    """Error and coverage of the predicted field on unseen readings, and how much more probable they are, in one line."""
     before, after = improvement.before, improvement.after
+    line = (
+        f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.predicted.vector_T * 1e6:.4g} uT rms of the vector; "
+        f"coverage of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.predicted_coverage90, 1)}; "
+        f"log predictive density {improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
+    )
+    if after.is_of_field:
+        return line
     return (
-        f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.errors.vector_T * 1e6:.4g} uT rms of the vector; coverage "
-        f"of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.coverage90, 1)}; log predictive density "
-        f"{improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
+        f"{line}, with all that these readings alone have: {after.errors.vector_T * 1e6:.4g} uT, coverage "
+        f"{percent(after.coverage90, 1)}"
     )
 
 
@@ -127,11 +147,22 @@ def validation_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     caption = (
         f"The expected log predictive density (elpd) changes by {improvement.elpd_difference:+.1f} ± {improvement.elpd_se:.1f} "
         "(standard error over readings). The columns in 50 % and in 90 % give the share of components inside those predictive intervals; "
-        "the mean angle is over readings with a current."
+        "the mean angle is over readings with a current. The first error is that of the field that predict gives; the other numbers are "
+        "with all that only these readings have."
     )
     if correction is not None:
         caption += f" {correction.words(diagnosis.label)}"
-    header = ["model", "vector rms", "of rms field", "largest", "mean angle", "in 50 %", "in 90 %", "elpd"]
+    header = [
+        "model",
+        "predicted field",
+        "with all of these readings",
+        "of rms field",
+        "largest",
+        "mean angle",
+        "in 50 %",
+        "in 90 %",
+        "elpd",
+    ]
     rows = [_scores_row(name, scores) for name, scores in rungs(diagnosis, improvement)]
     yield Table("Improvement on readings not used for fitting", header, rows, caption)
 
@@ -140,6 +171,7 @@ def _scores_row(name: str, scores: ValidationScores) -> list[str]:
     errors, angle = scores.errors, scores.errors.angular_deviation_rad
     return [
         name,
+        size_with_unit(scores.predicted.vector_T, "T", 4),
         size_with_unit(errors.vector_T, "T", 4),
         percent(errors.relative, 3),
         size_with_unit(errors.max_T, "T", 4),

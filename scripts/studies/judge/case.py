@@ -68,7 +68,7 @@ class Case:
         rig = HandedOut.of_rig_file(self.folder / DIAGNOSIS / "rig_extended.yaml")
         if self.extended is not None:
             return [rig, self.extended]
-        if rig.rig.acting != self.plain.rig.acting:
+        if not set(rig.rig.acting) <= set(self.plain.rig.acting):
             return [rig]
         return [] if self.flagged.any() else [self.plain]
 

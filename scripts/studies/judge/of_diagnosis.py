@@ -8,10 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import torch
 
 from estimator.diagnosis import policy
 from estimator.reporting.numbers import displays, quantity_words
 from scripts.studies.judge.case import DIAGNOSE_TEXT, Case, axes_of, rows_of
+from scripts.studies.judge.handed_out import HandedOut
 from scripts.studies.judge.intervals import FALSE_SD, false_intervals, miss_sd
 from scripts.studies.judge.of_calibration import (
     SURE,
@@ -26,6 +28,7 @@ from scripts.studies.judge.statements import Statement, number_statement, size_o
 DIAGNOSE = "diagnose"
 CLEARLY_VISIBLE = 8.0  # sigma of a flaw that a session shows beyond doubt
 RIGHT_SIGMA = 3.5  # of the noise: an outlier is farther from what was true
+CLEARLY_WRONG = 5.0  # sigma of the noise by which a row is off that a diagnosis has to flag
 CLEARLY_OFF = 3.0  # sd of the plain fit by which a claimed bias is not the true one
 ROUGHLY = 0.02  # of an error of a fit beside that of a calibration of the same rig
 ALMOST_ALL = 0.98  # an error that falls to more than this does not fall
@@ -56,17 +59,32 @@ def named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
         yield Statement("name_as_fact", DIAGNOSE, f"{text}: {cause['name']}", case.truth.is_right(name), why)
 
 
-@sentence(r"show nothing wrong|There is nothing to mend|Nothing else is wrong")
+@sentence(r"show nothing wrong|There is nothing to mend|Nothing else shows")
 def nothing_wrong(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
     """That nothing is wrong is false where a flaw is clearly visible, or rows are wrong, or the rig as it is gives false intervals."""
     if case.truth is None:
         return
     visible = [c for c in case.truth.causes if c.sigma is None or c.sigma >= CLEARLY_VISIBLE]
-    wrong = case.truth.mistakes_left(case.flagged)
+    wrong = mistakes_left(case)
     excluded = false_intervals(case.plain, case.truth) if "mend" in text else {}
     is_true = not (visible or wrong or excluded)
     why = "; ".join([f"hidden: {case.truth.words}", f"wrong rows left: {wrong}", *excluded.values()])
     yield Statement("nothing_wrong", DIAGNOSE, text, is_true, why)
+
+
+def mistakes_left(case: Case) -> int:
+    """Rows with mistakes of no cause that were not flagged and are clearly off; what a cause does to rows counts as that cause."""
+    truth = case.truth
+    if truth is None or truth.causes:
+        return 0
+    if truth.noise_T is None:
+        return int((truth.wrong & ~case.flagged).any(axis=1).sum())
+    rig = HandedOut.of_rig_file(case.folder / "rig.yaml")
+    true = {n: torch.tensor(v, dtype=torch.float64) for n, v in truth.values.items() if n in rig.values}
+    expected_T = rig.readings_T(case.observations, {**rig.values, **true}).numpy()
+    off_T = np.abs(case.observations.field_sensor_T.numpy() - expected_T)
+    is_clear = truth.wrong & (off_T > CLEARLY_WRONG * truth.noise_T[:, None])
+    return int((is_clear & ~case.flagged).any(axis=1).sum())
 
 
 @sentence(r"would have shown, for example, (?P<what>.+)\.$")
@@ -120,7 +138,7 @@ def something_left(case: Case, text: str, _: re.Match[str]) -> Iterator[Statemen
     if case.truth is not None:
         found = {plain_name(cause["name"]) for cause in case.diagnosis["causes"]}
         left = [cause.name for cause in case.truth.causes if cause.name not in found]
-        wrong = bool(case.truth.mistakes_left(case.flagged))
+        wrong = bool(mistakes_left(case))
         why = f"hidden: {case.truth.words}; named: {', '.join(sorted(found)) or 'nothing'}"
         yield Statement("something_left", DIAGNOSE, text, bool(left) or wrong, why)
 
@@ -164,7 +182,10 @@ def numbers(case: Case) -> Iterator[Statement]:
 
 @sentence(r"On (?P<n>\d+) readings that no fit has seen the rms error (?P<rest>.+)$")
 def gain(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
-    """The error on unseen readings: of the models that were handed out, and that it falls where that is said."""
+    """The error on unseen readings: of the field that was handed out, and that it falls where that is said.
+
+    What only these readings have may stand beside it; then the sentence tells both errors.
+    """
     before, after = _before_and_after(match["rest"])
     unseen = int(case.held_out.is_measured.any(dim=1).sum())
     if unseen <= policy.MOST_READINGS_FITTED:
@@ -172,8 +193,9 @@ def gain(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     errors = [model.errors(case.held_out).vector_T for model in case.by_diagnosis]
     if not errors:
         return
-    yield _error_statement(case, text, after, errors, 3)
-    if "falls from" in match["rest"]:
+    alone = re.search(r"the field that predict gives misses them by (?P<size>[\d.]+ \S*T)", match["rest"])
+    yield _error_statement(case, text, after if alone is None else size_of(alone["size"]), errors, 3)
+    if "falls from" in match["rest"] and alone is None:
         nearest = min(errors)
         plain = case.plain.errors(case.held_out).vector_T
         why = f"with the calibration {plain:.4g} T, with what was handed out {nearest:.4g} T"

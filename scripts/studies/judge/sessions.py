@@ -132,7 +132,10 @@ def ended(case: Case, text: str, ran: Ran, command: str) -> list[Statement]:
     (case.folder / text).with_suffix(".error").write_text(error, encoding="utf-8")
     last = (error.strip().splitlines() or [""])[-1]
     is_refusal = code == EXIT_BAD_INPUT and "Traceback" not in error
-    is_true = is_refusal and case.truth is not None and not case.truth.is_clean
+    if case.truth is None:
+        is_true = is_refusal and not bool((case.observations.current_A != 0.0).any())
+    else:
+        is_true = is_refusal and not case.truth.is_clean
     hidden = "a measured map" if case.truth is None else case.truth.words
     kind = "refused" if is_refusal else "crash"
     return [Statement(kind, command, last, is_true, f"exit code {code}; hidden: {hidden}")]

@@ -91,10 +91,6 @@ class Truth:
         """Whether nothing is wrong."""
         return not self.causes and not self.wrong.any()
 
-    def mistakes_left(self, flagged: npt.NDArray[np.bool_]) -> int:
-        """Rows with mistakes of no cause that were not flagged; what a cause does to rows counts as that cause."""
-        return 0 if self.causes else int((self.wrong & ~flagged).any(axis=1).sum())
-
     @property
     def names(self) -> tuple[str, ...]:
         """Names of what is hidden."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import logging
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -21,7 +22,7 @@ from estimator.diagnosis.budget import Budget, Share
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
-from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.headline import headline
 from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.limits import Limits
@@ -35,15 +36,17 @@ from estimator.diagnosis.panels import panels, panels_text
 from estimator.diagnosis.report import diagnosis_report
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
-from estimator.diagnosis.statements.gain import rungs
+from estimator.diagnosis.statements.gain import rungs, unseen_line
 from estimator.diagnosis.statements.hypotheses import hypotheses_tables
 from estimator.diagnosis.statements.priors import held_back
 from estimator.diagnosis.statements.visible import visible_tables
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
+from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.readings.observations import Observations
 from estimator.readings.plan import load_plan
 from estimator.reporting.numbers import size_with_unit
 from estimator.reporting.plots import Role
@@ -160,25 +163,48 @@ def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong
     assert less == "clearly less is known of radius."
 
 
+def gain_with(diagnosis: Diagnosis, readings: Observations, *causes: Cause) -> tuple[Improvement, str, Fit]:
+    """Improvement by some causes, on the readings to which they are fitted, its sentence, and the fit."""
+    rig, rules = diagnosis.fits.plain.rig, diagnosis.fits.plain.posterior.model.rules
+    before = fit_rig(rig, readings, {}, rules)
+    for cause in causes:
+        rig = with_effect(rig, cause, readings, {})
+    final = fit_rig(rig, readings, {}, rules)
+    improvement = improvement_of(before, final, readings)
+    fits = replace(diagnosis.fits, final=final, extended=final, improvement=improvement)
+    sentences = headline(replace(diagnosis, fits=fits))
+    return improvement, next(words for words in sentences if words.startswith("On ")), final
+
+
 def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis: Diagnosis) -> None:
-    """A coil that warms up, and a zero of a sensor; not a field of the room, which a prediction has."""
-    fit = diagnosis.fits.plain
-
-    def told(*causes: Cause) -> str:
-        rig = fit.rig
-        for cause in causes:
-            rig = with_effect(rig, cause, fit.observations, {})
-        final = fit_rig(rig, fit.observations, {}, fit.posterior.model.rules)
-        sentences = headline(replace(diagnosis, fits=replace(diagnosis.fits, final=final, extended=final)))
-        return next(words for words in sentences if words.startswith("On "))
-
-    both = told(OFFSET, HEATING, Cause("background_field", "room"))
-    beside = re.search(
-        r"That is with (.*), which acts on readings and not on the field that predict gives", both
+    """A zero of a sensor; not a field of the room, which a prediction has."""
+    readings = diagnosis.fits.plain.observations
+    _, both, _ = gain_with(diagnosis, readings, OFFSET, Cause("background_field", "room"))
+    assert (
+        "That is with sensor_offset, which acts on readings and not on the field that predict gives" in both
     )
-    assert beside is not None
-    assert set(beside[1].split(", ")) == {"coil_heating", "sensor_offset"}
-    assert "That is with" not in told(Cause("background_field", "room"))
+    assert "That is with" not in gain_with(diagnosis, readings, Cause("background_field", "room"))[1]
+
+
+def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_own_error(
+    diagnosis: Diagnosis,
+) -> None:
+    plain, drift = diagnosis.fits.plain, Cause("background_drift", "room")
+    readings, hours = plain.observations, plain.posterior.model.circumstances.hours
+    drift_T = 3e-4 * (hours / hours.max())[:, None] * torch.tensor([1.0, -1.0, 0.5], dtype=torch.float64)
+    drifting = readings.with_field(readings.field_sensor_T + drift_T)
+    improvement, words, final = gain_with(diagnosis, drifting, drift)
+    assert improvement.not_predicted == (drift,)
+    scores = improvement.after
+    beside_T = (scores.predicted.vector_T**2 - scores.errors.vector_T**2) ** 0.5
+    rate_T_per_h = math.hypot(
+        *(float(final.values[f"background_drift[room].{axis}_T_per_h"]) for axis in "xyz")
+    )
+    assert beside_T == pytest.approx(rate_T_per_h * float(hours.square().mean().sqrt()), rel=0.1)
+    assert scores.predicted_coverage90 < 0.5 * scores.coverage90
+    missed = size_with_unit(scores.predicted.vector_T, "T", 3)
+    assert f"which only these readings have: the field that predict gives misses them by {missed}." in words
+    assert f"-> {scores.predicted.vector_T * 1e6:.4g} uT" in unseen_line(improvement)
 
 
 def test_without_causes_a_correction_is_told_beside_the_rig_as_described_alone(diagnosis: Diagnosis) -> None:

@@ -52,3 +52,11 @@ def test_each_sensor_has_its_own_and_missing_components_are_left_out(small_plan:
     quiet_T, loud_T = scatter_T(both, 2)
     assert quiet_T == pytest.approx(5e-6, rel=0.3)
     assert loud_T == pytest.approx(50e-6, rel=0.3)
+
+
+def test_a_component_that_was_read_nowhere_tells_nothing(small_plan: Plan) -> None:
+    observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=3), {}, seed=5)
+    field_T = observations.field_sensor_T.clone()
+    field_T[:, 1] = float("nan")
+    (noise_T,) = scatter_T(replace(observations, field_sensor_T=field_T), 1)
+    assert noise_T == pytest.approx(5e-6, rel=0.3)

@@ -90,6 +90,17 @@ def test_corrected_rig_survives_its_file_and_predicts_the_same(small_rig: Rig, o
     assert float((fields_T[1] - fields_T[0]).norm(dim=-1).min()) > NOISE_T
 
 
+def test_what_leads_at_one_coil_and_at_all_together_is_one_correction_of_that_coil(small_rig: Rig, of_dipole):
+    """A rig has each amplitude once, or no file could hold it and no posterior be drawn."""
+    twice = replace(of_dipole)
+    twice.__dict__["beside"] = (*of_dipole.beside, *of_dipole.beside)
+    correction = corrected(twice, of_dipole.plain, of_dipole.plain, Limits())
+    causes = [part.cause for part in correction.parts]
+    assert len(causes) == len(set(causes)) == len(correction.final.rig.corrections)
+    rig = extended_rig(small_rig, correction.final)
+    assert rig_from_text(rig_text(rig)) == rig
+
+
 def test_nothing_is_corrected_where_stated_causes_explain_all(of_two_causes: Answer):
     extended = fitted_with_stated(of_two_causes)
     assert len(extended.rig.effects) == 2
