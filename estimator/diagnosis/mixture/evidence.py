@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.linear import Projector
-from estimator.diagnosis.mixture.evidence_kernel import RIDGE, log_bayes_factors
+from estimator.diagnosis.mixture.evidence_kernel import RIDGE, fill_blocks, log_bayes_factors
 from estimator.diagnosis.mixture.items import Dictionary, Item, renumbered
 from estimator.inference.positive_definite import lower_factor
 
@@ -47,25 +47,26 @@ class Products:
         return few
 
     def _lay_out(self, items: Sequence[Item]) -> None:
-        """Note where the columns of each item are, as machine code reads it."""
+        """Note where the columns of each item are, as machine code reads it: the last one of each is its start."""
         self.items = tuple(items)
         self.empty, self.residual = len(self.gram) - 2, len(self.gram) - 1
-        self._begin = np.cumsum([0, *(len(item.columns) for item in items)])
-        self._columns = np.array([column for item in items for column in item.columns], dtype=np.int64)
-        self._widths = np.array([width for item in items for width in item.widths], dtype=float)
-        self._shifts = np.array([self._shift(item) for item in items], dtype=np.int64)
-        self._is_one_sided = np.array([item.is_one_sided for item in items], dtype=bool)
-        before = [None, *items][: len(items)]
-        self._is_like_before = np.array(
-            [
-                last is not None and (last.columns, last.shift) == (item.columns, item.shift)
-                for last, item in zip(before, items, strict=True)
-            ],
-            dtype=bool,
-        )
+        sizes = [len(item.columns) + 1 for item in items]
+        self.begin = np.cumsum([0, *sizes])
+        columns = [c for i, item in enumerate(items) for c in (*item.columns, self.start_of(i))]
+        self.columns = np.array(columns, dtype=np.int64)
+        self.widths = np.array([width for item in items for width in (*item.widths, 0.0)], dtype=float)
+        self.is_one_sided = np.array([item.is_one_sided for item in items], dtype=bool)
+        self.first, self.n_in_blocks = np.zeros(len(items), dtype=np.int64), 0
+        for i, (item, last) in enumerate(zip(items, [None, *items], strict=False)):
+            if last is not None and (last.columns, last.shift) == (item.columns, item.shift):
+                self.first[i] = self.first[i - 1]
+            else:
+                self.first[i], self.n_in_blocks = self.n_in_blocks, self.n_in_blocks + sizes[i] ** 2
 
-    def _shift(self, item: Item) -> int:
-        return self.empty if item.shift is None else item.shift
+    def start_of(self, item: int) -> int:
+        """Column by which the start of an item changes the predictions."""
+        shift = self.items[item].shift
+        return self.empty if shift is None else shift
 
     def of(self, chosen: Sequence[int]) -> tuple[Tensor, Tensor, Tensor]:
         """Numbers and widths of the columns of some items, and how the residual is made of columns once their starts are there."""
@@ -74,7 +75,7 @@ class Products:
         mixture = self.gram.new_zeros(len(self.gram))
         mixture[self.residual] = 1.0
         for i in chosen:
-            mixture[self._shift(self.items[i])] -= 1.0
+            mixture[self.start_of(i)] -= 1.0
         return torch.tensor(columns, dtype=torch.long), self.gram.new_tensor(widths), mixture
 
     def signal_of(self, items: Sequence[int], sizes: Float[Tensor, " size"]) -> Float[Tensor, " column"]:
@@ -89,54 +90,14 @@ class Products:
         signal[self.residual] = 0.0
         return signal.index_add(0, columns, sizes)
 
-    def beside(
-        self, chosen: Sequence[int], noise: float, signal: Float[Tensor, " column"] | None = None
-    ) -> Float[Tensor, " item"]:
-        """Log Bayes factor of each item beside some others, against these alone.
+    def beside(self, chosen: Sequence[int], noise: float) -> Float[Tensor, " item"]:
+        """Log Bayes factor of each item beside some others, against these alone."""
+        return Beside(self, chosen, noise).evidence()
 
-        Args:
-            chosen: The others.
-            noise: Factor on the noise of the fit.
-            signal: Combination of columns that stands for the residual, where something else than what was measured is asked about.
-        """
-        columns, widths, mixture = self.of(chosen)
-        if signal is not None:
-            mixture = mixture + signal
-            mixture[self.residual] = 0.0
-        score = self.gram @ mixture / noise**2
-        followed, reached = self._followed(columns, widths, score, noise)
-        score = score - followed.T @ reached
-        result = np.empty(len(self.items))
-        log_bayes_factors(
-            self.gram.numpy(),
-            followed.T.contiguous().numpy(),
-            score.numpy(),
-            self._begin,
-            self._columns,
-            self._widths,
-            self._shifts,
-            self._is_one_sided,
-            self._is_like_before,
-            1.0 / noise**2,
-            result,
-        )
-        return torch.from_numpy(result)
-
-    def of_one(self, item: int, others: Sequence[int], noise: float) -> float:
-        """Log Bayes factor of one item beside some others, against these alone."""
-        return float(self.among([*others, item]).beside(range(len(others)), noise)[-1])
-
-    def _followed(
-        self, columns: Tensor, widths: Tensor, score: Tensor, noise: float
-    ) -> tuple[Tensor, Tensor]:
-        """What the chosen items can follow of every column, along orthonormal directions, and of the residual."""
-        if not len(columns):
-            return score.new_zeros(0, len(score)), score.new_zeros(0)
-        own = self.gram[columns][:, columns] * widths[:, None] * widths / noise**2
-        factor = lower_factor(_with_unit_prior(own))
-        both = torch.cat((self.gram[columns] / noise**2, score[columns][:, None]), dim=1) * widths[:, None]
-        followed = torch.linalg.solve_triangular(factor, both, upper=False)
-        return followed[:, :-1], followed[:, -1]
+    def gains(self, chosen: Sequence[int], noise: float) -> list[float]:
+        """Log Bayes factor of each of some items beside the others, against these alone."""
+        beside = Beside(self.among(chosen), range(len(chosen)), noise)
+        return [float(beside.evidence(without=i)[i]) for i in range(len(chosen))]
 
     def sizes(self, chosen: Sequence[int], noise: float) -> tuple[Tensor, Tensor]:
         """Mean and covariance of the coefficients of some items' columns, one item after the other."""
@@ -165,6 +126,89 @@ class Products:
         explained = reached / variance[:, None] / (variance[:, None] + size)
         likelihood: Tensor = result + 0.5 * (explained - torch.log1p(size / variance[:, None])).sum(1)
         return likelihood
+
+
+class Beside:
+    """All items beside some that are there, or beside all but one of these.
+
+    Without one of them, all that it alone followed of a column is free again: a product of as many rows as it has columns, instead of
+    one more system of all columns.
+
+    Args:
+        products: Of all items.
+        chosen: Numbers of those that are there.
+        noise: Factor on the noise of the fit.
+        signal: Combination of columns that stands for the residual, where something else than what was measured is asked about.
+    """
+
+    def __init__(
+        self,
+        products: Products,
+        chosen: Sequence[int],
+        noise: float,
+        signal: Float[Tensor, " column"] | None = None,
+    ) -> None:
+        self.products, self.chosen, self.precision = products, tuple(chosen), 1.0 / noise**2
+        columns, widths, self.mixture = products.of(chosen)
+        if signal is not None:
+            self.mixture = self.mixture + signal
+            self.mixture[products.residual] = 0.0
+        gram = products.gram
+        own = gram[columns][:, columns] * widths[:, None] * widths * self.precision
+        self.factor = lower_factor(_with_unit_prior(own))
+        scaled = gram[columns] * (widths * self.precision)[:, None]
+        self.followed = torch.linalg.solve_triangular(self.factor, scaled, upper=False)
+        self.score = self._rest(self.mixture)
+        self.blocks = np.empty(products.n_in_blocks)
+        rows = self.followed.T.contiguous().numpy()
+        layout = products.begin, products.columns, products.first
+        fill_blocks(gram.numpy(), rows, self.precision, *layout, self.blocks)
+
+    def evidence(self, without: int | None = None) -> Float[Tensor, " item"]:
+        """Log Bayes factor of each item beside the others, against these alone.
+
+        Args:
+            without: Number of one of the chosen items that is not there; all are by default.
+        """
+        products, score = self.products, self.score
+        freed = score.new_zeros(0, len(score))
+        if without is not None:
+            freed = self._freed(without)
+            start = torch.zeros_like(score)
+            start[products.start_of(without)] = 1.0
+            score = score + self._rest(start) + (freed @ (self.mixture + start)) @ freed
+        result = np.empty(len(products.items))
+        log_bayes_factors(
+            self.blocks,
+            freed.T.contiguous().numpy(),
+            score.numpy(),
+            products.begin,
+            products.columns,
+            products.widths,
+            products.first,
+            products.is_one_sided,
+            result,
+        )
+        return torch.from_numpy(result)
+
+    def _rest(self, mixture: Float[Tensor, " column"]) -> Float[Tensor, " column"]:
+        """Inner products of all columns with a combination of some, less what the chosen items follow."""
+        of_it = mixture.nonzero()[:, 0]
+        own = mixture[of_it]
+        whole = own @ self.products.gram[of_it] * self.precision
+        rest: Tensor = whole - (self.followed[:, of_it] @ own) @ self.followed
+        return rest
+
+    def _freed(self, without: int) -> Float[Tensor, "own column"]:
+        """What one of the chosen items alone follows of each column, along orthonormal directions."""
+        items = self.products.items
+        first = sum(len(items[i].columns) for i in self.chosen[: self.chosen.index(without)])
+        unit = self.factor.new_zeros(len(self.factor), len(items[without].columns))
+        unit[first : first + unit.shape[1]].fill_diagonal_(1.0)
+        inverse = torch.linalg.solve_triangular(self.factor, unit, upper=False)
+        factor = lower_factor(inverse.T @ inverse)
+        alone: Tensor = torch.linalg.solve_triangular(factor, inverse.T @ self.followed, upper=False)
+        return alone
 
 
 def _with_unit_prior(gram: Float[Tensor, "*batch column column"]) -> Float[Tensor, "*batch column column"]:

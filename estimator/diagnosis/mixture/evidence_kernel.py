@@ -27,28 +27,22 @@ def _log_twice_below(x):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _inner(gram, followed, precision, first, second):  # type: ignore[no-untyped-def]
-    """Inner product of two columns, less what the others follow of both."""
-    product = gram[first, second] * precision
-    for r in range(followed.shape[1]):
-        product -= followed[first, r] * followed[second, r]
-    return product
-
-
-@compiled
-def _fill(rest, gram, followed, precision, chosen):  # type: ignore[no-untyped-def]
-    """Inner products of the columns of one item, less what the others follow of them; only the lower triangle is read."""
+def _subtract(block, rows, chosen, sign):  # type: ignore[no-untyped-def]
+    """Subtract from inner products of some columns what rows of a matrix follow of them; only the lower triangle is read."""
     n = len(chosen)
     if n < MANY:
         for a in range(n):
             for b in range(a + 1):
-                rest[a, b] = _inner(gram, followed, precision, chosen[a], chosen[b])
+                product = 0.0
+                for r in range(rows.shape[1]):
+                    product += rows[chosen[a], r] * rows[chosen[b], r]
+                block[a, b] -= sign * product
         return
-    own = followed[chosen]
+    own = rows[chosen]
     taken = np.dot(own, own.T)
     for a in range(n):
         for b in range(a + 1):
-            rest[a, b] = gram[chosen[a], chosen[b]] * precision - taken[a, b]
+            block[a, b] -= sign * taken[a, b]
 
 
 @compiled
@@ -78,38 +72,61 @@ def _log_bayes_factor(rest, own, widths, is_one_sided, factor, reached):  # type
 
 
 @compiled
-def log_bayes_factors(  # type: ignore[no-untyped-def]
-    gram, followed, score, begin, columns, widths, shift, is_one_sided, is_like_before, precision, result
-):
-    """Log Bayes factor of each item beside some others.
+def fill_blocks(gram, followed, precision, begin, columns, first, blocks):  # type: ignore[no-untyped-def]
+    """Inner products of the columns of each item, less what others follow of them.
 
     Args:
         gram: Inner products of all columns, in units of the fitted noise.
         followed: By column, what the others follow of it along orthonormal directions.
-        score: By column, its inner product with what the others leave of the residual.
-        begin: First of the columns of each item, and last their number.
-        columns, widths: Of all items, one after the other: numbers of columns, and prior standard deviations.
-        shift: By item the column by which its start changes the predictions.
-        is_one_sided: By item, whether its only quantity cannot be negative.
-        is_like_before: By item, whether it has the columns and the start of the one before.
         precision: Inverse square of the factor on the noise.
+        begin: First of the columns of each item, and last their number.
+        columns: Numbers of the columns of all items, one after the other; of each, its start is the last.
+        first: By item, where its block begins; items with the same columns share one.
+        blocks: Square matrices, one after the other; their lower triangles are overwritten.
+    """
+    for i in range(len(first)):
+        if i > 0 and first[i] == first[i - 1]:
+            continue
+        chosen = columns[begin[i] : begin[i + 1]]
+        n = len(chosen)
+        block = blocks[first[i] : first[i] + n * n].reshape(n, n)
+        for a in range(n):
+            for b in range(a + 1):
+                block[a, b] = gram[chosen[a], chosen[b]] * precision
+        _subtract(block, followed, chosen, 1.0)
+
+
+@compiled
+def log_bayes_factors(blocks, freed, score, begin, columns, widths, first, is_one_sided, result):  # type: ignore[no-untyped-def]
+    """Log Bayes factor of each item beside some others.
+
+    Args:
+        blocks: What `fill_blocks` has made.
+        freed: By column, what is no longer followed of it, along orthonormal directions.
+        score: By column, its inner product with what the others leave of the residual.
+        begin, columns, first: As in `fill_blocks`.
+        widths: Prior standard deviations of the columns; those of starts are not read.
+        is_one_sided: By item, whether its only quantity cannot be negative.
         result: By item; overwritten.
     """
     most = 1
-    for i in range(len(shift)):
+    for i in range(len(first)):
         most = max(most, begin[i + 1] - begin[i])
     rest, factor = np.empty((most, most)), np.empty((most, most))
     own, reached = np.empty(most), np.empty(most)
     started = 0.0
-    for i in range(len(shift)):
+    for i in range(len(first)):
         chosen = columns[begin[i] : begin[i + 1]]
-        if not is_like_before[i]:
-            _fill(rest, gram, followed, precision, chosen)
-            for a in range(len(chosen)):
-                own[a] = score[chosen[a]] - _inner(gram, followed, precision, chosen[a], shift[i])
-            square = _inner(gram, followed, precision, shift[i], shift[i])
-            started = score[shift[i]] - 0.5 * square
-        own_widths = widths[begin[i] : begin[i + 1]]
+        last = len(chosen) - 1
+        if i == 0 or first[i] != first[i - 1]:
+            rest[: last + 1, : last + 1] = blocks[first[i] : first[i] + (last + 1) ** 2].reshape(
+                last + 1, last + 1
+            )
+            _subtract(rest, freed, chosen, -1.0)
+            for a in range(last):
+                own[a] = score[chosen[a]] - rest[last, a]
+            started = score[chosen[last]] - 0.5 * rest[last, last]
+        own_widths = widths[begin[i] : begin[i + 1] - 1]
         result[i] = started + _log_bayes_factor(rest, own, own_widths, is_one_sided[i], factor, reached)
 
 

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.mixture import priors
-from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.evidence import Beside, Products
 
 N_NOISES = 46
 LEAST_NOISE, MOST_NOISE = 0.05, 1.6  # of that of the fit
@@ -182,17 +182,31 @@ class Slots:
         self.name = np.array([names[item.name] for item in items], dtype=int)
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
         self._densities: dict[tuple[int, ...], Tensor] = {}
+        self._last: tuple[tuple[tuple[int, ...], int], Beside] | None = None
 
-    def conditional(self, rest: Sequence[int], noise: int) -> np.ndarray:
-        """Probability of each item, and last of none, in one slot beside the items in the others."""
-        key = tuple(sorted(rest)), noise
-        if key not in self._known:
-            evidence = self.products.beside(key[0], float(self.grid[noise])) + self.log_prior
+    def conditional(self, chosen: Sequence[int], noise: int, without: int | None = None) -> np.ndarray:
+        """Probability of each item, and last of none, in one slot beside the items in the others.
+
+        Args:
+            chosen: In all other slots, and in this one.
+            noise: Number of the factor on the noise.
+            without: The item of this slot; None where it is empty.
+        """
+        rest = tuple(sorted(i for i in chosen if i != without))
+        if (rest, noise) not in self._known:
+            evidence = self._beside(chosen, noise).evidence(without) + self.log_prior
             is_there = np.isin(self.name, self.name[list(rest)])
             evidence[torch.from_numpy(is_there)] = -math.inf
             both = torch.cat((evidence, evidence.new_tensor([math.log(priors.EMPTY)])))
-            self._known[key] = torch.softmax(both, 0).numpy()
-        return self._known[key]
+            self._known[rest, noise] = torch.softmax(both, 0).numpy()
+        return self._known[rest, noise]
+
+    def _beside(self, chosen: Sequence[int], noise: int) -> Beside:
+        """Some items together; the last ones are remembered, for slots are asked one after another."""
+        key = tuple(sorted(chosen)), noise
+        if self._last is None or self._last[0] != key:
+            self._last = key, Beside(self.products, key[0], float(self.grid[noise]))
+        return self._last[1]
 
     def noise_of(self, chosen: Sequence[int]) -> np.ndarray:
         """Probability of each factor on the noise, given the items."""
@@ -223,8 +237,8 @@ class Slots:
         for _ in range(self.n_slots):
             before = list(slots)
             for k in range(self.n_slots):
-                rest = [i for j, i in enumerate(slots) if j != k and i is not None]
-                best = int(self.conditional(rest, noise).argmax())
+                chosen = [i for i in slots if i is not None]
+                best = int(self.conditional(chosen, noise, slots[k]).argmax())
                 slots[k] = None if best == len(self.log_prior) else best
             noise = int(self.noise_of([i for i in slots if i is not None]).argmax())
             if slots == before:
@@ -244,10 +258,7 @@ class Slots:
             chosen = [i for i in slots if i is not None]
             if len(chosen) < 2:
                 break
-            strongest = max(
-                chosen,
-                key=lambda i: self.products.of_one(i, [j for j in chosen if j != i], float(self.grid[noise])),
-            )
+            strongest = chosen[int(np.argmax(self.products.gains(chosen, float(self.grid[noise]))))]
             other, _ = self._barring(strongest).climbed()
             other, noise_there = self.climbed([i for i in other if i is not None])
             if self.log_density([i for i in other if i is not None]) < self.log_density(chosen) + HIGHER:
@@ -304,7 +315,7 @@ class Slots:
         for sweep in range(sweeps.n):
             for k in range(self.n_slots):
                 rest = [i for j, i in enumerate(slots) if j != k and i is not None]
-                probability = self.conditional(rest, noise)
+                probability = self.conditional([i for i in slots if i is not None], noise, slots[k])
                 drawn = int(np.searchsorted(np.cumsum(probability), random.random() * probability.sum()))
                 slots[k] = drawn if drawn < len(self.log_prior) else None
                 if sweep >= sweeps.burn_in:

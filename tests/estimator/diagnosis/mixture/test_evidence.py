@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.evidence import Beside, Products
 from tests.estimator.diagnosis.mixture.dictionaries import N, dictionary, item, log_density
 
 ITEMS = [
@@ -88,7 +88,9 @@ def test_evidence_of_a_signal_is_that_of_readings_which_are_nothing_else():
     signal = products.signal_of([1, 3], sizes)
     for chosen in ([], [3], [0, 4]):
         expected = alone.beside(chosen, 0.8)
-        torch.testing.assert_close(products.beside(chosen, 0.8, signal), expected, rtol=1e-9, atol=1e-9)
+        torch.testing.assert_close(
+            Beside(products, chosen, 0.8, signal).evidence(), expected, rtol=1e-9, atol=1e-9
+        )
 
 
 @pytest.mark.parametrize("noise", [1.0, 0.6])
@@ -116,3 +118,14 @@ def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(
     beside = Products(made).beside([0], noise)
     assert float(beside[2]) == pytest.approx(expected, abs=1e-3)
     assert float(beside[1]) != pytest.approx(float(beside[2]), abs=0.1)
+
+
+@pytest.mark.parametrize("without", [0, 3, 2])
+@pytest.mark.parametrize("noise", [0.6, 1.0])
+def test_beside_all_but_one_is_as_if_that_one_had_never_been_there(without, noise):
+    products, chosen = Products(dictionary(ITEMS)), [0, 2, 3]
+    rest = [i for i in chosen if i != without]
+    expected = products.beside(rest, noise)
+    torch.testing.assert_close(
+        Beside(products, chosen, noise).evidence(without), expected, rtol=1e-8, atol=1e-8
+    )
