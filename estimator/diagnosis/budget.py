@@ -22,6 +22,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
+from estimator.side_by_side import each
 
 MOST_IN_ALL_ORDERS = 3  # causes; of more in one order and its reverse
 NEGLIGIBLE = 0.01  # share of the misfit
@@ -101,13 +102,14 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
     nothing, everything = frozenset[Cause](), frozenset(causes)
     squares = {nothing: _squares(plain, unseen), everything: _squares(extended, unseen)}
     orders = _orders(len(causes), seed)
-    for order in orders:
-        for n in range(1, len(causes)):
-            some = frozenset(causes[i] for i in order[:n])
-            if some not in squares:
-                acting = [cause for group in some for cause in groups[group]]
-                with_some = _squares(_fit_with(plain, extended, acting), unseen)
-                squares[some] = min(with_some, squares[nothing], key=np.mean)
+    sets = {frozenset(causes[i] for i in order[:n]) for order in orders for n in range(1, len(causes))}
+
+    def squares_with(some: frozenset[Cause]) -> Squares:
+        acting = [cause for group in some for cause in groups[group]]
+        with_some = _squares(_fit_with(plain, extended, acting), unseen)
+        return min(with_some, squares[nothing], key=np.mean)
+
+    squares |= dict(zip(sets, each(squares_with, sets), strict=True))
     noise = _noise(extended, unseen)
     misfit = float((squares[nothing] - noise).mean())
     if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):

@@ -26,6 +26,7 @@ from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
+from estimator.side_by_side import each
 
 N_PAIRS = 3  # of complementary halves
 IN_HALVES = Sweeps(16, 4)
@@ -175,12 +176,9 @@ class Answer:
         stated = [entry.first_listed for entry in self.stated]
         if not stated:
             return None
-        fit = self._beside_departures(stated)
-        rises = {
-            cause: fit.log_evidence
-            - self._beside_departures([other for other in stated if other != cause]).log_evidence
-            for cause in stated
-        }
+        without = [[other for other in stated if other != cause] for cause in stated]
+        fit, *others = each(self._beside_departures, [stated, *without])
+        rises = {c: fit.log_evidence - other.log_evidence for c, other in zip(stated, others, strict=True)}
         least = min(rises, key=rises.__getitem__)
         is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
         return None if is_clear else least
