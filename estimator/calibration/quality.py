@@ -35,6 +35,11 @@ class Quality(StrEnum):
     UNUSABLE = "unusable"
 
 
+def condition(quality: Mapping[str, Any]) -> str:
+    """Words that follow a probability, unless the calibration is good; by `quality` of a summary."""
+    return "" if quality["verdict"] == Quality.GOOD else " if nothing is wrong"
+
+
 @dataclass(frozen=True)
 class Assessment:
     """Whether a calibration can be used.
@@ -106,7 +111,8 @@ def assessment(
         words = (
             "With the causes that this rig has, something may still be wrong in it: do not rely on what lies far off."
             if any(not EFFECTS[cause.name].is_everywhere for cause in rig.acting)
-            else "Something in the rig file or in the model may be wrong. Run coilcal diagnose, which names it or says that it cannot."
+            else "Something in the rig file or in the model may be wrong; numbers, intervals and probabilities hold only if nothing is. "
+            "Run coilcal diagnose, which names it or says that it cannot."
         )
         return Assessment(Quality.SUSPECT, tuple(reasons), words)
     return Assessment(

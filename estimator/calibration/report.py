@@ -9,7 +9,7 @@ import numpy as np
 
 from estimator.calibration.figures import pictures
 from estimator.calibration.notes import told_by_data
-from estimator.calibration.quality import noise_rms_T
+from estimator.calibration.quality import condition, noise_rms_T
 from estimator.calibration.residual_groups import residual_groups
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays, percent, probability, size_with_unit, to_digit_of, with_sd
@@ -72,7 +72,8 @@ def verdict_sentences(calibration: Calibration) -> list[str]:
     ]
     for entry in _most_probable(summary["loop_counts"]):
         sentences.append(
-            f"{entry['coil']} has {entry['axial']} x {entry['radial']} loops with probability {probability(entry['probability'])}."
+            f"{entry['coil']} has {entry['axial']} x {entry['radial']} loops with probability "
+            f"{probability(entry['probability'])}{condition(quality)}."
         )
     for coil, told in summary.get("amplitudes", {}).items():
         sentences.append(

@@ -128,6 +128,7 @@ def _write_report(calibration: Calibration, path: Path) -> None:
 
 def _text(summary: Any) -> str:
     from estimator.calibration.notes import told_by_data
+    from estimator.calibration.quality import condition
     from estimator.reporting.numbers import displays, percent, probability
 
     quality = summary["quality"]
@@ -147,7 +148,8 @@ def _text(summary: Any) -> str:
         lines.append(f"{name:38} {middle:>12} {low:>13} {high:>13}  {show_as.unit or '1'}")
     for counts in summary["loop_counts"][:3]:
         lines.append(
-            f"{counts['coil']}: {counts['axial']} x {counts['radial']} loops with probability {probability(counts['probability'])}"
+            f"{counts['coil']}: {counts['axial']} x {counts['radial']} loops with probability "
+            f"{probability(counts['probability'])}{condition(quality)}"
         )
     for role, errors in summary["rmse"].items():
         if errors:

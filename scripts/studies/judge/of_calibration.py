@@ -109,7 +109,9 @@ def row(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     yield Statement("interval_as_drawn", CALIBRATE, text, is_true, f"draws: {drawn}")
 
 
-@sentence(r"^(?P<coil>\w+): (?P<axial>\d+) x (?P<radial>\d+) loops with probability (?P<probability>.+)")
+@sentence(
+    r"^(?P<coil>\w+): (?P<axial>\d+) x (?P<radial>\d+) loops with probability (?P<probability>[<>\d ]+ %)$"
+)
 def counts(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """Whole loop counts that are stated as a fact."""
     entry = (match["coil"], int(match["axial"]), int(match["radial"]))
@@ -158,6 +160,7 @@ def too_little_change(case: Case, text: str, _: re.Match[str]) -> Iterator[State
     yield Statement("too_little_change", CALIBRATE, text, share <= TOLD_APART, why)
 
 
+sentence(r"loops with probability .+ if nothing is wrong$")(nothing)  # which is said to be in doubt
 sentence(r"^Fitted besides, |^The rig file (takes the gains|describes no iron)")(nothing)
 sentence(
     r"^(suspect|unusable): |^Run coilcal diagnose|^Do not use it|^Something in the rig file|^With the causes|^Raise `degree`"

@@ -336,7 +336,7 @@ def handed_out(case: Case) -> Iterator[Statement]:
     why = "; ".join(excluded.values()) or "no interval excludes the truth"
     text = f"calibration of rig_extended.yaml ({case.diagnosis['verdict']}): 90 % credible intervals"
     yield Statement("extended_intervals", DIAGNOSE, text, not excluded, f"{why} (hidden: {case.truth.words})")
-    for entry in summary["loop_counts"][:1]:
+    for entry in summary["loop_counts"][:1] if quality["verdict"] == "good" else []:
         text = f"calibration/report.html {entry['coil']}: {entry['axial']} x {entry['radial']} loops"
         stated = (entry["coil"], entry["axial"], entry["radial"])
         yield from counts_of(case, summary["loop_counts"], DIAGNOSE, text, stated)

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from estimator.calibration.calibrate import calibrate
+from estimator.calibration.quality import condition
 from estimator.calibration.report import calibration_report
 from estimator.cli.main import main
 from estimator.inference.ensemble import SamplerSettings
@@ -95,5 +96,8 @@ def test_a_number_far_from_its_prior_is_suspect_first(
     truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.054}
     verdict = quality(Session(rig, simulate(rig, small_plan, truth, seed=1), "far"))
     assert verdict["verdict"] == "suspect"
+    assert "hold only if nothing is" in str(verdict["next"])
+    assert condition(verdict) == " if nothing is wrong"
+    assert condition({"verdict": "good"}) == ""
     assert str(verdict["reasons"][0]).startswith("z is -5")  # type: ignore[index]
     assert "widths of its prior" in str(verdict["reasons"])
