@@ -23,7 +23,7 @@ def shown_by_prediction_T(
     """What sensors show in the field that a calibration predicts where they stood, in T.
 
     Sensors keep their response and their zero. Departures of sensors and movers, instants, drifts and what currents did before are in no
-    predicted field.
+    predicted field. Inside a winding a prediction has no value, and the sensor is given that of the fit.
 
     Args:
         fit: The rig and its numbers.
@@ -42,8 +42,10 @@ def shown_by_prediction_T(
         places_m = poses.translation_m.expand(n_rows, 3)[model.pose_row]
         room = RoomField(fit.rig, values, places_m, dict(readings.motion))
         field_T = room.field_by_point_T(values, readings.current_A)
-        shown_T: Tensor = model.shown_T(own, torch.einsum("nij,...ni->...nj", turn, field_T))
-    return shown_T.expand(len(readings), 3)
+        shown_T = model.shown_T(own, torch.einsum("nij,...ni->...nj", turn, field_T)).expand(len(readings), 3)
+        if room.is_inside.any():
+            shown_T = torch.where(shown_T.isnan(), fit.model_of(readings).predict(values), shown_T)
+    return shown_T
 
 
 def not_predicted(fit: Fit, readings: Observations) -> tuple[Cause, ...]:

@@ -83,9 +83,12 @@ class HandedOut:
             return model.shown_T(shown, at_sensor_T)
 
     def errors(self, observations: Observations) -> Errors:
-        """Errors of the best values on readings."""
-        measured = observations.field_sensor_T.numpy()
-        metrics = error_metrics(measured, self.readings_T(observations).numpy())
+        """Errors of the best values on readings; inside a winding, where `predict` has no value, by the measurement model."""
+        measured, predicted_T = observations.field_sensor_T.numpy(), self.readings_T(observations)
+        if predicted_T.isnan().any():
+            model = MeasurementModel.build(self.rig, as_meant(self.rig, observations))
+            predicted_T = torch.where(predicted_T.isnan(), model.predict(self.values), predicted_T)
+        metrics = error_metrics(measured, predicted_T.numpy())
         n = int(np.isfinite(measured).sum())
         return Errors(metrics.vector_T, metrics.component_T, metrics.max_T, metrics.relative, n)
 
