@@ -15,6 +15,7 @@ from estimator.calibration.files import remove_calibration
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import posterior_scores
@@ -166,7 +167,7 @@ def judged_as_handed_out(result: Diagnosis, posterior: Calibration, unseen: Obse
     """A diagnosis whose errors on unseen readings are those of the model that was sampled, with its whole counts and its draws."""
     fits = result.fits
     assert fits.improvement is not None
-    scores = posterior_scores(fits.final, posterior, unseen)
+    scores = posterior_scores(fits.final, posterior, on_known_sides(fits.final, unseen))
     correction = fits.correction
     if correction is not None and correction.is_taken and correction.gain is not None:
         correction = replace(correction, gain=correction.gain.with_after(scores))

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import cast
+from unittest.mock import MagicMock
 
 import pytest
 import torch
 
+from estimator.calibration.result import Calibration
+from estimator.diagnosis.findings import Fits
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, starts_of
+from estimator.diagnosis.posterior import judged_as_handed_out
+from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.validation import improvement_of
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.rig import Cause, Rig
@@ -85,10 +94,20 @@ def test_columns_of_a_spell_are_the_difference_of_those_of_what_stays(small_rig:
             torch.testing.assert_close(difference.columns, predicted.columns, rtol=0.0, atol=1e-8 * scale)
 
 
+@dataclass
+class Judged:
+    """What `judged_as_handed_out` reads of a diagnosis."""
+
+    fits: Fits
+
+
 def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
     small_rig: Rig, small_truth: dict[str, float], small_session: Session
 ):
-    """Where a block is kept out about the instant, the fitted readings beside it are all that says when it was."""
+    """Where a block is kept out about the instant, the fitted readings beside it are all that says when it was.
+
+    They judge neither a fit nor the posterior that is drawn beside it.
+    """
     whole = small_session.observations.calibration
     whole = whole.rows(torch.argsort(whole.time_s))
     n, cause = len(whole), Cause("offset_step", "hall")
@@ -106,3 +125,16 @@ def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
     assert told.time_s.tolist() == wrong.rows(is_late).time_s.tolist()
     without = fit_rig(truth, fitted, {}, fit.posterior.model.rules)
     assert len(on_known_sides(without, unseen)) == len(unseen)
+    improvement = improvement_of(without, fit, told)
+    drawn = {
+        name: torch.normal(float(fit.values[name]), fit.value_sd(name), (2, 50))
+        for name in fit.posterior.coordinates.names
+    }
+    best = {name: float(value) for name, value in fit.values.items()}
+    posterior = SimpleNamespace(
+        best=best, draws={name: draws.double().numpy() for name, draws in drawn.items()}
+    )
+    fits = Fits(fit, fit, fit, MagicMock(), MagicMock(), improvement, None, None)
+    judged = judged_as_handed_out(cast(Diagnosis, Judged(fits)), cast(Calibration, posterior), unseen)
+    assert judged.fits.improvement is not None
+    assert len(judged.fits.improvement.after.log_density) == len(told)
