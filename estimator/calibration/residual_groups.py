@@ -78,7 +78,7 @@ def _by_value(current_A: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
 def _by_height(
     coil: str, z_m: np.ndarray, is_on: np.ndarray, in_sigma: np.ndarray
 ) -> Iterator[ResidualGroup]:
-    if np.ptp(z_m[is_on]) < 1e-6:
+    if not is_on.any() or np.ptp(z_m[is_on]) < 1e-6:
         return
     edges = np.quantile(z_m[is_on], np.linspace(0.0, 1.0, N_HEIGHTS + 1))
     for i, (low, high) in enumerate(pairwise(edges)):

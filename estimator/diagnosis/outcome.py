@@ -17,6 +17,7 @@ from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
 from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.mixture.scatter import BesideScatter
+from estimator.diagnosis.predicted_field import missed_in_any_session_T
 from estimator.diagnosis.structure.pull import Pull, pull_of
 from estimator.diagnosis.structure.scatter import Scatter, scatter_of
 from estimator.diagnosis.validation import (
@@ -162,7 +163,8 @@ class Outcome:
             return with_correction
         told = on_known_sides(final, unseen)
         before, after = validation_scores(self.after, told), with_correction.improvement.after
-        correction = correction.judged_by(improvement_between(self.after, final, before, after))
+        missed_T = missed_in_any_session_T(self.after, told), missed_in_any_session_T(final, told)
+        correction = correction.judged_by(improvement_between(self.after, final, before, after), missed_T)
         if correction.is_taken:
             return replace(with_correction, correction=correction)
         return replace(self, correction=correction).widened(unseen)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis.fitting import Fit
+from estimator.effects import EFFECTS
 from estimator.effects.use import as_meant
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
@@ -18,7 +21,7 @@ MOSTLY = 0.5  # of what a cause changes in readings: a predicted field that lack
 
 
 def shown_by_prediction_T(
-    fit: Fit, readings: Observations, values: Values | None = None
+    fit: Fit, readings: Observations, values: Values | None = None, beside: Collection[Cause] = ()
 ) -> Float[Tensor, "reading 3"]:
     """What sensors show in the field that a calibration predicts where they stood, in T.
 
@@ -29,9 +32,10 @@ def shown_by_prediction_T(
         fit: The rig and its numbers.
         readings: Where sensors stood, and the currents.
         values: Other numbers of the same rig; those of the fit by default.
+        beside: Departures of sensors and movers that act all the same.
     """
     rig, values = fit.rig, fit.values if values is None else values
-    for correction in rig.corrections:
+    for correction in set(rig.corrections).difference(beside):
         rig = rig.without_cause(correction)
     own = {name: value for name, value in values.items() if name in rig.parameters}
     model = MeasurementModel.unruled(rig, as_meant(rig, readings))
@@ -46,6 +50,27 @@ def shown_by_prediction_T(
         if room.is_inside.any():
             shown_T = torch.where(shown_T.isnan(), fit.model_of(readings).predict(values), shown_T)
     return shown_T
+
+
+def missed_in_any_session_T(fit: Fit, readings: Observations) -> float:
+    """Root mean square length by which the predicted field misses readings, with departures of sensors and movers that stay as they are.
+
+    Args:
+        fit: The rig and its numbers.
+        readings: Where sensors stood, and what they showed.
+    """
+    lasting = [
+        cause
+        for cause in fit.rig.corrections
+        if all(
+            EFFECTS[cause.name].beyond_the_moment(name.removeprefix(f"{cause.label}.")) is None
+            for name in fit.rig.parameters
+            if name.startswith(f"{cause.label}.")
+        )
+    ]
+    meant = as_meant(fit.rig, readings)
+    error_T = meant.field_sensor_T - shown_by_prediction_T(fit, meant, beside=lasting)
+    return float(error_T.nan_to_num().square().sum(-1).mean().sqrt())
 
 
 def not_predicted(fit: Fit, readings: Observations) -> tuple[Cause, ...]:

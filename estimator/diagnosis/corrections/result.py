@@ -110,10 +110,15 @@ class Correction:
         looks = told_together(self.of_session, label)
         return f"What is left looks like {looks}; no prediction has that, so none is corrected by it. {corrected}"
 
-    def judged_by(self, gain: Improvement) -> Correction:
-        """The correction after its gain on unseen readings, which drop it where it predicts them worse."""
+    def judged_by(self, gain: Improvement, missed_T: tuple[float, float]) -> Correction:
+        """The correction after its gain on unseen readings, which drop it where it predicts them worse.
+
+        Args:
+            gain: Over the causes alone.
+            missed_T: By how much the predicted field misses these readings without and with it, beside what sensors do in every session.
+        """
         is_worse = gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T
-        without, with_it = (scores.predicted.vector_T for scores in (gain.before, gain.after))
+        without, with_it = missed_T
         refusal = self.refusal
         if is_worse:
             refusal = "unseen readings are predicted worse with what was tried"

@@ -85,7 +85,7 @@ def _of_session(diagnosis: Diagnosis, improvement: Improvement) -> str:
         return ""
     names = _first_few(diagnosis, improvement.not_predicted) or "what only sensors show"
     error = size_with_unit(after.predicted.vector_T, "T", 3)
-    return f" That is with {names}, which only these readings have: the field that predict gives misses them by {error}."
+    return f" That is with {names}, which these readings have and the field that predict gives has not: it misses them by {error}."
 
 
 def _beside_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:

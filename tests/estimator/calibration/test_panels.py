@@ -14,6 +14,8 @@ from estimator.calibration.panels import CalibrationPanels, calibration_panels
 from estimator.calibration.report import calibration_report
 from estimator.calibration.residual_groups import residual_groups
 from estimator.calibration.result import Calibration
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause
 
 
 @pytest.fixture(scope="module")
@@ -85,3 +87,17 @@ def test_groups_say_where_a_residual_is(small_calibration: Calibration) -> None:
     assert heights  # of readings with current alone, those with few left out
     assert sum(group.n_readings for group in heights) <= groups["current of coil1", "3 A"].n_readings
     assert "Residuals by current, axis, height and sensor" in calibration_report(changed, "")
+
+
+def test_a_coil_that_only_a_cause_drives_is_in_the_report_without_heights(
+    small_calibration: Calibration,
+) -> None:
+    """Its rows count as powered although no current was commanded."""
+    o = small_calibration.observations
+    idle = replace(o, current_A=torch.zeros_like(o.current_A))
+    rig = with_effect(small_calibration.rig, Cause("current_offset", "coil1"), o, {})
+    driven = replace(
+        small_calibration, rig=rig, observations=idle, best={**rig.nominal_values(), **small_calibration.best}
+    )
+    assert all(group.by != "height over coil1" for group in residual_groups(driven))
+    assert residual_groups(driven)

@@ -34,6 +34,7 @@ from tests.estimator.diagnosis.unknown_source import CURRENT_A, NOISE_T, with_di
 
 pytestmark = pytest.mark.whole
 
+ALIKE_T = (1e-4, 1e-4)
 HARMONICS, GAIN = Cause("coil_harmonics", "coil1"), Cause("axis_gain", "hall")
 
 
@@ -125,7 +126,13 @@ def test_causes_that_are_not_sure_enough_to_be_stated_correct_by_themselves(
     assert len(correction.final.rig.effects) == 2
     assert "by causes that are not sure enough to be stated." in correction.words(str)
     gain = improvement_of(bare, correction.final, two_causes.validation)
-    assert correction.judged_by(gain).is_taken
+    assert correction.judged_by(gain, ALIKE_T).is_taken
+    taking = correction.judged_by(gain, (1e-4, 1.5e-4))
+    assert not taking.is_taken
+    assert (
+        "takes so much from the coil that the field alone would miss them by 150 µT instead of 100 µT"
+        in taking.words(str)
+    )
     assert gain.after.errors.vector_T < 0.5 * gain.before.errors.vector_T
 
 
@@ -188,8 +195,8 @@ def test_correction_that_predicts_unseen_readings_worse_is_dropped(
     """Unseen readings with the opposite dipole refute it; they are the ones that count."""
     plain = of_dipole.plain
     opposite = with_dipole(small_session, -1.0).validation
-    assert correction.judged_by(improvement_of(plain, correction.final, dipole.validation)).is_taken
-    dropped = correction.judged_by(improvement_of(plain, correction.final, opposite))
+    assert correction.judged_by(improvement_of(plain, correction.final, dipole.validation), ALIKE_T).is_taken
+    dropped = correction.judged_by(improvement_of(plain, correction.final, opposite), ALIKE_T)
     assert not dropped.is_taken
     assert "unseen" in dropped.refusal
     assert dropped.gain is not None
