@@ -5,6 +5,7 @@ from __future__ import annotations
 from estimator.readings.observations import Observations
 from estimator.tensors import Tensor, torch
 
+MOST_SCATTER = 40.0  # variance of a place over the median of all: of one degree of freedom one in 40,000 has more by chance
 FEWEST = 30  # degrees of freedom from which on the scatter counts; it is then known to an eighth
 
 
@@ -21,21 +22,26 @@ def scatter_T(observations: Observations, n_sensors: int) -> list[float | None]:
     _, place = torch.unique(torch.cat(settings, dim=1), dim=0, return_inverse=True)
     order = torch.argsort(place, stable=True)
     groups = torch.split(order, torch.bincount(place).tolist())
-    squares, n_free = torch.zeros(2, n_sensors, dtype=torch.float64)
+    by_sensor: list[list[tuple[float, int]]] = [[] for _ in range(n_sensors)]
     for rows in groups:
-        sensor = int(observations.sensor[rows[0]])
+        of_sensor = by_sensor[int(observations.sensor[rows[0]])]
         for axis in range(3):
             read = rows[observations.is_measured[rows, axis]]
-            if len(read) < 2:
-                continue
-            left, n_left = _about_a_line(
-                observations.current_A[read], observations.field_sensor_T[read, axis]
-            )
-            squares[sensor] += left
-            n_free[sensor] += n_left
-    return [
-        float((square / n).sqrt()) if n >= FEWEST else None for square, n in zip(squares, n_free, strict=True)
-    ]
+            if len(read) >= 2:
+                of_sensor.append(
+                    _about_a_line(observations.current_A[read], observations.field_sensor_T[read, axis])
+                )
+    return [_pooled_T([(left, n) for left, n in of_sensor if n]) for of_sensor in by_sensor]
+
+
+def _pooled_T(groups: list[tuple[float, int]]) -> float | None:
+    """Standard deviation by sums of squares and their degrees of freedom; those of places that were written down wrongly do not count."""
+    if not groups:
+        return None
+    left, n_free = (torch.tensor(each, dtype=torch.float64) for each in zip(*groups, strict=True))
+    counts = left <= MOST_SCATTER * (left / n_free).median() * n_free
+    n = float(n_free[counts].sum())
+    return float((left[counts].sum() / n).sqrt()) if n >= FEWEST else None
 
 
 def _about_a_line(current_A: Tensor, field_T: Tensor) -> tuple[float, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 from scipy.stats import chi2
@@ -27,9 +27,16 @@ def miss_sd(value: float, median: float, ci90: tuple[float, float]) -> float:
     return HALF_WIDTH_90 * abs(value - median) / half_width
 
 
-def false_intervals(model: HandedOut, truth: Truth) -> dict[str, str]:
-    """Numbers of the rig whose posterior excludes the truth, with words that say by how much; `together` where only all of them do."""
-    true_values = truth.numbers(model.flat_draws)
+def false_intervals(model: HandedOut, truth: Truth, ambiguous: Collection[str] = ()) -> dict[str, str]:
+    """Numbers of the rig whose posterior excludes the truth, with words that say by how much; `together` where only all of them do.
+
+    Args:
+        model: With its draws.
+        truth: What is true.
+        ambiguous: Causes that are stated with others which they may be instead; their numbers are not judged.
+    """
+    names = [name for name in model.flat_draws if name.partition("[")[0] not in ambiguous]
+    true_values = truth.numbers(names)
     draws = {name: values for name, values in model.flat_draws.items() if name in true_values}
     if not truth.is_clean:  # what a wrong model misses counts as noise of the readings
         draws = {name: values for name, values in draws.items() if not name.endswith(".noise_T")}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -42,10 +42,12 @@ def good(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
     yield goodness(case, case.plain, CALIBRATE, text)
 
 
-def goodness(case: Case, model: HandedOut, source: str, text: str) -> Statement:
+def goodness(
+    case: Case, model: HandedOut, source: str, text: str, ambiguous: Collection[str] = ()
+) -> Statement:
     """Whether a calibration that calls itself good is."""
     if case.truth is not None:
-        excluded = false_intervals(model, case.truth)
+        excluded = false_intervals(model, case.truth, ambiguous)
         why = "; ".join(excluded.values()) or "no interval excludes the truth"
         return Statement("good", source, text, not excluded, f"{why} (hidden: {case.truth.words})")
     held_out = case.observations.rows(case.observations.is_validation)

@@ -8,10 +8,11 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from estimator.diagnosis import policy
+from estimator.model.measurement_model import nominal_tensors
 from estimator.reporting.numbers import displays, quantity_words
+from estimator.rig_files.read import load_rig
 from scripts.studies.judge.case import DIAGNOSE_TEXT, Case, axes_of, rows_of
 from scripts.studies.judge.handed_out import HandedOut
 from scripts.studies.judge.intervals import FALSE_SD, false_intervals, miss_sd
@@ -79,9 +80,9 @@ def mistakes_left(case: Case) -> int:
         return 0
     if truth.noise_T is None:
         return int((truth.wrong & ~case.flagged).any(axis=1).sum())
-    rig = HandedOut.of_rig_file(case.folder / "rig.yaml")
-    true = {n: torch.tensor(v, dtype=torch.float64) for n, v in truth.values.items() if n in rig.values}
-    expected_T = rig.readings_T(case.observations, {**rig.values, **true}).numpy()
+    rig = load_rig(case.folder / "rig.yaml")
+    true = rig.with_values({name: value for name, value in truth.values.items() if name in rig.parameters})
+    expected_T = HandedOut(true, nominal_tensors(true)).readings_T(case.observations).numpy()
     off_T = np.abs(case.observations.field_sensor_T.numpy() - expected_T)
     is_clear = truth.wrong & (off_T > CLEARLY_WRONG * truth.noise_T[:, None])
     return int((is_clear & ~case.flagged).any(axis=1).sum())
@@ -328,11 +329,13 @@ def handed_out(case: Case) -> Iterator[Statement]:
     if model is None:
         return
     quality: dict[str, Any] = summary["quality"]
+    ambiguous = {plain_name(cause["name"]) for cause in case.diagnosis["causes"] if cause["alternatives"]}
     if quality["verdict"] == "good":
-        yield goodness(case, model, DIAGNOSE, f"calibration/report.html good: {' '.join(quality['reasons'])}")
+        text = f"calibration/report.html good: {' '.join(quality['reasons'])}"
+        yield goodness(case, model, DIAGNOSE, text, ambiguous)
     if case.truth is None:
         return
-    excluded = false_intervals(model, case.truth)
+    excluded = false_intervals(model, case.truth, ambiguous)
     why = "; ".join(excluded.values()) or "no interval excludes the truth"
     text = f"calibration of rig_extended.yaml ({case.diagnosis['verdict']}): 90 % credible intervals"
     yield Statement("extended_intervals", DIAGNOSE, text, not excluded, f"{why} (hidden: {case.truth.words})")

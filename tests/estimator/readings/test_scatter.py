@@ -60,3 +60,11 @@ def test_a_component_that_was_read_nowhere_tells_nothing(small_plan: Plan) -> No
     field_T[:, 1] = float("nan")
     (noise_T,) = scatter_T(replace(observations, field_sensor_T=field_T), 1)
     assert noise_T == pytest.approx(5e-6, rel=0.3)
+
+
+def test_readings_that_were_written_beside_a_wrong_place_do_not_count(small_plan: Plan) -> None:
+    observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=3), {}, seed=6)
+    field_T = observations.field_sensor_T.clone()
+    field_T[::40] = field_T[::40].flip(0)
+    (noise_T,) = scatter_T(replace(observations, field_sensor_T=field_T), 1)
+    assert noise_T == pytest.approx(5e-6, rel=0.25)
