@@ -302,12 +302,7 @@ class Answer:
 
 
 def answer(
-    plain: Fit,
-    limits: Limits,
-    seed: int,
-    n_pairs: int = N_PAIRS,
-    on_progress: OnProgress = unwatched,
-    before: Asked | None = None,
+    plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS, on_progress: OnProgress = unwatched
 ) -> Answer:
     """Ask the readings of a fit what is wrong, all of them and halves of them.
 
@@ -317,9 +312,26 @@ def answer(
         seed: Of blocks, halves and draws.
         n_pairs: Of complementary halves.
         on_progress: Called after each expansion and each half.
-        before: What led when the same readings were asked with another noise.
     """
-    first, asked = climbed(plain, limits, seed, on_progress, before)
+    first, asked = climbed(plain, limits, seed, on_progress)
+    return confirmed(first, asked, limits, seed, n_pairs, on_progress)
+
+
+def confirmed(
+    first: Asked,
+    asked: Asked,
+    limits: Limits,
+    seed: int,
+    n_pairs: int = N_PAIRS,
+    on_progress: OnProgress = unwatched,
+) -> Answer:
+    """What leads in all readings, as far as full fits bear it out, and what leads in halves of them.
+
+    Args:
+        first, asked: Of a climb.
+        limits, seed, n_pairs, on_progress: As in `answer`.
+    """
+    plain = asked.expansion.plain
     asked, refused = _borne_out(first, asked, seed)
     pace = Pace("what leads, in halves of the readings", on_progress)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > NEGLIGIBLE]

@@ -13,7 +13,8 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
-from estimator.diagnosis.mixture.answer import ALTERNATIVE, STATED, Answer, answer
+from estimator.diagnosis.mixture.answer import ALTERNATIVE, STATED, Answer, confirmed
+from estimator.diagnosis.mixture.climb import climbed
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.effects.attach import with_effect
@@ -66,11 +67,14 @@ def answer_beside_scatter(
         tell: Called with a message for each cause of scatter.
         on_progress: Called after each expansion and each half.
     """
-    current = answer(plain, limits, seed, on_progress=on_progress)
+    first, asked = climbed(plain, limits, seed, on_progress)
     scattering = list[NamedCause]()
-    while len(scattering) < MOST_SCATTERING and not (limits.is_over or current.is_full):
-        rows = sorted(noise_causes(current.leading_fit), key=lambda row: -row[1])
-        names = {item.cause.name for item in current.asked.dictionary.items if item.is_listed}
+    while len(scattering) < MOST_SCATTERING and not limits.is_over:
+        leading = Answer(first, asked, (), {})
+        if leading.is_full:
+            break
+        rows = sorted(noise_causes(leading.leading_fit), key=lambda row: -row[1])
+        names = {item.cause.name for item in asked.dictionary.items if item.is_listed}
         log_prior_odds = math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + len(rows))
         if not rows or rows[0][1] + log_prior_odds < math.log(STATED / (1.0 - STATED)):
             break
@@ -78,9 +82,8 @@ def answer_beside_scatter(
         cause, _, fitted = rows[0]
         tell(f"readings scatter as {cause.label} would make them: asking again beside it")
         plain = _with(plain, cause, fitted)
-        current = answer(plain, limits, seed, on_progress=on_progress, before=current.asked)
-        plain = current.plain
-    return BesideScatter(current, tuple(scattering))
+        first, asked = climbed(plain, limits, seed, on_progress, asked)
+    return BesideScatter(confirmed(first, asked, limits, seed, on_progress=on_progress), tuple(scattering))
 
 
 def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> NamedCause:
