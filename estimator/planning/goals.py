@@ -163,6 +163,17 @@ def goal_of(text: str, rig: Rig, largest_A: Mapping[str, float]) -> Goal:
     raise _refused("begin with 'field NUMBER UNIT in', 'parameters NAME NUMBER' or 'causes NAME'", text)
 
 
+def reads_file(text: str) -> bool:
+    """Whether reading a goal would read a file.
+
+    Examples:
+        >>> reads_file("field 0.2 % in points places.csv"), reads_file("field 0.2 % in ball r_mm=20")
+        (True, False)
+    """
+    kind, *words = text.split() or [""]
+    return kind == "field" and "points" in words
+
+
 def _refused(rule: str, text: str) -> InvalidInput:
     return InvalidInput(f"a goal must {rule}, such as {EXAMPLES}; received {quoted(text)}")
 

@@ -6,7 +6,7 @@ Noise is left out of the coordinates. The expected information on it has no cros
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -90,6 +90,15 @@ class Expected:
     def n_stops(self) -> int:
         """Number of candidates."""
         return self.columns.shape[1]
+
+    def only(self, columns: Bool[Tensor, " coordinate"]) -> Expected:
+        """The model where only some of the columns are free."""
+        return replace(
+            self,
+            precision=self.precision[:, columns][..., columns],
+            columns=self.columns[..., columns],
+            wanted=[rows[..., columns] for rows in self.wanted],
+        )
 
     def information(self, stops: Int[Tensor, " stop"]) -> Float[Tensor, "draw coordinate coordinate"]:
         """What some stops add to the precision, each as often as it is named."""
