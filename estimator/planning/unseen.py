@@ -15,12 +15,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-# Prior odds of each quantity against none. Simulated in the linear model, goals were kept beside a hidden quantity in 95 % of the
-# sessions that ended so; with odds of 1 in all, for a third more stops.
-ODDS = 0.1
-SURE = (
-    0.99  # probability from which on a quantity is there: more stops of the same kind do not lessen its error
-)
+# Prior odds of each quantity against none. A rig has some forty, so that more than one is expected. In the linear model goals were kept
+# beside a hidden quantity in 93 % of the sessions that reached them (0.1: 95 %, for a seventh more stops; without the causes 44 %).
+ODDS = 0.03
+# Probability from which on a quantity is there: more stops of the same kind do not lessen its error.
+SURE = 0.99
 MOST_EXPONENT = 300.0
 
 
