@@ -12,7 +12,7 @@ from estimator.acquisition.acquire import Choice
 from estimator.acquisition.pace import Pace
 from estimator.planning.candidates import fitted_rig, largest_currents_A
 from estimator.planning.choosing import Chooser
-from estimator.planning.decision import Decision, Limits, elapsed_s
+from estimator.planning.decision import Decision, Limits, elapsed_s, refused_before
 from estimator.planning.goals import Goal, goal_of
 from estimator.planning.information import refuse_unreachable
 from estimator.planning.judgement import Judged, judge
@@ -63,9 +63,14 @@ class Autopilot:
         """Refuse goals that no number of the candidates reaches, before anything moves."""
         refuse_unreachable(self.so_far.model.alone, self.goals)
 
-    def choose(self, entries: Sequence[Mapping[str, Any]]) -> Choice | None:
-        """The next stop after those of a journal, with its decision as a record; None where the session shall end."""
-        decision = self.decide(entries)
+    def choose(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Choice | None:
+        """The next stop after those of a journal, with its decision as a record; None where the session shall end.
+
+        Args:
+            entries: Of the journal.
+            refused: Candidates that instruments have refused since the last stop.
+        """
+        decision = self.decide(entries, refused)
         if decision.row is None:
             return None
         before = self.so_far.rows
@@ -80,15 +85,24 @@ class Autopilot:
             {"decision": decision.to_json()},
         )
 
-    def decide(self, entries: Sequence[Mapping[str, Any]]) -> Decision:
-        """The decision after the stops of a journal; the same entries always give the same one."""
+    def decide(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Decision:
+        """The decision after the stops of a journal; the same entries always give the same one.
+
+        Args:
+            entries: Of the journal.
+            refused: Candidates that instruments have refused since the last stop.
+        """
         self.so_far.follow(entries)
+        left_out = refused_before(entries) | set(refused)
         judged, rows = judge(self.so_far), self.so_far.rows
         is_reached = judged.is_reached and bool(rows)
         is_judged = judged.misfit.n_held_out >= FEWEST_HELD_OUT
         end = self._end(entries, judged)
+        if not end and len(left_out) == len(self.settings):
+            end = f"no stop is left: instruments refused all {len(left_out)}"
+        is_again = is_reached and is_judged
         row, reason, gain = (
-            (None, end, 0.0) if end else self.chooser.next(rows, judged, is_reached, is_reached and is_judged)
+            (None, end, 0.0) if end else self.chooser.next(rows, judged, is_reached, is_again, left_out)
         )
         return Decision(
             row,
@@ -100,6 +114,7 @@ class Autopilot:
             self._left(len(entries), judged),
             judged.cause,
             judged.stated,
+            tuple(sorted(left_out)),
         )
 
     def _end(self, entries: Sequence[Mapping[str, Any]], judged: Judged) -> str:

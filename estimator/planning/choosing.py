@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.acquisition.pace import Pace, ways_between_s
@@ -38,7 +39,7 @@ class Chooser:
         self.strength = settings.current_A.abs().sum(-1)
 
     def next(
-        self, rows: Sequence[int], judged: Judged, is_reached: bool, is_again: bool
+        self, rows: Sequence[int], judged: Judged, is_reached: bool, is_again: bool, refused: AbstractSet[int]
     ) -> tuple[int, str, float]:
         """Number of the next candidate, why, and its gain by second.
 
@@ -47,20 +48,27 @@ class Chooser:
             judged: What their readings say.
             is_reached: The goals are, if held-out stops and those visited again agree.
             is_again: Only stops visited again are missing.
+            refused: Candidates that instruments have refused; at least one is left.
         """
         n = len(rows)
         is_due = (
             n % EVERY == AGAIN and judged.misfit.n_again <= n // EVERY
         )  # the best ones are visited again anyway
-        if rows and (is_due or is_again):
-            return self._longest_ago(rows), "again: shows noise, drift and backlash", 0.0
+        again = [row for row in rows if row not in refused]
+        if again and (is_due or is_again):
+            return self._longest_ago(again), "again: shows noise, drift and backlash", 0.0
         if n % EVERY == HELD_OUT or is_reached:
-            return self._held_out(rows), f"{HELD_OUT_WORDS}: judges the fit, which does not see it", 0.0
-        off = (~self.settings.current_A.any(-1)).nonzero().flatten()
+            return (
+                self._held_out(rows, refused),
+                f"{HELD_OUT_WORDS}: judges the fit, which does not see it",
+                0.0,
+            )
+        allowed = self._allowed(refused)
+        off = (allowed & ~self.settings.current_A.any(-1)).nonzero().flatten()
         if n % OFF_EVERY == OFF and len(off):
             nearest = int(off[self.next_s(rows)[off].argmin()])
             return nearest, "no current: shows fields that are not of the coils", 0.0
-        by_s = Design(judged.expected).gains() / self.next_s(rows)
+        by_s = torch.where(allowed, Design(judged.expected).gains() / self.next_s(rows), -torch.inf)
         best = int(by_s.argmax())
         return best, "informs: greatest expected gain by second", float(by_s[best])
 
@@ -80,11 +88,17 @@ class Chooser:
         last = {row: place for place, row in enumerate(rows)}
         return min(last, key=lambda row: (rows.count(row), last[row]))
 
-    def _held_out(self, rows: Sequence[int]) -> int:
+    def _allowed(self, refused: AbstractSet[int]) -> Bool[Tensor, " stop"]:
+        """Which candidates no instrument has refused."""
+        allowed = torch.ones(len(self.settings), dtype=torch.bool)
+        allowed[list(refused)] = False
+        return allowed
+
+    def _held_out(self, rows: Sequence[int], refused: AbstractSet[int]) -> int:
         """A stop by chance at the largest currents that was not visited."""
-        strong = self.strength >= 0.99 * self.strength.max()
+        allowed = self._allowed(refused)
+        strong = allowed & (self.strength >= 0.99 * self.strength.max())
         strong[list(set(rows))] = False
-        free = strong.nonzero().flatten()
-        free = free if len(free) else torch.arange(len(strong))
+        free = (strong if bool(strong.any()) else allowed).nonzero().flatten()
         generator = torch.Generator().manual_seed(self.seed + len(rows))
         return int(free[torch.randint(len(free), (), generator=generator)])

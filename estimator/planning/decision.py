@@ -36,6 +36,7 @@ class Decision:
         left: Stops that are expected to be still needed.
         cause: The ordinary cause that may do most unseen, with the size that the readings give it.
         stated: Causes that not even all stops could exclude, taken as the rig file states them.
+        refused: Numbers of the candidates that instruments have refused; they are not chosen again.
     """
 
     row: int | None
@@ -47,6 +48,7 @@ class Decision:
     left: int
     cause: str = ""
     stated: tuple[str, ...] = ()
+    refused: tuple[int, ...] = ()
 
     @property
     def is_validation(self) -> bool:
@@ -56,6 +58,11 @@ class Decision:
     def to_json(self) -> dict[str, Any]:
         """An entry of the journal of a session."""
         return asdict(self)
+
+
+def refused_before(entries: Sequence[Mapping[str, Any]]) -> set[int]:
+    """Candidates that instruments refused before the last stop."""
+    return set(entries[-1].get("decision", {}).get("refused", ())) if entries else set()
 
 
 def elapsed_s(entries: Sequence[Mapping[str, Any]]) -> float:

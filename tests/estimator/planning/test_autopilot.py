@@ -103,6 +103,7 @@ def test_decisions_beside_the_readings_leave_the_session_readable(measured: Run,
         "left",
         "cause",
         "stated",
+        "refused",
     } == set(entries[0]["decision"])
 
 
@@ -157,3 +158,25 @@ def test_a_rig_that_others_drive_gets_the_same_stops(measured: Run, small_rig: R
     ended = next_stop(small_rig, places, [GOAL], observations_of(entries, small_rig), pace=pace)
     assert ended.decision.reason.startswith("goal reached")
     assert (ended.decision.row, ended.motion) == (None, {})
+
+
+@pytest.mark.whole
+def test_stops_that_are_refused_are_not_chosen_again(measured: Run, small_rig: Rig, places: Plan) -> None:
+    _, entries, _ = measured
+    chooser = pilot(small_rig, places)
+    first = chooser.choose(entries[:4])
+    assert first is not None
+    second = chooser.choose(entries[:4], [first.row])
+    assert second is not None
+    assert second.row != first.row
+    assert second.record["decision"]["refused"] == (first.row,)
+    record = {**entries[4], "decision": {**entries[4]["decision"], **second.record["decision"]}}
+    assert chooser.decide([*entries[:4], record]).refused == (first.row,)  # by what is on disk
+    everything = range(len(chooser.settings))
+    assert (
+        chooser.decide(entries[:4], everything).reason
+        == f"no stop is left: instruments refused all {len(everything)}"
+    )
+    for n in range(8):  # held out, again and without current, too
+        some = [row for row in everything if row % 2]
+        assert chooser.decide(entries[:n], some).row not in some
