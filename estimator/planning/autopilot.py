@@ -13,7 +13,8 @@ from estimator.acquisition.pace import Pace
 from estimator.planning.candidates import fitted_rig, largest_currents_A
 from estimator.planning.choosing import Chooser
 from estimator.planning.decision import Decision, Limits, elapsed_s, refused_before
-from estimator.planning.goals import Goal, goal_of
+from estimator.planning.goal_text import goal_of
+from estimator.planning.goals import Goal
 from estimator.planning.information import refuse_unreachable
 from estimator.planning.judgement import Judged, judge
 from estimator.planning.so_far import SoFar

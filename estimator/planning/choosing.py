@@ -11,7 +11,7 @@ from torch import Tensor
 
 from estimator.acquisition.pace import Pace, ways_between_s
 from estimator.planning.decision import HELD_OUT_WORDS
-from estimator.planning.information import Design
+from estimator.planning.design import Design
 from estimator.planning.judgement import Judged
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig

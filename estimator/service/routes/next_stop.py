@@ -9,7 +9,7 @@ from typing import Annotated
 from fastapi import Depends
 from pydantic import BaseModel, ConfigDict, Field
 
-from estimator.planning.goals import reads_file
+from estimator.planning.goal_text import reads_file
 from estimator.service.next_stops import Question
 from estimator.service.problems import Problem
 from estimator.service.requests import CoreOf, Id, Seed, router_of
