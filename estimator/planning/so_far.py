@@ -189,7 +189,7 @@ class SoFar:
 
     @property
     def readings(self) -> Observations | None:
-        """Those of the fit, then those that are held out; None before the first."""
+        """All usable readings: those of the fit, then those that are held out; None before the first."""
         if self._fitted is None or self._held_out is None:
             return self._fitted or self._held_out
         return self._fitted.followed_by(self._held_out)
