@@ -59,17 +59,20 @@ class FieldGoal:
                 f"workspace must lie outside the windings; {int(room.is_inside.sum())} of its {len(self.points_m)} points "
                 f"do not (goal {self.text!r})"
             )
-        current_A = torch.diag(at.new_tensor([self.largest_A[coil.name] for coil in rig.coils]))
-        rows = []
-        for setting_A in current_A[current_A.any(-1)]:
+        each_A = torch.diag(at.new_tensor([self.largest_A[coil.name] for coil in rig.coils]))
+        alone_A = each_A[each_A.any(-1)]
+        current_A = torch.cat((alone_A, torch.zeros_like(each_A[:1])))[
+            :, None
+        ]  # the windings are summed once
 
-            def added_T(values: Mapping[str, Tensor], setting_A: Tensor = setting_A) -> Tensor:
-                return room.field_T(values, setting_A) - room.field_T(values, torch.zeros_like(setting_A))
+        def added_T(values: Mapping[str, Tensor]) -> Tensor:
+            field_T = room.field_T(values, current_A)
+            return field_T[:-1] - field_T[-1]
 
-            field_T, slopes = _slopes(added_T, coordinates, at)
-            share_T = field_T.square().sum(-1).mean(-1).sqrt()[:, None, None, None]
-            rows.append((slopes / share_T if self.is_share else slopes).flatten(1, 2))
-        return torch.cat(rows, dim=1) * (HALF_WIDTH_90 / self.half_width)
+        field_T, slopes = _slopes(added_T, coordinates, at)  # coil, draw, point, component
+        share_T = field_T.square().sum(-1).mean(-1).sqrt()[..., None, None, None]
+        rows = (slopes / share_T if self.is_share else slopes).flatten(2, 3)
+        return rows.movedim(0, 1).flatten(1, 2) * (HALF_WIDTH_90 / self.half_width)
 
 
 @dataclass(frozen=True)
