@@ -27,7 +27,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the sam
     from estimator.live.stream import Estimate, Stream
     from estimator.model.simulate import draw_truth, simulate
     from estimator.planning.next_stop import NextStop, next_stop
-    from estimator.planning.plan import Planned, plan
+    from estimator.planning.plan import plan
+    from estimator.planning.planned import Planned
     from estimator.readings.observations import Observations
     from estimator.readings.plan import Plan, load_plan
     from estimator.readings.split import block_split
@@ -92,7 +93,7 @@ _MODULES = {
     "NextStop": "estimator.planning.next_stop",
     "Observations": "estimator.readings.observations",
     "Plan": "estimator.readings.plan",
-    "Planned": "estimator.planning.plan",
+    "Planned": "estimator.planning.planned",
     "Registry": "estimator.recalibration.registry",
     "Rig": "estimator.rig.rig",
     "SamplerSettings": "estimator.inference.ensemble",

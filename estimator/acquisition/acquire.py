@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
+from drivers.errors import Refused
 from estimator.acquisition.pace import ANSWER_S, Pace, durations_s
 from estimator.acquisition.visit import Instruments, Visit
 from estimator.readings.observations import Observations
@@ -21,6 +22,8 @@ from estimator.store.growing import StopReadings
 from estimator.store.journal import Journal
 
 _LOG = logging.getLogger(__name__)
+
+MOST_REFUSED = 20  # stops one after the other; then something else is wrong than one place
 
 
 @dataclass(frozen=True)
@@ -60,8 +63,8 @@ class Choice(NamedTuple):
     record: Mapping[str, Any]
 
 
-Chooser: TypeAlias = Callable[[Sequence[Mapping[str, Any]]], Choice | None]
-"""Takes the entries of the journal; None ends the session."""
+Chooser: TypeAlias = Callable[[Sequence[Mapping[str, Any]], Sequence[int]], Choice | None]
+"""Takes the entries of the journal, and the stops that an instrument refused since the last of them; None ends the session."""
 
 
 def in_turn(stops: Observations, rig: Rig, pace: Pace) -> Chooser:
@@ -74,7 +77,7 @@ def in_turn(stops: Observations, rig: Rig, pace: Pace) -> Chooser:
     """
     expected_s = durations_s(stops, rig, pace)
 
-    def choose(entries: Sequence[Mapping[str, Any]]) -> Choice | None:
+    def choose(entries: Sequence[Mapping[str, Any]], refused: Sequence[int]) -> Choice | None:  # noqa: ARG001
         row = len(entries)
         if row >= len(stops):
             return None
@@ -105,6 +108,7 @@ def acquire(
     on_stop: Callable[[Progress], None] | None = None,
     choose: Chooser | None = None,
     n_stops: int | None = None,
+    on_refused: Callable[[Refused], None] | None = None,
 ) -> None:
     """Visit the stops that the journal does not hold yet, then return the arms to zero displacement.
 
@@ -117,17 +121,29 @@ def acquire(
         on_stop: Called after each stop.
         choose: Says which stop is next; by default all of them, in order.
         n_stops: Number of stops to report progress by; all by default.
+        on_refused: Called when an instrument refuses to go to a stop that was chosen, beyond its limits; another one is chosen then.
     Raises:
         InvalidInput: A sensor gives no new reading, or the journal cannot be written.
-        drivers.errors.DriverError: An instrument failed, or refused a command beyond its limits. A stop at which the current
+        drivers.errors.DriverError: An instrument failed, or refused a stop of a plan or many in turn. A stop at which the current
             differs from the requested one is not recorded.
     """
-    choose = choose or in_turn(stops, rig, pace)
+    is_chosen, choose = choose is not None, choose or in_turn(stops, rig, pace)
+    refused: list[int] = []
     begin_s, expected_s = time.monotonic(), 0.0
     visit = Visit(rig, instruments, pace, journal.header["references"], _session_time_s(journal) - begin_s)
     with _ending_without_current(instruments):
-        while (choice := choose(journal.entries)) is not None:
-            visit.go_to(stops, choice.row)
+        while (choice := choose(journal.entries, refused)) is not None:
+            try:
+                visit.go_to(stops, choice.row)
+            except Refused as refusal:
+                if not is_chosen or len(refused) + 1 >= MOST_REFUSED:
+                    raise
+                _LOG.warning("a stop was refused and is skipped: %s", refusal)
+                refused.append(choice.row)
+                if on_refused is not None:
+                    on_refused(refusal)
+                continue
+            refused = []  # the record of the stop names them
             readings = replace(
                 visit.read(stops, choice.row), is_validation=choice.is_validation, repeat=choice.repeat
             )

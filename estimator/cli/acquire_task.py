@@ -13,6 +13,7 @@ from typing import Any
 import click
 import torch
 
+from drivers.errors import Refused
 from drivers.limits_section import RigLimits, limits_of
 from drivers.open import DeviceSet
 from drivers.safety import CoilLoad
@@ -174,10 +175,15 @@ def measure(
         click.echo(f"coilcal: {n_before} of {task.n_stops} stops were visited before", err=True)
     choose = None if task.pilot is None else task.pilot.choose
     with Reporter(LINE_EVERY_S) as reporter:
-        acquire(task.stops, rig, devices, journal, task.pace, reporter.visits, choose, task.n_stops)
+        acquire(task.stops, rig, devices, journal, task.pace, reporter.visits, choose, task.n_stops, _tell)
     if task.pilot is not None:
         write_text(out / END, json.dumps(task.pilot.decide(journal.entries).to_json()))
     return n_before
+
+
+def _tell(refusal: Refused) -> None:
+    """Say that a stop is skipped."""
+    click.echo(f"coilcal: a stop was refused, another one is chosen: {refusal}", err=True)
 
 
 def _check_same(journal: Journal, task: Task, out: Path) -> None:

@@ -11,7 +11,7 @@ from estimator.cli.options import PATH, OutputPath, devices_option, option, resu
 from estimator.cli.output import CoilcalCommand, show
 
 if TYPE_CHECKING:
-    from estimator.planning.plan import Planned
+    from estimator.planning.planned import Planned
 
 MOST_STOPS = 2000
 CURVE = (0.1, 0.25, 0.5, 0.75, 1.0)  # shares of the stops at which the expected intervals are printed

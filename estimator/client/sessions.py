@@ -38,6 +38,21 @@ class SessionCalls:
         return await self.connection.json("GET", f"/v1/sessions/{self.id}")
 
     @Call
+    async def next(
+        self, goals: Sequence[str], places: str, *, most_stops: int = 200, seed: int = 0
+    ) -> dict[str, Any]:
+        """What to measure next: `current_A`, `motion`, `is_validation` and `reason`, or `is_end`.
+
+        Args:
+            goals: What shall be known, as in `coilcal plan --goal`.
+            places: Text of a plan file with the poses and currents to choose from.
+            most_stops: Number of stops after which to end in any case.
+            seed: Of all random choices; the same readings and seed give the same stop.
+        """
+        body = {"goals": list(goals), "places": places, "most_stops": most_stops, "seed": seed}
+        return await self.connection.json("POST", f"/v1/sessions/{self.id}/next", json=body)
+
+    @Call
     async def close(self) -> dict[str, Any]:
         """End the session, so that it can be calibrated; what `info` then says."""
         return await self.connection.json("POST", f"/v1/sessions/{self.id}/close")

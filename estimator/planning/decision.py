@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+HELD_OUT_WORDS = "held out"  # that the reason of such a stop begins with
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -32,6 +34,9 @@ class Decision:
         gain_per_s: Expected fall of the logarithm of the criterion, by second of travel, ramps and readings; 0 where it is not why.
         n_candidates: Number of stops to choose from.
         left: Stops that are expected to be still needed.
+        cause: The ordinary cause that may do most unseen, with the size that the readings give it.
+        stated: Causes that not even all stops could exclude, taken as the rig file states them.
+        refused: Numbers of the candidates that instruments have refused; they are not chosen again.
     """
 
     row: int | None
@@ -41,10 +46,23 @@ class Decision:
     gain_per_s: float
     n_candidates: int
     left: int
+    cause: str = ""
+    stated: tuple[str, ...] = ()
+    refused: tuple[int, ...] = ()
+
+    @property
+    def is_validation(self) -> bool:
+        """Whether the readings shall be held out of the fit."""
+        return self.reason.startswith(HELD_OUT_WORDS)
 
     def to_json(self) -> dict[str, Any]:
         """An entry of the journal of a session."""
         return asdict(self)
+
+
+def refused_before(entries: Sequence[Mapping[str, Any]]) -> set[int]:
+    """Candidates that instruments refused before the last stop."""
+    return set(entries[-1].get("decision", {}).get("refused", ())) if entries else set()
 
 
 def elapsed_s(entries: Sequence[Mapping[str, Any]]) -> float:

@@ -1,4 +1,4 @@
-"""What stops are expected to say: the linearised model at draws of the parameters, and a design that grows and shrinks by stops.
+"""What stops are expected to say: the linearised model at draws of the parameters.
 
 Noise is left out of the coordinates. The expected information on it has no cross terms with the field, and each reading adds the same.
 """
@@ -6,12 +6,11 @@ Noise is left out of the coordinates. The expected information on it has no cros
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from estimator.diagnosis.next_readings.stops import lowered
 from estimator.errors import InvalidInput
 from estimator.field.winding_shape import Rule
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
@@ -24,7 +23,6 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
-MOST_PASSES = 2  # of an exchange; the first one narrows intervals by a per cent or two beyond the greedy choice, a third by nothing
 MOST_VISITS = 100  # of every candidate: a goal that they do not reach is out of reach
 N_DRAWS = 64  # of the prior; with 32 or 128 the paper's coil needs the same number of stops to within one
 
@@ -90,6 +88,15 @@ class Expected:
     def n_stops(self) -> int:
         """Number of candidates."""
         return self.columns.shape[1]
+
+    def only(self, columns: Bool[Tensor, " coordinate"]) -> Expected:
+        """The model where only some of the columns are free."""
+        return replace(
+            self,
+            precision=self.precision[:, columns][..., columns],
+            columns=self.columns[..., columns],
+            wanted=[rows[..., columns] for rows in self.wanted],
+        )
 
     def information(self, stops: Int[Tensor, " stop"]) -> Float[Tensor, "draw coordinate coordinate"]:
         """What some stops add to the precision, each as often as it is named."""
@@ -184,76 +191,3 @@ def refuse_unreachable(expected: Expected, goals: Sequence[Goal]) -> None:
                 f"goal {goal.text!r} must be within reach of the candidate stops; {MOST_VISITS} visits to each of them would leave "
                 f"{floor:.2g} times its half-width{whose}. Give other places or currents, or free fewer parameters of the rig"
             )
-
-
-class Design:
-    """Stops chosen so far, with the precision that they are expected to give.
-
-    Without a goal the determinant of the precision counts (D-optimal), else the summed variances of the goals' numbers (I-optimal); both
-    as means of logarithms over the draws.
-
-    Attributes:
-        chosen: Numbers of the stops, each as often as it is visited.
-        precision: With them, by draw.
-    """
-
-    def __init__(self, expected: Expected) -> None:
-        self.expected = expected
-        self.chosen: list[int] = []
-        self.precision = expected.precision
-        # Rows with the same sum of squares as those of all goals, each goal with the weight of its mean: as many as coordinates.
-        parts = [rows.mT @ rows / rows.shape[1] for rows in expected.wanted]
-        size, axes = torch.linalg.eigh(torch.stack(parts).sum(0)) if parts else (None, None)
-        self._rows = None if size is None else (axes * size.clamp(min=0.0).sqrt()[..., None, :]).mT
-
-    @property
-    def widths(self) -> Float[Tensor, " goal"]:
-        """Half-widths over their targets, in the median of the draws."""
-        return self.expected.widths(self.precision).median(-1).values
-
-    def gains(self) -> Float[Tensor, " stop"]:
-        """How much the logarithm of the criterion falls if a stop is added."""
-        covariance, columns = torch.linalg.inv(self.precision), self.expected.columns
-        if self._rows is None:
-            spread = (columns.flatten(1, 2) @ covariance).view_as(columns)
-            inner = spread @ columns.mT
-            gain: Tensor = torch.logdet(torch.eye(inner.shape[-1]).to(inner) + inner).mean(0)
-            return gain
-        variance = ((self._rows @ covariance) * self._rows).sum((-1, -2))
-        share = lowered(covariance, columns, self._rows) / variance[:, None]
-        return -torch.log1p(-share.clamp(max=1.0 - 1e-12)).mean(0)
-
-    def add(self, stop: int) -> None:
-        """Visit a stop once more."""
-        self.chosen.append(stop)
-        self.precision = self.precision + self.expected.information(torch.tensor([stop]))
-
-    def remove(self, place: int) -> int:
-        """Leave out the visit at a place of the list; returns its stop."""
-        stop = self.chosen.pop(place)
-        self.precision = self.expected.precision + self.expected.information(
-            torch.tensor(self.chosen, dtype=torch.int64)
-        )
-        return stop
-
-    def grow(self, n: int) -> None:
-        """Add stops one by one, each the one of greatest gain."""
-        while len(self.chosen) < n:
-            self.add(int(self.gains().argmax()))
-
-    def exchange(self, most_passes: int = MOST_PASSES) -> None:
-        """Replace each visit in turn by the best stop in its place, until nothing changes.
-
-        References: Fedorov, Theory of Optimal Experiments (1972); coordinate exchange of Meyer and Nachtsheim, Technometrics 37, 60 (1995).
-        """
-        for _ in range(most_passes):
-            is_changed = False
-            for _ in range(len(self.chosen)):
-                before = self.remove(0)
-                gains = self.gains()
-                best = int(gains.argmax())
-                is_better = bool(gains[best] > gains[before] + 1e-9)
-                self.add(best if is_better else before)
-                is_changed |= is_better
-            if not is_changed:
-                return

@@ -1,28 +1,29 @@
-"""What readings contradict: held-out stops against the fit, beyond the noise that repeated stops show.
+"""What readings say of goals: half-widths by the fit, widened by what readings contradict and by what causes may do unseen.
 
 A fit whose noise is free takes what it cannot follow for noise, and its intervals shrink with the root of the number of readings although
-the rest stays. Stops that are visited again show the noise alone. What held-out stops show beyond it does not average out.
+the rest stays. Stops that are visited again show the noise alone. What the fit leaves beyond it, of its own readings or of held-out ones,
+does not average out.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float
 from scipy.special import fdtrc, ndtri
 from torch import Tensor
 
-from estimator.field.winding_shape import Rule
-from estimator.inference.likelihood import LogPosterior
-from estimator.inference.running import RunningFit
-from estimator.model.measurement_model import MeasurementModel
-from estimator.readings.observations import Observations
+from estimator.planning.information import Expected, widths_of
+from estimator.planning.so_far import Products, SoFar
+from estimator.planning.unseen import SURE, Unseen
+from estimator.store.growing import observations_of
 
 CLEAR_SD = 2.326  # standard deviations of a normal number that is as rare: from here on intervals widen; chance exceeds it at 1 %
-CERTAIN_SD = 3.5  # from which on more stops would not help; it is asked after every stop
 SMALLEST = 1e-300  # of a probability
+FLOOR_GROWTH = 4.0  # so many times the stops tell what more of them would bring
 
 
 @dataclass(frozen=True)
@@ -63,40 +64,140 @@ class Misfit:
         return math.sqrt(1.0 + 3 * self.n_grown * n_fitted / n_unknown * (self.rest_T / self.noise_T) ** 2)
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What the readings so far say of the goals.
+
+    Attributes:
+        widths: Half-width of the 90 % interval of each goal over its target, widened by what the readings contradict and by what causes
+            may do unseen.
+        later: The same, were there four times as many stops.
+        misfit: What the readings contradict.
+        cause: The quantity of an ordinary cause that widens most, with the size that the readings give it; empty without goals or causes.
+        is_sure: Whether it is there for certain.
+        stated: Causes that not even all stops could exclude, taken as the rig file states them.
+        expected: The linearised model with the causes that stops can exclude, given the readings.
+        n_unknown: Parameters of the fit.
+    """
+
+    widths: Float[Tensor, " goal"]
+    later: Float[Tensor, " goal"]
+    misfit: Misfit
+    cause: str
+    is_sure: bool
+    stated: tuple[str, ...]
+    expected: Expected
+    n_unknown: int
+
+    @property
+    def is_reached(self) -> bool:
+        """Whether every goal is."""
+        return bool((self.widths <= 1.0).all())
+
+
+def judge(so_far: SoFar) -> Judged:
+    """Say what the readings so far say of the goals."""
+    products, model, own = so_far.products(), so_far.model, so_far.own
+    prior = products.prior[own][:, own]
+    precision = prior + products.information[own][:, own]
+    n_unknown = len(precision)
+    n_followed = max(0.0, n_unknown - float(torch.trace(torch.linalg.solve(precision, prior))))
+    misfit = misfit_of(so_far, products, torch.linalg.inv(precision), n_followed)
+    noise, widest = _noise_factor(so_far, n_followed), model.every.widest
+
+    def unseen_by(wanted: Sequence[Tensor]) -> Unseen:
+        unseen = Unseen.of(products.information, products.score, products.prior, wanted, own)
+        return unseen.among(model.is_asked)
+
+    def widths(wanted: Sequence[Tensor], unseen: Unseen, growth: float = 1.0) -> Tensor:
+        grown = (prior + growth * (precision - prior)).expand(len(wanted[0]) if wanted else 1, -1, -1)
+        by_fit = widths_of(wanted, widest, grown).median(-1).values
+        factor = replace(misfit, n_grown=growth).factor(so_far.n_fitted, n_unknown)
+        by_causes = unseen.variances(unseen.mean_square(growth), widest)
+        most = by_causes.amax(-1) if by_causes.shape[-1] else torch.zeros_like(by_fit)
+        return noise * torch.maximum(factor * by_fit, (by_fit.square() + most).sqrt())
+
+    wanted, unseen = list(model.alone.wanted), unseen_by([rows[0] for rows in model.every.wanted])
+    now = widths(wanted, unseen)
+    if so_far.entries and bool((now <= 1.0).all()):  # promised only by the rows at the estimate
+        here = so_far.wanted()
+        wanted, unseen = [rows[None, :, own] for rows in here], unseen_by(here)
+        now = widths(wanted, unseen)
+    cause, is_sure = _leading(so_far, unseen, widest, now)
+    asked = own.clone()
+    asked[~own] = model.is_asked
+    given = (products.information + products.prior)[asked][:, asked]
+    rare = (
+        1.0 / unseen.probability - 1.0
+    ) / unseen.prior_sd.square()  # a quantity has that share of its usual variance
+    given.diagonal()[own[asked].logical_not()] += rare
+    stated = dict.fromkeys(name.rpartition(".")[0] for name in _names(so_far, ~model.is_asked))
+    return Judged(
+        now,
+        widths(wanted, unseen, FLOOR_GROWTH),
+        misfit,
+        cause,
+        is_sure,
+        tuple(stated),
+        replace(model.asked, precision=given.expand(len(model.asked.at), -1, -1)),
+        n_unknown,
+    )
+
+
+def _names(so_far: SoFar, which: Tensor) -> list[str]:
+    """Names of some quantities of causes."""
+    numbers = so_far.known[~so_far.own][which].tolist()
+    return [so_far.coordinates.names[i] for i in numbers]
+
+
+def _leading(so_far: SoFar, unseen: Unseen, widest: Sequence[bool], widths: Tensor) -> tuple[str, bool]:
+    """The quantity that widens the least known goal most, in words, and whether it is there for certain."""
+    variances = unseen.variances(unseen.mean_square(), widest)
+    if not variances.numel():
+        return "", False
+    best = int(variances[int(widths.argmax())].argmax())
+    name = _names(so_far, so_far.model.is_asked)[best]
+    unit = so_far.coordinates.rig.parameters[name].unit
+    size = f"{float(unseen.size[best]):.2g}{'' if unit == '1' else ' ' + unit}"
+    return f"{name} of {size}", float(unseen.probability[best]) > SURE
+
+
+def _noise_factor(so_far: SoFar, n_followed: float) -> float:
+    """How much wider intervals are because the noise at the maximum is what free parameters leave of it.
+
+    Each component adds 2 to the information on the logarithm of a noise, and its prior as much as some components would.
+    """
+    names = so_far.fit.coordinates.names
+    is_noise = torch.tensor([name.endswith(".noise_T") for name in names])
+    total = 0.5 * float(so_far.fit.precision.diagonal()[is_noise].sum())
+    return 1.0 if not total else math.sqrt(total / max(total - n_followed, 1.0))
+
+
 def misfit_of(
-    fit: RunningFit,
-    fitted: Observations,
-    held_out: Observations,
-    rules: Mapping[str, Rule],
-    rows: Sequence[int],
-    fields_T: Sequence[Tensor],
-    n_followed: float,
+    so_far: SoFar, products: Products, covariance: Float[Tensor, "own own"], n_followed: float
 ) -> Misfit:
     """Compare what a fit leaves of its own readings, and of held-out ones, with the noise that repeated stops show.
 
     Args:
-        fit: Of the stops that are not held out.
-        fitted: Readings of these.
-        held_out: Readings of the others.
-        rules: Quadrature rule of each winding.
-        rows: Number of the candidate of each stop, in order.
-        fields_T: Measured components of each stop.
+        so_far: The readings.
+        products: These to first order about the estimate.
+        covariance: Of the parameters of the fit.
         n_followed: Numbers that the fit takes from its readings rather than from the prior.
     """
-    noise_T2, n_free = _noise_T2(rows, fields_T)
-    n_again, n_stops = len(rows) - len(set(rows)), len(held_out.time_s.unique())
-    if not n_stops or not n_free:
+    rows = so_far.rows
+    n_again = len(rows) - len(set(rows))
+    n_stops = sum(entry["is_validation"] for entry in so_far.entries)
+    noise_T2, n_free = _noise_T2(so_far)
+    if not so_far.n_held_out or not so_far.n_fitted or not n_free:
         return Misfit(0.0, math.nan, n_stops, n_again)
-    rest_T2 = distance_sd = 0.0
-    for readings, n_lost in ((fitted, n_followed), (held_out, 0.0)):
-        model = MeasurementModel.unruled(fit.coordinates.rig, readings).with_rules(dict(rules))
-        posterior = LogPosterior(fit.coordinates, model, readings)
-        left_T2 = (posterior.measured_T - posterior.predicted(fit.vector)).square()
-        n = max(len(left_T2) - n_lost, 1.0)
-        if n_lost == 0.0:
-            jacobian_T = posterior.jacobian(fit.vector)
-            left_T2 = left_T2 - (jacobian_T @ fit.covariance * jacobian_T).sum(-1)
-        mean_T2 = float(left_T2.sum()) / n
+    own = products.columns[:, so_far.own]
+    expected = (own @ covariance * own).sum(-1)
+    left_T2, rest_T2, distance_sd = (products.residual * products.sigma_T).square(), 0.0, 0.0
+    for is_held_out in (False, True):
+        mine = products.is_held_out == is_held_out
+        lost_T2 = (expected * products.sigma_T.square())[mine].sum() if is_held_out else 0.0
+        n = max(int(mine.sum()) - (0.0 if is_held_out else n_followed), 1.0)
+        mean_T2 = float(left_T2[mine].sum() - lost_T2) / n
         chance = float(fdtrc(n, n_free, max(mean_T2, 0.0) / noise_T2))
         each_sd = -float(ndtri(max(chance, SMALLEST)))
         distance_sd = max(distance_sd, each_sd)
@@ -105,13 +206,16 @@ def misfit_of(
     return Misfit(math.sqrt(rest_T2), math.sqrt(noise_T2), n_stops, n_again, distance_sd)
 
 
-def _noise_T2(rows: Sequence[int], fields_T: Sequence[Tensor]) -> tuple[float, int]:
+def _noise_T2(so_far: SoFar) -> tuple[float, int]:
     """Variance within stops that were visited more than once, and its degrees of freedom."""
+    by_row: dict[int, list[Tensor]] = {}
+    for row, entry in zip(so_far.rows, so_far.entries, strict=True):
+        by_row.setdefault(row, []).append(observations_of([entry], so_far.rig).field_sensor_T)
     total_T2, n_free = 0.0, 0
-    for row in set(rows):
-        visits_T = torch.stack([field_T for each, field_T in zip(rows, fields_T, strict=True) if each == row])
-        measured = visits_T[:, ~visits_T.isnan().any(0)]
-        if len(visits_T) > 1:
+    for fields_T in by_row.values():
+        if len(fields_T) > 1:
+            visits_T = torch.stack(fields_T)
+            measured = visits_T[:, ~visits_T.isnan().any(0)]
             total_T2 += float((measured - measured.mean(0)).square().sum())
             n_free += (len(visits_T) - 1) * measured.shape[1]
     return total_T2 / max(n_free, 1), n_free

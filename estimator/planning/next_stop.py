@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from estimator.acquisition.pace import Pace, default_pace
-from estimator.planning.autopilot import HELD_OUT_WORDS, pilot_of
+from estimator.planning.autopilot import pilot_of
 from estimator.planning.candidates import clear_candidates
 from estimator.planning.decision import Decision, Limits
 from estimator.readings.observations import Observations
@@ -30,6 +31,44 @@ class NextStop:
     current_A: Mapping[str, float]
     motion: Mapping[str, Sequence[float]]
     is_validation: bool
+
+
+class Adviser:
+    """Says what to measure next; it follows a session stop by stop.
+
+    Args:
+        rig: As described.
+        places: Poses and currents to choose from.
+        goals: What shall be known, as in `estimator.planning.plan.plan`.
+        pace: Speeds and times; arms at 100 mm/s by default.
+        most_stops: Number of stops after which to end in any case.
+        seed: Of all random choices; the same readings and seed give the same stop.
+    Raises:
+        InvalidInput: A goal cannot be read, or is out of reach.
+    """
+
+    def __init__(
+        self, rig: Rig, places: Plan, goals: Sequence[str], pace: Pace | None, most_stops: int, seed: int
+    ) -> None:
+        pace = pace or default_pace(rig, places.settle_s)
+        self.rig = rig
+        self.pilot = pilot_of(rig, clear_candidates(places, rig, seed), goals, pace, Limits(most_stops), seed)
+
+    def after(self, entries: Sequence[Mapping[str, Any]]) -> NextStop:
+        """The next stop after those of a journal.
+
+        Args:
+            entries: As `estimator.store.growing` has them.
+        """
+        decision = self.pilot.decide(entries)
+        if decision.row is None:
+            return NextStop(decision, {}, {}, False)
+        settings, row = self.pilot.settings, decision.row
+        currents_A = dict(
+            zip([c.name for c in self.rig.coils], settings.current_A[row].tolist(), strict=True)
+        )
+        motion = {name: columns[row].tolist() for name, columns in settings.motion.items()}
+        return NextStop(decision, currents_A, motion, decision.is_validation)
 
 
 def next_stop(
@@ -63,13 +102,5 @@ def next_stop(
         >>> stop.decision.reason, stop.current_A
         ('informs: greatest expected gain by second', {'coil1': 3.0})
     """
-    pace = pace or default_pace(rig, places.settle_s)
-    pilot = pilot_of(rig, clear_candidates(places, rig, seed), goals, pace, Limits(most_stops), seed)
-    entries = [] if readings is None else entries_of(readings, rig)
-    decision = pilot.decide(entries)
-    if decision.row is None:
-        return NextStop(decision, {}, {}, False)
-    settings, row = pilot.settings, decision.row
-    currents_A = dict(zip([c.name for c in rig.coils], settings.current_A[row].tolist(), strict=True))
-    motion = {name: columns[row].tolist() for name, columns in settings.motion.items()}
-    return NextStop(decision, currents_A, motion, decision.reason.startswith(HELD_OUT_WORDS))
+    adviser = Adviser(rig, places, goals, pace, most_stops, seed)
+    return adviser.after([] if readings is None else entries_of(readings, rig))

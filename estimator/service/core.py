@@ -23,6 +23,7 @@ from estimator.service.database import Database, check_database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
 from estimator.service.metrics import Metrics
+from estimator.service.next_stops import NextStops
 from estimator.service.open_sessions import OpenSessions
 from estimator.service.periodic import scheduler_of
 from estimator.service.predictions import Predictor
@@ -41,6 +42,7 @@ MOST_FITS = 4
 MOST_IMPORTS = 2  # sessions of `most_unpacked_MB` in memory
 MOST_IMPORTS_WAITING = 20  # bodies of `most_body_MB` in memory
 MOST_EXPORTS_WAITING = 20
+MOST_QUESTIONS_WAITING = 20
 
 
 class Core:
@@ -91,6 +93,8 @@ class Core:
         self._calibrations = Cache(Calibration.load, MOST_CALIBRATION_BYTES, _n_bytes)
         self.fits = Cache(self._fitted, MOST_FITS)
         self.importing = WaitingLimit("sessions to import", MOST_IMPORTS, MOST_IMPORTS_WAITING)
+        self.next_stops = NextStops(self.sessions.rig, self.sessions.path)
+        self.planning = WaitingLimit("next stops", 1, MOST_QUESTIONS_WAITING)
         self.exporting = WaitingLimit("exports", 1, MOST_EXPORTS_WAITING)
         self.predictor = Predictor(self.calibration, settings.most_predictions)
         self.metrics.watch("coilcal_event_streams", "Event streams that are followed.", self.streams.n_taken)

@@ -90,6 +90,14 @@ def closed_row_of(core: Core, session_id: str) -> SessionRow:
     return row
 
 
+def open_row_of(core: Core, session_id: str) -> SessionRow:
+    """The row of a session that must be open."""
+    row = _row_of(core, session_id)
+    if row.state != OPEN:
+        raise Problem(409, "session", "must be open; it is closed", place=session_id)
+    return row
+
+
 @router.post(
     "", status_code=201, responses={200: {"model": SessionInfo, "description": "The key was used before."}}
 )
@@ -178,8 +186,7 @@ def append_readings(change: ChangeOf, session_id: Id, body: Ndjson) -> Appended:
 
 
 def _watched(core: CoreOf, session_id: Id) -> Iterator[Watched]:
-    if _row_of(core, session_id).state != OPEN:
-        raise Problem(409, "session", "must be open; it is closed", place=session_id)
+    open_row_of(core, session_id)
     with core.watching.watched(session_id) as watched:
         yield watched
 

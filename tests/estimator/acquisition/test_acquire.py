@@ -7,6 +7,7 @@ import math
 import os
 import random
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,12 +16,12 @@ from typing import Any
 import pytest
 import torch
 
-from drivers.errors import DeviceFault
+from drivers.errors import DeviceFault, Refused
 from drivers.guarded import GuardedSource
 from drivers.interlock import Interlock
 from drivers.protocols import ReadingFlag
 from drivers.safety import CurrentLimits
-from estimator.acquisition.acquire import Progress, acquire, references_of
+from estimator.acquisition.acquire import MOST_REFUSED, Choice, Progress, acquire, references_of
 from estimator.acquisition.averages import is_settled
 from estimator.acquisition.pace import FEWEST_READINGS, Pace, digest_of, stops_of
 from estimator.errors import InvalidInput
@@ -541,3 +542,53 @@ def test_a_supply_that_tripped_by_itself_is_seen_at_the_next_stop_though_its_cur
     ):
         acquire(same, small_rig, devices, journal, PACE, trip)
     assert len(load_session(folder).observations) == 1
+
+
+class Narrow(MemoryArm):
+    """Refuses the places of the first two stops."""
+
+    def move_to(self, base_from_flange: Any, *, speed_m_per_s: float, timeout_s: float) -> None:
+        x_m, y_m, _ = base_from_flange.position_m
+        if x_m > HOME.position_m[0] + 0.005 and y_m > HOME.position_m[1] - 0.01:
+            raise Refused("arm.joint_2_rad must be within -7 and 0.03")
+        super().move_to(base_from_flange, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
+
+
+def test_a_chosen_stop_that_is_refused_is_told_and_another_one_chosen(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices, told, asked = rig_of_devices(), list[Refused](), list[tuple[int, list[int]]]()
+    devices.arms["arm1"] = Narrow()
+
+    def choose(entries: Sequence[Mapping[str, Any]], refused: Sequence[int]) -> Choice | None:
+        asked.append((len(entries), list(refused)))
+        if len(entries) == 2:
+            return None
+        return Choice(2 if refused else 0, False, 0, 1.0, 1.0, {})
+
+    with begun(tmp_path / "s.zarr", small_rig, stops, devices) as journal:
+        acquire(stops, small_rig, devices, journal, PACE, choose=choose, on_refused=told.append)
+        assert len(journal.entries) == 2
+    assert asked == [(0, []), (0, [0]), (1, []), (1, [0]), (2, [])]
+    assert [str(refusal) for refusal in told] == ["arm.joint_2_rad must be within -7 and 0.03"] * 2
+    assert devices.sources["coil1"].told[-1] == ("off",)
+
+
+def test_a_stop_of_a_plan_that_is_refused_ends_the_run_and_so_do_many_chosen_ones(
+    tmp_path: Path, small_rig: Rig, stops: Observations
+) -> None:
+    devices, n_asked = rig_of_devices(), 0
+    devices.arms["arm1"] = Narrow()
+
+    def choose(entries: Sequence[Mapping[str, Any]], refused: Sequence[int]) -> Choice:  # noqa: ARG001
+        nonlocal n_asked
+        n_asked += 1
+        return Choice(0, False, 0, 1.0, 1.0, {})
+
+    for name, chooser in (("plan", None), ("chosen", choose)):
+        with begun(tmp_path / f"{name}.zarr", small_rig, stops, devices) as journal:
+            with pytest.raises(Refused, match="must be within"):
+                acquire(stops, small_rig, devices, journal, PACE, choose=chooser)
+            assert not journal.entries
+        assert devices.sources["coil1"].told[-1] == ("off",)
+    assert n_asked == MOST_REFUSED

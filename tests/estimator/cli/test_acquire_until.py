@@ -100,6 +100,28 @@ def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(
     assert "must go on with the goals" in refused(run(*other))
 
 
+@pytest.mark.flaky(reruns=2)
+def test_a_stop_that_the_arm_refuses_is_skipped_and_told(run: Run, folder: Path, tmp_path: Path) -> None:
+    bring_home(folder)
+    out, devices, narrow = tmp_path / "session.zarr", folder / "devices.yaml", tmp_path / "narrow.yaml"
+    # The joints of the simulated arm are the numbers of its pose; its controller refuses the places on one side.
+    limits = "    joint_low_rad: [-7, -7, -7, -7, -7, -7]\n    joint_high_rad: [7, 0.03, 7, 7, 7, 7]\n"
+    narrow.write_text(devices.read_text().replace("    arm: ur3e\n", f"    arm: ur3e\n{limits}"))
+    result = gone_on(run, folder, out, "--most-stops", 8, "--devices", narrow)
+    assert result.exit_code == 0, result.stderr
+    assert (
+        "a stop was refused, another one is chosen: arm.joint_2_rad must be within -7 and 0.03"
+        in result.stderr
+    )
+    decisions = [entry["decision"] for entry in read_journal(out)[1]]
+    assert len(decisions) == 8
+    refused = decisions[-1]["refused"]
+    assert refused
+    assert not {decision["row"] for decision in decisions} & set(refused)
+    assert decisions == sorted(decisions, key=lambda decision: len(decision["refused"]))  # none is forgotten
+    assert is_off(folder)
+
+
 def test_the_dry_run_names_candidates_and_goals(run: Run, folder: Path, tmp_path: Path) -> None:
     dry = run(*call(folder, tmp_path / "s.zarr", "--dry-run"))
     assert "54 stops to choose from" in dry.stdout

@@ -12,8 +12,9 @@ from estimator.calibration.calibrate import calibrate
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.planning.candidates import candidates_of, possible
-from estimator.planning.goals import goal_of
-from estimator.planning.information import Design, Expected, draws_of_prior, is_clear, known_coordinates
+from estimator.planning.design import Design
+from estimator.planning.goal_text import goal_of
+from estimator.planning.information import Expected, draws_of_prior, is_clear, known_coordinates
 from estimator.readings.plan import Plan, load_plan, plan_from_text, plan_text
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig

@@ -53,6 +53,7 @@ RULES = {
     ("POST", "/v1/sessions/import-zip"): NEW,
     ("POST", "/v1/sessions/{session_id}/readings"): OWN,
     ("POST", "/v1/sessions/{session_id}/close"): OWN,
+    ("POST", "/v1/sessions/{session_id}/next"): READS,
     ("DELETE", "/v1/sessions/{session_id}"): OWN,
     ("POST", "/v1/jobs/calibrate"): NEW,
     ("POST", "/v1/jobs/diagnose"): NEW,
