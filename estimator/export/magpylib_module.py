@@ -6,11 +6,9 @@ import json
 from typing import Any
 
 from estimator.errors import InvalidInput
-from estimator.export.calibrated import Motion
 from estimator.export.labels import plain_words
-from estimator.export.magnet import Magnet
 from estimator.export.plain_model import numbers_of
-from estimator.export.request import motion_of
+from estimator.export.request import Request, motion_of
 from estimator.rig.bodies import SidedCoil
 from estimator.tensors import torch
 
@@ -77,15 +75,13 @@ def room():
 '''
 
 
-def magpylib_module(magnet: Magnet, motion: Motion) -> str:
-    """The text of the module.
+def magpylib_module(request: Request) -> str:
+    """The text of the module; a mover that reports displacements stands at zeros where it has no motion.
 
-    Args:
-        magnet: The coils.
-        motion: Six numbers of each mover; a mover that reports displacements defaults to zeros.
     Raises:
         InvalidInput: A mover without its motion, a count of loops that is not whole, or a rig with something that loops cannot express.
     """
+    magnet, motion = request.magnet, request.motion
     model = magnet.model("magpylib")
     origin_m = torch.zeros(1, 3, dtype=torch.float64)
     coils: list[dict[str, Any]] = []

@@ -13,8 +13,6 @@ import torch
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
-from estimator.export.cpp_header import cpp_header
-from estimator.export.magnet import Magnet
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -83,7 +81,7 @@ def rows(
 ) -> np.ndarray:
     """What the compiled program prints for every point."""
     folder: Path = tmp_path_factory.mktemp("cpp")
-    (folder / "magnet.hpp").write_text(cpp_header(Magnet.of(magnet)), encoding="utf-8")
+    magnet.export("cpp", folder / "magnet.hpp")
     (folder / "main.cpp").write_text(PROGRAM, encoding="utf-8")
     strict = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
     subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=folder, check=True)
@@ -159,7 +157,7 @@ def test_header_of_a_coil_that_stands_still_and_is_known_exactly_compiles_too(
 ) -> None:
     """No mover and no direction of the posterior: arrays of length zero."""
     rig = rig_from_text(STANDING)
-    (tmp_path / "magnet.hpp").write_text(cpp_header(Magnet.of(calibrated(rig))), encoding="utf-8")
+    calibrated(rig).export("cpp", tmp_path / "magnet.hpp")
     (tmp_path / "main.cpp").write_text(STANDING_PROGRAM, encoding="utf-8")
     strict = ["-std=c++17", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
     subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=tmp_path, check=True)

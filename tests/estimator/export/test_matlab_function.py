@@ -13,8 +13,6 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
-from estimator.export.magnet import Magnet
-from estimator.export.matlab_function import matlab_function
 from estimator.system.actuation import independent_entries
 from tests.estimator.export.compared import assert_close
 
@@ -67,8 +65,8 @@ def test_octave_finds_field_gradient_and_actuation_of_predict(
     )  # no motion is zeros
 
 
-def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration) -> None:
+def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="received '3coils'"):
-        matlab_function(Magnet.of(magnet), "3coils")
+        magnet.export("matlab", tmp_path / "3coils.m")
     with pytest.raises(InvalidInput, match="inside it; received 'pose_of'"):
-        matlab_function(Magnet.of(magnet), "pose_of")
+        magnet.export("matlab", tmp_path / "pose_of.m")

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
-from estimator.export.json_model import calibration_schema, json_model
+from estimator.export.json_model import calibration_schema
 from estimator.export.magnet import Magnet
 from estimator.export.torch_program import MagnetProgram
 from estimator.model.room_field import RoomField
@@ -61,8 +61,10 @@ def points_m() -> Tensor:
 MOTION = {"stage": torch.tensor([0.01, 0.0, -0.01, 0.1, 0.2, 0.0], dtype=torch.float64)}
 
 
-def test_json_follows_its_schema_and_holds_what_a_reader_needs(magnet: Calibration, points_m: Tensor) -> None:
-    document = json.loads(json_model(Magnet.of(magnet)))
+def test_json_follows_its_schema_and_holds_what_a_reader_needs(
+    magnet: Calibration, points_m: Tensor, tmp_path: Path
+) -> None:
+    document = json.loads(magnet.export("json", tmp_path / "magnet.json").read_text())
     jsonschema.validate(document, calibration_schema())
     assert [coil.get("corners") for coil in document["coils"]] == ["sharp", "round", None]
     assert [len(change["winding"]) for change in document["directions"][0]["coils"]] == [7, 7, 5]
