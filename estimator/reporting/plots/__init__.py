@@ -26,7 +26,6 @@ from estimator.reporting.plots.residuals import (
     residual_by_sensor,
     residual_histogram,
 )
-from estimator.reporting.plots.sensitivity import interaction, interactions, main_effect, main_effects
 from estimator.reporting.plots.sessions import across_sessions
 from estimator.reporting.plots.spectrum import harmonic_spectrum
 from estimator.reporting.roles import Role
@@ -44,11 +43,7 @@ __all__ = [
     "field_plane",
     "harmonic_spectrum",
     "history",
-    "interaction",
-    "interactions",
     "interval_summary",
-    "main_effect",
-    "main_effects",
     "predicted_against_measured",
     "relative_error_map",
     "residual_against",
