@@ -19,6 +19,7 @@ from estimator.export.calibrated import Calibrated
 from estimator.export.labels import identifier, origin_of
 from estimator.export.plain_model import poses_of
 from estimator.export.request import Request
+from estimator.export.templates import template
 from estimator.frames import Transform
 from estimator.geometry.motion import ends_of
 from estimator.model.room_field import at_one_moment
@@ -26,27 +27,6 @@ from estimator.rig.bodies import Body, MotionKind, Mover
 from estimator.tensors import torch
 
 FIXED, REVOLUTE, FLOATING = "fixed", "revolute", "floating"
-LAUNCH_FILE = '''"""Calibrated transforms of {name}.
-
-{origin}
-"""
-
-from launch import LaunchDescription
-from launch_ros.actions import Node
-
-TRANSFORMS = [
-    # parent, child, x, y, z in m, qx, qy, qz, qw
-{rows}]
-
-
-def generate_launch_description():
-    return LaunchDescription([publisher(*row) for row in TRANSFORMS])
-
-
-def publisher(parent, child, x, y, z, qx, qy, qz, qw):
-    arguments = ["--frame-id", parent, "--child-frame-id", child, {given}]
-    return Node(package="tf2_ros", executable="static_transform_publisher", arguments=arguments)
-'''
 
 
 @dataclass(frozen=True)
@@ -111,10 +91,10 @@ def static_transforms(request: Request) -> str:
         for joint in joints_of(calibrated)
         if joint.kind == FIXED
     ]
-    return LAUNCH_FILE.format(
+    return template("static_transforms.py.j2", {}).render(
         name=identifier(calibrated.rig.name),
         origin=origin_of(calibrated),
-        rows="".join(f"    {row!r},\n" for row in rows),
+        rows=map(repr, rows),
         given=", ".join(f'"--{key}", str({key})' for key in ("x", "y", "z", "qx", "qy", "qz", "qw")),
     )
 
