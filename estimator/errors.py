@@ -25,6 +25,9 @@ class Place:
     line: int
     column: int | None = None
 
+    def __str__(self) -> str:
+        return f"{self.file}, line {self.line}"
+
 
 class CoilcalError(Exception):
     """A fault that one sentence explains: thing, rule, value and where it was found."""
@@ -45,6 +48,16 @@ class InvalidInput(CoilcalError, ValueError):
     def __init__(self, message: str, place: Place | None = None) -> None:
         super().__init__(message)
         self.place = place
+
+    @classmethod
+    def at(cls, place: Place, words: str) -> InvalidInput:
+        """A fault whose words end in its file and line.
+
+        Examples:
+            >>> print(InvalidInput.at(Place("rig.yaml", 3), "radius_mm must be > 0; received -5"))
+            radius_mm must be > 0; received -5 (rig.yaml, line 3)
+        """
+        return cls(f"{words} ({place})", place)
 
 
 class DiskFull(InvalidInput):

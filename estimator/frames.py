@@ -10,7 +10,7 @@ usual axis-angle formulas give NaN.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
@@ -91,6 +91,18 @@ class Transform:
             translation_m if translation_m.shape[-2] == 1 else translation_m[..., index, :],
         )
 
+    def shifted(self, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:
+        """Pose at points off the origin of b, given in b, with the same orientation."""
+        return Transform(self.rotation, self.apply(offset_m))
+
+    def sharing_rotation(self) -> Transform:
+        """These poses, with a single row of rotations where all are turned alike, as under pure translations.
+
+        Matrix products over rows then happen once: a third of the time of a prediction that is short otherwise.
+        """
+        first = self.rotation[:1]
+        return Transform(first, self.translation_m) if bool((self.rotation == first).all()) else self
+
     def apply(self, points_m: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
         """Coordinates in a of points given in b."""
         return self.rotate(points_m) + self.translation_m
@@ -106,6 +118,25 @@ class Transform:
     def unrotate(self, vectors: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
         """Components in b of free vectors given in a: the transposed rotation."""
         return turned_back(self.rotation, vectors)
+
+
+def selected(poses: Sequence[Transform], which: Int[Tensor, "*batch row"]) -> Transform:
+    """The pose of the given number at every row."""
+    rotation, translation_m = poses[0].rotation, poses[0].translation_m
+    for i, pose in enumerate(poses[1:], start=1):
+        is_this = which == i
+        rotation = torch.where(is_this[..., None, None], pose.rotation, rotation)
+        translation_m = torch.where(is_this[..., None], pose.translation_m, translation_m)
+    return Transform(rotation, translation_m)
+
+
+def in_order(poses: Sequence[Transform], rows: Sequence[Int[Tensor, "..."]]) -> Transform:
+    """Poses at the rows that each belongs to, in the order of the rows, which together are all."""
+    batch = torch.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
+    order = torch.cat(list(rows)).argsort()
+    rotations = [pose.rotation.expand(*batch, len(own), 3, 3) for pose, own in zip(poses, rows, strict=True)]
+    places_m = [pose.translation_m.expand(*batch, len(own), 3) for pose, own in zip(poses, rows, strict=True)]
+    return Transform(torch.cat(rotations, -3)[..., order, :, :], torch.cat(places_m, -2)[..., order, :])
 
 
 def turned(

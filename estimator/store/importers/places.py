@@ -38,7 +38,7 @@ def fault_at(
         if len(lines) > MOST_PLACES:
             told += f" and {len(lines) - MOST_PLACES} more"
     parts = "; ".join(filter(None, (rule, told, cure)))
-    return InvalidInput(f"{parts} ({path}, line {lines[0]})", Place(str(path), lines[0], column))
+    return InvalidInput.at(Place(str(path), lines[0], column), parts)
 
 
 def left_out(lines: Sequence[int], noun: str) -> str:

@@ -27,9 +27,9 @@ from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.bodies import MotionKind, Mover
 from estimator.rig.rig import Rig
+from estimator.store.importers.common import moment
 from estimator.store.importers.csv_table import read_table
 from estimator.store.importers.places import MOST_PLACES, left_out
-from estimator.store.importers.recorded import moment
 from estimator.store.importers.table import Column, Table
 from estimator.store.session import Session
 from estimator.store.staging import write_output
@@ -250,9 +250,9 @@ def _refuse_doubles(table: Table, time_s: Tensor, sensor: Tensor) -> None:
         cure = "share stamps out with --clock spread"
         if back:
             cure = f"time jumps back in line {table.lines[back[0]]}: go on behind it with --clock continue"
-        words = f"a sensor must have one reading at a time; {told}; {cure} ({table.path}, line {table.lines[rows[0]]})"
+        words = f"a sensor must have one reading at a time; {told}; {cure}"
         place = Place(str(table.path), int(table.lines[rows[0]]), table.header["t"].column + 1)
-        table.faults.note(InvalidInput(words, place))
+        table.faults.note(InvalidInput.at(place, words))
 
 
 def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:

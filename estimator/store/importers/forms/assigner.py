@@ -70,7 +70,7 @@ class Assigner:
     def refuse(self, words: str, index: int | None = None) -> None:
         """Note a fault of the header, or of one of its columns."""
         place = replace(self.place, column=None if index is None else index + 1)
-        self.faults.note(InvalidInput(f"{words} ({place.file}, line {place.line})", place))
+        self.faults.note(InvalidInput.at(place, words))
 
     def give(self) -> None:
         """Assign what the recipe names."""
