@@ -14,10 +14,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from jaxtyping import Float, Int
 
 from estimator.tensors import Tensor, torch
+
+Triple: TypeAlias = tuple[float, float, float]
 
 # Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
 # digits there and are 0/0 at zero. The series stop at the first term below rounding.
@@ -74,6 +77,12 @@ class Transform:
         rotation = rotation_from_vector(rotation_vector_rad)
         translation_m = translation_m + torch.zeros_like(rotation_vector_rad)  # broadcasts
         return cls(rotation.expand(*translation_m.shape, 3), translation_m)
+
+    def to_pose(self) -> tuple[Triple, Triple]:
+        """Position and rotation vector of the only row, as Universal Robots take them: the inverse of `from_pose`."""
+        x_m, y_m, z_m = self.translation_m[0].tolist()
+        x_rad, y_rad, z_rad = vector_from_rotation(self.rotation)[0].tolist()
+        return (x_m, y_m, z_m), (x_rad, y_rad, z_rad)
 
     def __matmul__(self, other: Transform) -> Transform:
         """Compose transforms: ``a_from_b @ b_from_c = a_from_c``."""

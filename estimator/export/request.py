@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import InvalidInput, check_known
 from estimator.export.calibrated import Calibrated, Motion
 from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
@@ -64,11 +64,8 @@ class Request:
     motion: Motion = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {mover.name: None for part in self.magnet.parts for mover in part.rig.movers}
-        unknown = [name for name in self.motion if name not in known]
-        if unknown:
-            names = ", ".join(known) or "none"
-            raise InvalidInput(f"motion must name movers of the rig ({names}); received {quoted(unknown[0])}")
+        movers = dict.fromkeys(mover.name for part in self.magnet.parts for mover in part.rig.movers)
+        check_known("motion must name movers of the rig", self.motion, movers)
 
     @property
     def calibrated(self) -> Calibrated:
@@ -125,11 +122,7 @@ class Request:
             raise InvalidInput(
                 f"export to {self.to} must have currents, such as --current coil1=1; received none"
             )
-        unknown = [name for name in self.currents_A if name not in self.magnet.coils]
-        if unknown:
-            raise InvalidInput(
-                f"currents must name coils of the magnet ({', '.join(self.magnet.coils)}); received {quoted(unknown[0])}"
-            )
+        check_known("currents must name coils of the magnet", self.currents_A, self.magnet.coils)
         field_T, gradient = points_m.new_zeros(len(points_m), 3), points_m.new_zeros(len(points_m), 3, 3)
         for part in self.magnet.parts:
             names = [coil.name for coil in part.rig.coils]

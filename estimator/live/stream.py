@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import torch
 
 from estimator.derivatives import jacobian_of
-from estimator.errors import InvalidInput
 from estimator.inference.running import RunningFit
 from estimator.live.watch import Alarm, Watch
 from estimator.readings.metrics import HALF_WIDTH_90
@@ -74,10 +73,7 @@ class Stream:
     """
 
     def __init__(self, rig: Rig) -> None:
-        if not rig.free:
-            raise InvalidInput(
-                f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none"
-            )
+        rig.check_free()
         self.rig = rig
         self.observations: Observations | None = None
         self.n_skipped = 0

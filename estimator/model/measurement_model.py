@@ -219,8 +219,7 @@ class MeasurementModel:
         field_T = self._gain(values)[..., None] * at_sensor_T
         for use in uses_of(self.rig, ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)
-            concerned = use.concerned(self.circumstances)
-            field_T = changed if concerned is None else torch.where(concerned[:, None], changed, field_T)
+            field_T = use.where_concerned(self.circumstances, changed, field_T)
         for record in uses_of(self.rig, RecordEffect):
             field_T = record.effect.recorded_T(field_T, record.theta(values))
         return field_T

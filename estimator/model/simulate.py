@@ -125,6 +125,5 @@ def _errors_T(model: MeasurementModel, rng: np.random.Generator) -> Float[Tensor
     for use in uses_of(rig, NoiseEffect):
         theta = use.theta(values)
         more_T = use.effect.disturbed_T(error_T, sigma_T, prediction, theta, use.place, rng)
-        concerned = use.concerned(model.circumstances)
-        error_T = more_T if concerned is None else torch.where(concerned[:, None], more_T, error_T)
+        error_T = use.where_concerned(model.circumstances, more_T, error_T)
     return error_T

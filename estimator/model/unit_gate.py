@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, listed
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -143,9 +143,9 @@ def _warnings(
     if given.far:
         numbers, unit = (chosen + 1, "Reading") if compared.line is None else (compared.line, "Line")
         far = [str(int(numbers[reading])) for reading in given.far]
-        listed = ", ".join(far[:3]) + (f" and {len(far) - 3} more" if len(far) > 3 else "")
+        units = unit if len(far) == 1 else f"{unit}s"
         told.append(
-            f"{unit if len(far) == 1 else f'{unit}s'} {listed}: far from all others beside the rig's nominal model ({where})."
+            f"{units} {listed(far[:3], len(far))}: far from all others beside the rig's nominal model ({where})."
         )
     if not given.is_plausible:
         told.append(

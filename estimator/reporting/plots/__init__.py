@@ -4,14 +4,13 @@ Every function draws into the given Axes, or into a new figure, and returns it. 
 """
 
 from estimator.reporting.plots.corner import corner
-from estimator.reporting.plots.difference import difference_plane
 from estimator.reporting.plots.error_maps import (
     angular_deviation_map,
     before_and_after_map,
     relative_error_map,
     residual_map,
 )
-from estimator.reporting.plots.field_map import field_plane
+from estimator.reporting.plots.field_map import difference_plane, field_plane
 from estimator.reporting.plots.history import history
 from estimator.reporting.plots.hypotheses import (
     error_budget,
@@ -19,7 +18,7 @@ from estimator.reporting.plots.hypotheses import (
     explained_residual,
     structure_bars,
 )
-from estimator.reporting.plots.posterior import interval_summary, trace, traces
+from estimator.reporting.plots.posterior import interval_summary, traces
 from estimator.reporting.plots.residuals import (
     predicted_against_measured,
     residual_against,
@@ -51,6 +50,5 @@ __all__ = [
     "residual_histogram",
     "residual_map",
     "structure_bars",
-    "trace",
     "traces",
 ]
