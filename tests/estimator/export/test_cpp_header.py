@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -17,9 +16,9 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.system.actuation import independent_entries
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import assert_close, by_gcc, needs_gcc
 
-pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+pytestmark = needs_gcc
 PROGRAM = """
 #include "magnet.hpp"
 #include <cstdio>
@@ -82,19 +81,13 @@ def rows(
     """What the compiled program prints for every point."""
     folder: Path = tmp_path_factory.mktemp("cpp")
     magnet.export("cpp", folder / "magnet.hpp")
-    (folder / "main.cpp").write_text(PROGRAM, encoding="utf-8")
-    strict = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
-    subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=folder, check=True)
     numbers = [
         *motion["arm"].tolist(),
         *motion["stage"].tolist(),
         *currents_A.values(),
         *points_m.flatten().tolist(),
     ]
-    printed = subprocess.run(
-        [folder / "main"], input=" ".join(map(repr, numbers)), capture_output=True, text=True, check=True
-    )
-    return np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    return by_gcc(folder, PROGRAM, numbers)
 
 
 def test_field_is_that_of_predict(

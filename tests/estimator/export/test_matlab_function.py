@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -14,9 +11,8 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.system.actuation import independent_entries
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import assert_close, by_octave, needs_octave
 
-OCTAVE = shutil.which("octave-cli")
 PROGRAM = """
 points_m = dlmread("points.txt");
 motion = dlmread("motion.txt");
@@ -33,7 +29,7 @@ printf([repmat("%.17g ", 1, size(printed, 2)), "\\n"], printed');
 """
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
+@needs_octave
 def test_octave_finds_field_gradient_and_actuation_of_predict(
     magnet: Calibration,
     motion: dict[str, Tensor],
@@ -42,13 +38,8 @@ def test_octave_finds_field_gradient_and_actuation_of_predict(
     tmp_path: Path,
 ) -> None:
     magnet.export("matlab", tmp_path / "magnet.m")
-    (tmp_path / "main.m").write_text(PROGRAM, encoding="utf-8")
-    np.savetxt(tmp_path / "points.txt", points_m.numpy(), fmt="%.17g")
-    np.savetxt(tmp_path / "motion.txt", torch.stack((motion["arm"], motion["stage"])).numpy(), fmt="%.17g")
-    command = [str(OCTAVE), "--norc", "--no-history", "--quiet", "main.m"]
-    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert printed.stderr == ""
-    rows = np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    motions = torch.stack((motion["arm"], motion["stage"])).numpy()
+    rows = by_octave(tmp_path, PROGRAM, {"points": points_m.numpy(), "motion": motions})
     field_T, gradient = (
         magnet.field(points_m, currents_A, motion),
         magnet.gradient(points_m, currents_A, motion),
