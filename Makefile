@@ -17,7 +17,7 @@ STUDIES := paper two-arms coverage hidden open-world mixed imitations truthful w
 	service-storm service-soak figures bench bench-kernel bench-growth bench-profile bench-live \
 	bench-diagnose bench-commands bench-batch bench-device bench-service test-device browser
 
-.PHONY: demo demo-service test checks lint types imports unit slow docs results words study $(STUDIES)
+.PHONY: demo demo-service test checks lint types imports unit slow docs results words size study $(STUDIES)
 
 demo: $(COMMANDS_INSTALLED)
 	$(BIN)/coilcal simulate --rig configs/paper_simulation.yaml --plan configs/plans/paper_grid.yaml --truth configs/truth/paper_simulation.json --seed 2 --out demo/session.zarr --overwrite
@@ -60,6 +60,9 @@ results: $(INSTALLED)     # docs/results.md and docs/performance.md, from their 
 
 words: $(INSTALLED)       # sentence lengths of README and docs by page, and banned phrases
 	$(RUN) scripts.documentation.words
+
+size: $(INSTALLED)        # lines of code of the packages and of the tests
+	$(RUN) scripts.documentation.size estimator drivers tests
 
 study: $(INSTALLED)       # `make study NAME=hidden`: one of scripts/studies/studies.yaml; without NAME they are listed
 	$(RUN) scripts.studies $(NAME)

@@ -25,6 +25,9 @@ class Place:
     line: int
     column: int | None = None
 
+    def __str__(self) -> str:
+        return f"{self.file}, line {self.line}"
+
 
 class CoilcalError(Exception):
     """A fault that one sentence explains: thing, rule, value and where it was found."""
@@ -45,6 +48,16 @@ class InvalidInput(CoilcalError, ValueError):
     def __init__(self, message: str, place: Place | None = None) -> None:
         super().__init__(message)
         self.place = place
+
+    @classmethod
+    def at(cls, place: Place, words: str) -> InvalidInput:
+        """A fault whose words end in its file and line.
+
+        Examples:
+            >>> print(InvalidInput.at(Place("rig.yaml", 3), "radius_mm must be > 0; received -5"))
+            radius_mm must be > 0; received -5 (rig.yaml, line 3)
+        """
+        return cls(f"{words} ({place})", place)
 
 
 class DiskFull(InvalidInput):
@@ -117,6 +130,27 @@ def closest(name: str, known: Iterable[str]) -> str:
     return "" if nearest is None else f"; the closest is {nearest}"
 
 
+def check_known(rule: str, given: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse names that nobody knows.
+
+    Args:
+        rule: What names must be, such as "currents must name coils of the rig".
+        given, known: The names.
+    Raises:
+        InvalidInput: One of them is not known.
+    Examples:
+        >>> check_known("currents must name coils of the rig", ["coil3"], ["coil1"])
+        Traceback (most recent call last):
+        estimator.errors.InvalidInput: currents must name coils of the rig (coil1); received 'coil3'; the closest is coil1
+    """
+    names = list(known)
+    for name in given:
+        if name not in names:
+            raise InvalidInput(
+                f"{rule} ({', '.join(names) or 'none'}); received {quoted(name)}{closest(name, names)}"
+            )
+
+
 def nearest_name(name: str, known: Iterable[str]) -> str | None:
     """The known name that is most like this one; None where none is like it."""
     return next(iter(get_close_matches(name, sorted(known), n=1, cutoff=LEAST_LIKENESS)), None)
@@ -130,6 +164,17 @@ def cut(text: str, most: int = MOST_QUOTED) -> str:
         '1111111111...'
     """
     return text if len(text) <= most else f"{text[:most]}..."
+
+
+def listed(first: Iterable[str], n: int) -> str:
+    """The first of `n` things, and how many more there are.
+
+    Examples:
+        >>> listed(["2", "3"], 2), listed(["2", "3"], 5)
+        ('2, 3', '2, 3 and 3 more')
+    """
+    shown = list(first)
+    return ", ".join(shown) + (f" and {n - len(shown)} more" if n > len(shown) else "")
 
 
 def quoted(value: object) -> str:

@@ -10,14 +10,17 @@ usual axis-angle formulas give NaN.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
+from typing import TypeAlias
 
 from jaxtyping import Float, Int
 
 from estimator.tensors import Tensor, torch
+
+Triple: TypeAlias = tuple[float, float, float]
 
 # Below this square of an angle (or of its sine) series replace the closed forms, whose derivatives lose
 # digits there and are 0/0 at zero. The series stop at the first term below rounding.
@@ -75,6 +78,12 @@ class Transform:
         translation_m = translation_m + torch.zeros_like(rotation_vector_rad)  # broadcasts
         return cls(rotation.expand(*translation_m.shape, 3), translation_m)
 
+    def to_pose(self) -> tuple[Triple, Triple]:
+        """Position and rotation vector of the only row, as Universal Robots take them: the inverse of `from_pose`."""
+        x_m, y_m, z_m = self.translation_m[0].tolist()
+        x_rad, y_rad, z_rad = vector_from_rotation(self.rotation)[0].tolist()
+        return (x_m, y_m, z_m), (x_rad, y_rad, z_rad)
+
     def __matmul__(self, other: Transform) -> Transform:
         """Compose transforms: ``a_from_b @ b_from_c = a_from_c``."""
         return Transform(self.rotation @ other.rotation, self.apply(other.translation_m))
@@ -91,6 +100,18 @@ class Transform:
             translation_m if translation_m.shape[-2] == 1 else translation_m[..., index, :],
         )
 
+    def shifted(self, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:
+        """Pose at points off the origin of b, given in b, with the same orientation."""
+        return Transform(self.rotation, self.apply(offset_m))
+
+    def sharing_rotation(self) -> Transform:
+        """These poses, with a single row of rotations where all are turned alike, as under pure translations.
+
+        Matrix products over rows then happen once: a third of the time of a prediction that is short otherwise.
+        """
+        first = self.rotation[:1]
+        return Transform(first, self.translation_m) if bool((self.rotation == first).all()) else self
+
     def apply(self, points_m: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
         """Coordinates in a of points given in b."""
         return self.rotate(points_m) + self.translation_m
@@ -106,6 +127,25 @@ class Transform:
     def unrotate(self, vectors: Float[Tensor, "*#batch 3"]) -> Float[Tensor, "*#batch 3"]:
         """Components in b of free vectors given in a: the transposed rotation."""
         return turned_back(self.rotation, vectors)
+
+
+def selected(poses: Sequence[Transform], which: Int[Tensor, "*batch row"]) -> Transform:
+    """The pose of the given number at every row."""
+    rotation, translation_m = poses[0].rotation, poses[0].translation_m
+    for i, pose in enumerate(poses[1:], start=1):
+        is_this = which == i
+        rotation = torch.where(is_this[..., None, None], pose.rotation, rotation)
+        translation_m = torch.where(is_this[..., None], pose.translation_m, translation_m)
+    return Transform(rotation, translation_m)
+
+
+def in_order(poses: Sequence[Transform], rows: Sequence[Int[Tensor, "..."]]) -> Transform:
+    """Poses at the rows that each belongs to, in the order of the rows, which together are all."""
+    batch = torch.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
+    order = torch.cat(list(rows)).argsort()
+    rotations = [pose.rotation.expand(*batch, len(own), 3, 3) for pose, own in zip(poses, rows, strict=True)]
+    places_m = [pose.translation_m.expand(*batch, len(own), 3) for pose, own in zip(poses, rows, strict=True)]
+    return Transform(torch.cat(rotations, -3)[..., order, :, :], torch.cat(places_m, -2)[..., order, :])
 
 
 def turned(

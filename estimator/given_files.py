@@ -61,22 +61,6 @@ def open_given(
     return file
 
 
-def open_lock(path: Path) -> BinaryIO:
-    """Open the file that a program locks while it writes a folder; it is made where it is missing.
-
-    Raises:
-        InvalidInput: It is no regular file, such as a pipe, on which opening waits for ever.
-        OSError: The folder cannot be written.
-    """
-    file = os.fdopen(os.open(path, os.O_RDWR | os.O_CREAT | os.O_NONBLOCK | os.O_CLOEXEC, 0o644), "r+b", 0)
-    try:
-        _refuse_kind(path, os.fstat(file.fileno()).st_mode, InvalidInput, "must be a file that can be locked")
-    except InvalidInput:
-        file.close()
-        raise
-    return file
-
-
 def read_given(
     path: Path, most_bytes: int, fault: type[CoilcalError] = InvalidInput, rule: str = "must be readable"
 ) -> bytes:

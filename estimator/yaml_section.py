@@ -98,8 +98,7 @@ class Section:
             line, column = key_node.start_mark.line + 1, key_node.start_mark.column + 1
             place = Place(file, line, column)
             if not isinstance(key_node, yaml.ScalarNode):
-                words = f"{path or 'the file'} must have words as keys ({file}, line {line})"
-                self.faults.note(InvalidInput(words, place))
+                self.faults.note(InvalidInput.at(place, f"{path or 'the file'} must have words as keys"))
                 continue
             key = str(key_node.value)
             if key in self._entries:
@@ -151,19 +150,13 @@ class Section:
     def refuse(self, key: str, rule: str, received: object) -> NoReturn:
         """Raise InvalidInput that names key, rule, value, file and line; the key counts as read then."""
         self._unread.discard(key)
-        raise InvalidInput(
-            f"{self.path_of(key)} {rule}; received {cut(str(received), MOST_SHOWN)} ({self.where(key)})",
-            self.place(key),
-        )
+        words = f"{self.path_of(key)} {rule}; received {cut(str(received), MOST_SHOWN)}"
+        raise InvalidInput.at(self.place(key), words)
 
     def place(self, key: str) -> Place:
         """File, line and column of a key; those of the mapping where it does not have the key."""
         line, column = self._lines.get(key, self.line), self._columns.get(key, self._column)
         return Place(self.file, line, column)
-
-    def where(self, key: str) -> str:
-        """File and line of a key."""
-        return f"{self.file}, line {self._lines.get(key, self.line)}"
 
     def span(self, key: str) -> tuple[int, int] | None:
         """Start of a key and end of its value as character indices of the text; None if the key is absent."""
@@ -177,10 +170,8 @@ class Section:
         try:
             return _plain(self._entries[key])
         except Exception as error:  # a tag such as !!timestamp raises errors of nearly any type on other text
-            raise InvalidInput(
-                f"{self.path_of(key)} must be plain text, a number or a list ({self.where(key)})",
-                self.place(key),
-            ) from error
+            words = f"{self.path_of(key)} must be plain text, a number or a list"
+            raise InvalidInput.at(self.place(key), words) from error
 
     def required(self, key: str) -> Any:
         """Plain value of a key that must be present."""
@@ -190,9 +181,9 @@ class Section:
 
     def _refuse_missing(self, key: str) -> NoReturn:
         """Refuse that a key is absent; the one that was probably meant counts as read, for it is no second mistake."""
-        words = f"{self.path_of(key)} is missing{closest(key, self._unread)} ({self.where(key)})"
+        words = f"{self.path_of(key)} is missing{closest(key, self._unread)}"
         self._unread.discard(nearest_name(key, self._unread) or key)
-        raise InvalidInput(words, self.place(key))
+        raise InvalidInput.at(self.place(key), words)
 
     def number(self, key: str, default: float | None = None) -> float:
         """A finite number; required unless there is a default."""
@@ -321,8 +312,8 @@ class Section:
         known = self._known.keys() - self._entries.keys()
         for key in self._entries:
             if key in self._unread:
-                words = f"{self.path_of(key)} is not a known key{closest(key, known)} ({self.where(key)})"
-                self.faults.note(InvalidInput(words, self.place(key)))
+                words = f"{self.path_of(key)} is not a known key{closest(key, known)}"
+                self.faults.note(InvalidInput.at(self.place(key), words))
 
 
 def _plain(node: yaml.Node) -> Any:

@@ -29,7 +29,7 @@ from drivers.protocols import (
 from estimator.acquisition.averages import average, measured
 from estimator.acquisition.clocks import DeviceClock
 from estimator.acquisition.pace import ANSWER_S, Pace
-from estimator.frames import Transform, vector_from_rotation
+from estimator.frames import Transform
 from estimator.geometry.motion import flange_to_reach, motion_reached
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -86,7 +86,7 @@ class Visit:
             motion = stops.motion[mover.name][row]
             if mover.name not in self._motion or bool((motion != self._motion[mover.name]).any()):
                 target = flange_to_reach(mover, motion[None], self._references[mover.name])
-                self._move(mover.name, _flange_pose(target))
+                self._move(mover.name, FlangePose(*target.to_pose()))
                 self._motion[mover.name] = motion
         for i, coil in enumerate(self._rig.coils):
             current_A = float(stops.current_A[row, i])
@@ -143,7 +143,7 @@ class Visit:
     def return_home(self) -> None:
         """Move the arms to zero displacement, where the next session expects them."""
         for name, reference in self._references.items():
-            self._move(name, _flange_pose(reference))
+            self._move(name, FlangePose(*reference.to_pose()))
 
     def _measured_current(self, name: str) -> Reading[float]:
         """Current that a supply measures, if the supply reports no fault (`drivers.guarded` compares it with the requested one).
@@ -206,9 +206,3 @@ class Visit:
 def _transform(pose: Sequence[float]) -> Transform:
     numbers = torch.tensor([list(pose)], dtype=torch.float64)
     return Transform.from_pose(numbers[:, :3], numbers[:, 3:])
-
-
-def _flange_pose(pose: Transform) -> FlangePose:
-    x_m, y_m, z_m = pose.translation_m[0].tolist()
-    x_rad, y_rad, z_rad = vector_from_rotation(pose.rotation)[0].tolist()
-    return FlangePose((x_m, y_m, z_m), (x_rad, y_rad, z_rad))

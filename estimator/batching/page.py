@@ -12,6 +12,7 @@ import pandas as pd
 from estimator.batching.jobs import PLAIN
 from estimator.batching.result import BatchResult
 from estimator.calibration.calibrate import versions
+from estimator.errors import listed
 from estimator.reporting import plots
 from estimator.reporting.numbers import displays, percent, probability, with_sd
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
@@ -110,9 +111,8 @@ def _wrong(best: pd.DataFrame) -> list[str]:
             )
             for _, row in rows.head(MOST_LISTED).iterrows()
         ]
-        more = f" and {len(rows) - MOST_LISTED} more" if len(rows) > MOST_LISTED else ""
         sentences.append(
-            f"Most probable is {name} in {', '.join(where)}{more}: look at it with coilcal diagnose."
+            f"Most probable is {name} in {listed(where, len(rows))}: look at it with coilcal diagnose."
         )
     return sentences
 

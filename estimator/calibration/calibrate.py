@@ -41,7 +41,7 @@ from estimator.model.unit_gate import check_units
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend
-from estimator.store.files import unwritable
+from estimator.store.files import writing
 from estimator.store.made import check_folder
 from estimator.store.session import Session
 
@@ -118,7 +118,8 @@ def calibrate(
     warnings = check_units(rig, as_meant(rig, session.observations), session.source)
     MeasurementModel.build(rig, session.observations)  # refuses sensors inside a winding, in validation too
     if folder is not None:
-        _make_folder(folder)
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
     if dtype is not torch.float64:
@@ -193,8 +194,7 @@ def _rig_to_fit(session: Session, rig: Rig, has_integer_counts: bool, as_describ
 
 def _check_free(rig: Rig, has_integer_counts: bool) -> None:
     """Refuse a rig without a free parameter, or with free loop counts only."""
-    if not rig.free:
-        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
+    rig.check_free()
     if has_integer_counts and all(parameter.is_count for parameter in rig.free):
         raise InvalidInput(
             "rig must have a free parameter besides loop counts, such as the noise of a sensor, or counts must be continuous; "
@@ -224,13 +224,6 @@ def _unfinished_chain(folder: Path | None, fingerprint: str, overwrite: bool) ->
             "output must be empty, hold an unfinished calibration of the same session, rig, seed, walkers and versions, "
             f"or be replaced with --overwrite; received {folder}, which holds another calibration"
         ) from error
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(folder, error) from error
 
 
 def _new_backend(

@@ -20,7 +20,7 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.store.admission import admit, admit_readings
 from estimator.store.arrays import ARRAYS, observation_arrays, observations_from
-from estimator.store.files import kind_of, unwritable, write_text
+from estimator.store.files import kind_of, write_text, writing
 from estimator.store.made import GROUP, Made, arrays_of, holds
 from estimator.store.staging import staged
 from estimator.store.tree import Node, read_tree, tree_hash
@@ -68,13 +68,11 @@ def write_parts(parts: Parts, folder: Path) -> None:
     """
     CALIBRATION.check_open(folder)
     summary = json.dumps(parts.summary, indent=2, allow_nan=False) + "\n"
-    try:
+    with writing(folder):
         with staged(folder / POSTERIOR_STORE, overwrite=True, made=POSTERIOR) as new:
             _write_posterior(parts, new, summary)
             (folder / SUMMARY_FILE).unlink(missing_ok=True)  # never beside a posterior that is not its own
         write_text(folder / SUMMARY_FILE, summary)
-    except OSError as error:
-        raise unwritable(folder, error) from error
 
 
 def read_parts(folder: Path) -> Parts:

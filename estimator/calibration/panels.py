@@ -8,7 +8,7 @@ import numpy as np
 
 from estimator.calibration.figures import coil_planes, fitted
 from estimator.calibration.report import verdict_sentences, warning_sentences
-from estimator.calibration.residual_groups import residual_groups
+from estimator.calibration.residual_groups import Group, residual_groups
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import displays
 
@@ -42,17 +42,6 @@ class FieldPlane:
     z_m: list[float]
     size_T_per_A: list[list[float | None]]
     relative: list[list[float | None]]
-
-
-@dataclass(frozen=True)
-class Group:
-    """Residuals of some readings, in units of the noise: their rms, and the mean of each component."""
-
-    by: str
-    name: str
-    n_readings: int
-    rms_sigma: float
-    mean_sigma: list[float | None]
 
 
 @dataclass(frozen=True)
@@ -108,10 +97,6 @@ def calibration_panels(calibration: Calibration) -> CalibrationPanels:
         )
         for plane in coil_planes(calibration, PLANE_POINTS)
     ]
-    groups = [
-        Group(g.by, g.name, g.n_readings, g.rms_sigma, [_or_none(mean) for mean in g.mean_sigma])
-        for g in residual_groups(calibration)
-    ]
     quality = summary.get("quality")
     return CalibrationPanels(
         verdict_sentences(calibration),
@@ -120,7 +105,7 @@ def calibration_panels(calibration: Calibration) -> CalibrationPanels:
         taught,
         planes,
         [float(value) if n else None for value, n in zip(rms, counts, strict=True)],
-        groups,
+        residual_groups(calibration),
         [coil.name for coil in rig.coils],
         {mover.name: list(mover.columns) for mover in rig.movers},
     )

@@ -12,7 +12,7 @@ from estimator.calibration.notes import told_by_data
 from estimator.calibration.quality import condition, noise_rms_T
 from estimator.calibration.residual_groups import residual_groups
 from estimator.calibration.result import Calibration
-from estimator.reporting.numbers import displays, percent, probability, size_with_unit, to_digit_of, with_sd
+from estimator.reporting.numbers import displays, percent, probability, size_with_unit, to_digit_of
 from estimator.reporting.page import ReportPage, Table, render_report
 from estimator.rig.bodies import EquivalentSourceCoil, HarmonicCoil, UnwoundCoil
 from estimator.rig.rig import Rig
@@ -160,20 +160,19 @@ def _tables(calibration: Calibration) -> list[Table]:
     ]
     rows = []
     for name in names:
-        numbers, factor = summary["parameters"][name], display[name].factor
-        low, high = (to_digit_of(numbers["sd"] * factor, end * factor) for end in numbers["ci90"])
+        numbers, show = summary["parameters"][name], display[name]
         parameter = calibration.rig.parameters.get(name)
         prior = parameter.prior if parameter is not None else None
         row = [
             split_quotient(name)[0],
-            with_sd(numbers["median"] * factor, numbers["sd"] * factor),
-            f"{low} to {high}",
-            display[name].unit or "1",
-            with_sd(prior.centre * factor, prior.sd * factor) if prior else "derived",
+            show.with_sd(numbers["median"], numbers["sd"]),
+            show.interval(numbers["ci90"], numbers["sd"]),
+            show.unit or "1",
+            show.with_sd(prior.centre, prior.sd) if prior else "derived",
         ]
-        rows.append(
-            row + ([to_digit_of(0.0, truth[name] * factor) if name in truth else "—"] if truth else [])
-        )
+        if truth:
+            row.append(to_digit_of(0.0, truth[name] * show.factor) if name in truth else "—")
+        rows.append(row)
     tables = [Table("Parameters", header, rows, "Medians and central 90 % intervals of the posterior.")]
     if determined := summary.get("amplitudes"):
         tables.append(_amplitude_table(calibration.rig, summary["parameters"], determined))
@@ -269,7 +268,7 @@ def _group_table(calibration: Calibration) -> Table:
             group.name,
             str(group.n_readings),
             f"{group.rms_sigma:.2f}",
-            *("—" if np.isnan(mean) else f"{mean:+.2f}".replace("-", "−") for mean in group.mean_sigma),
+            *("—" if mean is None else f"{mean:+.2f}".replace("-", "−") for mean in group.mean_sigma),
         ]
         for group in residual_groups(calibration)
     ]

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +16,8 @@ MOST_CURRENTS = 8  # settings that are told one by one; more are told by their t
 N_HEIGHTS = 3
 
 
-class ResidualGroup(NamedTuple):
+@dataclass(frozen=True)
+class Group:
     """Residuals of some readings, in units of the noise.
 
     Attributes:
@@ -24,17 +25,17 @@ class ResidualGroup(NamedTuple):
         name: Of the group.
         n_readings: How many there are.
         rms_sigma: Root mean square over components; about 1 where the model holds.
-        mean_sigma: Mean of x, y and z; NaN where a component was not measured.
+        mean_sigma: Mean of x, y and z; None where a component was not measured.
     """
 
     by: str
     name: str
     n_readings: int
     rms_sigma: float
-    mean_sigma: tuple[float, float, float]
+    mean_sigma: list[float | None]
 
 
-def residual_groups(calibration: Calibration) -> list[ResidualGroup]:
+def residual_groups(calibration: Calibration) -> list[Group]:
     """Groups of the readings of the fit, those with few readings left out.
 
     Args:
@@ -43,7 +44,7 @@ def residual_groups(calibration: Calibration) -> list[ResidualGroup]:
     """
     fit, o = fitted(calibration), calibration.observations.calibration
     in_sigma = fit.residual_T / fit.sigma_T
-    groups = list[ResidualGroup]()
+    groups = list[Group]()
     for axis, name in enumerate("xyz"):
         only = np.full_like(in_sigma, np.nan)
         only[:, axis] = in_sigma[:, axis]
@@ -75,9 +76,7 @@ def _by_value(current_A: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
         yield f"{low:.3g} to {high:.3g} A", (current_A >= low) & (current_A <= high)
 
 
-def _by_height(
-    coil: str, z_m: np.ndarray, is_on: np.ndarray, in_sigma: np.ndarray
-) -> Iterator[ResidualGroup]:
+def _by_height(coil: str, z_m: np.ndarray, is_on: np.ndarray, in_sigma: np.ndarray) -> Iterator[Group]:
     if not is_on.any() or np.ptp(z_m[is_on]) < 1e-6:
         return
     edges = np.quantile(z_m[is_on], np.linspace(0.0, 1.0, N_HEIGHTS + 1))
@@ -87,12 +86,12 @@ def _by_height(
         yield from _group(f"height over {coil}", name, in_sigma, is_here)
 
 
-def _group(by: str, name: str, in_sigma: np.ndarray, rows: np.ndarray) -> Iterator[ResidualGroup]:
+def _group(by: str, name: str, in_sigma: np.ndarray, rows: np.ndarray) -> Iterator[Group]:
     own = in_sigma[rows]
     if len(own) < FEWEST or not np.isfinite(own).any():
         return
     known = np.isfinite(own)
     counts = known.sum(axis=0)
     sums = np.where(known, own, 0.0).sum(axis=0)
-    x, y, z = (float(total / n) if n else float("nan") for total, n in zip(sums, counts, strict=True))
-    yield ResidualGroup(by, name, len(own), float(np.sqrt(np.mean(own[known] ** 2))), (x, y, z))
+    means = [float(total / n) if n else None for total, n in zip(sums, counts, strict=True)]
+    yield Group(by, name, len(own), float(np.sqrt(np.mean(own[known] ** 2))), means)

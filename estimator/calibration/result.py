@@ -16,7 +16,7 @@ from estimator.calibration.files import Parts, read_parts, write_parts
 from estimator.devices import numpy_of
 from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
-from estimator.errors import InvalidInput, cut, quoted
+from estimator.errors import InvalidInput, check_known, cut, quoted
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
@@ -130,7 +130,7 @@ class Calibration(Shown):
         motion: Mapping[str, Any] | None,
         is_gradient: bool,
     ) -> tuple[Kind, Kind]:
-        _check_level(level)
+        check_level(level)
         given = given_points(points)
         points_m = given.points_m
         room, current_A = self.room(points_m, motion), self.currents(currents_A, points_m)
@@ -306,17 +306,19 @@ class Calibration(Shown):
             raise InvalidInput(
                 f"currents must be given by coil, such as {example}; received {quoted(currents_A)}"
             )
+        check_known("currents must name coils of the rig", currents_A, names)
         for name in currents_A:
-            if name not in names:
-                raise InvalidInput(
-                    f"currents must name coils of the rig ({', '.join(names)}); received {quoted(name)}"
-                )
             if not abs(currents_A[name]) <= LARGEST:
                 rule = f"current of {name} must lie between {-LARGEST:g} and {LARGEST:g}"
                 raise InvalidInput(f"{rule}; received {currents_A[name]:g}")
         return like.new_tensor([float(currents_A.get(name, 0.0)) for name in names])
 
 
-def _check_level(level: float) -> None:
+def check_level(level: float) -> None:
+    """Refuse a level of an interval that is no probability.
+
+    Raises:
+        InvalidInput: It is not between 0 and 1.
+    """
     if not 0.0 < level < 1.0:
         raise InvalidInput(f"level must lie between 0 and 1; received {level}")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from estimator.errors import InvalidInput, quoted
 from estimator.glance import Glance
-from estimator.reporting.numbers import displays, to_digit_of, with_sd
+from estimator.reporting.numbers import displays
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,10 +28,12 @@ def calibration_glance(calibration: Calibration) -> Glance:
     )
     rows = []
     for name, display in displays(list(summary["parameters"])).items():
-        numbers, factor = summary["parameters"][name], display.factor
-        low, high = (to_digit_of(numbers["sd"] * factor, end * factor) for end in numbers["ci90"])
-        middle = with_sd(numbers["median"] * factor, numbers["sd"] * factor)
-        rows.append((display.words, middle, f"{low} to {high}", display.unit))
+        numbers = summary["parameters"][name]
+        sizes = (
+            display.with_sd(numbers["median"], numbers["sd"]),
+            display.interval(numbers["ci90"], numbers["sd"]),
+        )
+        rows.append((display.words, *sizes, display.unit))
     return Glance(
         sentence, ("parameter", "median ± sd", "90 % interval", "unit"), rows, lambda: _taught(calibration)
     )

@@ -17,6 +17,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import Coil, SidedCoil
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
@@ -143,10 +144,8 @@ def _loop_counts(rig: Rig, draws: Mapping[str, np.ndarray]) -> list[dict[str, An
 
 def _errors(calibration: Calibration) -> dict[str, Any]:
     """Errors of the nominal and the calibrated model, by sensor too, and the coverage of the 90 % predictive interval."""
-    nominal = {
-        name: torch.tensor(v, dtype=torch.float64) for name, v in calibration.rig.nominal_values().items()
-    }
-    best = {name: torch.tensor(v, dtype=torch.float64) for name, v in calibration.best.items()}
+    nominal = nominal_tensors(calibration.rig)
+    best = calibration.best_values()
     result: dict[str, Any] = {"rmse": {}, "rmse_nominal": {}, "rmse_by_sensor": {}, "coverage90": {}}
     for role, observations in (
         ("calibration", calibration.observations.calibration),

@@ -9,7 +9,7 @@ import click
 
 from estimator.cli.options import flag, json_option, option, seed_option
 from estimator.cli.output import CoilcalCommand, show, tell_progress
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import check_known
 
 if TYPE_CHECKING:
     from estimator.benchmarks.rows import Row
@@ -84,9 +84,7 @@ def parts_of(only: str | None) -> list[str]:
         InvalidInput: There is no such part.
     """
     named = list(PARTS) if only is None else [name.strip() for name in only.split(",")]
-    for name in named:
-        if name not in PARTS:
-            raise InvalidInput(f"--only must name parts of {', '.join(PARTS)}; received {quoted(name)}")
+    check_known("--only must name parts", named, PARTS)
     return [part for part in PARTS if part in named]
 
 

@@ -125,14 +125,15 @@ def _physical_faults(
     from estimator.model.preflight import check_readings
     from estimator.model.unit_gate import check_units
     from estimator.readings.flags import without_flagged
-    from estimator.store.importers.checked import with_validation
+    from estimator.readings.split import with_validation
+    from estimator.store.importers.checked import VALIDATION_SHARE
 
     faults, warnings = Faults(is_collected=True), list[str]()
     check_readings(rig, session.observations, source, faults=faults)
     if not faults.noted:
         with faults.noting():
             warnings = check_units(rig, without_flagged(session.observations, flags), source)
-            check_readings(rig, with_validation(session).observations, source)
+            check_readings(rig, with_validation(session.observations, VALIDATION_SHARE, 0), source)
     return faults.noted, warnings
 
 
@@ -163,7 +164,7 @@ def _where(fault: InvalidInput) -> str:
     if place is None:
         return ""
     column = "" if place.column is None else f", column {place.column}"
-    return f"{place.file}, line {place.line}{column}: "
+    return f"{place}{column}: "
 
 
 def _without_place(fault: InvalidInput) -> str:
@@ -171,4 +172,4 @@ def _without_place(fault: InvalidInput) -> str:
     place, message = fault.place, str(fault)
     if place is None:
         return message
-    return message.removesuffix(f" ({place.file}, line {place.line})").removesuffix(f" ({place.file})")
+    return message.removesuffix(f" ({place})").removesuffix(f" ({place.file})")

@@ -26,7 +26,7 @@ def device_faults(path: Path, devices: DeviceSettings) -> list[InvalidInput]:
             faults.append(InvalidInput(f"{fault} ({path})"))
         else:
             place = setting_place(path, named["name"], named["key"] or "")
-            faults.append(InvalidInput(f"{fault} ({place.file}, line {place.line})", place))
+            faults.append(InvalidInput.at(place, str(fault)))
     return faults
 
 

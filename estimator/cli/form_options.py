@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.options import PATH, flag, option
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import check_known
 
 if TYPE_CHECKING:
     from estimator.rig.rig import Rig
@@ -76,9 +76,7 @@ class FormOptions:
 
         recipe = Recipe() if self.map_path is None else read_recipe(self.map_path)
         coils = [coil.name for coil in rig.coils]
-        for name in currents_A:
-            if name not in coils:
-                raise InvalidInput(f"--current must name one of {', '.join(coils)}; received {quoted(name)}")
+        check_known("--current must name coils", currents_A, coils)
         constants = named_constants(self.constants) | {
             f"{name}_current_A": value for name, value in currents_A.items()
         }

@@ -69,7 +69,7 @@ def import_command(
     """
     from estimator.cli.proposal import write_recipe
     from estimator.rig_files.read import load_rig
-    from estimator.store.importers.recorded import moment
+    from estimator.store.importers.common import moment
     from estimator.store.session import SESSION
     from estimator.store.staging import check_output
 

@@ -13,7 +13,7 @@ from drivers.limits_section import thermometer_inputs
 from drivers.open import DeviceSet, open_devices
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
-from estimator.rig_files.devices import DeviceSettings, load_devices, setting_location
+from estimator.rig_files.devices import DeviceSettings, load_devices, setting_place
 from estimator.rig_files.read import load_rig
 
 NAMED = re.compile(r"devices\.(?P<name>[\w-]+)(\.(?P<key>\w+))?")
@@ -97,7 +97,7 @@ class Bench:
             setting = NAMED.match(str(error))
             if setting is None:
                 raise
-            where = setting_location(self.path, setting["name"], setting["key"] or "")
+            where = setting_place(self.path, setting["name"], setting["key"] or "")
             raise Refused(f"{error} ({where})") from error
 
 

@@ -14,7 +14,7 @@ from drivers.limits_section import RigLimits
 from drivers.protocols import FlangePose
 from drivers.safety import check_motion
 from estimator.errors import InvalidInput
-from estimator.frames import Transform, vector_from_rotation
+from estimator.frames import Transform
 from estimator.geometry.motion import flange_to_reach
 from estimator.planning.candidates import places_within
 from estimator.readings.plan import Plan, load_plan
@@ -87,9 +87,7 @@ def _is_reached(pose: Mapping[str, np.ndarray], rig: Rig, limits: RigLimits) -> 
         if mover.motion is MotionKind.DISPLACEMENT or mover.name not in limits.arms:
             continue
         flange = flange_to_reach(mover, torch.from_numpy(pose[mover.name])[None], Transform.identity())
-        x_m, y_m, z_m = flange.translation_m[0].tolist()
-        rx_rad, ry_rad, rz_rad = vector_from_rotation(flange.rotation)[0].tolist()
-        target, arm = FlangePose((x_m, y_m, z_m), (rx_rad, ry_rad, rz_rad)), limits.arms[mover.name]
+        target, arm = FlangePose(*flange.to_pose()), limits.arms[mover.name]
         try:
             check_motion(target, target, arm.highest_speed_m_per_s, arm)
         except Refused:

@@ -9,6 +9,7 @@ import click
 
 from estimator.cli.options import PATH, OutputPath, devices_option, option, result_options, seed_option
 from estimator.cli.output import CoilcalCommand, show
+from estimator.errors import listed
 
 if TYPE_CHECKING:
     from estimator.planning.planned import Planned
@@ -123,8 +124,8 @@ def _text(planned: Planned, out: Path | None) -> str:
         shown = displays(list(planned.unknown))
         most_first = sorted(planned.unknown.items(), key=lambda item: -item[1])[:MOST_UNKNOWN]
         words = [f"{shown[name].words} ({100.0 * share:.0f} %)" for name, share in most_first]
-        more = len(planned.unknown) - len(words)
-        and_more = f" and {more} more" if more else ""
-        lines.append(f"stays unknown, with its share of the prior's width: {', '.join(words)}{and_more}")
+        lines.append(
+            f"stays unknown, with its share of the prior's width: {listed(words, len(planned.unknown))}"
+        )
     lines.append(f"plan: {out}" if out else "give --out to write them as a plan")
     return "\n".join(lines)

@@ -18,7 +18,6 @@ from drivers.protocols import FlangePose
 from drivers.settings import Settings
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from estimator.frames import vector_from_rotation
 from estimator.geometry.motion import base_from_motion
 from estimator.model.simulated_field import Flange, SimulatedField
 from estimator.rig.bodies import MotionKind, Mover
@@ -127,9 +126,6 @@ def _middle_m(name: str, settings: Mapping[str, Any]) -> tuple[float, float, flo
 def _home(mover: Mover, middle_m: tuple[float, float, float]) -> Flange:
     """Pose in which an arm starts: a posture that folds no joint, or the middle of its workspace."""
     if mover.table is not None:
-        base_from_flange = base_from_motion(mover, torch.tensor([POSTURE_RAD], dtype=torch.float64))
-        x_m, y_m, z_m = base_from_flange.translation_m[0].tolist()
-        x_rad, y_rad, z_rad = vector_from_rotation(base_from_flange.rotation)[0].tolist()
-        return (x_m, y_m, z_m), (x_rad, y_rad, z_rad)
+        return base_from_motion(mover, torch.tensor([POSTURE_RAD], dtype=torch.float64)).to_pose()
     is_relative = mover.motion is MotionKind.DISPLACEMENT
     return middle_m, mover.reference_rotation_rad if is_relative else (0.0, 0.0, 0.0)

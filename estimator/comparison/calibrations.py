@@ -14,13 +14,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, listed
 from estimator.field.winding import Winding
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
 from estimator.reporting import plots
-from estimator.reporting.numbers import displays, size_with_unit, with_sd
+from estimator.reporting.numbers import displays, size_with_unit
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 from estimator.rig.bodies import AnyCoil, Coil
 
@@ -221,9 +221,8 @@ def sentences(compared: SideBySide) -> list[str]:
         )
     far = sorted((p for p in compared.numbers if p.distance_sd > FAR_SD), key=lambda p: -p.distance_sd)
     if far:
-        listed = ", ".join(f"{p.name} ({p.distance_sd:.3g})" for p in far[:5])
-        more = f" and {len(far) - 5} more" if len(far) > 5 else ""
-        told.append(f"Numbers that differ by more than {FAR_SD:g} standard deviations: {listed}{more}.")
+        names = listed((f"{p.name} ({p.distance_sd:.3g})" for p in far[:5]), len(far))
+        told.append(f"Numbers that differ by more than {FAR_SD:g} standard deviations: {names}.")
     else:
         told.append(f"No number differs by more than {FAR_SD:g} standard deviations.")
     if compared.is_same_session:
@@ -241,9 +240,7 @@ def number_table(compared: SideBySide) -> Table:
     for pair in ordered:
         display = shown[pair.name]
         cells = (
-            with_sd(value * display.factor, sd * display.factor)
-            if sd > ROUNDING * abs(value)
-            else f"{value * display.factor:.6g}"
+            display.with_sd(value, sd) if sd > ROUNDING * abs(value) else f"{value * display.factor:.6g}"
             for value, sd in ((pair.first, pair.first_sd), (pair.second, pair.second_sd))
         )
         distance = f"{pair.distance_sd:.2f}" if math.isfinite(pair.distance_sd) else "—"

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.structure.covariates import sensor_in_coils
+from estimator.diagnosis.structure.covariates import residual_T, sensor_in_coils
 from estimator.diagnosis.structure.residual_tests import LackOfFit, Structure, lack_of_fit, structure
 from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.errors import InvalidInput
@@ -22,7 +22,7 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.model.bodies import SIDED_KEYS, WINDING_KEYS
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.readings.split import block_split, thinned
+from estimator.readings.split import thinned, with_validation
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
@@ -69,10 +69,7 @@ class Rival:
     @property
     def residual_T(self) -> Float[Tensor, "reading 3"]:
         """Measured less predicted; NaN where a component was not measured."""
-        model = self.fit.posterior.model
-        with torch.no_grad():
-            predicted_T = model.predict(self.fit.values).expand(len(model.circumstances), 3)
-        return self.fit.observations.field_sensor_T - predicted_T
+        return residual_T(self.fit)
 
     def to_json(self) -> dict[str, Any]:
         """How well this description fits, in the form of `comparison.json`."""
@@ -172,11 +169,8 @@ def compare(session: Session, field_map: GridMap, coil: str | None = None, *, se
     """
     rig = session.rig
     coil = _coil(rig, coil)
-    if not rig.free:
-        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
-    observations = session.observations
-    if not bool(observations.is_validation.any()):
-        observations = observations.with_validation(block_split(observations, policy.VALIDATION_SHARE, seed))
+    rig.check_free()
+    observations = with_validation(session.observations, policy.VALIDATION_SHARE, seed)
     rules = MeasurementModel.build(rig, observations).rules
     rough = fit_rig(
         rig,
@@ -222,9 +216,8 @@ def _within(
     """Readings for the fit and for validation, each with which of them have the sensor within the map."""
     parts = []
     for part in (observations.calibration, observations.validation):
-        model = MeasurementModel.unruled(fit.rig, part).with_rules(fit.posterior.model.rules)
         body = next(each for each in fit.rig.coils if each.name == coil)
-        position_m = model.readings_in_coil(body, fit.values)[0]
+        position_m = fit.model_of(part).readings_in_coil(body, fit.values)[0]
         parts.append((part, field_map.holds(position_m.detach())))
     return parts
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from estimator.comparison.vtk_maps import SUFFIXES, read_vtk
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import InvalidInput, Place, quoted
 from estimator.field.grid_map import GridMap
 from estimator.given_files import read_given, read_given_text
 from estimator.store.importers.csv_lines import cells_of
@@ -125,7 +125,7 @@ def _numbers(rows: list[Line], columns: list[Column], path: Path) -> np.ndarray:
             table[i] = [float(cells[index]) for index in wanted]
         except (ValueError, IndexError) as error:
             words = f"row of a field map must hold numbers; received {quoted(row)}"
-            raise InvalidInput(f"{words} ({path}, line {number})") from error
+            raise InvalidInput.at(Place(str(path), number), words) from error
     is_wrong = ~(np.abs(table) <= LARGEST).all(1)
     if is_wrong.any():
         rule = f"field map must hold finite numbers between {-LARGEST:g} and {LARGEST:g}"

@@ -99,8 +99,7 @@ def diagnose(
     tell = on_stage or (lambda words: None)
     rig = rig or session.rig
     session.check_rig(rig)
-    if not rig.free:
-        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
+    rig.check_free()
     check_readings(rig, session.observations, session.source, needs_current=False)
     place, dtype = device_named(device), precision_named(precision)
     if dtype is not torch.float64:

@@ -15,7 +15,7 @@ from estimator.errors import InvalidInput
 from estimator.readings.digits import flags_of_digits
 from estimator.readings.flags import Flag, merged, without_flagged
 from estimator.readings.observations import Observations
-from estimator.readings.split import block_split, thinned
+from estimator.readings.split import thinned, with_validation
 from estimator.store.session import Session
 
 
@@ -110,9 +110,7 @@ class FirstFit:
 
 
 def _split(session: Session, validation: Session | None, seed: int) -> tuple[Observations, Observations]:
-    observations = session.observations
     if validation is not None:
-        return observations.calibration, validation.observations
-    if not bool(observations.is_validation.any()):
-        observations = observations.with_validation(block_split(observations, policy.VALIDATION_SHARE, seed))
+        return session.observations.calibration, validation.observations
+    observations = with_validation(session.observations, policy.VALIDATION_SHARE, seed)
     return observations.calibration, observations.validation

@@ -7,7 +7,6 @@ readings of the fit are (`elsewhere`).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -44,7 +43,6 @@ def climbed(
     start: Float[Tensor, "start coordinate"],
     tolerance: float,
     slopes: Callable[[], FirstOrder | None] = lambda: None,
-    to_beat: float = -math.inf,
 ) -> Optimum:
     """The highest maximum that is reached from some starts, in a race, as `levenberg_marquardt` gives it where the readings are.
 
@@ -53,7 +51,6 @@ def climbed(
         start: Coordinates to start from.
         tolerance: Rise in log density by a further step below which the climb stops.
         slopes: Gives derivatives of a similar model at the only start; None where there are none.
-        to_beat: Log density of a maximum that is known: climbs to lower ones end early.
     """
     readings = posterior.model.circumstances.observations
     there = readings if (place := _current.get()) is None else readings.to(*place)
@@ -64,5 +61,5 @@ def climbed(
         start = ahead.vector[ahead.log_posterior.argmax()][None].to(start.device)
     if is_worthwhile(posterior, start):
         known = slopes() if there is readings else None
-        return climb_with_secants(posterior, start, tolerance, known, to_beat)
-    return levenberg_marquardt(posterior, start, tolerance=tolerance, is_race=True, to_beat=to_beat)
+        return climb_with_secants(posterior, start, tolerance, known)
+    return levenberg_marquardt(posterior, start, tolerance=tolerance, is_race=True)

@@ -140,8 +140,11 @@ class Fit:
 
     @cached_property
     def jacobian(self) -> Float[Tensor, "component coordinate"]:
-        """Whitened Jacobian of the predictions in the coordinates."""
-        jacobian_T: Tensor = self.posterior.jacobian(self.optimum.vector)[0]
+        """Whitened Jacobian of the predictions in the coordinates; that with which the climb ended is not made again."""
+        slopes = self.optimum.slopes
+        jacobian_T = (
+            self.posterior.jacobian(self.optimum.vector)[0] if slopes is None else slopes.jacobian_T[0]
+        )
         return jacobian_T * self.whitening_per_T[:, None]
 
     def slopes_for(self, posterior: LogPosterior, vector: Float[Tensor, "1 coordinate"]) -> FirstOrder:
@@ -224,9 +227,7 @@ class Fit:
 
     def to_first_order(self, projector: Projector, residual: Float[Tensor, " component"]) -> Fit:
         """The fit with another projector and residual, all that the evidence of further columns depends on."""
-        copy = Fit(self.posterior, self.optimum)
-        copy.__dict__.update(projector=projector, residual=residual)
-        return copy
+        return _FirstOrderFit(self.posterior, self.optimum, projector, residual)
 
     @cached_property
     def free_noise(self) -> FreeNoise | None:
@@ -253,6 +254,14 @@ class Fit:
         return sum(prior.distance(float(self.values[n])) ** 2 for n, prior in bell_shaped.items())
 
 
+@dataclass(frozen=True)
+class _FirstOrderFit(Fit):
+    """A fit with a projector and a residual in place of those that follow from its maximum."""
+
+    projector: Projector
+    residual: Float[Tensor, " component"]
+
+
 def resolution_T(measured_T: Float[Tensor, " component"]) -> float:
     """Resolution of the recorded readings: the smallest difference between two of them; 0 where there is none.
 
@@ -275,7 +284,6 @@ def fit_rig(
     tolerance: float | None = None,
     near: Fit | None = None,
     other_start: Mapping[str, Tensor] | None = None,
-    to_beat: float = -math.inf,
 ) -> Fit:
     """Maximise the posterior density from given values of the parameters and from some draws of the prior; keep the highest maximum.
 
@@ -288,7 +296,6 @@ def fit_rig(
         tolerance: Rise in log density by a further step below which the fit stops; `policy.FINE_TOLERANCE` by default.
         near: Fit of a similar rig to the same readings, whose derivatives hold near the start: it is where the values come from.
         other_start: Values of some parameters that replace those of the start where the density is then higher.
-        to_beat: Log posterior density of a fit that is known: a climb to less ends early.
     """
     model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
     posterior = LogPosterior(Coordinates(rig), model, observations)
@@ -316,16 +323,11 @@ def fit_rig(
         vector,
         tolerance,
         lambda: near.slopes_for(posterior, vector) if near and is_near else None,
-        to_beat,
     )
-    top = int(optimum.log_posterior.argmax())
-    best = optimum.rows(slice(top, top + 1))
-    if journal is not None and float(best.log_posterior) >= to_beat:
+    best = optimum.highest()
+    if journal is not None:
         journal.add(key, best)
-    fit = Fit(posterior, best)
-    if (slopes := optimum.slopes) is not None:  # the Jacobian that the climb ended with is not made again
-        fit.__dict__.update(jacobian=slopes.jacobian_T[0] * fit.whitening_per_T[:, None])
-    return fit
+    return Fit(posterior, best)
 
 
 def _of_effects(rig: Rig) -> list[Parameter]:

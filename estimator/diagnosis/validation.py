@@ -174,10 +174,9 @@ def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -
         unseen: The readings.
     """
     coordinates = fit.posterior.coordinates
-    values = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
-    best = coordinates.vector({name: values[name] for name in coordinates.names})
+    best = coordinates.vector({name: calibration.best[name] for name in coordinates.names})
     draws = {name: torch.from_numpy(calibration.draws[name].reshape(-1)) for name in coordinates.names}
-    handed_out = Fit(fit.posterior, replace(fit.optimum, vector=best[None]))
+    handed_out = Fit(fit.posterior, fit.optimum.at(best))
     return validation_scores(handed_out, unseen, coordinates.vector(draws).T.cov())
 
 

@@ -14,6 +14,7 @@ from estimator.geometry.motion import base_from_motion, nominal_positions_m, pos
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.bodies import AnyCoil, Sensor
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
@@ -109,9 +110,10 @@ class Circumstances(History):
     @cached_property
     def _nominal(self) -> tuple[dict[str, Tensor], dict[str, Transform]]:
         """Nominal values of the rig, and pose of each mover's flange in its base."""
-        values = {name: self.current_A.new_tensor(v) for name, v in self.rig.nominal_values().items()}
         motion = self.observations.motion
-        return values, {mover.name: base_from_motion(mover, motion[mover.name]) for mover in self.rig.movers}
+        return nominal_tensors(self.rig, self.current_A), {
+            mover.name: base_from_motion(mover, motion[mover.name]) for mover in self.rig.movers
+        }
 
     def has_turned_back(self, coil: str) -> bool:
         """Whether the current of a coil has turned back."""

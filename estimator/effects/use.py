@@ -65,6 +65,11 @@ class Use(Generic[E_co]):
             return None
         return circumstances.sensor == self.index(circumstances.rig.sensors)
 
+    def where_concerned(self, circumstances: Circumstances, changed: Tensor, other: Tensor) -> Tensor:
+        """What the effect makes of its readings; all else as it is."""
+        concerned = self.concerned(circumstances)
+        return changed if concerned is None else torch.where(concerned[:, None], changed, other)
+
     def index(self, bodies: Sequence[Body | Mover]) -> int:
         """Index of its place among the rig's coils, sensors or movers."""
         return [body.name for body in bodies].index(self.place)

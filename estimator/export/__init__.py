@@ -1,1 +1,1 @@
-"""Calibrations leave the house: files that other programs read, one module for each format."""
+"""Export of calibrations: files that other programs read, one module for each format."""

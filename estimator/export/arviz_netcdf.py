@@ -11,19 +11,20 @@ import xarray as xr
 
 from estimator.code_version import code_version
 from estimator.errors import InvalidInput
-from estimator.export.calibrated import Calibrated
+from estimator.export.request import Request
 from estimator.rig_files.write import rig_text
 from estimator.store.arrays import observation_arrays
 
 ENGINE: Literal["h5netcdf"] = "h5netcdf"  # comes with ArviZ
 
 
-def netcdf(calibrated: Calibrated) -> bytes:
+def netcdf(request: Request) -> bytes:
     """A file with groups `posterior`, `sample_stats`, `observed_data` and `constant_data`; draws carry their units.
 
     Raises:
         InvalidInput: No parameter is free, so there is no posterior.
     """
+    calibrated = request.calibrated
     if not calibrated.draws:
         raise InvalidInput(
             f"export to arviz must have a free parameter; rig {calibrated.rig.name!r} has none"

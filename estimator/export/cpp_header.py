@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from estimator.export.labels import identifier, plain_words
-from estimator.export.magnet import Magnet
 from estimator.export.plain_model import PlainCoil, numbers_of
+from estimator.export.request import Request
 from estimator.export.sides import first_arc, is_rounded
 from estimator.export.templates import Filters, number, template
 from estimator.field.sided import SidedWinding
@@ -16,12 +16,13 @@ from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 
-def cpp_header(magnet: Magnet) -> str:
+def cpp_header(request: Request) -> str:
     """The text of the header.
 
     Raises:
         InvalidInput: The rig has something that the header cannot express.
     """
+    magnet = request.magnet
     model = magnet.model("cpp")
     sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
     has_leads = any(coil.leads for coil in model.coils)

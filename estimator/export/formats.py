@@ -1,12 +1,14 @@
 """The formats of `coilcal export`: what each holds, what it asks for, and what makes it.
 
-A maker is loaded when it is called, so that the command line can list the formats without loading torch.
+A maker is a function of a module of this package. It is loaded when it is called, so that the command line can list the formats without
+loading torch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,115 +30,51 @@ class Format:
     Attributes:
         ending: Of the file that is written where none is named.
         words: What the file is, in a few words.
-        content: Makes the content of the file.
+        maker: Module and function that make the content of the file of a `Request`, as text or as bytes.
         takes: What of `grid`, `currents` and `motion` it takes.
     """
 
     ending: str
     words: str
-    content: Callable[[Request], bytes]
+    maker: str
     takes: tuple[str, ...] = ()
 
-
-def _json(request: Request) -> bytes:
-    from estimator.export.json_model import json_model
-
-    return json_model(request.magnet).encode()
-
-
-def _cpp(request: Request) -> bytes:
-    from estimator.export.cpp_header import cpp_header
-
-    return cpp_header(request.magnet).encode()
+    def content(self, request: Request) -> bytes:
+        """Content of the file."""
+        module, _, name = self.maker.partition(".")
+        made: str | bytes = getattr(import_module(f"estimator.export.{module}"), name)(request)
+        return made.encode() if isinstance(made, str) else made
 
 
-def _matlab(request: Request) -> bytes:
-    from estimator.export.matlab_function import matlab_function
-
-    return matlab_function(request.magnet, request.path.stem).encode()
-
-
-def _arviz(request: Request) -> bytes:
-    from estimator.export.arviz_netcdf import netcdf
-
-    return netcdf(request.calibrated)
-
-
-def _magpylib(request: Request) -> bytes:
-    from estimator.export.magpylib_module import magpylib_module
-
-    return magpylib_module(request.magnet, request.motion).encode()
-
-
-def _csv(request: Request) -> bytes:
-    from estimator.export.grid_csv import grid_csv
-
-    return grid_csv(request).encode()
-
-
-def _vtk(request: Request) -> bytes:
-    from estimator.export.vtk_grid import vtk_grid
-
-    return vtk_grid(request).encode()
-
-
-def _openpmd(request: Request) -> bytes:
-    from estimator.export.openpmd_grid import openpmd
-
-    return openpmd(request)
-
-
-def _torch(request: Request) -> bytes:
-    from estimator.export.torch_program import program_file
-
-    return program_file(request.magnet)
-
-
-def _mag_manip(request: Request) -> bytes:
-    from estimator.export.mag_manip import vfield_yaml
-
-    return vfield_yaml(request).encode()
-
-
-def _mpem(request: Request) -> bytes:
-    from estimator.export.mpem import mpem_yaml
-
-    return mpem_yaml(request).encode()
-
-
-def _urdf(request: Request) -> bytes:
-    from estimator.export.frames_urdf import urdf
-
-    return urdf(request.calibrated).encode()
-
-
-def _tf(request: Request) -> bytes:
-    from estimator.export.frames_urdf import static_transforms
-
-    return static_transforms(request.calibrated).encode()
-
-
+ON_GRID = ("grid", "currents", "motion")
 FORMATS: Mapping[str, Format] = {
-    "json": Format(".json", "every number of the model, with units", _json),
-    "cpp": Format(".hpp", "C++17 header without dependencies", _cpp),
-    "matlab": Format(".m", "function for MATLAB and Octave", _matlab),
-    "torch": Format(".pt2", "program of torch.export", _torch),
-    "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", _arviz),
-    "magpylib": Format(".py", "Python module that makes a magpylib collection", _magpylib, ("motion",)),
-    "csv": Format(".csv", "field and gradient on a grid", _csv, ("grid", "currents", "motion")),
-    "vtk": Format(
-        ".vtr", "field and gradient on a grid of VTK, for ParaView", _vtk, ("grid", "currents", "motion")
+    "json": Format(".json", "every number of the model, with units", "json_model.json_model"),
+    "cpp": Format(".hpp", "C++17 header without dependencies", "cpp_header.cpp_header"),
+    "matlab": Format(".m", "function for MATLAB and Octave", "matlab_function.matlab_function"),
+    "torch": Format(".pt2", "program of torch.export", "torch_program.program_file"),
+    "arviz": Format(".nc", "posterior as NetCDF, for ArviZ", "arviz_netcdf.netcdf"),
+    "magpylib": Format(
+        ".py",
+        "Python module that makes a magpylib collection",
+        "magpylib_module.magpylib_module",
+        ("motion",),
     ),
+    "csv": Format(".csv", "field and gradient on a grid", "grid_csv.grid_csv", ON_GRID),
+    "vtk": Format(".vtr", "field and gradient on a grid of VTK, for ParaView", "vtk_grid.vtk_grid", ON_GRID),
     "openpmd": Format(
         ".h5",
         "field and gradient on a grid after openPMD 1.1.0, in HDF5",
-        _openpmd,
-        ("grid", "currents", "motion"),
+        "openpmd_grid.openpmd",
+        ON_GRID,
     ),
-    "urdf": Format(".urdf", "calibrated frames as a URDF", _urdf),
-    "tf": Format(".launch.py", "ROS 2 launch file of the calibrated transforms", _tf),
-    "mag_manip": Format(".yaml", "vfield grid for ETH mag_manip", _mag_manip, ("grid", "motion")),
-    "mpem": Format(".yaml", "multipoles (MPEM) for ETH mag_manip", _mpem, ("grid", "motion")),
+    "urdf": Format(".urdf", "calibrated frames as a URDF", "frames_urdf.urdf"),
+    "tf": Format(
+        ".launch.py", "ROS 2 launch file of the calibrated transforms", "frames_urdf.static_transforms"
+    ),
+    "mag_manip": Format(
+        ".yaml", "vfield grid for ETH mag_manip", "mag_manip.vfield_yaml", ("grid", "motion")
+    ),
+    "mpem": Format(".yaml", "multipoles (MPEM) for ETH mag_manip", "mpem.mpem_yaml", ("grid", "motion")),
 }
 
 

@@ -18,6 +18,8 @@ from estimator.errors import InvalidInput
 from estimator.export.calibrated import Calibrated
 from estimator.export.labels import identifier, origin_of
 from estimator.export.plain_model import poses_of
+from estimator.export.request import Request
+from estimator.export.templates import template
 from estimator.frames import Transform
 from estimator.geometry.motion import ends_of
 from estimator.model.room_field import at_one_moment
@@ -44,12 +46,13 @@ class Joint:
     origin: Transform
 
 
-def urdf(calibrated: Calibrated) -> str:
+def urdf(request: Request) -> str:
     """The text of the URDF; floating joints take position and rotation of the mover.
 
     Raises:
         InvalidInput: As `joints_of`.
     """
+    calibrated = request.calibrated
     joints = joints_of(calibrated)
     robot = ElementTree.Element("robot", name=identifier(calibrated.rig.name))
     robot.append(ElementTree.Comment(f" {origin_of(calibrated)} "))
@@ -76,45 +79,24 @@ def urdf(calibrated: Calibrated) -> str:
     return ElementTree.tostring(robot, encoding="unicode", xml_declaration=True) + "\n"
 
 
-def static_transforms(calibrated: Calibrated) -> str:
+def static_transforms(request: Request) -> str:
     """The text of a ROS 2 launch file that publishes every fixed transform.
 
     Raises:
         InvalidInput: As `joints_of`.
     """
-    lines = [
-        f'"""Calibrated transforms of {identifier(calibrated.rig.name)}.',
-        "",
-        f"{origin_of(calibrated)}",
-        '"""',
-        "",
+    calibrated = request.calibrated
+    rows = [
+        (joint.parent, joint.child, *joint.origin.translation_m.tolist(), *quaternion(joint.origin))
+        for joint in joints_of(calibrated)
+        if joint.kind == FIXED
     ]
-    lines += [
-        "from launch import LaunchDescription",
-        "from launch_ros.actions import Node",
-        "",
-        "TRANSFORMS = [",
-    ]
-    lines += ["    # parent, child, x, y, z in m, qx, qy, qz, qw"]
-    for joint in (joint for joint in joints_of(calibrated) if joint.kind == FIXED):
-        numbers = [*joint.origin.translation_m.tolist(), *quaternion(joint.origin)]
-        lines.append(f"    {(joint.parent, joint.child, *numbers)!r},")
-    lines += [
-        "]",
-        "",
-        "",
-        "def generate_launch_description():",
-        "    return LaunchDescription([publisher(*row) for row in TRANSFORMS])",
-    ]
-    lines += ["", "", "def publisher(parent, child, x, y, z, qx, qy, qz, qw):"]
-    keys = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    given = ", ".join(f'"--{key}", str({key})' for key in keys)
-    lines += [f'    arguments = ["--frame-id", parent, "--child-frame-id", child, {given}]']
-    lines += [
-        '    return Node(package="tf2_ros", executable="static_transform_publisher", arguments=arguments)',
-        "",
-    ]
-    return "\n".join(lines)
+    return template("static_transforms.py.j2", {}).render(
+        name=identifier(calibrated.rig.name),
+        origin=origin_of(calibrated),
+        rows=map(repr, rows),
+        given=", ".join(f'"--{key}", str({key})' for key in ("x", "y", "z", "qx", "qy", "qz", "qw")),
+    )
 
 
 def joints_of(calibrated: Calibrated) -> list[Joint]:

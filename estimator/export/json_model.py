@@ -14,6 +14,7 @@ from estimator.export.calibrated import Calibrated
 from estimator.export.linearised import WINDING_NUMBERS, Linearised
 from estimator.export.magnet import Magnet
 from estimator.export.plain_model import PlainCoil, PlainMover, numbers_of
+from estimator.export.request import Request
 from estimator.field.coil import AnyWinding
 from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
@@ -43,12 +44,13 @@ CONVENTIONS = {
 }
 
 
-def json_model(magnet: Magnet) -> str:
+def json_model(request: Request) -> str:
     """The text of the file.
 
     Raises:
         InvalidInput: The rig has something that the file cannot express.
     """
+    magnet = request.magnet
     model = magnet.model("json")
     regions_m = [magnet.region_m(coil.name) for coil in model.coils]
     document = {

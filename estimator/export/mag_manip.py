@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import yaml
-from jaxtyping import Float
 
 from estimator.errors import InvalidInput
-from estimator.export.calibrated import Calibrated, Motion
-from estimator.export.request import Grid, Request, motion_of
-from estimator.tensors import Tensor, torch
+from estimator.export.request import Grid, Request
 
 LEAST_POINTS = 2  # along each axis, between which it interpolates
-PROPORTIONAL = 1e-9  # of the field: what the sum of all coils may be off
 
 
 def vfield_yaml(request: Request) -> str:
@@ -31,11 +27,7 @@ def vfield_yaml(request: Request) -> str:
             f"grid of mag_manip must have as many points along each axis; received {' x '.join(map(str, grid.shape))}"
         )
     spans = _spans(grid)
-    fields: dict[str, Tensor] = {}
-    for part in request.magnet.parts:
-        of_part = per_ampere_on(part, grid.points_m, motion_of(part, request.motion))
-        fields |= dict(zip((coil.name for coil in part.rig.coils), of_part, strict=True))
-    per_ampere = [fields[name] for name in request.magnet.coils]
+    per_ampere = request.per_ampere_on(grid.points_m)
     names = ", ".join(request.magnet.coils)
     vfields = {f"coil_{i}": {**spans, "data": field.tolist()} for i, field in enumerate(per_ampere)}
     header = (
@@ -43,38 +35,6 @@ def vfield_yaml(request: Request) -> str:
     )
     document = {"name": request.magnet.name, "vfields": vfields}
     return header + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=200)
-
-
-def per_ampere_on(
-    calibrated: Calibrated, points_m: Float[Tensor, "point 3"], motion: Motion, to: str = "mag_manip"
-) -> Float[Tensor, "coil point 3"]:
-    """Field per ampere of every coil of a calibration.
-
-    Args:
-        calibrated, points_m, motion: The calibration, points in the world frame, and poses of its movers.
-        to: What is exported to, for the message.
-    Raises:
-        InvalidInput: A point inside a winding, or a field that is not proportional to the currents.
-    """
-    room, best = calibrated.room(points_m, motion), calibrated.best_values()
-    n = len(calibrated.rig.coils)
-    probe_A = torch.arange(2.0, n + 2.0, dtype=torch.float64)
-    currents_A = torch.cat(
-        (torch.eye(n, dtype=torch.float64), probe_A[None], torch.zeros(1, n, dtype=torch.float64))
-    )
-    field_T = room.field_T(best, currents_A)
-    if room.is_inside.any():
-        raise InvalidInput(
-            f"grid of {to} must lie outside the windings; {int(room.is_inside.sum())} of {len(points_m)} points do not"
-        )
-    per_ampere, together_T, off_T = field_T[:n], field_T[n], field_T[n + 1]
-    error_T = (together_T - torch.einsum("c,cpx->px", probe_A, per_ampere)).norm(dim=-1) + off_T.norm(dim=-1)
-    if (error_T > PROPORTIONAL * together_T.norm(dim=-1)).any():
-        raise InvalidInput(
-            f"export to {to} must have a field proportional to the currents; that of rig {calibrated.rig.name!r} is not, "
-            "or is there without current"
-        )
-    return per_ampere
 
 
 def _spans(grid: Grid) -> dict[str, int | float]:

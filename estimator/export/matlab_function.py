@@ -7,8 +7,8 @@ from dataclasses import astuple
 
 from estimator.errors import InvalidInput, quoted
 from estimator.export.labels import plain_words
-from estimator.export.magnet import Magnet
 from estimator.export.plain_model import numbers_of
+from estimator.export.request import Request
 from estimator.export.sides import first_arc, is_rounded
 from estimator.export.templates import Filters, number, template
 from estimator.field.sided import SidedWinding
@@ -23,15 +23,13 @@ DEFINED = re.compile(r"^function .*?(\w+)\(", re.MULTILINE)
 NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 
 
-def matlab_function(magnet: Magnet, name: str) -> str:
-    """The text of the file.
+def matlab_function(request: Request) -> str:
+    """The text of the file, after which the function is named.
 
-    Args:
-        magnet: The coils.
-        name: Name of the function, which is that of its file.
     Raises:
         InvalidInput: A name that MATLAB does not take, or a rig with something that the function cannot express.
     """
+    magnet, name = request.magnet, request.path.stem
     if not NAME.fullmatch(name):
         raise InvalidInput(
             f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {quoted(name)}"

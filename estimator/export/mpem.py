@@ -15,8 +15,7 @@ import yaml
 from jaxtyping import Float
 
 from estimator.errors import InvalidInput
-from estimator.export.mag_manip import per_ampere_on
-from estimator.export.request import Grid, Request, motion_of
+from estimator.export.request import Grid, Request
 from estimator.tensors import torch
 
 DEGREES = range(2, 13, 2)  # tried in turn
@@ -68,11 +67,7 @@ def mpem_yaml(request: Request) -> str:
     corners = np.stack(np.meshgrid(*([-1.0, 1.0],) * 3, indexing="ij"), axis=-1).reshape(-1, 3)
     checked_at = np.concatenate((corners, np.random.default_rng(0).uniform(-1.0, 1.0, (N_CHECKS, 3))))
     points_m = torch.from_numpy(box.points_m(np.concatenate((fitted_at, checked_at))))
-    fields: dict[str, np.ndarray] = {}
-    for part in request.magnet.parts:
-        of_part = per_ampere_on(part, points_m, motion_of(part, request.motion), "mpem").numpy()
-        fields |= dict(zip((coil.name for coil in part.rig.coils), of_part, strict=True))
-    per_ampere = np.stack([fields[name] for name in request.magnet.coils], axis=-1)
+    per_ampere = request.per_ampere_on(points_m).movedim(0, -1).numpy()
     degree, coefficients, errors = _fit(box, points_m.numpy(), per_ampere, len(fitted_at))
     worst = int(np.argmax(errors))
     if errors[worst] > TOO_MUCH:

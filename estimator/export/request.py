@@ -9,13 +9,14 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import InvalidInput, check_known
 from estimator.export.calibrated import Calibrated, Motion
 from estimator.export.labels import plain_words
 from estimator.export.magnet import Magnet
 from estimator.tensors import Tensor, torch
 
 BLOCK = 10_000  # points evaluated at once
+PROPORTIONAL = 1e-9  # of the field: what the sum of all coils may be off
 
 
 @dataclass(frozen=True)
@@ -63,11 +64,8 @@ class Request:
     motion: Motion = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        known = {mover.name: None for part in self.magnet.parts for mover in part.rig.movers}
-        unknown = [name for name in self.motion if name not in known]
-        if unknown:
-            names = ", ".join(known) or "none"
-            raise InvalidInput(f"motion must name movers of the rig ({names}); received {quoted(unknown[0])}")
+        movers = dict.fromkeys(mover.name for part in self.magnet.parts for mover in part.rig.movers)
+        check_known("motion must name movers of the rig", self.motion, movers)
 
     @property
     def calibrated(self) -> Calibrated:
@@ -124,11 +122,7 @@ class Request:
             raise InvalidInput(
                 f"export to {self.to} must have currents, such as --current coil1=1; received none"
             )
-        unknown = [name for name in self.currents_A if name not in self.magnet.coils]
-        if unknown:
-            raise InvalidInput(
-                f"currents must name coils of the magnet ({', '.join(self.magnet.coils)}); received {quoted(unknown[0])}"
-            )
+        check_known("currents must name coils of the magnet", self.currents_A, self.magnet.coils)
         field_T, gradient = points_m.new_zeros(len(points_m), 3), points_m.new_zeros(len(points_m), 3, 3)
         for part in self.magnet.parts:
             names = [coil.name for coil in part.rig.coils]
@@ -137,6 +131,34 @@ class Request:
             field_T = field_T + part.field(points_m, currents_A, motion)
             gradient = gradient + part.gradient(points_m, currents_A, motion)
         return field_T, gradient
+
+    def per_ampere_on(self, points_m: Float[Tensor, "point 3"]) -> Float[Tensor, "coil point 3"]:
+        """Field per ampere of every coil at points in the world frame, at the poses of the request, in T/A.
+
+        Raises:
+            InvalidInput: A point inside a winding, or a field that is not proportional to the currents.
+        """
+        fields: dict[str, Tensor] = {}
+        for part in self.magnet.parts:
+            room, best = part.room(points_m, motion_of(part, self.motion)), part.best_values()
+            n = len(part.rig.coils)
+            probe_A = torch.arange(2.0, n + 2.0, dtype=torch.float64)
+            each_A, off_A = torch.eye(n, dtype=torch.float64), torch.zeros(1, n, dtype=torch.float64)
+            field_T = room.field_T(best, torch.cat((each_A, probe_A[None], off_A)))
+            if n_inside := int(room.is_inside.sum()):
+                raise InvalidInput(
+                    f"grid of {self.to} must lie outside the windings; {n_inside} of {len(points_m)} points do not"
+                )
+            per_ampere, together_T, off_T = field_T[:n], field_T[n], field_T[n + 1]
+            missed_T = together_T - torch.einsum("c,cpx->px", probe_A, per_ampere)
+            error_T = missed_T.norm(dim=-1) + off_T.norm(dim=-1)
+            if (error_T > PROPORTIONAL * together_T.norm(dim=-1)).any():
+                raise InvalidInput(
+                    f"export to {self.to} must have a field proportional to the currents; that of rig {part.rig.name!r} is not, "
+                    "or is there without current"
+                )
+            fields |= dict(zip((coil.name for coil in part.rig.coils), per_ampere, strict=True))
+        return torch.stack([fields[name] for name in self.magnet.coils])
 
 
 def motion_of(part: Calibrated, motion: Motion) -> Motion:

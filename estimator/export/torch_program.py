@@ -10,7 +10,8 @@ from torch import Tensor, nn
 
 from estimator.export.magnet import Magnet
 from estimator.export.plain_model import PlainCoil, PlainModel, PlainMover
-from estimator.export.torch_wires import of_leads, sided_per_ampere
+from estimator.export.request import Request
+from estimator.export.torch_wires import of_leads, padded, sided_per_ampere
 from estimator.field.kernel import SMALLEST_RHO2_M2
 from estimator.field.loop import loop_derivatives
 from estimator.field.sided import SidedWinding, distance_to_sided
@@ -23,12 +24,13 @@ TRACED_POINTS = 4  # any number but 0 and 1 leaves the number of points open
 DESCRIPTION = "description.txt"  # in the file, beside the graph
 
 
-def program_file(magnet: Magnet) -> bytes:
+def program_file(request: Request) -> bytes:
     """The program as a file: `program.module()(points_m, currents_A, motion)` gives field_T and gradient_T_per_m.
 
     Raises:
         InvalidInput: A rig has something that the program cannot express.
     """
+    magnet = request.magnet
     model = magnet.model("torch")
     arguments = (
         torch.zeros(TRACED_POINTS, 3, dtype=torch.float64),
@@ -162,18 +164,9 @@ def _loops(coil: PlainCoil, winding: Winding) -> tuple[Tensor, Tensor, Tensor]:
         heights_m = winding.axial_pitch_m * (rule.axial.nodes - 0.5 * winding.axial_loops)
         radii_m = winding.radius_m + winding.radial_pitch_m * (rule.radial.nodes - 0.5 * winding.radial_loops)
         weights = rule.axial.weights[:, None] * rule.radial.weights
-        rows.append(
-            torch.stack(
-                [part.flatten() for part in torch.broadcast_tensors(heights_m[:, None], radii_m, weights)]
-            )
-        )
-    longest = max(row.shape[1] for row in rows)
-    padded = []
-    for row in rows:
-        missing = longest - row.shape[1]
-        weightless = row[:, :1] * torch.tensor([[1.0], [1.0], [0.0]], dtype=torch.float64)
-        padded.append(torch.cat((row, weightless.expand(3, missing)), dim=1))
-    heights_m, radii_m, weights = torch.stack(padded, dim=1)
+        parts = torch.broadcast_tensors(heights_m[:, None], radii_m, weights)
+        rows.append(torch.stack(parts, dim=-1).flatten(0, 1))
+    heights_m, radii_m, weights = padded(rows, 2).unbind(-1)
     return heights_m, radii_m, weights
 
 

@@ -142,7 +142,7 @@ def _loops(coil: PlainCoil, winding: SidedWinding) -> Float[Tensor, "rule loop 5
         weight = rule.axial.weights[:, None] * rule.radial.weights
         parts = (height, 0.5 * winding.side_x_m + out, 0.5 * winding.side_y_m + out, radius, weight)
         rows.append(torch.stack(torch.broadcast_tensors(*parts), dim=-1).flatten(0, 1))
-    return _padded(rows, 4)
+    return padded(rows, 4)
 
 
 def _arc_points(coil: PlainCoil) -> Float[Tensor, "rule node 5"]:
@@ -156,15 +156,19 @@ def _arc_points(coil: PlainCoil) -> Float[Tensor, "rule node 5"]:
             for (c, s), (right, back) in zip(turned, CORNERS, strict=True)
         ]
         rows.append(torch.cat(arcs))
-    return _padded(rows, 2)
+    return padded(rows, 2)
 
 
-def _padded(rows: list[Tensor], weight: int) -> Tensor:
-    """Rows of one length: their first entry, without its weight, follows the shorter ones."""
-    longest = max(map(len, rows))
-    padded = []
+def padded(rows: list[Tensor], weight: int) -> Float[Tensor, "rule loop number"]:
+    """Rows of one length: the first loop, without its weight, follows the shorter ones.
+
+    Args:
+        rows: Numbers of the loops of each rule.
+        weight: Which of the numbers is the weight.
+    """
+    longest, same_length = max(map(len, rows)), []
     for row in rows:
         weightless = row[:1].clone()
         weightless[:, weight] = 0.0
-        padded.append(torch.cat((row, weightless.expand(longest - len(row), -1))))
-    return torch.stack(padded)
+        same_length.append(torch.cat((row, weightless.expand(longest - len(row), -1))))
+    return torch.stack(same_length)

@@ -47,7 +47,7 @@ class Core:
     @property
     def heights_m(self) -> Float[Tensor, "*batch height"]:
         """Heights at which the polarisation along the axis is given, in m in the coil frame, from the back face to the front."""
-        share = torch.arange(HEIGHTS, dtype=self.length_m.dtype, device=self.length_m.device) / BANDS
+        share = torch.arange(HEIGHTS).to(self.length_m) / BANDS
         return self.front_m[..., None] - self.length_m[..., None] * (1.0 - share)
 
 
@@ -92,9 +92,7 @@ def demagnetisation(
     References: Chen, Brug and Goldfarb, IEEE Trans. Magn. 27, 3601 (1991), whose factors follow.
     """
     band = (length_m / (BANDS * radius_m))[..., None]
-    between_bands, band_to_disk, between_disks = _potentials(
-        band * torch.arange(BANDS + 1, dtype=length_m.dtype, device=length_m.device)
-    )
+    between_bands, band_to_disk, between_disks = _potentials(band * torch.arange(BANDS + 1).to(length_m))
     inner, first = between_bands[..., 1:-1], between_bands[..., :1]
     beside = between_bands[..., 2:] + between_bands[..., :-2] - 2.0 * inner
     second = torch.cat((2.0 * (between_bands[..., 1:2] - first), beside), dim=-1)
@@ -107,14 +105,14 @@ def demagnetisation(
     potential = torch.cat(
         (torch.cat((bands, to_faces), dim=-1), torch.cat((to_faces.mT, faces), dim=-1)), dim=-2
     )
-    slope = torch.eye(HEIGHTS, dtype=length_m.dtype, device=length_m.device).diff(dim=0)
-    ends = torch.zeros(2, HEIGHTS, dtype=length_m.dtype, device=length_m.device)
+    slope = torch.eye(HEIGHTS).to(length_m).diff(dim=0)
+    ends = torch.zeros(2, HEIGHTS).to(length_m)
     ends[0, 0], ends[1, -1] = -1.0, 1.0
     charge = torch.cat((-slope / band[..., None], ends.expand(*band.shape[:-1], 2, HEIGHTS)), dim=-2)
     along = charge.mT @ potential @ charge / (4.0 * band[..., None] * share_of_heights(band)[:, None])
     even = (near - far) / (2.0 * BANDS * band)  # of a core that is evenly magnetised along the axis
     across = torch.diag_embed((0.5 * (1.0 - even)).expand(*even.shape[:-1], 2))
-    corner = torch.zeros(*even.shape[:-1], HEIGHTS, 2, dtype=length_m.dtype, device=length_m.device)
+    corner = torch.zeros(*even.shape[:-1], HEIGHTS, 2).to(length_m)
     return torch.cat((torch.cat((along, corner), -1), torch.cat((corner.mT, across), -1)), dim=-2)
 
 
@@ -148,25 +146,21 @@ def _along(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tensor
     nodes, weights = _unit_gauss(LOOPS_PER_BAND, length_m)
     band_m = (length_m / BANDS)[..., None]
     back_m, radius_m = (front_m - length_m)[..., None], radius_m[..., None]
-    number = torch.arange(BANDS, dtype=length_m.dtype, device=length_m.device)
+    number = torch.arange(BANDS).to(length_m)
     sheet_m = back_m + band_m * (number[:, None] + nodes).flatten()
     sheet_A = band_m * weights.repeat(BANDS) / MU0_T_M_PER_A
     radii, steps = _unit_gauss(LOOPS_PER_HEIGHT, length_m)
-    disk_m = back_m + band_m * torch.arange(
-        HEIGHTS, dtype=length_m.dtype, device=length_m.device
-    ).repeat_interleave(LOOPS_PER_HEIGHT)
+    disk_m = back_m + band_m * torch.arange(HEIGHTS).to(length_m).repeat_interleave(LOOPS_PER_HEIGHT)
     disk_A = -0.5 * radius_m**2 / band_m * (radii * steps).repeat(HEIGHTS) / MU0_T_M_PER_A
     height_m = torch.cat((sheet_m, disk_m), dim=-1)
     of_disks = (radius_m * radii.repeat(HEIGHTS)).expand(disk_m.shape)
     loop_m = torch.cat((radius_m.expand(sheet_m.shape), of_disks), dim=-1)
     # How much of each loop's current belongs to each pattern: hats on the sheet, differences of slopes on the disks.
-    hats = torch.zeros(BANDS, LOOPS_PER_BAND, HEIGHTS, dtype=length_m.dtype, device=length_m.device)
+    hats = torch.zeros(BANDS, LOOPS_PER_BAND, HEIGHTS).to(length_m)
     rows = torch.arange(BANDS, device=length_m.device)
     hats[rows, :, rows] = 1.0 - nodes
     hats[rows, :, rows + 1] = nodes
-    slope = torch.nn.functional.pad(
-        torch.eye(HEIGHTS, dtype=length_m.dtype, device=length_m.device).diff(dim=0), (0, 0, 1, 1)
-    )
+    slope = torch.nn.functional.pad(torch.eye(HEIGHTS).to(length_m).diff(dim=0), (0, 0, 1, 1))
     bends = slope.diff(dim=0).repeat_interleave(LOOPS_PER_HEIGHT, dim=0)
     current_A = torch.cat((sheet_A, disk_A), dim=-1)[..., None] * torch.cat((hats.flatten(0, 1), bends))
     x, y, z = points_m[..., None].unbind(-2)
@@ -178,14 +172,9 @@ def _along(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tensor
 def _across(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tensor) -> Tensor:
     """Field of the patterns across the axis, by dipoles that are exact for fields of third degree across the core."""
     nodes, weights = _unit_gauss(ACROSS_HEIGHTS, length_m)
-    turn = (
-        2.0
-        * math.pi
-        * (torch.arange(ACROSS_AROUND, dtype=length_m.dtype, device=length_m.device) + 0.5)
-        / ACROSS_AROUND
-    )
+    turn = 2.0 * math.pi * (torch.arange(ACROSS_AROUND).to(length_m) + 0.5) / ACROSS_AROUND
     beside = math.sqrt(0.5) * torch.stack((torch.cos(turn), torch.sin(turn), 0.0 * turn), dim=-1)
-    up = torch.tensor([0.0, 0.0, 1.0], dtype=length_m.dtype, device=length_m.device)
+    up = torch.tensor([0.0, 0.0, 1.0]).to(length_m)
     height_m = front_m[..., None, None, None] - length_m[..., None, None, None] * nodes[:, None, None]
     at_m = (height_m * up + radius_m[..., None, None, None] * beside).flatten(-3, -2)
     share = weights.repeat_interleave(ACROSS_AROUND) / ACROSS_AROUND
@@ -194,9 +183,7 @@ def _across(points_m: Tensor, radius_m: Tensor, length_m: Tensor, front_m: Tenso
     r2 = (arm_m**2).sum(-1)
     far = 3.0 * volume_m3 * r2**-2.5
     tensor = (far[..., None, None] * arm_m[..., :2, None] * arm_m[..., None, :]).sum(-3)
-    near = (volume_m3 * r2**-1.5).sum(-1)[..., None, None] * torch.eye(
-        3, dtype=length_m.dtype, device=length_m.device
-    )[:2]
+    near = (volume_m3 * r2**-1.5).sum(-1)[..., None, None] * torch.eye(3).to(length_m)[:2]
     return (tensor - near) / (4.0 * math.pi)
 
 

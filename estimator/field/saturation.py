@@ -17,29 +17,13 @@ def susceptibility(strength: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]
     return SUSCEPTIBILITY * strength / (1.0 - strength)
 
 
-def froehlich_T(
-    field_T: Float[Tensor, "*#batch"],
-    susceptibility: Float[Tensor, "*#batch"],
-    saturation_T: Float[Tensor, "*#batch"],
-) -> Float[Tensor, "*batch"]:
-    """Polarisation of iron in the field mu0 H by the curve of Froehlich and Kennelly.
-
-    References: Bozorth, Ferromagnetism (1951), chapter 11: `B = H / (a + b |H|)`.
-
-    >>> field_T = torch.tensor([0.0, 0.02], dtype=torch.float64)
-    >>> froehlich_T(field_T, torch.tensor(100.0), torch.tensor(2.0)).tolist()
-    [0.0, 1.0]
-    """
-    return susceptibility * field_T / (1.0 + susceptibility * field_T.abs() / saturation_T)
-
-
 def polarisation_T(
     applied_T: Float[Tensor, "*#batch pattern"],
     demagnetisation: Float[Tensor, "*#batch pattern pattern"],
     strength: Float[Tensor, "*#batch pattern"],
     limit_per_T: Float[Tensor, "*#batch pattern"],
 ) -> Float[Tensor, "*batch pattern"]:
-    """Polarisation J of all patterns, each on Froehlich's curve in the field `applied - demagnetisation @ J`.
+    """Polarisation J of all patterns, each on the curve of Froehlich and Kennelly in the field `applied - demagnetisation @ J`.
 
     Newton's method runs without derivatives; its last step carries exact first ones.
 

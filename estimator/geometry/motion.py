@@ -12,6 +12,7 @@ from estimator.geometry.kinematics import base_from_flange
 from estimator.least_squares import least_squares
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import Body, DisplacementFrame, MotionKind, Mover
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
@@ -169,7 +170,7 @@ def nominal_positions_m(
     rig: Rig, observations: Observations, has_coils: bool = True
 ) -> Float[Tensor, "position 3"]:
     """Nominal world positions of sensors, and of coils, in a session; at most a few hundred poses of each."""
-    values = {name: observations.current_A.new_tensor(v) for name, v in rig.nominal_values().items()}
+    values = nominal_tensors(rig, observations.current_A)
     step = max(1, len(observations) // MOST_POSES)
     flange = {m.name: base_from_motion(m, observations.motion[m.name][::step]) for m in rig.movers}
     bodies: list[tuple[str, Body]] = [("coil", coil) for coil in rig.coils] if has_coils else []

@@ -43,11 +43,6 @@ class Convergence:
         """The largest R-hat over coordinates that moved; infinite if none did."""
         return float(np.nanmax(self.rhat)) if np.isfinite(self.rhat).any() else np.inf
 
-    @property
-    def autocorrelation_steps(self) -> np.ndarray:
-        """Samples per effective sample, by coordinate."""
-        return np.asarray(self.n_samples / self.ess_bulk)
-
 
 def convergence(chain: np.ndarray) -> Convergence:
     """Diagnostics of samples with axes step, walker and coordinate; every walker counts as a chain.

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Bool, Float
@@ -46,39 +46,38 @@ class Optimum:
     n_iterations: int
     slopes: FirstOrder | None = None
 
+    @property
+    def tensors(self) -> tuple[Tensor, ...]:
+        """All that has a row for each start."""
+        return self.vector, self.log_posterior, self.precision, self.information, self.is_converged
+
+    @staticmethod
+    def _of(tensors: Iterable[Tensor], n_iterations: int) -> Optimum:
+        vector, log_posterior, precision, information, is_converged = tensors
+        return Optimum(vector, log_posterior, precision, information, is_converged, n_iterations)
+
     def rows(self, index: slice | Tensor) -> Optimum:
-        """Select starts."""
-        return Optimum(
-            self.vector[index],
-            self.log_posterior[index],
-            self.precision[index],
-            self.information[index],
-            self.is_converged[index],
-            self.n_iterations,
-        )
+        """Select starts; slopes are left out."""
+        return self._of((tensor[index] for tensor in self.tensors), self.n_iterations)
+
+    def highest(self) -> Optimum:
+        """The start that reached the highest maximum, with the slopes of a climb that had no other."""
+        top = int(self.log_posterior.argmax())
+        return replace(self.rows(slice(top, top + 1)), slopes=self.slopes)
+
+    def at(self, vector: Float[Tensor, " coordinate"]) -> Optimum:
+        """The curvature of this maximum at other coordinates."""
+        return replace(self, vector=vector[None], slopes=None)
 
     def to(self, device: torch.device) -> Optimum:
         """These maxima on another device, without slopes."""
-        return Optimum(
-            self.vector.to(device),
-            self.log_posterior.to(device),
-            self.precision.to(device),
-            self.information.to(device),
-            self.is_converged.to(device),
-            self.n_iterations,
-        )
+        return self._of((tensor.to(device) for tensor in self.tensors), self.n_iterations)
 
     @staticmethod
     def concatenated(fits: list[Optimum]) -> Optimum:
         """Join several fits along the axis of starts."""
-        return Optimum(
-            torch.cat([fit.vector for fit in fits]),
-            torch.cat([fit.log_posterior for fit in fits]),
-            torch.cat([fit.precision for fit in fits]),
-            torch.cat([fit.information for fit in fits]),
-            torch.cat([fit.is_converged for fit in fits]),
-            max(fit.n_iterations for fit in fits),
-        )
+        joined = (torch.cat(tensors) for tensors in zip(*(fit.tensors for fit in fits), strict=True))
+        return Optimum._of(joined, max(fit.n_iterations for fit in fits))
 
 
 def levenberg_marquardt(
@@ -87,7 +86,6 @@ def levenberg_marquardt(
     max_iterations: int = 60,
     tolerance: float = 1e-10,
     is_race: bool = False,
-    to_beat: float = -math.inf,
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior from every start.
 
@@ -102,7 +100,6 @@ def levenberg_marquardt(
         max_iterations: Largest number of iterations.
         tolerance: Stop where a Newton step would increase the log density by less than this.
         is_race: Whether only the highest maximum counts: a start ends too where another one goes to the same maximum, or to a higher one.
-        to_beat: Log density of a maximum that is known; in a race a start ends too where it goes to a lower one.
     Returns: The maxima with their curvature, start by start.
     References: Marquardt, J. SIAM 11, 431 (1963); Nielsen, IMM-REP-1999-05 for the damping.
     """
@@ -123,7 +120,7 @@ def levenberg_marquardt(
             rise = value - before.pop(0)
             is_done |= rise < STALLED_BELOW * tolerance
         if is_race:
-            is_done |= _is_beaten(value, promised, vector[:, : newton.shape[-1]] + newton, precision, to_beat)
+            is_done |= _is_beaten(value, promised, vector[:, : newton.shape[-1]] + newton, precision)
         active = (~is_done).nonzero().flatten()
         if not len(active):
             break
@@ -156,13 +153,13 @@ def levenberg_marquardt(
     return Optimum(vector, value, precision, information, is_converged, iteration)
 
 
-def _is_beaten(value: Tensor, promised: Tensor, ahead: Tensor, precision: Tensor, to_beat: float) -> Tensor:
+def _is_beaten(value: Tensor, promised: Tensor, ahead: Tensor, precision: Tensor) -> Tensor:
     """Starts that a higher maximum makes superfluous, given the rise that a Newton step promises each and where it leads."""
     top = int(value.argmax())
     apart = ahead - ahead[top]
     joins = ((apart @ precision[top]) * apart).sum(-1) < SAME_SD**2
     joins[top] = False
-    return joins | (value + BEHIND * promised < value[top].clamp(min=to_beat))
+    return joins | (value + BEHIND * promised < value[top])
 
 
 def _trial(

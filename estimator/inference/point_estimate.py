@@ -19,6 +19,7 @@ from estimator.rig.coordinates import Coordinates
 
 THIN_TO = 100  # readings for Nelder-Mead, which has to find the basin, not the minimum
 N_STARTS = 12
+MOST_CANDIDATES = 3  # maxima of Nelder-Mead that are climbed on
 MOST_ITERATIONS = 200
 
 
@@ -108,11 +109,11 @@ def basins(
 
 
 def distinct(
-    vectors: Float[Tensor, "start coordinate"], scale: Float[Tensor, " coordinate"], most: int = 3
+    vectors: Float[Tensor, "start coordinate"], scale: Float[Tensor, " coordinate"]
 ) -> Float[Tensor, "few coordinate"]:
     """The first vectors that differ from each other by more than a thousandth of the prior's width."""
     apart: list[Tensor] = []
     for vector in vectors:
         if all(((vector - earlier).abs() > 1e-3 * scale).any() for earlier in apart):
             apart.append(vector)
-    return torch.stack(apart[:most])
+    return torch.stack(apart[:MOST_CANDIDATES])

@@ -16,7 +16,6 @@ from torch import Tensor
 
 from estimator.inference.bounds import Inside
 from estimator.inference.levenberg_marquardt import (
-    BEHIND,
     LARGEST_DAMPING,
     LEAST_SHRINK,
     NEARLY_UNDAMPED,
@@ -33,7 +32,6 @@ from estimator.inference.positive_definite import diagonal_of, solve
 from estimator.rig.coordinates import Coordinates
 
 MANY_DIRECTIONS = 24  # of derivatives, from which on a Jacobian costs much more than a gradient
-PATIENCE = 3.0  # times the steps of `STALLED_AFTER` in which a climb must reach what is known at the pace of the last ones
 MOST_REFUSED = 2  # steps in turn, after which a corrected Jacobian is made anew
 
 
@@ -47,7 +45,6 @@ def climb_with_secants(
     start: Float[Tensor, "1 coordinate"],
     tolerance: float,
     slopes: FirstOrder | None = None,
-    to_beat: float = -math.inf,
     max_iterations: int = 60,
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior, as `levenberg_marquardt` does from one start.
@@ -60,7 +57,6 @@ def climb_with_secants(
         start: Coordinates to start from, inside the prior.
         tolerance: Stop where a Newton step would increase the log density by less than this.
         slopes: Derivatives at the start, which may be those of a similar model; exact ones by default.
-        to_beat: Log density of a maximum that is known: a climb to a lower one ends early, with the curvature that it has.
         max_iterations: Largest number of steps.
     Returns: The maximum with its exact curvature and slopes.
     References: Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed. (2004), section 3.5; Broyden,
@@ -79,9 +75,6 @@ def climb_with_secants(
     while True:
         newton = at.inside.step_of_the_free(model.precision[0], gradient[0])
         promised = float(gradient[0] @ newton)
-        if at.value + BEHIND * 0.5 * promised < to_beat or _is_behind(before, to_beat):
-            is_exact = False
-            break
         is_done = is_at_bound or is_stalled or promised < tolerance or damping > LARGEST_DAMPING
         if is_exact and (is_done or iteration == max_iterations):
             break
@@ -117,7 +110,7 @@ def climb_with_secants(
         is_stalled = (
             len(before) > STALLED_AFTER and at.value - before[-1 - STALLED_AFTER] < STALLED_BELOW * tolerance
         )
-    is_converged = is_exact and (is_at_bound or promised < max(tolerance, 1e-6))
+    is_converged = is_at_bound or promised < max(tolerance, 1e-6)
     return Optimum(
         at.vector,
         posterior(at.vector),
@@ -125,15 +118,8 @@ def climb_with_secants(
         model.information,
         torch.tensor([is_converged], device=at.vector.device),
         iteration,
-        model.first_order if is_exact else None,
+        model.first_order,
     )
-
-
-def _is_behind(values: list[float], to_beat: float) -> bool:
-    """Whether a climb, given its log densities step by step, crawls on so far below a known maximum that it will not reach it."""
-    if len(values) <= STALLED_AFTER:
-        return False
-    return to_beat - values[-1] > PATIENCE * (values[-1] - values[-1 - STALLED_AFTER])
 
 
 class _Point:

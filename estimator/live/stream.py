@@ -13,13 +13,12 @@ from dataclasses import dataclass
 import torch
 
 from estimator.derivatives import jacobian_of
-from estimator.errors import InvalidInput
 from estimator.inference.running import RunningFit
 from estimator.live.watch import Alarm, Watch
+from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 
-HALF_WIDTH_90_SD = 1.6448536269514722  # half-width of a central 90 % interval, in standard deviations
 FEWEST_COMPONENTS = 3  # per free parameter, before new readings are compared with their prediction
 
 
@@ -74,10 +73,7 @@ class Stream:
     """
 
     def __init__(self, rig: Rig) -> None:
-        if not rig.free:
-            raise InvalidInput(
-                f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none"
-            )
+        rig.check_free()
         self.rig = rig
         self.observations: Observations | None = None
         self.n_skipped = 0
@@ -166,6 +162,6 @@ class Stream:
         jacobian = jacobian_of(reported, self._fit.vector)
         sd = (jacobian @ self._fit.covariance * jacobian).sum(-1).sqrt()
         return {
-            parameter.name: Interval(parameter.unit, v, s, v - HALF_WIDTH_90_SD * s, v + HALF_WIDTH_90_SD * s)
+            parameter.name: Interval(parameter.unit, v, s, v - HALF_WIDTH_90 * s, v + HALF_WIDTH_90 * s)
             for parameter, v, s in zip(coordinates.parameters, value.tolist(), sd.tolist(), strict=True)
         }

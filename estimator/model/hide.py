@@ -41,6 +41,19 @@ def with_hidden(rig: Rig, observations: Observations, hidden: Mapping[str, float
     return rig
 
 
+def with_truth(rig: Rig, truth: Mapping[str, float]) -> Rig:
+    """The rig at the values that are true in a simulated world.
+
+    Raises:
+        InvalidInput: The truth names an unknown parameter, or is no possible rig.
+    """
+    real = rig.with_values(truth)
+    broken = real.broken_rule()
+    if broken is not None:
+        raise InvalidInput(f"truth: {broken[0]} {broken[1]}; received {broken[2]} (rig {rig.name!r})")
+    return real
+
+
 def full_names(rig: Rig, hidden: Mapping[str, float]) -> dict[str, float]:
     """Hidden sizes by the names of parameters of an extended rig: `axis_gain[hall].x`."""
     sizes = {}

@@ -7,7 +7,7 @@ predicts a whole batch of parameter sets.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,14 +31,14 @@ from estimator.effects.use import as_meant, uses_of
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
-from estimator.frames import Transform, first_derivatives_only
+from estimator.frames import Transform, first_derivatives_only, in_order, selected
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of
 from estimator.model.coil_field import coil_field, refuse
 from estimator.model.sources import Sources
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import AnyCoil
-from estimator.rig.coordinates import Values
+from estimator.rig.coordinates import Values, nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
@@ -84,7 +84,7 @@ class MeasurementModel:
         distinct, pose_row = torch.unique(key, dim=0, return_inverse=True)
         sensor, distinct = distinct[:, 0].to(torch.int64), distinct.to(observations.dtype)
         flange = {
-            mover.name: _sharing_rotation(base_from_motion(mover, distinct[:, 1 + 6 * i : 7 + 6 * i]))
+            mover.name: base_from_motion(mover, distinct[:, 1 + 6 * i : 7 + 6 * i]).sharing_rotation()
             for i, mover in enumerate(rig.movers)
         }
         widths = [values.shape[1] for values in columns.values()]
@@ -219,8 +219,7 @@ class MeasurementModel:
         field_T = self._gain(values)[..., None] * at_sensor_T
         for use in uses_of(self.rig, ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)
-            concerned = use.concerned(self.circumstances)
-            field_T = changed if concerned is None else torch.where(concerned[:, None], changed, field_T)
+            field_T = use.where_concerned(self.circumstances, changed, field_T)
         for record in uses_of(self.rig, RecordEffect):
             field_T = record.effect.recorded_T(field_T, record.theta(values))
         return field_T
@@ -250,13 +249,13 @@ class MeasurementModel:
             which = record.effect.place_of(which, record.theta(values))
         if which.dim() > 1:  # sensors may be exchanged in some of a batch
             poses = [self.sources.world_from_body(s, "sensor", rows, values) for s in self.rig.sensors]
-            return _selected(poses, which)
+            return selected(poses, which)
         own = [(which == i).nonzero().flatten() for i in range(len(self.rig.sensors))]
         poses = [
             self.sources.world_from_body(sensor, "sensor", rows[mine], values)
             for sensor, mine in zip(self.rig.sensors, own, strict=True)
         ]
-        return _in_order(poses, own)
+        return in_order(poses, own)
 
     def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
@@ -269,7 +268,7 @@ class MeasurementModel:
         for use in uses_of(self.rig, HolderEffect):
             theta, own = use.theta(values), use.index(self.rig.sensors)
             place_m = use.effect.place_m(theta)[..., None, :] * (self.sensor == own)[:, None]
-            there_T = self._field_at(values, _shifted(world_from_sensor, place_m))
+            there_T = self._field_at(values, world_from_sensor.shifted(place_m))
             is_own = (self.sensor == own)[self.pose_row][:, None]
             field_T = field_T + is_own * use.effect.answer_T(there_T, theta)
         return field_T
@@ -310,7 +309,7 @@ class MeasurementModel:
         rotation, translation_m = world_from_sensor.rotation, world_from_sensor.translation_m
         poses = Transform(rotation[..., None, :, :, :], translation_m[..., None, :, :])
         of_each = {name: value[..., None] if value.dim() else value for name, value in values.items()}
-        field_T = self._field_at(of_each, _shifted(poses, elements_m))  # batch, element, reading, axis
+        field_T = self._field_at(of_each, poses.shifted(elements_m))  # batch, element, reading, axis
         field_T = field_T.expand(*field_T.shape[:-3], 3, *field_T.shape[-2:])  # where it is the same for all
         own_T: Tensor = torch.diagonal(field_T, dim1=-3, dim2=-1)
         return own_T
@@ -359,47 +358,3 @@ class _Part:
         """The chosen readings of a model, with a model of them alone."""
         readings = is_part.nonzero().flatten()
         return cls(readings, model.pose_row[readings].unique(), model.part(readings))
-
-
-def nominal_tensors(rig: Rig, like: Tensor | None = None) -> dict[str, Tensor]:
-    """Nominal value of every number of a rig, of the kind of another tensor; in double precision on the processor by default."""
-    like = torch.empty(0, dtype=torch.float64) if like is None else like
-    return {name: like.new_tensor(value) for name, value in rig.nominal_values().items()}
-
-
-def _selected(poses: Sequence[Transform], which: Int[Tensor, "*batch row"]) -> Transform:
-    """The pose of the given number at every row."""
-    rotation, translation_m = poses[0].rotation, poses[0].translation_m
-    for i, pose in enumerate(poses[1:], start=1):
-        is_this = which == i
-        rotation = torch.where(is_this[..., None, None], pose.rotation, rotation)
-        translation_m = torch.where(is_this[..., None], pose.translation_m, translation_m)
-    return Transform(rotation, translation_m)
-
-
-def _in_order(poses: Sequence[Transform], rows: Sequence[Int[Tensor, "..."]]) -> Transform:
-    """Poses at the rows that each belongs to, in the order of the rows, which together are all."""
-    batch = np.broadcast_shapes(*(pose.translation_m.shape[:-2] for pose in poses))
-    whole = [
-        (pose.rotation.expand(*batch, len(own), 3, 3), pose.translation_m.expand(*batch, len(own), 3))
-        for pose, own in zip(poses, rows, strict=True)
-    ]
-    order = torch.cat(list(rows)).argsort()
-    rotations, translations_m = zip(*whole, strict=True)
-    return Transform(
-        torch.cat(rotations, dim=-3)[..., order, :, :], torch.cat(translations_m, dim=-2)[..., order, :]
-    )
-
-
-def _shifted(pose: Transform, offset_m: Float[Tensor, "*#batch #row 3"]) -> Transform:
-    """Pose at points off the origin of a body, given in m in its frame, with the orientation of the body."""
-    return Transform(pose.rotation, pose.apply(offset_m))
-
-
-def _sharing_rotation(poses: Transform) -> Transform:
-    """These poses, with a single row of rotations where all are turned alike, as under pure translations.
-
-    Matrix products over rows then happen once: a third of the time of a prediction that is short otherwise.
-    """
-    first = poses.rotation[:1]
-    return Transform(first, poses.translation_m) if bool((poses.rotation == first).all()) else poses

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.effects.use import uses_of
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import InvalidInput, check_known
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
 from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform
@@ -53,12 +53,7 @@ class RoomField:
     ) -> None:
         self.rig, self.points_m = rig, points_m
         motion = motion or {}
-        names = [mover.name for mover in rig.movers]
-        unknown = [name for name in motion if name not in names]
-        if unknown:
-            raise InvalidInput(
-                f"motion must name movers of the rig ({', '.join(names) or 'none'}); received {quoted(unknown[0])}"
-            )
+        check_known("motion must name movers of the rig", motion, [mover.name for mover in rig.movers])
         for name, rows in motion.items():
             if rows.shape not in ((6,), (1, 6), (len(points_m), 6)):
                 raise InvalidInput(

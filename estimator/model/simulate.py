@@ -12,13 +12,13 @@ from estimator.effects import effect_of
 from estimator.effects.stages import NoiseEffect, RecordEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput
-from estimator.model.hide import cause_of, full_names, with_hidden
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.hide import cause_of, full_names, with_hidden, with_truth
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.nominal import NominalPrediction
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, observations_of
 from estimator.readings.segments import segments_in_turn
-from estimator.rig.coordinates import Coordinates
+from estimator.rig.coordinates import Coordinates, nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
@@ -69,11 +69,7 @@ def simulate(
     Raises:
         InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding.
     """
-    real = rig.with_values(truth)
-    broken = real.broken_rule()
-    if broken is not None:
-        name, rule, value = broken
-        raise InvalidInput(f"truth: {name} {rule}; received {value} (rig {rig.name!r})")
+    real = with_truth(rig, truth)
     rng = np.random.default_rng(seed)
     observations = observations_of(plan, rig, rng)
     if n_segments > 1:
@@ -129,6 +125,5 @@ def _errors_T(model: MeasurementModel, rng: np.random.Generator) -> Float[Tensor
     for use in uses_of(rig, NoiseEffect):
         theta = use.theta(values)
         more_T = use.effect.disturbed_T(error_T, sigma_T, prediction, theta, use.place, rng)
-        concerned = use.concerned(model.circumstances)
-        error_T = more_T if concerned is None else torch.where(concerned[:, None], more_T, error_T)
+        error_T = use.where_concerned(model.circumstances, more_T, error_T)
     return error_T

@@ -16,7 +16,7 @@ from estimator.effects import effect_of
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
 from estimator.geometry.motion import motion_reached
-from estimator.model.hide import cause_of, full_names, with_hidden
+from estimator.model.hide import cause_of, full_names, with_hidden, with_truth
 from estimator.model.simulate import perfect_readings
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import DisplacementFrame, MotionKind, Mover
@@ -150,10 +150,7 @@ def simulated_rig(
     Raises:
         InvalidInput: A value is impossible, or a cause is none that the field of a moment shows.
     """
-    real = rig.with_values(truth)
-    broken = real.broken_rule()
-    if broken is not None:
-        raise InvalidInput(f"truth: {broken[0]} {broken[1]}; received {broken[2]} (rig {rig.name!r})")
+    real = with_truth(rig, truth)
     for text in hidden:
         cause = cause_of(text, rig)
         key = next(iter(full_names(rig, {text: 0.0}))).removeprefix(f"{cause.label}.")

@@ -13,7 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, listed
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -143,9 +143,9 @@ def _warnings(
     if given.far:
         numbers, unit = (chosen + 1, "Reading") if compared.line is None else (compared.line, "Line")
         far = [str(int(numbers[reading])) for reading in given.far]
-        listed = ", ".join(far[:3]) + (f" and {len(far) - 3} more" if len(far) > 3 else "")
+        units = unit if len(far) == 1 else f"{unit}s"
         told.append(
-            f"{unit if len(far) == 1 else f'{unit}s'} {listed}: far from all others beside the rig's nominal model ({where})."
+            f"{units} {listed(far[:3], len(far))}: far from all others beside the rig's nominal model ({where})."
         )
     if not given.is_plausible:
         told.append(
@@ -175,13 +175,12 @@ def _agreement(rig: Rig, observations: Observations) -> Agreement | None:
         model = MeasurementModel.build(rig, observations, tolerance=1e-3)
     except InvalidInput:
         return None
-    nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     has_current = observations.current_A != 0.0
     is_wound = torch.tensor([coil.is_wound for coil in rig.coils])
     # Nothing is known beforehand of the field of a coil without a winding.
     powered = has_current.any(dim=1) & ~(has_current & ~is_wound).any(dim=1)
     mask = observations.is_measured & powered[:, None]
-    predicted_T = model.predict(nominal).masked_fill(~mask, 0.0)
+    predicted_T = model.predict(model.nominal).masked_fill(~mask, 0.0)
     measured_T = observations.field_sensor_T.masked_fill(~mask, 0.0)
     is_compared = (predicted_T.norm(dim=1) > 0.0) & (measured_T.norm(dim=1) > 0.0)
     if not bool(is_compared.any()):

@@ -8,6 +8,8 @@ from enum import StrEnum
 import numpy as np
 import numpy.typing as npt
 
+from estimator.errors import listed
+
 Times = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 MOST_TOLD = 3  # jumps that a sentence lists
@@ -95,6 +97,5 @@ def told_of_clock(time_s: Times, sensor: Indices, lines: Sequence[int] | Indices
     rows = jumps_back(time_s, sensor)
     if not rows:
         return ""
-    places = ", ".join(f"line {lines[row]} (to {time_s[row]:.10g} s)" for row in rows[:MOST_TOLD])
-    more = f" and {len(rows) - MOST_TOLD} more" if len(rows) > MOST_TOLD else ""
-    return f"Time jumps back in {places}{more}: if a clock was set back there, import with --clock continue."
+    first = (f"line {lines[row]} (to {time_s[row]:.10g} s)" for row in rows[:MOST_TOLD])
+    return f"Time jumps back in {listed(first, len(rows))}: if a clock was set back there, import with --clock continue."

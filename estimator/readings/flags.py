@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from itertools import groupby
 from typing import Any
@@ -169,8 +169,7 @@ def without_flagged(observations: Observations, flags: Sequence[Flag]) -> Observ
             wrong[list(flag.readings), components] = True
     if not bool(wrong.any()):
         return observations
-    field_T = observations.field_sensor_T.masked_fill(wrong, torch.nan)
-    return replace(observations, field_sensor_T=field_T)
+    return observations.with_field(observations.field_sensor_T.masked_fill(wrong, torch.nan))
 
 
 def told(flags: Sequence[Flag], sensors: Sequence[str], of_what: str = "") -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 from jaxtyping import Bool, Float, Int
 
@@ -87,24 +88,12 @@ class Observations:
         def moved(other: Observations | None) -> Observations | None:
             return None if other is None else other.to(device, dtype)
 
-        measured_A, segment, chosen = self.current_measured_A, self.recorded_segment, self.chosen
-        return Observations(
-            self.time_s.to(device),
-            self.sensor.to(device),
-            self.current_A.to(device, dtype),
-            {name: motion.to(device, dtype) for name, motion in self.motion.items()},
-            self.field_sensor_T.to(device),
-            self.is_validation.to(device),
-            self.repeat.to(device),
-            {name: values.to(device, dtype) for name, values in self.temperature_C.items()},
-            moved(self.whole),
-            None if chosen is None else chosen.to(device),
-            None if measured_A is None else measured_A.to(device, dtype),
-            None if segment is None else segment.to(device),
-            self.rows_late,
-            self.late_since_h,
-            moved(self.as_recorded),
-            self.line,
+        return self._each(
+            lambda values: values.to(device),
+            lambda values: values.to(device, dtype),
+            whole=moved(self.whole),
+            chosen=None if self.chosen is None else self.chosen.to(device),
+            as_recorded=moved(self.as_recorded),
         )
 
     def rows(self, index: Bool[Tensor, " reading"] | Int[Tensor, " rows"]) -> Observations:
@@ -139,23 +128,33 @@ class Observations:
         return segments_by_pauses(self.history.time_s)[self.row]
 
     def _select(self, index: Tensor, whole: Observations | None, chosen: Tensor | None) -> Observations:
-        return Observations(
-            self.time_s[index],
-            self.sensor[index],
-            self.current_A[index],
-            {name: motion[index] for name, motion in self.motion.items()},
-            self.field_sensor_T[index],
-            self.is_validation[index],
-            self.repeat[index],
-            {name: values[index] for name, values in self.temperature_C.items()},
-            whole,
-            chosen,
-            None if self.current_measured_A is None else self.current_measured_A[index],
-            None if self.recorded_segment is None else self.recorded_segment[index],
-            self.rows_late,
-            self.late_since_h,
-            None if self.as_recorded is None else self.as_recorded.rows(index),
-            None if self.line is None else self.line[index.to(self.line.device)],
+        return self._each(
+            lambda values: values[index],
+            lambda values: values[index],
+            whole=whole,
+            chosen=chosen,
+            as_recorded=None if self.as_recorded is None else self.as_recorded.rows(index),
+            line=None if self.line is None else self.line[index.to(self.line.device)],
+        )
+
+    def _each(
+        self, read: Callable[[Tensor], Tensor], setting: Callable[[Tensor], Tensor], **others: Any
+    ) -> Observations:
+        """These readings with what was read, and what they were read at, changed column by column, and other attributes replaced."""
+        measured_A, segment = self.current_measured_A, self.recorded_segment
+        return replace(
+            self,
+            time_s=read(self.time_s),
+            sensor=read(self.sensor),
+            current_A=setting(self.current_A),
+            motion={name: setting(motion) for name, motion in self.motion.items()},
+            field_sensor_T=read(self.field_sensor_T),
+            is_validation=read(self.is_validation),
+            repeat=read(self.repeat),
+            temperature_C={name: setting(values) for name, values in self.temperature_C.items()},
+            current_measured_A=None if measured_A is None else setting(measured_A),
+            recorded_segment=None if segment is None else read(segment),
+            **others,
         )
 
     def realigned(self, rows_late: int, since_h: float = 0.0) -> Observations:

@@ -89,10 +89,17 @@ def _distinct(
     return poses[order[is_new]], row
 
 
-def time_blocks(observations: Observations, n_blocks: int = FEWEST_BLOCKS) -> Int[np.ndarray, " reading"]:
+def with_validation(observations: Observations, share: float, seed: int) -> Observations:
+    """The readings with a share of them marked for validation, as `block_split` does, unless some are marked already."""
+    if bool(observations.is_validation.any()):
+        return observations
+    return observations.with_validation(block_split(observations, share, seed))
+
+
+def time_blocks(observations: Observations) -> Int[np.ndarray, " reading"]:
     """Block number of every reading, in blocks of readings that were taken one after another."""
     order = numpy_of(observations.time_s.argsort(stable=True).argsort())
-    block: Int[np.ndarray, " reading"] = order * n_blocks // len(order)
+    block: Int[np.ndarray, " reading"] = order * FEWEST_BLOCKS // len(order)
     return block
 
 

@@ -92,6 +92,17 @@ def agreement(calibration: Calibration, observations: Observations, refit: Fit, 
     )
 
 
+def at_stored_draws(
+    calibration: Calibration, observations: Observations
+) -> tuple[LogPosterior, Float[Tensor, "draw coordinate"]]:
+    """Density of some readings, and draws from the posterior of a calibration of the same rig in its coordinates."""
+    coordinates = Coordinates(calibration.rig, integer_counts=True)
+    values = calibration.draw_values(policy.N_DRAWS)
+    model = MeasurementModel.unruled(calibration.rig, observations).choose_rules(calibration.best_values())
+    vectors = coordinates.vector({name: values[name] for name in coordinates.names})
+    return LogPosterior(coordinates, model, observations), vectors
+
+
 @dataclass(frozen=True)
 class _Predictive:
     """Predictive distribution of whitened readings: directions @ normal(0, spread) + noise.
@@ -117,14 +128,8 @@ class _Predictive:
     @classmethod
     def of(cls, calibration: Calibration, observations: Observations) -> _Predictive:
         """The predictive distribution from posterior draws."""
-        rig = calibration.rig
-        coordinates = Coordinates(rig, integer_counts=True)
-        values = calibration.draw_values(policy.N_DRAWS)
-        vectors = coordinates.vector({name: values[name] for name in coordinates.names})
-        best = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
-        posterior = LogPosterior(
-            coordinates, MeasurementModel.unruled(rig, observations).choose_rules(best), observations
-        )
+        rig, best = calibration.rig, calibration.best_values()
+        posterior, vectors = at_stored_draws(calibration, observations)
         with torch.no_grad():
             predicted_T = posterior.predicted(vectors)
             log_sigma = torch.log(posterior.component_sigma_T(vectors))

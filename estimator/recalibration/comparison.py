@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import torch
+
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import finite
+from estimator.diagnosis import policy
 from estimator.diagnosis import policy as diagnosis_policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -22,18 +25,17 @@ from estimator.readings.observations import Observations
 from estimator.readings.split import thinned
 from estimator.recalibration.agreement import Agreement, agreement
 from estimator.recalibration.conclusion import EVIDENCE, IS_CONVERGED, Conclusion, Judgement
-from estimator.recalibration.stored import stored_log_density
 from estimator.recalibration.successor import (
     causes_of,
     estimate_of,
     is_unexplained,
     sampled_successor,
     short_of,
+    stored_log_density,
 )
-from estimator.recalibration.together import named_together
 from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.recalibration.words import mistake_in, sizes_of, words_of
-from estimator.reporting.numbers import displays, size_with_unit, with_sd
+from estimator.reporting.numbers import displays, size_with_unit
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from estimator.units import split_quotient
@@ -232,11 +234,43 @@ class Comparison:
             self.current.summary()["parameters"][name],
             diagnosis.fits.final.value_sd(name),
         )
-        before, after = (
-            with_sd(value * show.factor, width * show.factor)
-            for value, width in ((old["median"], old["sd"]), (float(diagnosis.fits.final.values[name]), sd))
-        )
+        before = show.with_sd(old["median"], old["sd"])
+        after = show.with_sd(float(diagnosis.fits.final.values[name]), sd)
         return (
             f"the same model explains the readings with other values ({self._p_value()} for the old ones): "
             f"{split_quotient(name)[0]} moved by {distance:+.1f} standard deviations, from {before} to {after} {show.unit}".rstrip()
         )
+
+
+NOTHING, UNEXPLAINED = "nothing", "unexplained"  # hypotheses beside the causes
+
+
+def named_together(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """The 95 % credible set of causes after several disagreeing sessions in a row, most probable first.
+
+    Each session gives a Bayes factor of every cause with its own size of the cause. Sessions are independent given the cause, so their
+    Bayes factors multiply; a cause that leads in one session by chance falls behind in the next.
+
+    Args:
+        sessions: Log Bayes factor of each hypothesis against nothing, by name, for each session.
+    Returns: Probabilities among all causes; empty while no cause, or an unknown one, is not ruled out.
+
+    Examples:
+        >>> session = {"offset_drift": 3.0, "coil_heating": -1.0, "unexplained": 1.0}
+        >>> named_together([session]), list(named_together([session, session]))
+        ({}, ['offset_drift'])
+    """
+    if not sessions:
+        return {}
+    common = set.intersection(*(set(session) for session in sessions)) - {NOTHING}
+    total = {name: sum(session[name] for session in sessions) for name in common}
+    unexplained = total.pop(UNEXPLAINED, 0.0) + policy.LOG_PRIOR_UNEXPLAINED
+    if not total:
+        return {}
+    least = max(policy.LOG_PRIOR_NOTHING + policy.LEAST_LOG_ODDS, unexplained)
+    ranked = sorted(total, key=lambda name: (-total[name], name))
+    if total[ranked[0]] + policy.LOG_PRIOR_CAUSE - math.log(len(ranked)) <= least:
+        return {}
+    shares = torch.softmax(torch.tensor([total[name] for name in ranked], dtype=torch.float64), 0)
+    n = int((torch.cumsum(shares, 0) < policy.CREDIBLE_SHARE).sum()) + 1
+    return dict(zip(ranked[:n], shares[:n].tolist(), strict=True))

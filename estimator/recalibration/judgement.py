@@ -14,7 +14,7 @@ from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.model.preflight import check_readings
 from estimator.model.unit_gate import check_units
-from estimator.readings.split import block_split
+from estimator.readings.split import with_validation
 from estimator.recalibration.comparison import Comparison
 from estimator.recalibration.conclusion import IS_CONVERGED, Conclusion, Judgement
 from estimator.recalibration.successor import (
@@ -61,7 +61,8 @@ def judge(
         session.check_rig(rig)
         check_readings(rig, session.observations, session.source)
         check_units(rig, session.observations.calibration, session.source)
-        session = _with_held_out(session, seed)
+        readings = with_validation(session.observations, diagnosis_policy.VALIDATION_SHARE, seed)
+        session = replace(session, observations=readings)
         if current is None or widened is None:
             return _first(session, rig, seed, settings, watcher)
         watcher.on_words("comparing with the current version")
@@ -70,14 +71,6 @@ def judge(
         )
     except (InvalidInput, torch.linalg.LinAlgError) as error:  # type: ignore[attr-defined]
         return Judgement(Conclusion.REJECTED, f"the readings cannot be used: {error}")
-
-
-def _with_held_out(session: Session, seed: int) -> Session:
-    observations = session.observations
-    if bool(observations.is_validation.any()):
-        return session
-    split = block_split(observations, diagnosis_policy.VALIDATION_SHARE, seed)
-    return replace(session, observations=observations.with_validation(split))
 
 
 def _first(

@@ -14,7 +14,7 @@ from typing import Any
 from estimator.errors import CorruptStore
 from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.json_files import json_object, sealed, unsealed
-from estimator.store.files import append_text, unwritable
+from estimator.store.files import append_text, writing
 
 ROLLED_BACK = "rolled_back"
 TORN = b'{"conclusion": "'  # how an entry begins of which a kill left a part
@@ -120,10 +120,8 @@ class Log:
         Raises:
             InvalidInput: It cannot be written.
         """
-        try:
+        with writing(self.path, "registry"):
             append_text(self.path, sealed(asdict(entry)))
-        except OSError as error:
-            raise unwritable(self.path, error, "registry") from error
 
     def completed(self) -> list[Entry]:
         """All entries, after what follows the last whole one was cut off and its line was ended."""

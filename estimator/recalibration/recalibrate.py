@@ -57,8 +57,7 @@ def recalibrate(
     inbox, calibrations = Path(inbox), Registry(registry)
     if not inbox.is_dir():
         raise InvalidInput(f"inbox must be a folder of sessions; received {inbox}")
-    if not rig.free:
-        raise InvalidInput(f"rig must have at least one free parameter (a prior); rig {rig.name!r} has none")
+    rig.check_free()
     chosen = settings or SamplerSettings()
     chosen.for_rig(len(rig.free))  # too few walkers are a fault of the call, not of a session
     notify, notify_waiting = on_entry or (lambda entry: None), on_waiting or (lambda path, why: None)

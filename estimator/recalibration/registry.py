@@ -27,7 +27,7 @@ from estimator.given_files import MOST_SETTINGS_BYTES, read_given_text
 from estimator.json_files import read_json, sealed
 from estimator.recalibration.log import ROLLED_BACK, Entry, Log
 from estimator.rig_files.write import rig_text
-from estimator.store.files import kind_of, unfinished_name, unwritable, write_text
+from estimator.store.files import kind_of, unfinished_name, write_text, writing
 from estimator.store.made import Made
 from estimator.store.stage import OutputBusy
 from estimator.store.staging import clear, only_writer, staged
@@ -145,15 +145,14 @@ class Registry:
         MADE.check_open(self.folder)
         with ExitStack() as stack:
             try:
-                stack.enter_context(only_writer(self.folder))
-                (self.folder / VERSIONS).mkdir(exist_ok=True)
-                self._complete()
+                with writing(self.folder, "registry"):
+                    stack.enter_context(only_writer(self.folder))
+                    (self.folder / VERSIONS).mkdir(exist_ok=True)
+                    self._complete()
             except OutputBusy:
                 raise RegistryBusy(
                     f"registry must be free; another recalibration is at work on {self.folder}"
                 ) from None
-            except OSError as error:
-                raise unwritable(self.folder, error, "registry") from error
             yield
 
     def commit(

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
@@ -13,7 +18,9 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.effects import EFFECTS
 from estimator.effects.base import WHEN
 from estimator.inference.ensemble import SamplerSettings
+from estimator.readings.observations import Observations
 from estimator.recalibration import policy
+from estimator.recalibration.agreement import at_stored_draws
 from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
@@ -71,3 +78,19 @@ def estimate_of(fit: Fit) -> dict[str, tuple[float, float]]:
         parameter.name: (float(fit.values[parameter.name]), fit.value_sd(parameter.name))
         for parameter in fit.rig.free
     }
+
+
+def stored_log_density(calibration: Calibration, unseen: Observations) -> Float[Tensor, " reading"]:
+    """Log predictive density of each reading: the logarithm of the mean density over posterior draws.
+
+    Args:
+        calibration: Calibration from other readings.
+        unseen: Readings of the same rig; the calibration may have additional effects.
+    References: Vehtari, Gelman and Gabry, Statistics and Computing 27, 1413 (2017), eq 3.
+    """
+    posterior, vectors = at_stored_draws(calibration, unseen)
+    with torch.no_grad():
+        by_component = posterior.component_log_density(vectors)
+    reading = torch.arange(len(unseen))[:, None].expand(-1, 3)[unseen.is_measured]
+    by_reading = by_component.new_zeros(len(vectors), len(unseen)).index_add(1, reading, by_component)
+    return torch.logsumexp(by_reading, 0) - math.log(len(vectors))

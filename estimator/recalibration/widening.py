@@ -25,7 +25,7 @@ from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
 from estimator.recalibration import policy
 from estimator.rig.bodies import POSE_KEYS
-from estimator.rig.coordinates import SHARE_OF_THICKNESS
+from estimator.rig.natural import SHARE_OF_THICKNESS
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior
 from estimator.rig.rig import Rig
 

@@ -6,7 +6,6 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval, SizedCause
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.flags import told
-from estimator.reporting.numbers import with_sd
 
 
 def names_of(diagnosis: Diagnosis) -> str:
@@ -35,7 +34,7 @@ def _size(cause: SizedCause) -> str:
 def _quantity(name: str, interval: Interval) -> str:
     """A quantity in its display unit."""
     show, value, sd = interval.display(name), interval.median, interval.sd
-    size = with_sd(value * show.factor, sd * show.factor) if sd else f"{value * show.factor:.4g}"
+    size = show.with_sd(value, sd) if sd else f"{value * show.factor:.4g}"
     return f"{show.words} {size} {show.unit}".rstrip()
 
 

@@ -35,6 +35,14 @@ class Display:
         """Words and unit, for an axis."""
         return f"{self.words} ({self.unit})" if self.unit else self.words
 
+    def with_sd(self, value: float, sd: float) -> str:
+        """A value with its standard deviation, without the unit."""
+        return with_sd(value * self.factor, sd * self.factor)
+
+    def interval(self, ends: Sequence[float], sd: float) -> str:
+        """Ends of an interval to the digits of a standard deviation, without the unit."""
+        return " to ".join(to_digit_of(sd * self.factor, end * self.factor) for end in ends)
+
 
 def displays(names: Sequence[str]) -> dict[str, Display]:
     """Short names and display units of parameters: lengths in mm, angles in mrad, fields in µT.

@@ -9,7 +9,7 @@ counts. With `integer_counts` the free loop counts are whole numbers, unchanged 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
 
@@ -17,15 +17,18 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from estimator.derivatives import jacobian_of
-from estimator.frames import rotation_from_vector
+from estimator.rig.natural import ExternalRadius, Logarithm, Natural, Resolve, natural_of
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Uniform, normal_log_density
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
-# Of the winding's thickness, by which the mean loop is larger than the bore.
-SHARE_OF_THICKNESS = {"inner_side_x_m": 1.0, "inner_side_y_m": 1.0, "inner_corner_radius_m": 0.5}
 Values = Mapping[str, Tensor]
-_Resolve = Callable[[str], Tensor]
+
+
+def nominal_tensors(rig: Rig, like: Tensor | None = None) -> dict[str, Tensor]:
+    """Nominal value of every number of a rig, of the kind of another tensor; in double precision on the processor by default."""
+    like = torch.empty(0, dtype=torch.float64) if like is None else like
+    return {name: like.new_tensor(value) for name, value in rig.nominal_values().items()}
 
 
 class Coordinates:
@@ -56,12 +59,7 @@ class Coordinates:
         self.parameters: tuple[Parameter, ...] = (*(p for p in free if p not in counts), *counts)
         self.n_counts = len(counts)
         self._column = {parameter.name: i for i, parameter in enumerate(self.parameters)}
-        self._is_log = [
-            p.is_positive and p not in counts and not self._is_radius(p) and not self._is_of_bore(p)
-            for p in self.parameters
-        ]
-        self._axis = self._nominal_axes()
-        self._log_columns = [i for i, is_log in enumerate(self._is_log) if is_log]
+        self._natural = natural_of(rig, self.parameters, counts)
         self._mix = self._natural_mix()
         self._unmix = np.linalg.inv(self._mix)
         self._fixed_values: dict[tuple[torch.dtype, torch.device], dict[str, Tensor]] = {}
@@ -95,27 +93,15 @@ class Coordinates:
     @property
     def labels(self) -> tuple[str, ...]:
         """Meaning of each column, in words."""
-        words = []
-        for i, parameter in enumerate(self.parameters):
-            coil, _, quantity = parameter.name.partition(".")
-            if self._is_radius(parameter):
-                words.append(f"{coil} rms radius")
-            elif self._is_of_bore(parameter):
-                words.append(
-                    f"{coil} {quantity[len('inner_') : -len('_m')].replace('_', ' ')} of the mean loop"
-                )
-            elif parameter.name in self._axis:
-                words.append(f"{parameter.name} of the winding's middle")
-            elif self._mix[i].sum() > 1.5:
-                natural = {
-                    "wire_radius_m": "winding thickness",
-                    "axial_loops": "turns",
-                    "radial_loops": "winding length",
-                }
-                words.append(f"{coil} {natural[quantity]}")
-            else:
-                words.append(parameter.name)
-        return tuple(words)
+        mixed = {
+            "wire_radius_m": "winding thickness",
+            "axial_loops": "turns",
+            "radial_loops": "winding length",
+        }
+        return tuple(
+            f"{own.coil} {mixed[own.name.partition('.')[2]]}" if row.sum() > 1.5 else own.label
+            for own, row in zip(self._natural, self._mix, strict=True)
+        )
 
     def values(self, vector: Float[Tensor, "*batch coordinate"]) -> dict[str, Tensor]:
         """Every parameter of the rig; fixed ones have no batch."""
@@ -141,8 +127,10 @@ class Coordinates:
         """Derivatives of the value of every free parameter in the continuous coordinates."""
         with torch.no_grad():
             values = self.values(vector)
-        each = zip(self.names, self._is_log, strict=True)
-        own = [values[name] if is_log else vector.new_ones(()) for name, is_log in each]
+        own = [
+            values[natural.name] if isinstance(natural, Logarithm) else vector.new_ones(())
+            for natural in self._natural
+        ]
         slopes = torch.diag(torch.stack(own)) if own else vector.new_zeros(0, 0)
         if len(coupled := self.coupled):
             names = [self.names[i] for i in coupled.tolist()]
@@ -174,18 +162,7 @@ class Coordinates:
         }
         for name in self.rig.parameters:
             complete[name] = self._follow_tie(name, complete)
-        columns = []
-        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
-            value = complete[parameter.name]
-            if self._is_radius(parameter):
-                coil = parameter.name.partition(".")[0]
-                half_m, variance_m2 = _layers(coil, complete.__getitem__)
-                value = torch.sqrt((value - half_m) ** 2 + variance_m2)
-            elif self._is_of_bore(parameter):
-                value = value + _to_mean_loop(parameter.name, complete.__getitem__)
-            elif parameter.name in self._axis:
-                value = value - self._to_front(parameter.name, complete.__getitem__)
-            columns.append(torch.log(value) if is_log else value)
+        columns = [own.coordinate(complete[own.name], complete.__getitem__) for own in self._natural]
         if not columns:
             return torch.zeros(0, dtype=torch.float64, device=self.device)
         mix = torch.as_tensor(self._mix).to(self.device)
@@ -238,15 +215,10 @@ class Coordinates:
                 together = torch.stack(torch.broadcast_tensors(*(values[name] for name in names)), dim=-1)
                 together = torch.log(together) if is_log else together
                 total = total + normal_log_density(together, *numbers.to(vector)).sum(-1)
-        for parameter, is_log in self._priors_of_their_own:
+        for parameter, natural in self._priors_of_their_own:
             value = values[parameter.name]
             assert parameter.prior is not None
-            total = total + parameter.prior.log_density(value)
-            if is_log:
-                total = total + torch.log(value)
-            elif self._is_radius(parameter):
-                half_m, variance_m2 = _layers(parameter.name.partition(".")[0], values.__getitem__)
-                total = total + 0.5 * torch.log1p(variance_m2 / (value - half_m) ** 2)
+            total = total + parameter.prior.log_density(value) + natural.log_slope(value, values.__getitem__)
         return total
 
     @cached_property
@@ -256,9 +228,10 @@ class Coordinates:
         First those with normal or uniform priors that are coordinates themselves, then those with log-normal priors whose logarithms are.
         """
         own, of_logarithm = {}, {}
-        for parameter, is_log in zip(self.parameters, self._is_log, strict=True):
+        for parameter, natural in zip(self.parameters, self._natural, strict=True):
             prior, name = parameter.prior, parameter.name
-            if self._is_radius(parameter):
+            is_log = isinstance(natural, Logarithm)
+            if isinstance(natural, ExternalRadius):
                 continue
             if isinstance(prior, Normal) and not is_log:
                 own[name] = (prior.mean, prior.standard_deviation, prior.lower, prior.upper)
@@ -273,11 +246,11 @@ class Coordinates:
         ]
 
     @cached_property
-    def _priors_of_their_own(self) -> list[tuple[Parameter, bool]]:
-        """All other free parameters, and whether each is fitted as a logarithm."""
+    def _priors_of_their_own(self) -> list[tuple[Parameter, Natural]]:
+        """All other free parameters."""
         together = {name for names, _, _ in self._bell_shaped for name in names}
-        each = zip(self.parameters, self._is_log, strict=True)
-        return [(parameter, is_log) for parameter, is_log in each if parameter.name not in together]
+        each = zip(self.parameters, self._natural, strict=True)
+        return [(parameter, natural) for parameter, natural in each if parameter.name not in together]
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
         """Draws from the prior, as coordinates; loop counts are rounded to whole numbers that the prior allows, if there are any."""
@@ -300,63 +273,16 @@ class Coordinates:
             }
         return self._fixed_values[dtype, device]
 
-    def _value(self, name: str, elementary: Sequence[Tensor], resolve: _Resolve) -> Tensor:
+    def _value(self, name: str, elementary: Sequence[Tensor], resolve: Resolve) -> Tensor:
         parameter = self.rig.parameters[name]
         if parameter.tie is not None:
             return parameter.tie.factor * resolve(parameter.tie.to)
         column = self._column[name]
-        value = elementary[column]
-        if self._is_radius(parameter):
-            half_m, variance_m2 = _layers(name.partition(".")[0], resolve)
-            return half_m + torch.sqrt(value**2 - variance_m2)
-        if self._is_of_bore(parameter):
-            return value - _to_mean_loop(name, resolve)
-        if name in self._axis:
-            return value + self._to_front(name, resolve)
-        return torch.exp(value) if self._is_log[column] else value
+        return self._natural[column].value(elementary[column], resolve)
 
     def _follow_tie(self, name: str, values: Mapping[str, Tensor]) -> Tensor:
         tie = self.rig.parameters[name].tie
         return values[name] if tie is None else tie.factor * self._follow_tie(tie.to, values)
-
-    def _is_radius(self, parameter: Parameter) -> bool:
-        coil, _, quantity = parameter.name.partition(".")
-        return quantity == "radius_m" and f"{coil}.radial_loops" in self.rig.parameters
-
-    @staticmethod
-    def _is_of_bore(parameter: Parameter) -> bool:
-        return parameter.name.partition(".")[2] in SHARE_OF_THICKNESS
-
-    def _to_front(self, name: str, resolve: _Resolve) -> Tensor:
-        """Shift from the winding's middle to its front face, along the nominal axis; tilts add a nearly linear term."""
-        coil = name.partition(".")[0]
-        return 0.5 * self._axis[name] * resolve(f"{coil}.axial_pitch_m") * resolve(f"{coil}.axial_loops")
-
-    def _nominal_axes(self) -> dict[str, float]:
-        """Component of the nominal axis along each free position coordinate, for coils whose length may change."""
-        nominal = self.rig.nominal_values()
-        axes: dict[str, float] = {}
-        for coil in self.rig.wound:
-            if not any(
-                self.rig.depends_on_data(f"{coil.name}.{key}") for key in ("axial_pitch_m", "axial_loops")
-            ):
-                continue
-            for block in ("world_from_coil", "world_from_coil0", "flange_from_coil"):
-                prefix = f"{coil.name}.{block}"
-                if f"{prefix}.rx_rad" not in nominal:
-                    continue
-                nominal_rotation, about_body_axes = (
-                    rotation_from_vector(torch.tensor([nominal[f"{prefix}.{key}"] for key in keys]).double())
-                    for keys in (("rx_rad", "ry_rad", "rz_rad"), ("tilt_x_rad", "tilt_y_rad", "spin_rad"))
-                )
-                axis = (nominal_rotation @ about_body_axes)[:, 2].tolist()
-                names = [f"{prefix}.{key}" for key in ("x_m", "y_m", "z_m")]
-                axes |= {
-                    name: component
-                    for name, component in zip(names, axis, strict=True)
-                    if name in self._column and abs(component) > 1e-9
-                }
-        return axes
 
     def _natural_mix(self) -> np.ndarray:
         """Matrix that maps (log R_w, log N_a, log N_r) to (log thickness, log turns, log length) where all three are free."""
@@ -375,19 +301,6 @@ class Coordinates:
                 mix[radial] = 0.0
                 mix[radial, [wire, axial]] = 1.0
         return mix
-
-
-def _to_mean_loop(name: str, resolve: _Resolve) -> Tensor:
-    """How much larger a side, or corner radius, of the mean loop is than that of the bore."""
-    coil, _, quantity = name.partition(".")
-    thickness_m = resolve(f"{coil}.radial_pitch_m") * resolve(f"{coil}.radial_loops")
-    return SHARE_OF_THICKNESS[quantity] * thickness_m
-
-
-def _layers(coil: str, resolve: _Resolve) -> tuple[Tensor, Tensor]:
-    """Half the thickness of a winding, and the variance of the radii of its loops."""
-    pitch_m, loops = resolve(f"{coil}.radial_pitch_m"), resolve(f"{coil}.radial_loops")
-    return 0.5 * pitch_m * loops, pitch_m**2 * (loops**2 - 1.0) / 12.0
 
 
 def _sum(columns: Sequence[Tensor], terms: Sequence[tuple[int, float]]) -> Tensor:

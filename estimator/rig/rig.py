@@ -120,6 +120,17 @@ class Rig(Shown):
         """The parameters that a fit may move."""
         return tuple(p for p in self.parameters.values() if p.is_free)
 
+    def check_free(self) -> None:
+        """Refuse a rig that no fit can change.
+
+        Raises:
+            InvalidInput: No parameter is free.
+        """
+        if not self.free:
+            raise InvalidInput(
+                f"rig must have at least one free parameter (a prior); rig {self.name!r} has none"
+            )
+
     @property
     def wound(self) -> tuple[WoundCoil, ...]:
         """The coils whose winding is described."""

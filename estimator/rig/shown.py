@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from estimator.errors import listed
 from estimator.glance import Glance, sections_svg, with_unit
 from estimator.rig.parameters import Uniform
 from estimator.rig.rig import Rig
@@ -53,8 +54,7 @@ def rig_glance(rig: Rig) -> Glance:
 
 
 def _listed(kind: str, names: Sequence[str]) -> str:
-    shown = ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
-    return f"{kind if len(names) == 1 else f'{kind}s'} {shown}"
+    return f"{kind if len(names) == 1 else f'{kind}s'} {listed(names[:4], len(names))}"
 
 
 def _sections(rig: Rig) -> list[tuple[str, float, float, float, float]]:

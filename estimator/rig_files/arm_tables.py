@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
 from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS, N_JOINTS, ArmEnds, DenavitHartenberg
 from estimator.rig.bodies import MotionKind
+from estimator.rig.charged_box import Triple
 from estimator.rig_files.ur_kinematics import corrections_from_ros
 from estimator.rig_files.urdf import arm_from_urdf
 from estimator.units import LARGEST
 from estimator.yaml_section import Section
 
+Table = TypeVar("Table")  # of an arm, with its ends or without
 TABLE, CORRECTIONS, URDF = "denavit_hartenberg", "factory_corrections", "urdf"
 FILE = "file"  # of `ur_calibration`
 ENDS = ("base_from_first", "last_from_flange")
@@ -65,36 +71,26 @@ def _from_urdf(section: Section) -> tuple[DenavitHartenberg, ArmEnds]:
     below = section.section(URDF)
     file, base, flange = (str(below.required(key)) for key in ("file", "base", "flange"))
     below.finish()
-    if section.folder is None:
-        section.refuse(
-            URDF,
-            "must stand in a rig file on disk, beside its URDF; a session or calibration holds the table",
-            file,
-        )
-    try:
-        return arm_from_urdf(section.folder / file, base, flange)
-    except InvalidInput as error:
-        raise InvalidInput(
-            f"{section.path_of(URDF)}: {error} ({section.where(URDF)})", section.place(URDF)
-        ) from None
+    return _from_file(section, URDF, file, "its URDF", lambda path: arm_from_urdf(path, base, flange))
 
 
 def _from_ros(section: Section, below: Section, motion: MotionKind) -> DenavitHartenberg:
     file = str(below.required(FILE))
     below.finish()
+    return _from_file(
+        section, CORRECTIONS, file, "its file of links", lambda path: corrections_from_ros(path, str(motion))
+    )
+
+
+def _from_file(section: Section, key: str, file: str, words: str, read: Callable[[Path], Table]) -> Table:
+    """What stands in a file beside the rig file; a fault of that file is told with the place of the key."""
     if section.folder is None:
-        section.refuse(
-            CORRECTIONS,
-            "must stand in a rig file on disk, beside its file of links; a session or calibration holds the table",
-            file,
-        )
+        rule = f"must stand in a rig file on disk, beside {words}; a session or calibration holds the table"
+        section.refuse(key, rule, file)
     try:
-        return corrections_from_ros(section.folder / file, str(motion))
+        return read(section.folder / file)
     except InvalidInput as error:
-        raise InvalidInput(
-            f"{section.path_of(CORRECTIONS)}: {error} ({section.where(CORRECTIONS)})",
-            section.place(CORRECTIONS),
-        ) from None
+        raise InvalidInput.at(section.place(key), f"{section.path_of(key)}: {error}") from None
 
 
 def _column(section: Section, quantity: str, dimension: str) -> tuple[float, ...]:
@@ -110,11 +106,22 @@ def _column(section: Section, quantity: str, dimension: str) -> tuple[float, ...
     return tuple(float(value) * unit.to_si for value in values)
 
 
+def read_points(section: Section, quantity: str, rule: str, fewest: int) -> tuple[str, list[Triple]]:
+    """The key of a list of points and the points in metres, as many as a rule asks for at least; none where they are left out."""
+    key_and_unit = section.key_with_unit(quantity, "length")
+    if key_and_unit is None:
+        return quantity, []
+    key, unit = key_and_unit
+    points = section.value(key)
+    if not (isinstance(points, list) and len(points) >= fewest and all(map(_is_point, points))):
+        section.refuse(key, rule, repr(points))
+    return key, [(float(x) * unit.to_si, float(y) * unit.to_si, float(z) * unit.to_si) for x, y, z in points]
+
+
 def is_number(value: object) -> bool:
     """Whether an entry of a list is a number that a rig file may hold."""
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= LARGEST
 
 
-def is_point(point: object) -> bool:
-    """Whether an entry is a list of three such numbers."""
+def _is_point(point: object) -> bool:
     return isinstance(point, list) and len(point) == 3 and all(map(is_number, point))

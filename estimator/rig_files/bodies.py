@@ -18,13 +18,13 @@ from estimator.rig.bodies import (
     Leads,
     MotionKind,
     Mover,
-    Path,
     Sensor,
     SidedCoil,
     UnwoundCoil,
+    WoundCoil,
 )
 from estimator.rig.parameters import Parameter, Tie
-from estimator.rig_files.arm_tables import is_point, read_own_table
+from estimator.rig_files.arm_tables import read_own_table, read_points
 from estimator.rig_files.harmonic import (
     EQUIVALENT_SOURCES,
     HARMONIC,
@@ -53,8 +53,10 @@ WRONG_PLACE: dict[str, tuple[tuple[str, ...], str]] = {  # by model what it may 
 }
 
 
-def sides_of(coil: SidedCoil) -> tuple[str, ...]:
-    """Quantities of a winding with straight sides, beside those of its loops."""
+def outline_of(coil: WoundCoil) -> tuple[str, ...]:
+    """Quantities that say how large a winding is, beside those of its loops."""
+    if isinstance(coil, Coil):
+        return ("radius",)
     return (*SIDES, CORNER) if coil.is_rounded else SIDES
 
 
@@ -108,46 +110,26 @@ def _clear_coil(section: Section, name: str, movers: tuple[Mover, ...], numbers:
     _refuse_of_others(section, model)
     if model in (HARMONIC, EQUIVALENT_SOURCES):
         return _unwound_coil(section, name, model, movers, numbers)
-    if model != WINDING:
-        return _sided_coil(section, SidedCoil(name, None, model == RACETRACK), movers, numbers)
-    read_scalar(section, name, "radius", "length", numbers, positive=True)
+    coil: WoundCoil = Coil(name) if model == WINDING else SidedCoil(name, None, model == RACETRACK)
+    for quantity in outline_of(coil):
+        read_scalar(section, name, quantity, "length", numbers, positive=True)
     _read_loops(section, name, numbers)
     carried_by = _body_pose(section, name, "coil", movers, numbers)
-    field_sum, is_superconducting = FieldSum.VECTORS, False
-    with section.faults.noting():
-        field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
-    with section.faults.noting():
-        is_superconducting = section.flag("superconducting")
-    leads = _read_leads(section)
-    section.finish()
-    return Coil(name, carried_by, field_sum, is_superconducting, leads)
-
-
-def _sided_coil(section: Section, coil: SidedCoil, movers: tuple[Mover, ...], numbers: Numbers) -> SidedCoil:
-    for quantity in sides_of(coil):
-        read_scalar(section, coil.name, quantity, "length", numbers, positive=True)
-    _read_loops(section, coil.name, numbers)
-    carried_by = _body_pose(section, coil.name, "coil", movers, numbers)
+    if isinstance(coil, Coil):
+        with section.faults.noting():
+            field_sum = FieldSum(section.choice("field_sum", tuple(FieldSum), FieldSum.VECTORS))
+            coil = replace(coil, field_sum=field_sum)
+        with section.faults.noting():
+            coil = replace(coil, is_superconducting=section.flag("superconducting"))
     leads = _read_leads(section)
     section.finish()
     return replace(coil, carried_by=carried_by, leads=leads)
 
 
 def _read_leads(section: Section) -> Leads | None:
-    paths = [_read_path(section, lead) for lead in LEADS]
-    return Leads(*(path or () for path in paths)) if any(paths) else None
-
-
-def _read_path(section: Section, lead: str) -> Path:
-    key_and_unit = section.key_with_unit(lead, "length")
-    if key_and_unit is None:
-        return ()
-    key, unit = key_and_unit
-    points = section.value(key)
-    is_path = isinstance(points, list) and len(points) >= 2 and all(map(is_point, points))
-    if not is_path:
-        section.refuse(key, "must be a list of two points or more, each of three numbers", repr(points))
-    return tuple((float(x) * unit.to_si, float(y) * unit.to_si, float(z) * unit.to_si) for x, y, z in points)
+    rule = "must be a list of two points or more, each of three numbers"
+    paths = [tuple(read_points(section, lead, rule, 2)[1]) for lead in LEADS]
+    return Leads(*paths) if any(paths) else None
 
 
 def _refuse_of_others(section: Section, model: str) -> None:

@@ -51,22 +51,16 @@ def load_devices(path: Path, rig: Rig) -> DeviceSettings:
     return devices
 
 
-def setting_location(path: Path, name: str, key: str) -> str:
-    r"""File and line of a setting of a device; of the device where it has no such setting.
+def setting_place(path: Path, name: str, key: str) -> Place:
+    r"""Place of a setting of a device; of the device where it has no such setting.
 
     Examples:
         >>> import tempfile
         >>> file = Path(tempfile.mkdtemp()) / "rig.yaml"
         >>> _ = file.write_text("devices:\n  hall:\n    sensor: lakeshore_f71\n")
-        >>> [setting_location(file, "hall", key)[-6:] for key in ("sensor", "tcp")]
-        ['line 3', 'line 2']
+        >>> [setting_place(file, "hall", key).line for key in ("sensor", "tcp")]
+        [3, 2]
     """
-    place = setting_place(path, name, key)
-    return f"{place.file}, line {place.line}"
-
-
-def setting_place(path: Path, name: str, key: str) -> Place:
-    """Place of a setting of a device; of the device where it has no such setting."""
     section = Section.from_file(path).section(DEVICES)
     if name not in section or not section.is_section(name):
         return section.place(name)

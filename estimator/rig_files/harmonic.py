@@ -11,7 +11,7 @@ from estimator.rig.bodies import EquivalentSourceCoil, HarmonicCoil, Region, Unw
 from estimator.rig.charged_box import MOST_CHARGES, Triple, gap_m, n_charges
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig.parameters import Normal, Parameter
-from estimator.rig_files.arm_tables import is_point
+from estimator.rig_files.arm_tables import read_points
 from estimator.rig_files.numbers import MOST_DIGITS, Numbers, read_number, read_scalar
 from estimator.units import split_unit
 from estimator.yaml_section import Section
@@ -103,23 +103,15 @@ def read_box(section: Section, name: str) -> EquivalentSourceCoil:
 
 def _read_multipoles(section: Section, coil: EquivalentSourceCoil) -> tuple[Triple, ...]:
     """Places of multipoles beside the box, each of its own."""
-    key_and_unit = section.key_with_unit(MULTIPOLES, "length")
-    if key_and_unit is None:
-        return ()
-    key, unit = key_and_unit
-    given = section.value(key)
-    if not (isinstance(given, list) and all(map(is_point, given))):
-        section.refuse(key, "must be a list of places, each of three numbers", repr(given))
-    places_m: list[Triple] = []
-    for place in given:
-        x, y, z = (float(number) * unit.to_si for number in place)
-        if gap_m((x, y, z), coil.half_m) <= 0.0:
+    key, places_m = read_points(section, MULTIPOLES, "must be a list of places, each of three numbers", 0)
+    for number, place_m in enumerate(places_m):
+        given = section.value(key)[number]
+        if gap_m(place_m, coil.half_m) <= 0.0:
             section.refuse(
-                key, f"must lie outside the box that holds the readings of {coil.name}", repr(place)
+                key, f"must lie outside the box that holds the readings of {coil.name}", repr(given)
             )
-        if (x, y, z) in places_m:
-            section.refuse(key, "must be places that differ", f"{place!r} twice")
-        places_m.append((x, y, z))
+        if place_m in places_m[:number]:
+            section.refuse(key, "must be places that differ", f"{given!r} twice")
     return tuple(places_m)
 
 

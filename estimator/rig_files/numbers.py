@@ -157,8 +157,7 @@ def _prior(spec: Section, to_si: float, positive: bool) -> Prior:
     try:
         _make_prior(kind, given)  # in the units of the file, so that a message shows its numbers
     except InvalidInput as error:
-        words = f"{spec.path_of('prior')}.{error} ({spec.where('prior')})"
-        raise InvalidInput(words, spec.place("prior")) from None
+        raise InvalidInput.at(spec.place("prior"), f"{spec.path_of('prior')}.{error}") from None
     return _make_prior(kind, {k: v if k == "relative_sd" else v * to_si for k, v in given.items()})
 
 

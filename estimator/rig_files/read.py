@@ -76,8 +76,8 @@ def read_rig(top: Section, numbers: Numbers | None = None) -> Rig:
     sensors = tuple(read_sensor(below, key, movers, numbers) for key, below in _named(sections["sensors"]))
     for kind in ("coils", "sensors"):
         if not list(sections[kind]):
-            words = f"{kind} must name at least one; received none ({top.where(kind)})"
-            sections[kind].faults.note(InvalidInput(words, top.place(kind)))
+            fault = InvalidInput.at(top.place(kind), f"{kind} must name at least one; received none")
+            sections[kind].faults.note(fault)
     _check_names(sections.values())
     rig = Rig(name, coils, sensors, movers, numbers.parameters)
     rig = replace(

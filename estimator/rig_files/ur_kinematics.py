@@ -11,13 +11,11 @@ from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
-import yaml
 
-from estimator.errors import InvalidInput, reason
-from estimator.given_files import MOST_SETTINGS_BYTES, read_given_text
+from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS, DenavitHartenberg
 from estimator.rig_files.joint_axes import Axis, Matrix, table_of_axes
-from estimator.yaml_section import Loader
+from estimator.yaml_section import Section
 
 LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
@@ -68,29 +66,15 @@ def corrections_from_ros(path: Path, robot: str) -> DenavitHartenberg:
 
 def _links(path: Path) -> list[Matrix]:
     """Transforms of each link in the one before, with its joint at zero."""
-    text = read_given_text(path, MOST_SETTINGS_BYTES)
-    try:
-        document = Loader(text, str(path)).get_single_data()
-    except (yaml.YAMLError, ValueError, TypeError) as error:
-        if isinstance(error, InvalidInput):
-            raise
-        raise InvalidInput(f"{path} must be a YAML file that can be read: {reason(error)}") from error
     from scipy.spatial.transform import Rotation  # a third of a second, which few rig files need
 
-    links = document.get("kinematics") if isinstance(document, dict) else None
+    links = Section.from_file(path).section("kinematics")
     transforms = []
     for name in LINKS:
-        link = links.get(name) if isinstance(links, dict) else None
-        numbers = [link.get(key) if isinstance(link, dict) else None for key in NUMBERS]
-        missing = [key for key, n in zip(NUMBERS, numbers, strict=True) if not isinstance(n, int | float)]
-        if missing:
-            raise InvalidInput(
-                f"{path} must have kinematics.{name}.{missing[0]}, a number, as ur_calibration of Universal Robots' ROS driver writes it; "
-                "it has none"
-            )
+        link = links.section(name)
+        numbers = [link.number(key) for key in NUMBERS]
         matrix = np.eye(4)
-        values = np.array(numbers, dtype=float)
-        matrix[:3, 3] = values[:3]
-        matrix[:3, :3] = Rotation.from_euler("XYZ", values[3:]).as_matrix()
+        matrix[:3, 3] = numbers[:3]
+        matrix[:3, :3] = Rotation.from_euler("XYZ", numbers[3:]).as_matrix()
         transforms.append(matrix)
     return transforms

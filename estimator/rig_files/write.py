@@ -17,7 +17,6 @@ from estimator.rig.arms import ArmEnds, DenavitHartenberg
 from estimator.rig.bodies import (
     POSE_QUANTITIES,
     AnyCoil,
-    Coil,
     DisplacementFrame,
     EquivalentSourceCoil,
     FieldSum,
@@ -33,7 +32,7 @@ from estimator.rig.bodies import (
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
 from estimator.rig.rig import Rig
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
-from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, sides_of
+from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, outline_of
 from estimator.rig_files.devices import DEVICES
 from estimator.rig_files.harmonic import (
     EQUIVALENT_SOURCES,
@@ -157,9 +156,14 @@ def _own_table(table: DenavitHartenberg, ends: ArmEnds | None) -> _Line:
     for end, pose in zip(ENDS, () if ends is None else astuple(ends), strict=False):
         line[end] = _Line()
         for (quantity, dimension), value in zip(POSE, pose, strict=True):
-            unit = _unit(dimension, [value])
-            line[end][f"{quantity}_{unit}"] = _in_unit(value, UNITS[unit].to_si)
+            line[end] |= _exact(quantity, dimension, value)
     return line
+
+
+def _exact(quantity: str, dimension: str, value: float) -> dict[str, Any]:
+    """A number without a prior under the key of its quantity and unit."""
+    unit = _unit(dimension, [value])
+    return {f"{quantity}_{unit}": _in_unit(value, UNITS[unit].to_si)}
 
 
 def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
@@ -171,11 +175,9 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
         return entry | _pose_block(f"{mover.name}.world_from_base", parameters)
     if mover.displacement_frame is DisplacementFrame.BASE:
         entry["displacement_frame"] = str(mover.displacement_frame)
-        rotation = zip(("rx", "ry", "rz"), mover.reference_rotation_rad, strict=True)
-        units = [(axis, _unit("angle", [angle_rad]), angle_rad) for axis, angle_rad in rotation]
-        entry["base_from_flange0"] = _Line(
-            {f"{axis}_{unit}": _in_unit(angle_rad, UNITS[unit].to_si) for axis, unit, angle_rad in units}
-        )
+        entry["base_from_flange0"] = rotation = _Line()
+        for axis, angle_rad in zip(("rx", "ry", "rz"), mover.reference_rotation_rad, strict=True):
+            rotation |= _exact(axis, "angle", angle_rad)
     return entry
 
 
@@ -219,10 +221,10 @@ def _points(quantity: str, points: Path) -> dict[str, Any]:
 
 def _shape(coil: WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     """What a coil's loops are."""
-    if isinstance(coil, Coil):
-        return _number(f"{coil.name}.radius_m", "length", parameters)
-    entry: dict[str, Any] = {"model": RACETRACK if coil.is_rounded else RECTANGULAR}
-    for quantity in sides_of(coil):
+    entry: dict[str, Any] = {}
+    if isinstance(coil, SidedCoil):
+        entry["model"] = RACETRACK if coil.is_rounded else RECTANGULAR
+    for quantity in outline_of(coil):
         entry |= _number(f"{coil.name}.{quantity}_m", "length", parameters)
     return entry
 
@@ -232,8 +234,7 @@ def _unwound_coil(coil: UnwoundCoil, rig: Rig) -> dict[str, Any]:
     if isinstance(coil, EquivalentSourceCoil):
         entry["model"] = EQUIVALENT_SOURCES
         for quantity, length_m in zip(OF_THE_BOX, (*coil.half_m, coil.margin_m, coil.spacing_m), strict=True):
-            unit = _unit("length", [length_m])
-            entry[f"{quantity}_{unit}"] = _in_unit(length_m, UNITS[unit].to_si)
+            entry |= _exact(quantity, "length", length_m)
         entry |= _points(MULTIPOLES, coil.multipoles_m)
     else:
         entry |= {"model": HARMONIC, "region": str(coil.region), "degree": coil.degree}

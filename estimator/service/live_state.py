@@ -11,8 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from estimator.live.engine import LiveEngine
-from estimator.live.outlines import CoilOutline, outlines
-from estimator.live.places import Place, places
+from estimator.live.picture import CoilOutline, Place, outlines, places
 from estimator.live.refresh import Refreshed
 from estimator.live.stream import Interval
 from estimator.service.devices import Device, updated

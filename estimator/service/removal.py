@@ -15,6 +15,7 @@ from pathlib import Path
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
 
+from estimator.errors import listed
 from estimator.service.database import Database
 from estimator.service.job_queue import ENDED
 from estimator.service.problems import Problem
@@ -61,9 +62,8 @@ def remove_session(db: Session, session: SessionRow, caller: Caller) -> list[str
     ]
     if others:
         rule = f"must have no jobs; {_first_steps(others, caller)}"
-        listed = ", ".join(f"{job.kind} {job.id} of {job.user} ({job.state})" for job in others[:MOST_LISTED])
-        more = f" and {len(others) - MOST_LISTED} more" if len(others) > MOST_LISTED else ""
-        raise Problem(409, "session", rule, listed + more, session.id)
+        first = (f"{job.kind} {job.id} of {job.user} ({job.state})" for job in others[:MOST_LISTED])
+        raise Problem(409, "session", rule, listed(first, len(others)), session.id)
     _remove_rows(db, jobs)
     db.delete(session)
     return [job.id for job in jobs]

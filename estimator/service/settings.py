@@ -144,7 +144,7 @@ def load_settings(path: Path | None = None, environment: Mapping[str, str] | Non
         section = Section.from_file(path)
         for key in KEYS:
             if key in section:
-                places[key] = str(section.where(key))
+                places[key] = str(section.place(key))
                 values[key] = _typed(key, section.value(key), places[key])
         section.finish()
     for key in KEYS:

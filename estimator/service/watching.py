@@ -16,8 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator.errors import CoilcalError
-from estimator.live.engine import LiveEngine, Step
-from estimator.live.processor_share import WAIT_S
+from estimator.live.engine import WAIT_S, LiveEngine, Step
 from estimator.live.refresh import FEWEST_READINGS, GROWTH, Refreshed
 from estimator.service.live_state import Drawn, LiveState, Seen, verdict_of, with_estimate
 from estimator.service.problems import check_limits

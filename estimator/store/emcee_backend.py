@@ -21,8 +21,7 @@ from __future__ import annotations
 import json
 import math
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +35,7 @@ from zarr.codecs import Crc32cCodec, ZstdCodec
 from estimator.errors import CorruptStore, InvalidInput, quoted
 from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.json_files import json_object
-from estimator.store.files import sync, unwritable, write_bytes
+from estimator.store.files import sync, write_bytes, writing
 from estimator.store.staging import staged
 
 SCHEMA_VERSION = 1
@@ -218,21 +217,13 @@ class ZarrBackend(Backend):  # type: ignore[misc]  # emcee is untyped
             "array_crc32": {n: zlib.crc32(new.tobytes(), old_crc32[n]) for n, new in new_rows.items()},
             "random_state": [generator, key.tolist(), *position],
         }
-        with _explained_if_unwritable(self.path):
+        with writing(self.path, "chain store"):
             for name, new in new_rows.items():
                 _append_rows(self.path / name, _layout(name, before)[0], new)
             # Written inside an array, so that a file left behind by a kill does not appear in a listing of the group.
             write_bytes(self.path / "zarr.json", _render_group(after), scratch=self.path / "chain")
             sync(self.path)
         self._committed = after
-
-
-@contextmanager
-def _explained_if_unwritable(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        raise unwritable(path, error, "chain store") from error
 
 
 def _layout(name: str, attributes: Mapping[str, Any]) -> tuple[int, tuple[int, ...]]:

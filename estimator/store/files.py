@@ -149,6 +149,19 @@ def naming(path: Path) -> Iterator[None]:
         raise
 
 
+@contextmanager
+def writing(path: Path | str, what: str = "output") -> Iterator[None]:
+    """Say what cannot be written, where and why, if the system refuses something in the block.
+
+    Raises:
+        InvalidInput: It does (`unwritable`).
+    """
+    try:
+        yield
+    except OSError as error:
+        raise unwritable(path, error, what) from error
+
+
 def unwritable(path: Path | str, error: OSError, what: str = "output") -> InvalidInput:
     """The fault that says what cannot be written, where and why; `DiskFull` where there is no room.
 

@@ -19,7 +19,7 @@ from typing import Any, TypeAlias
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.given_files import MOST_TABLE_BYTES, read_given
 from estimator.json_files import json_object
-from estimator.store.files import unwritable
+from estimator.store.files import unwritable, writing
 from estimator.store.made import JOURNAL
 from estimator.store.staging import staged
 
@@ -80,10 +80,8 @@ class Journal:
             CorruptStore: A line is damaged.
         """
         path = folder / JOURNAL
-        try:
+        with writing(path, "session"):
             descriptor = os.open(path, os.O_RDWR)
-        except OSError as error:
-            raise unwritable(path, error, "session") from error
         journal = cls(descriptor, path)
         try:
             _lock(descriptor, path)

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from estimator.errors import InvalidInput
+from estimator.errors import InvalidInput, listed
 from estimator.store.files import is_unfinished, kind_of
 
 MOST_NAMED = 3
@@ -56,10 +56,9 @@ class Made:
             InvalidInput: It does; the message names what it holds.
         """
         if foreign := sorted(self._foreign(folder)):
-            more = f" and {len(foreign) - MOST_NAMED} more" if len(foreign) > MOST_NAMED else ""
             raise InvalidInput(
                 f"what is replaced must hold nothing but {self.words}; {folder} also holds "
-                f"{', '.join(foreign[:MOST_NAMED])}{more}, which coilcal did not write: move it away first"
+                f"{listed(foreign[:MOST_NAMED], len(foreign))}, which coilcal did not write: move it away first"
             )
 
     def check_open(self, folder: Path) -> None:

@@ -15,8 +15,6 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
 from estimator.glance import Glance, Shown
 from estimator.readings.observations import Observations
@@ -26,12 +24,13 @@ from estimator.rig_files.devices import without_devices
 from estimator.rig_files.state import rig_from_state, rig_state
 from estimator.rig_files.write import rig_text
 from estimator.store.admission import admit, admit_readings
-from estimator.store.arrays import ARRAYS, digest, observation_arrays, observations_from, quiet_zarr
-from estimator.store.files import sync, unwritable
+from estimator.store.arrays import ARRAYS, digest, observation_arrays, observations_from
+from estimator.store.files import sync, writing
 from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import read_journal, unwritten
 from estimator.store.made import END, GROUP, JOURNAL, Made, arrays_of, has_journal, holds
 from estimator.store.staging import scratch_folder, staged
+from estimator.store.tree import read_tree
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
@@ -200,8 +199,6 @@ def load_session(path: Path | str) -> Session:
         InvalidInput: There is no session at this path.
         CorruptStore: A file is missing, truncated or altered, or the schema has another version.
     """
-    import zarr
-
     path = Path(path)
     if is_growing(path):
         return _from_journal(path)
@@ -211,15 +208,10 @@ def load_session(path: Path | str) -> Session:
         )
     admit(path, "session")
     with _readable(path):
-        group = zarr.open_group(path, mode="r", zarr_format=3)
-        attributes: dict[str, Any] = dict(group.attrs.asdict())
+        top = read_tree(path)["/"]
+        attributes, arrays = top.attributes, top.variables
         _check_kind(attributes, path)
         stored_digest = attributes.pop("sha256")
-        with quiet_zarr():
-            arrays = {
-                name: (tuple(array.metadata.dimension_names or ()), np.asarray(array[...]))  # type: ignore[union-attr]
-                for name, array in group.arrays()
-            }
         if digest(arrays, attributes) != stored_digest:
             raise CorruptStore(f"session must match its SHA-256; {path} was altered or lost a chunk")
         stored = StoredRig.of(attributes["rig"], f"rig inside {path}")
@@ -243,19 +235,16 @@ def seal(path: Path) -> Session:
         CorruptStore: The journal is damaged.
     """
     session = _from_journal(path)
-    try:
-        with scratch_folder(path / SEALING) as arrays:
-            session._write(arrays)
-            for file in arrays.rglob("*"):
-                sync(file)
-            # The group's own file makes the folder a session, so it is moved last: after a kill before that, it is still a journal.
-            for part in sorted(arrays.iterdir(), key=lambda part: part.name == GROUP):
-                if part.name != GROUP:
-                    shutil.rmtree(path / part.name, ignore_errors=True)
-                part.rename(path / part.name)
-            sync(path)
-    except OSError as error:
-        raise unwritable(path, error, "session") from error
+    with writing(path, "session"), scratch_folder(path / SEALING) as arrays:
+        session._write(arrays)
+        for file in arrays.rglob("*"):
+            sync(file)
+        # The group's own file makes the folder a session, so it is moved last: after a kill before that, it is still a journal.
+        for part in sorted(arrays.iterdir(), key=lambda part: part.name == GROUP):
+            if part.name != GROUP:
+                shutil.rmtree(path / part.name, ignore_errors=True)
+            part.rename(path / part.name)
+        sync(path)
     return session
 
 
@@ -266,11 +255,8 @@ def remove_session(path: Path) -> None:
         InvalidInput: The path holds no session, a process writes it, or it cannot be deleted.
     """
     SESSION.check_replaceable(path)
-    try:
-        with unwritten(path):
-            shutil.rmtree(path)
-    except OSError as error:
-        raise unwritable(path, error) from error
+    with writing(path), unwritten(path):
+        shutil.rmtree(path)
 
 
 def _from_journal(path: Path) -> Session:

@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from estimator.errors import InvalidInput
-from estimator.store.files import kind_of, real, unfinished_prefix, unwritable
+from estimator.store.files import kind_of, real, unfinished_prefix, unwritable, writing
 from estimator.store.made import Made, check_folder, check_outside_stores
 from estimator.store.stage import OutputBusy, Stage
 
@@ -75,11 +75,8 @@ def only_writer(folder: Path | str) -> Iterator[None]:
     given, folder = Path(folder), located(folder)
     check_folder(folder)
     is_new = not folder.exists()
-    try:
-        with _folders_above(folder), _called(given):
-            stage = Stage.begin(folder / WRITER)
-    except OSError as error:
-        raise unwritable(given, error) from error
+    with writing(given), _folders_above(folder), _called(given):
+        stage = Stage.begin(folder / WRITER)
     try:
         yield
     finally:

@@ -24,6 +24,7 @@ from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Cause
 from estimator.store.session import Session
 from estimator.system.system import System
@@ -124,7 +125,7 @@ def predicted_readings_T(
     system: System, session: Session, observations: Observations
 ) -> Float[Tensor, "reading 3"]:
     """Readings in the frame of each sensor if the separate calibrations add up."""
-    values = {name: torch.tensor(v, dtype=torch.float64) for name, v in session.rig.nominal_values().items()}
+    values = nominal_tensors(session.rig)
     for calibration in system.calibrations.values():
         best = calibration.best_values()
         values |= {name: best[name] for name in values if name in best}

@@ -16,10 +16,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.calibration.result import INTERVAL_DRAWS, Calibration
+from estimator.calibration.result import INTERVAL_DRAWS, Calibration, check_level
 from estimator.effects.base import Effect
 from estimator.effects.use import uses_of
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import InvalidInput, check_known
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
@@ -114,11 +114,7 @@ class System:
         Raises:
             InvalidInput: A name is not a coil of the system.
         """
-        for name in currents_A:
-            if name not in self.calibrations:
-                raise InvalidInput(
-                    f"currents must name coils of the system ({', '.join(self.coils)}); received {quoted(name)}"
-                )
+        check_known("currents must name coils of the system", currents_A, self.coils)
         return torch.tensor([float(currents_A.get(name, 0.0)) for name in self.coils], dtype=torch.float64)
 
     def at(self, points_m: Any, motion: Mapping[str, Any] | None = None) -> SystemField:
@@ -132,12 +128,8 @@ class System:
             InvalidInput: An unknown mover, or a mover that carries a coil and has no motion.
         """
         points_m, motion = given_points(points_m).points_m, motion or {}
-        mover_names = {mover.name for part in self.parts for mover in part.rig.movers}
-        for name in motion:
-            if name not in mover_names:
-                raise InvalidInput(
-                    f"motion must name movers of the system ({', '.join(sorted(mover_names)) or 'none'}); received {quoted(name)}"
-                )
+        movers = sorted({mover.name for part in self.parts for mover in part.rig.movers})
+        check_known("motion must name movers of the system", motion, movers)
         rooms = []
         for part in self.parts:
             part_motion = {
@@ -318,8 +310,7 @@ class SystemField:
         level: float,
         n_axes: int,
     ) -> tuple[Tensor, Tensor]:
-        if not 0.0 < level < 1.0:
-            raise InvalidInput(f"level must lie between 0 and 1; received {level}")
+        check_level(level)
         draws = self.system.draws()
         sampled = self._sum(quantity, draws, current_A[..., None, :])
         tails = torch.tensor([0.5 - 0.5 * level, 0.5 + 0.5 * level], dtype=sampled.dtype)

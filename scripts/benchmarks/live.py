@@ -33,7 +33,7 @@ from estimator.inference.levenberg_marquardt import (
 )
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.positive_definite import inverse
-from estimator.live.processor_share import ProcessorShare
+from estimator.live.engine import ProcessorShare
 from estimator.live.stream import Stream
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates

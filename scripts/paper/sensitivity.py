@@ -15,7 +15,10 @@ import torch
 
 from estimator import Rig, load_plan, load_rig
 from estimator.field.winding import Winding, winding_field_per_ampere
-from estimator.model.sensitivity import (
+from estimator.readings.observations import Observations
+from estimator.readings.plan import observations_of
+from scripts.paper import printed, programme
+from scripts.paper.factorial import (
     Factorial,
     Information,
     Sobol,
@@ -25,10 +28,7 @@ from estimator.model.sensitivity import (
     rms_field,
     sobol,
 )
-from estimator.readings.observations import Observations
-from estimator.readings.plan import observations_of
-from estimator.reporting.plots import interactions, main_effects
-from scripts.paper import printed, programme
+from scripts.paper.factorial_plots import interactions, main_effects
 from scripts.paper.tables import CURRENT_A, NAMES, TRUTH, table
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,9 +8,9 @@ import torch
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.coordinates import Coordinates
+from estimator.rig.coordinates import Coordinates, nominal_tensors
 from estimator.rig.rig import Cause, Rig
 from tests.contract.test_effects import CASES, observations, rig  # noqa: F401  (fixtures)
 from tests.far import far_device

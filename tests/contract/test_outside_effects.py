@@ -121,8 +121,8 @@ def test_an_outside_cause_is_hidden_and_named(files: Path, hidden: str) -> None:
 
 def field_of(rig, point_m):
     """What a prediction at the nominal values of a rig gives at 3 A."""
-    from estimator.model.measurement_model import nominal_tensors
     from estimator.model.room_field import RoomField
+    from estimator.rig.coordinates import nominal_tensors
 
     values = nominal_tensors(rig)
     return RoomField(rig, values, point_m).field_T(values, torch.tensor([3.0], dtype=torch.float64))

@@ -20,11 +20,11 @@ from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings, sample
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.positive_definite import inverse
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_precision
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
-from estimator.rig.coordinates import Coordinates
+from estimator.rig.coordinates import Coordinates, nominal_tensors
 from estimator.store.session import Session
 from tests.far import far_device
 

@@ -16,7 +16,7 @@ from estimator.cli.delivery import RECEIPT, Receipt
 from estimator.cli.simulate import truth_of
 from estimator.comparison.map_files import read_map
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
-from estimator.given_files import open_given, open_lock, read_given, text_of
+from estimator.given_files import open_given, read_given, text_of
 from estimator.readings.plan import load_plan
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
@@ -135,15 +135,6 @@ def test_another_encoding_is_one_sentence(content: bytes) -> None:
 
 def test_a_byte_order_mark_is_no_part_of_the_text() -> None:
     assert text_of(b"\xef\xbb\xbfa", "a.csv") == "a"
-
-
-@pytest.mark.parametrize(
-    ("make", "words"), [(pipe, "a named pipe"), (lambda _: Path("/dev/null"), "a device")]
-)
-def test_a_lock_is_a_file(tmp_path: Path, make: Callable[[Path], Path], words: str) -> None:
-    open_lock(tmp_path / "lock").close()
-    with pytest.raises(InvalidInput, match=words):
-        open_lock(make(tmp_path / "other"))
 
 
 def test_a_receipt_is_a_file(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from estimator.diagnosis.diagnose import diagnose
 from estimator.rig_files.read import load_rig
-from estimator.store.importers.checked import with_validation
+from estimator.store.importers.checked import checked
 from estimator.store.importers.readings_csv import read_readings_csv
 
 pytestmark = pytest.mark.whole
@@ -16,7 +16,7 @@ CASES = Path(__file__).parents[1] / "fixtures/unit_gate_and_frozen"
 
 
 def test_fields_in_the_axes_of_the_base_are_named() -> None:
-    session = with_validation(read_readings_csv(CASES / "base_frame.csv", load_rig(CASES / "rig_pose.yaml")))
+    session = checked(read_readings_csv(CASES / "base_frame.csv", load_rig(CASES / "rig_pose.yaml"))).session
     diagnosis = diagnose(session, seed=1)
     (mistake,) = diagnosis.record_mistakes
     assert mistake.cause.label == "field_frame[hall]"
@@ -26,7 +26,7 @@ def test_fields_in_the_axes_of_the_base_are_named() -> None:
 
 
 def test_a_sensor_elsewhere_on_its_holder_is_no_other_frame() -> None:
-    session = with_validation(read_readings_csv(CASES / "holder_20mm.csv", load_rig(CASES / "rig_pose.yaml")))
+    session = checked(read_readings_csv(CASES / "holder_20mm.csv", load_rig(CASES / "rig_pose.yaml"))).session
     diagnosis = diagnose(session, seed=1)
     assert not diagnosis.record_mistakes
     assert [cause.cause.name for cause in diagnosis.causes] == ["sensor_misplaced"]

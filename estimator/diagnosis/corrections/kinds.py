@@ -17,9 +17,9 @@ from estimator.effects.corrections.correction import Limit
 from estimator.effects.stages import MotionEffect, ReadingEffect
 from estimator.effects.use import Use, is_in_field
 from estimator.geometry.motion import base_from_motion
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.nominal import gradient_T_per_m
-from estimator.rig.coordinates import Values
+from estimator.rig.coordinates import Values, nominal_tensors
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 

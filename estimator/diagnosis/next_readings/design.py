@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 from estimator.diagnosis import policy
@@ -165,5 +165,4 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
         key
     ]
     start = {**base.start_with(rig), f"{cause.label}.{key}": null + size}
-    vector = fit.posterior.coordinates.vector(start)[None]
-    return Fit(fit.posterior, replace(fit.optimum, vector=vector))
+    return Fit(fit.posterior, fit.optimum.at(fit.posterior.coordinates.vector(start)))

@@ -13,7 +13,7 @@ from itertools import permutations
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
@@ -111,7 +111,7 @@ def separation(
 
 def actions(session: Observations, rig: Rig) -> list[Action]:
     """Actions that need no new equipment: other currents, another order, repeats at one pose, a turned sensor."""
-    stops = _some_stops(session)
+    stops = some_poses(session, policy.N_STOPS, torch.Generator().manual_seed(0))
     current_A = session.current_A[stops]
     largest_A = session.current_A.abs().max()
     still = stops[:1].expand(len(stops))
@@ -183,15 +183,14 @@ def _distance(rival: Fit, true_rows: tuple[Rows, ...], rival_rows: tuple[Rows, .
     return 0.5 * (distance2 + (variance_ratio - 1.0 - variance_ratio.log()).sum())
 
 
-def _some_stops(session: Observations) -> Tensor:
-    """Rows of the session at distinct poses, in random order."""
+def some_poses(session: Observations, most: int, generator: torch.Generator) -> Int[Tensor, " pose"]:
+    """Rows of a session at distinct poses of its sensors, at most so many, in random order."""
     key = torch.cat([session.sensor[:, None].double(), *session.motion.values()], dim=1)
     _, pose = torch.unique(key, dim=0, return_inverse=True)
     first = torch.full((int(pose.max()) + 1,), len(pose)).scatter_reduce(
         0, pose, torch.arange(len(pose)), "amin"
     )
-    order = torch.randperm(len(first), generator=torch.Generator().manual_seed(0))
-    return first[order[: policy.N_STOPS]]
+    return first[torch.randperm(len(first), generator=generator)[:most]]
 
 
 def continued(

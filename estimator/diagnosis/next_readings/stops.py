@@ -11,7 +11,7 @@ from torch import Tensor
 from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.next_readings.expected_evidence import Rows, continued
+from estimator.diagnosis.next_readings.expected_evidence import Rows, continued, some_poses
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.readings.observations import Observations
 
@@ -20,12 +20,8 @@ CHOOSING = "choosing stops"
 
 def candidate_stops(session: Observations) -> Observations:
     """Poses of the session (at most `policy.MOST_POSES`) at several currents, as readings that follow it in random order."""
-    key = torch.cat([session.sensor[:, None].double(), *session.motion.values()], dim=1)
-    _, pose = torch.unique(key, dim=0, return_inverse=True)
-    first = torch.full((int(pose.max()) + 1,), len(pose))
-    first = first.scatter_reduce(0, pose, torch.arange(len(pose)), "amin")
     generator = torch.Generator().manual_seed(0)
-    poses = first[torch.randperm(len(first), generator=generator)[: policy.MOST_POSES]]
+    poses = some_poses(session, policy.MOST_POSES, generator)
     rows, current_A = at_currents(session, poses, policy.CURRENT_SHARES)
     order = torch.randperm(len(rows), generator=generator)
     return continued(session, rows[order], current_A[order])

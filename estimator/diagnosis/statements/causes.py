@@ -15,7 +15,7 @@ from estimator.effects import EFFECTS
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL, Extent
 from estimator.readings.observations import SECONDS_PER_HOUR
-from estimator.reporting.numbers import percent, probability, quantity_words, to_digit_of, with_sd
+from estimator.reporting.numbers import percent, probability, quantity_words, to_digit_of
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
 
@@ -161,10 +161,8 @@ def _sizes_tables(diagnosis: Diagnosis, causes: Sequence[Cause], title: str, cap
 
 def _size_row(label: str, quantity: str, name: str, interval: Interval) -> list[str]:
     shown = interval.display(name)
-    factor, (low, high) = shown.factor, interval.ci90
-    sd = interval.sd * factor
-    ends = f"{to_digit_of(sd, low * factor)} to {to_digit_of(sd, high * factor)}"
-    return [label, quantity, with_sd(interval.median * factor, sd), ends, shown.unit or interval.unit]
+    sizes = shown.with_sd(interval.median, interval.sd), shown.interval(interval.ci90, interval.sd)
+    return [label, quantity, *sizes, shown.unit or interval.unit]
 
 
 def _capital(words: str) -> str:

@@ -12,6 +12,7 @@ from estimator.diagnosis.validation import Improvement, ValidationScores
 from estimator.effects import EFFECTS
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import is_in_field
+from estimator.errors import listed
 from estimator.readings.flags import COMPONENTS
 from estimator.reporting.numbers import percent, size_with_unit
 from estimator.reporting.page import Table
@@ -109,8 +110,7 @@ def _beside_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
 
 def _first_few(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
     """Names of some causes, and how many more there are."""
-    names = ", ".join(diagnosis.label(cause) for cause in causes[:MOST_BESIDE])
-    return f"{names} and {len(causes) - MOST_BESIDE} more" if len(causes) > MOST_BESIDE else names
+    return listed((diagnosis.label(cause) for cause in causes[:MOST_BESIDE]), len(causes))
 
 
 def validation_warnings(diagnosis: Diagnosis) -> Iterator[str]:

@@ -16,8 +16,7 @@ from torch import Tensor
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils, sensor_in_room
-from estimator.diagnosis.structure.curves import Collection, axes_of, before, dipoles
-from estimator.diagnosis.structure.harmonics import harmonic_gradients
+from estimator.diagnosis.structure.curves import Collection, axes_of, before, dipoles, harmonic_gradients
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
 from estimator.model.bodies import winding_of
 from estimator.rig.bodies import AnyCoil, Coil
@@ -68,14 +67,14 @@ def _stays_with(fit: Fit) -> Evidence:
     for i, (coil, position_m) in enumerate(sensor_in_coils(fit).items()):
         rotation = _sensor_from_coil(fit, fit.rig.coils[i])
         for degree in policy.SIGNATURE_DEGREES:
-            position = polynomials(unit_interval(position_m), 0, degree)
+            position = polynomials(unit_interval(position_m), degree)
             collection.add(coil, position * _drive(fit, i)[:, None], rotation)
             collection.add(coil, position, rotation)
     collection.add("constant", constant, axes)
     position_m, sensor_from_world = sensor_in_room(fit)
     for degree in policy.SIGNATURE_DEGREES:
-        collection.add("room", polynomials(unit_interval(position_m), 0, degree - 1), sensor_from_world)
-        collection.add("sensor", polynomials(unit_interval(field_T), 0, degree), axes)
+        collection.add("room", polynomials(unit_interval(position_m), degree - 1), sensor_from_world)
+        collection.add("sensor", polynomials(unit_interval(field_T), degree), axes)
     time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
     for degree in (1, policy.TIME_DEGREE):
         collection.add("clock", legendre(time, degree), axes)
@@ -96,7 +95,7 @@ def _current(fit: Fit) -> Evidence | None:
             continue
         sizes = torch.unique((drive.abs() / SAME).round())
         for degree in policy.SIGNATURE_DEGREES:
-            position = polynomials(unit_interval(position_m), 0, degree)
+            position = polynomials(unit_interval(position_m), degree)
             collection.add("independent", position, rotation)
             collection.add("odd", position * drive[:, None], rotation)
             if len(sizes) > 1:
@@ -126,7 +125,7 @@ def _field_equations(fit: Fit) -> Evidence | None:
                 rotated = torch.einsum("rij,rtj->rti", rotation, fields)
                 collection.add_fields("a magnetic field", rotated * drive_factor[:, None, None])
             for degree in policy.SIGNATURE_DEGREES:
-                position = polynomials(unit_interval(position_m), 0, degree)
+                position = polynomials(unit_interval(position_m), degree)
                 collection.add("no magnetic field", position * drive_factor[:, None], rotation)
     return collection.evidence() if collection.curves else None
 

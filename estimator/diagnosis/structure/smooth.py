@@ -23,17 +23,8 @@ def legendre(x: Float[Tensor, " reading"], degree: int) -> Float[Tensor, "readin
     return torch.stack([order / (1.0 + 0.5 * n) for n, order in enumerate(orders)], dim=1)
 
 
-def polynomials(
-    x: Float[Tensor, "reading axis"], lowest: int, highest: int
-) -> Float[Tensor, "reading order"]:
-    """Products of Legendre polynomials in three axes from a lowest to a highest total degree."""
-    along_x, along_y, along_z = (legendre(x[:, i], highest) for i in range(3))
-    orders = product(range(highest + 1), repeat=3)
-    return torch.stack(
-        [
-            along_x[:, i] * along_y[:, j] * along_z[:, k]
-            for i, j, k in orders
-            if lowest <= i + j + k <= highest
-        ],
-        dim=1,
-    )
+def polynomials(x: Float[Tensor, "reading axis"], degree: int) -> Float[Tensor, "reading order"]:
+    """Products of Legendre polynomials in three axes up to a total degree."""
+    along_x, along_y, along_z = (legendre(x[:, i], degree) for i in range(3))
+    orders = [each for each in product(range(degree + 1), repeat=3) if sum(each) <= degree]
+    return torch.stack([along_x[:, i] * along_y[:, j] * along_z[:, k] for i, j, k in orders], dim=1)

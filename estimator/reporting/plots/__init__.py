@@ -4,14 +4,13 @@ Every function draws into the given Axes, or into a new figure, and returns it. 
 """
 
 from estimator.reporting.plots.corner import corner
-from estimator.reporting.plots.difference import difference_plane
 from estimator.reporting.plots.error_maps import (
     angular_deviation_map,
     before_and_after_map,
     relative_error_map,
     residual_map,
 )
-from estimator.reporting.plots.field_map import field_plane
+from estimator.reporting.plots.field_map import difference_plane, field_plane
 from estimator.reporting.plots.history import history
 from estimator.reporting.plots.hypotheses import (
     error_budget,
@@ -19,14 +18,13 @@ from estimator.reporting.plots.hypotheses import (
     explained_residual,
     structure_bars,
 )
-from estimator.reporting.plots.posterior import interval_summary, trace, traces
+from estimator.reporting.plots.posterior import interval_summary, traces
 from estimator.reporting.plots.residuals import (
     predicted_against_measured,
     residual_against,
     residual_by_sensor,
     residual_histogram,
 )
-from estimator.reporting.plots.sensitivity import interaction, interactions, main_effect, main_effects
 from estimator.reporting.plots.sessions import across_sessions
 from estimator.reporting.plots.spectrum import harmonic_spectrum
 from estimator.reporting.roles import Role
@@ -44,11 +42,7 @@ __all__ = [
     "field_plane",
     "harmonic_spectrum",
     "history",
-    "interaction",
-    "interactions",
     "interval_summary",
-    "main_effect",
-    "main_effects",
     "predicted_against_measured",
     "relative_error_map",
     "residual_against",
@@ -56,6 +50,5 @@ __all__ = [
     "residual_histogram",
     "residual_map",
     "structure_bars",
-    "trace",
     "traces",
 ]

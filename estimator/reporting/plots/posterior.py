@@ -19,7 +19,6 @@ from matplotlib.patches import Patch
 from estimator.reporting.numbers import Display, displays, plain, summary
 from estimator.reporting.plots.style import (
     BLACK,
-    DATA_AND_TOP,
     GREY,
     INSIDE_68,
     INSIDE_95,
@@ -42,41 +41,22 @@ LEARNT_LITTLE = 1.5  # prior over posterior standard deviation
 
 
 @styled
-def trace(
-    chain: Num[np.ndarray, "step walker"],
-    name: str,
-    burn_in: int = 0,
-    ax: Axes | None = None,
-    title: str = "",
-) -> Axes:
-    """Median and 68 and 95 % bands over all walkers against the step, with two single walkers.
+def traces(chains: Mapping[str, Num[np.ndarray, "step walker"]], title: str = "") -> Figure:
+    """Median and 68 and 95 % bands over all walkers against the step, with two single walkers; parameters stand in two columns.
 
     Long chains are pooled in blocks of neighbouring steps.
 
     Args:
-        chain: One parameter of all walkers, SI, burn-in included.
-        name: Name of the parameter.
-        burn_in: Number of first steps that the results leave out.
-        ax: Axes to draw into; a new figure by default.
+        chains: All walkers by the name of the parameter, SI.
         title: Rig and date.
     """
-    ax = axes(ax, 6.0, 2.2)
-    _trace(ax, chain, displays([name])[name], burn_in)
-    ax.set_xlabel("step")
-    ax.set_title(plain(title))
-    return ax
-
-
-@styled
-def traces(chains: Mapping[str, Num[np.ndarray, "step walker"]], burn_in: int = 0, title: str = "") -> Figure:
-    """`trace` of every parameter, in two columns."""
     n_rows = (len(chains) + 1) // 2
     fig = figure(10.0, 0.8 + 1.25 * n_rows, title)
     grid = fig.subplots(n_rows, 2, squeeze=False, sharex=True)
     for ax in grid.flat[len(chains) :]:
         ax.set_axis_off()
     for ax, (name, display) in zip(grid.flat, displays(list(chains)).items(), strict=False):
-        _trace(ax, chains[name], display, burn_in)
+        _trace(ax, chains[name], display)
     for ax in grid[-1]:
         ax.set_xlabel("step")
     fig.align_ylabels()
@@ -127,16 +107,11 @@ def interval_summary(
     return ax
 
 
-def _trace(ax: Axes, chain: np.ndarray, display: Display, burn_in: int) -> None:
+def _trace(ax: Axes, chain: np.ndarray, display: Display) -> None:
     values = np.asarray(chain, dtype=float) * display.factor
     blocks = np.array_split(np.arange(len(values)), min(len(values), MOST_BLOCKS))
     step = [block.mean() for block in blocks]
     quantiles = np.array([np.quantile(values[block], QUANTILES_95_68_50) for block in blocks]).T
-    if burn_in:
-        ax.axvspan(0.0, burn_in, color=PALE, lw=0)
-        ax.annotate(
-            "burn-in", (0.5 * burn_in, 0.97), xycoords=DATA_AND_TOP, ha="center", va="top", fontsize=7
-        )
     ax.fill_between(step, quantiles[0], quantiles[4], color=INSIDE_95, lw=0)
     ax.fill_between(step, quantiles[1], quantiles[3], color=INSIDE_68, lw=0)
     first = [block[0] for block in blocks]

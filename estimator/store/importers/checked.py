@@ -9,7 +9,7 @@ from estimator.model.preflight import check_readings
 from estimator.model.unit_gate import check_units
 from estimator.readings.digits import flags_of_digits
 from estimator.readings.flags import Flag, without_flagged
-from estimator.readings.split import block_split
+from estimator.readings.split import with_validation
 from estimator.store.session import Session
 
 VALIDATION_SHARE = 0.2
@@ -46,14 +46,6 @@ def checked(
     check_readings(rig, session.observations, source)
     flags = flags_of_digits(session.observations)
     warnings = check_units(rig, without_flagged(session.observations, flags), source)
-    session = with_validation(session, share, seed)
+    session = replace(session, observations=with_validation(session.observations, share, seed))
     check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
     return Checked(session, flags, warnings)
-
-
-def with_validation(session: Session, share: float = VALIDATION_SHARE, seed: int = 0) -> Session:
-    """The session with a share of its readings marked for validation, unless the files marked some."""
-    observations = session.observations
-    if observations.is_validation.any():
-        return session
-    return replace(session, observations=observations.with_validation(block_split(observations, share, seed)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import torch
@@ -17,14 +18,13 @@ from estimator.rig.bodies import MotionKind, Mover
 from estimator.rig.rig import Rig
 
 
-def finite_number(cell: str, name: str, location: str, place: Place | None = None) -> float:
+def finite_number(cell: str, name: str, location: str) -> float:
     """Convert a cell to a finite number.
 
     Args:
         cell: Text of the cell.
         name: Name of the quantity, for messages.
         location: File and line, for messages.
-        place: The same for programs.
     Raises:
         InvalidInput: The cell is empty, not a number, NaN or infinite.
     Examples:
@@ -36,9 +36,7 @@ def finite_number(cell: str, name: str, location: str, place: Place | None = Non
     except ValueError:
         value = math.nan
     if not math.isfinite(value) or "_" in cell:  # Python reads 1_000 as a thousand; no instrument writes that
-        raise InvalidInput(
-            f"{name} must be a finite number; received {quoted(cell.strip())} ({location})", place
-        )
+        raise InvalidInput(f"{name} must be a finite number; received {quoted(cell.strip())} ({location})")
     return value
 
 
@@ -71,9 +69,8 @@ def read_numbers(
             continue
         cells = text.split(separator)
         if rows and len(cells) != len(rows[0]):
-            raise InvalidInput(
-                f"rows must have {len(rows[0])} cells; received {len(cells)} ({path}, line {line})"
-            )
+            words = f"rows must have {len(rows[0])} cells; received {len(cells)}"
+            raise InvalidInput.at(Place(str(path), line), words)
         rows.append(
             [finite_number(cell, f"cell {i}", f"{path}, line {line}") for i, cell in enumerate(cells, 1)]
         )
@@ -152,3 +149,30 @@ def check_one_sensor(rig: Rig) -> None:
     """
     if len(rig.sensors) != 1:
         raise InvalidInput(f"rig {rig.name!r} must have one sensor; it has {len(rig.sensors)}")
+
+
+CLOCKS_APART = timedelta(days=1)  # a date later than that from now is a typing error
+
+
+def moment(text: str, name: str, where: str = "") -> str:
+    """An ISO 8601 date and time in UTC, to the second.
+
+    Args:
+        text: A date, or a date and a time; without a zone it is local time.
+        name: Name of the quantity, for messages.
+        where: File and line, or nothing, for messages.
+    Raises:
+        InvalidInput: It is no date, or lies in the future.
+    Examples:
+        >>> moment("2026-03-01T09:30:00+01:00", "--recorded-at")
+        '2026-03-01T08:30:00+00:00'
+    """
+    place = f" ({where})" if where else ""
+    try:
+        time = datetime.fromisoformat(text.strip()).astimezone(UTC)
+    except (ValueError, OverflowError):
+        rule = f"{name} must be a date such as 2026-03-01 or 2026-03-01T09:30+01:00"
+        raise InvalidInput(f"{rule}; received {quoted(text.strip())}{place}") from None
+    if time > datetime.now(UTC) + CLOCKS_APART:
+        raise InvalidInput(f"{name} must not lie in the future; received {quoted(text.strip())}{place}")
+    return time.isoformat(timespec="seconds")

@@ -29,7 +29,7 @@ def csv_header(
     are_names_told = False
     if len(first_row) > len(known) + MOST_FURTHER:
         words = f"a file must have at most {MOST_FURTHER} columns beside the {len(known)} that the rig knows"
-        raise InvalidInput(f"{words}; received {len(first_row)} ({path}, line 1)", Place(str(path), 1))
+        raise InvalidInput.at(Place(str(path), 1), f"{words}; received {len(first_row)}")
     for index, cell in enumerate(first_row):
         name = cell.strip()
         quantity, unit = (name, None) if name in known else split_unit(name)
@@ -40,11 +40,11 @@ def csv_header(
         if fault is None:
             header[quantity] = HeaderCell(index, name, unit.to_si if unit else 1.0)
         else:
-            faults.note(InvalidInput(f"{fault} ({path}, line 1)", Place(str(path), 1, index + 1)))
+            faults.note(InvalidInput.at(Place(str(path), 1, index + 1), fault))
     names = [cell.strip() for cell in first_row]
     if missing := _missing(header, known, [name for name in names if len(name) <= LONGEST_NAME]):
-        words = f"columns must include {', '.join(missing)}; the header lacks them ({path}, line 1)"
-        faults.note(InvalidInput(words, Place(str(path), 1)))
+        words = f"columns must include {', '.join(missing)}; the header lacks them"
+        faults.note(InvalidInput.at(Place(str(path), 1), words))
     return header
 
 

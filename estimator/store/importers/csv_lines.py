@@ -142,13 +142,12 @@ def csv_blocks(path: Path, encoding: str = "utf-8", separator: str | None = ",")
         yield Block(path, lines, numbers, is_plain, separator, "#" in text)
 
 
-def cells_of(line: str, path: Path, number: int, separator: str | None = ",") -> list[str]:
+def cells_of(line: str, path: Path, number: int) -> list[str]:
     """The cells of one line.
 
     Args:
         line: Its text, without line end.
         path, number: Its place, for messages.
-        separator: Between cells; None for runs of blanks.
     Raises:
         InvalidInput: A quote does not enclose a whole cell, or the line holds a NUL.
     Examples:
@@ -159,10 +158,9 @@ def cells_of(line: str, path: Path, number: int, separator: str | None = ",") ->
         ...
         estimator.errors.InvalidInput: a quote must enclose a whole cell; cell 2 has one too many or too few (readings.csv, line 2)
     """
-    row = row_of(line, number, separator)
+    row = row_of(line, number, ",")
     if isinstance(row, BadLine):
-        words = f"{row.rule}; {row.received} ({path}, line {number})"
-        raise InvalidInput(words, Place(str(path), number, row.column))
+        raise InvalidInput.at(Place(str(path), number, row.column), f"{row.rule}; {row.received}")
     return row
 
 

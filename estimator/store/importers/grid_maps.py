@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.errors import InvalidInput, quoted
+from estimator.errors import InvalidInput, check_known
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import check_one_sensor, map_observations, read_lines, read_numbers
 from estimator.store.session import Session
@@ -40,9 +40,7 @@ def read_grid_maps(paths: Sequence[Path], rig: Rig, currents_A: Mapping[str, flo
     if not paths:
         raise InvalidInput("grid maps must be at least one file; received none")
     check_one_sensor(rig)
-    unknown = [name for name in currents_A or {} if name not in [coil.name for coil in rig.coils]]
-    if unknown:
-        raise InvalidInput(f"currents must name coils of rig {rig.name!r}; received {quoted(unknown[0])}")
+    check_known("currents must name coils of the rig", currents_A or {}, [coil.name for coil in rig.coils])
     coils = [_coil(path, rig) for path in paths]
     maps = [_map(path) for path in paths]
     rows = torch.cat(maps)

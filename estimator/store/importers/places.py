@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from estimator.errors import InvalidInput, Place
+from estimator.errors import InvalidInput, Place, listed
 
 MOST_PLACES = 3  # that a sentence lists
 
@@ -32,13 +32,10 @@ def fault_at(
     if len(lines) == 1:
         told = f"{verb}{received[0]}"
     else:
-        told = verb + ", ".join(
-            f"{words} in line {line}".strip() for words, line in zip(received, lines, strict=False)
-        )
-        if len(lines) > MOST_PLACES:
-            told += f" and {len(lines) - MOST_PLACES} more"
+        first = zip(received[:MOST_PLACES], lines, strict=False)
+        told = verb + listed((f"{words} in line {line}".strip() for words, line in first), len(lines))
     parts = "; ".join(filter(None, (rule, told, cure)))
-    return InvalidInput(f"{parts} ({path}, line {lines[0]})", Place(str(path), lines[0], column))
+    return InvalidInput.at(Place(str(path), lines[0], column), parts)
 
 
 def left_out(lines: Sequence[int], noun: str) -> str:
@@ -48,7 +45,6 @@ def left_out(lines: Sequence[int], noun: str) -> str:
         >>> left_out([7], "line"), left_out([2, 3, 4, 9, 11], "row")
         ('1 line left out (line 7)', '5 rows left out (lines 2, 3, 4 and 2 more)')
     """
-    shown = ", ".join(map(str, lines[:MOST_PLACES]))
-    more = f" and {len(lines) - MOST_PLACES} more" if len(lines) > MOST_PLACES else ""
+    shown = listed(map(str, lines[:MOST_PLACES]), len(lines))
     many = "" if len(lines) == 1 else "s"
-    return f"{len(lines)} {noun}{many} left out (line{many} {shown}{more})"
+    return f"{len(lines)} {noun}{many} left out (line{many} {shown})"

@@ -21,15 +21,15 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.errors import InvalidInput, Place, quoted
+from estimator.errors import InvalidInput, Place, listed, quoted
 from estimator.readings.clock import Clock, jumps_back, read_clock
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.bodies import MotionKind, Mover
 from estimator.rig.rig import Rig
+from estimator.store.importers.common import moment
 from estimator.store.importers.csv_table import read_table
 from estimator.store.importers.places import MOST_PLACES, left_out
-from estimator.store.importers.recorded import moment
 from estimator.store.importers.table import Column, Table
 from estimator.store.session import Session
 from estimator.store.staging import write_output
@@ -99,10 +99,9 @@ def _with_fields(table: Table) -> Table:
     words = {(row, name): word for name in names for row, word in table.absent(name).items()}
     if words:
         first = sorted(words)[:MOST_PLACES]
-        shown = ", ".join(f"{words[key]} in line {table.lines[key[0]]}" for key in first)
-        more = f" and {len(words) - len(first)} more" if len(words) > len(first) else ""
+        shown = listed((f"{words[key]} in line {table.lines[key[0]]}" for key in first), len(words))
         many = "cells of fields count" if len(words) > 1 else "cell of a field counts"
-        table.notes.append(f"{len(words)} {many} as not measured: {shown}{more}.")
+        table.notes.append(f"{len(words)} {many} as not measured: {shown}.")
     empty = np.ones(len(table.lines), dtype=bool)
     for name in names:
         empty &= table.is_nothing(name)
@@ -241,18 +240,18 @@ def _refuse_doubles(table: Table, time_s: Tensor, sensor: Tensor) -> None:
     if table.skips_bad:
         table.bad_rows.update(rows)
     elif rows:
-        told = ", ".join(
+        doubled = (
             f"t_s = {float(time_s[row]):.15g} is in lines {table.lines[first_of_row[row]]} and {table.lines[row]}"
             for row in rows[:MOST_PLACES]
         )
-        told += f" and {len(rows) - MOST_PLACES} more" if len(rows) > MOST_PLACES else ""
+        told = listed(doubled, len(rows))
         back = jumps_back(time_s.numpy(), sensor.numpy())
         cure = "share stamps out with --clock spread"
         if back:
             cure = f"time jumps back in line {table.lines[back[0]]}: go on behind it with --clock continue"
-        words = f"a sensor must have one reading at a time; {told}; {cure} ({table.path}, line {table.lines[rows[0]]})"
+        words = f"a sensor must have one reading at a time; {told}; {cure}"
         place = Place(str(table.path), int(table.lines[rows[0]]), table.header["t"].column + 1)
-        table.faults.note(InvalidInput(words, place))
+        table.faults.note(InvalidInput.at(place, words))
 
 
 def _motion(table: Table, mover: Mover, n: int) -> Float[Tensor, "reading 6"]:

@@ -170,29 +170,27 @@ class Table:
 
     def refuse_rows(
         self,
-        quantity: str | None,
+        quantity: str,
         is_refused: npt.NDArray[np.bool_],
         rule: str,
-        received: Callable[[int], str] | None = None,
-        cure: str = SKIP,
+        received: Callable[[int], str],
     ) -> None:
         """Note one fault of rows, with the first places and their number.
 
         Args:
-            quantity: The column; None where the whole row is meant.
+            quantity: The column.
             is_refused: Whether a row is at fault.
             rule: What the cells must be.
-            received: What stands in a row, where the rule does not say it.
-            cure: What to do about it.
+            received: What stands in a row.
         """
         rows = np.flatnonzero(is_refused).tolist()
         if self.skips_bad:
             self.bad_rows.update(rows)
         elif rows:
-            column = None if quantity is None else self.header[quantity].column + 1 or None
-            words = ["" if received is None else received(row) for row in rows[:MOST_PLACES]]
+            column = self.header[quantity].column + 1 or None
+            words = [received(row) for row in rows[:MOST_PLACES]]
             lines = [int(self.lines[row]) for row in rows]
-            self.faults.note(fault_at(self.path, lines, rule, words, cure, column))
+            self.faults.note(fault_at(self.path, lines, rule, words, SKIP, column))
 
     def word_counts(self, quantity: str) -> dict[str, int]:
         """How often each word stands in a column of words, in order of appearance."""

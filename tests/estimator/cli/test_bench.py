@@ -66,7 +66,10 @@ def test_repeats_are_printed_with_median_and_range(run: Run) -> None:
 def test_an_unknown_part_is_refused_in_one_sentence(run: Run) -> None:
     printed = run("bench", "--only", "fields,filds")
     assert (printed.exit_code, printed.stdout) == (2, "")
-    assert printed.stderr == f"coilcal: --only must name parts of {', '.join(PARTS)}; received 'filds'\n"
+    assert (
+        printed.stderr
+        == f"coilcal: --only must name parts ({', '.join(PARTS)}); received 'filds'; the closest is fields\n"
+    )
     assert run("bench", "--repeats", 0).exit_code == 2
 
 

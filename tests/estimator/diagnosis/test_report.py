@@ -24,7 +24,6 @@ from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.headline import headline
-from estimator.diagnosis.impact import impact_sd
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.comparison import Comparison
 from estimator.diagnosis.mixture.links import Link
@@ -38,6 +37,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.statements.gain import rungs, unseen_line
 from estimator.diagnosis.statements.hypotheses import hypotheses_tables
+from estimator.diagnosis.statements.moved import impact_sd
 from estimator.diagnosis.statements.priors import held_back
 from estimator.diagnosis.statements.visible import visible_tables
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.diagnosis import whole_counts
+from estimator.diagnosis import widening
 from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.answer import Answer
@@ -160,7 +160,7 @@ def test_a_sure_whole_count_gets_the_probability_that_the_widening_gives_it(fit,
 
 def test_counts_that_are_hardly_known_become_real_numbers(fit, small_calibration, monkeypatch):
     monkeypatch.setattr(
-        whole_counts, "MOST_EFFECTIVE", 3.0
+        widening, "MOST_EFFECTIVE", 3.0
     )  # one coil alone has hardly more plausible counts than a table holds
     drawn = Widening(fit, 100.0 * fit.covariance).spread(small_calibration.draws, seed=1)
     assert not have_whole_counts(fit.rig, drawn)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -13,15 +12,13 @@ import torch
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
-from estimator.export.cpp_header import cpp_header
-from estimator.export.magnet import Magnet
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.system.actuation import independent_entries
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import assert_close, by_gcc, needs_gcc
 
-pytestmark = pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+pytestmark = needs_gcc
 PROGRAM = """
 #include "magnet.hpp"
 #include <cstdio>
@@ -83,20 +80,14 @@ def rows(
 ) -> np.ndarray:
     """What the compiled program prints for every point."""
     folder: Path = tmp_path_factory.mktemp("cpp")
-    (folder / "magnet.hpp").write_text(cpp_header(Magnet.of(magnet)), encoding="utf-8")
-    (folder / "main.cpp").write_text(PROGRAM, encoding="utf-8")
-    strict = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
-    subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=folder, check=True)
+    magnet.export("cpp", folder / "magnet.hpp")
     numbers = [
         *motion["arm"].tolist(),
         *motion["stage"].tolist(),
         *currents_A.values(),
         *points_m.flatten().tolist(),
     ]
-    printed = subprocess.run(
-        [folder / "main"], input=" ".join(map(repr, numbers)), capture_output=True, text=True, check=True
-    )
-    return np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    return by_gcc(folder, PROGRAM, numbers)
 
 
 def test_field_is_that_of_predict(
@@ -159,7 +150,7 @@ def test_header_of_a_coil_that_stands_still_and_is_known_exactly_compiles_too(
 ) -> None:
     """No mover and no direction of the posterior: arrays of length zero."""
     rig = rig_from_text(STANDING)
-    (tmp_path / "magnet.hpp").write_text(cpp_header(Magnet.of(calibrated(rig))), encoding="utf-8")
+    calibrated(rig).export("cpp", tmp_path / "magnet.hpp")
     (tmp_path / "main.cpp").write_text(STANDING_PROGRAM, encoding="utf-8")
     strict = ["-std=c++17", "-O2", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
     subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=tmp_path, check=True)

@@ -14,15 +14,15 @@ from scipy.special import ellipe, ellipk
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
-from estimator.export.json_model import calibration_schema, json_model
-from estimator.export.magnet import Magnet
+from estimator.export.json_model import calibration_schema
 
 Pose = tuple[np.ndarray, np.ndarray]
 
 
 @pytest.fixture(scope="module")
-def document(magnet: Calibration) -> dict[str, Any]:
-    loaded: dict[str, Any] = json.loads(json_model(Magnet.of(magnet)))
+def document(magnet: Calibration, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    file = magnet.export("json", tmp_path_factory.mktemp("json") / "magnet.json")
+    loaded: dict[str, Any] = json.loads(file.read_text())
     return loaded
 
 

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-import shutil
-import subprocess
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
-from estimator.export.magnet import Magnet
-from estimator.export.matlab_function import matlab_function
 from estimator.system.actuation import independent_entries
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import assert_close, by_octave, needs_octave
 
-OCTAVE = shutil.which("octave-cli")
 PROGRAM = """
 points_m = dlmread("points.txt");
 motion = dlmread("motion.txt");
@@ -35,7 +29,7 @@ printf([repmat("%.17g ", 1, size(printed, 2)), "\\n"], printed');
 """
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
+@needs_octave
 def test_octave_finds_field_gradient_and_actuation_of_predict(
     magnet: Calibration,
     motion: dict[str, Tensor],
@@ -44,13 +38,8 @@ def test_octave_finds_field_gradient_and_actuation_of_predict(
     tmp_path: Path,
 ) -> None:
     magnet.export("matlab", tmp_path / "magnet.m")
-    (tmp_path / "main.m").write_text(PROGRAM, encoding="utf-8")
-    np.savetxt(tmp_path / "points.txt", points_m.numpy(), fmt="%.17g")
-    np.savetxt(tmp_path / "motion.txt", torch.stack((motion["arm"], motion["stage"])).numpy(), fmt="%.17g")
-    command = [str(OCTAVE), "--norc", "--no-history", "--quiet", "main.m"]
-    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert printed.stderr == ""
-    rows = np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    motions = torch.stack((motion["arm"], motion["stage"])).numpy()
+    rows = by_octave(tmp_path, PROGRAM, {"points": points_m.numpy(), "motion": motions})
     field_T, gradient = (
         magnet.field(points_m, currents_A, motion),
         magnet.gradient(points_m, currents_A, motion),
@@ -67,8 +56,8 @@ def test_octave_finds_field_gradient_and_actuation_of_predict(
     )  # no motion is zeros
 
 
-def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration) -> None:
+def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="received '3coils'"):
-        matlab_function(Magnet.of(magnet), "3coils")
+        magnet.export("matlab", tmp_path / "3coils.m")
     with pytest.raises(InvalidInput, match="inside it; received 'pose_of'"):
-        matlab_function(Magnet.of(magnet), "pose_of")
+        magnet.export("matlab", tmp_path / "pose_of.m")

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import runpy
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +17,7 @@ from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
-from estimator.export.json_model import calibration_schema, json_model
+from estimator.export.json_model import calibration_schema
 from estimator.export.magnet import Magnet
 from estimator.export.torch_program import MagnetProgram
 from estimator.model.room_field import RoomField
@@ -27,7 +25,7 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.system.system import System
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import assert_close, by_gcc, by_octave, needs_gcc, needs_octave
 from tests.estimator.export.test_cpp_header import PROGRAM
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS, outline
 
@@ -61,8 +59,10 @@ def points_m() -> Tensor:
 MOTION = {"stage": torch.tensor([0.01, 0.0, -0.01, 0.1, 0.2, 0.0], dtype=torch.float64)}
 
 
-def test_json_follows_its_schema_and_holds_what_a_reader_needs(magnet: Calibration, points_m: Tensor) -> None:
-    document = json.loads(json_model(Magnet.of(magnet)))
+def test_json_follows_its_schema_and_holds_what_a_reader_needs(
+    magnet: Calibration, points_m: Tensor, tmp_path: Path
+) -> None:
+    document = json.loads(magnet.export("json", tmp_path / "magnet.json").read_text())
     jsonschema.validate(document, calibration_schema())
     assert [coil.get("corners") for coil in document["coils"]] == ["sharp", "round", None]
     assert [len(change["winding"]) for change in document["directions"][0]["coils"]] == [7, 7, 5]
@@ -129,20 +129,14 @@ def compared(rows: np.ndarray, magnet: Calibration, points_m: Tensor) -> None:
     assert_close(rows[:, 3:12], magnet.gradient(points_m, CURRENTS_A, MOTION))
 
 
-@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+@needs_gcc
 def test_cpp_has_field_gradient_and_standard_deviation(
     magnet: Calibration, around_m: Tensor, tmp_path: Path
 ) -> None:
     magnet.export("cpp", tmp_path / "magnet.hpp")
     program = PROGRAM.replace("coilcal_three_coils_two_movers", "coilcal_three_shapes")
-    (tmp_path / "main.cpp").write_text(program, encoding="utf-8")
-    strict = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
-    subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=tmp_path, check=True)
     numbers = [*MOTION["stage"].tolist(), *CURRENTS_A.values(), *around_m.flatten().tolist()]
-    printed = subprocess.run(
-        [tmp_path / "main"], input=" ".join(map(repr, numbers)), capture_output=True, text=True, check=True
-    )
-    rows = np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    rows = by_gcc(tmp_path, program, numbers)
     compared(rows, magnet, around_m)
     coordinates = Coordinates(magnet.rig)
     draws = {name: torch.from_numpy(array.ravel()) for name, array in magnet.draws.items()}
@@ -153,7 +147,7 @@ def test_cpp_has_field_gradient_and_standard_deviation(
     assert np.abs(ratio - 1.0).max() < 0.02  # to first order, of draws of a narrow posterior
 
 
-@pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
+@needs_octave
 def test_octave_has_field_and_gradient(magnet: Calibration, around_m: Tensor, tmp_path: Path) -> None:
     magnet.export("matlab", tmp_path / "magnet.m")
     main = """
@@ -161,19 +155,12 @@ def test_octave_has_field_and_gradient(magnet: Calibration, around_m: Tensor, tm
         [b, g] = magnet(points_m, dlmread("currents.txt"), dlmread("motion.txt"));
         printf([repmat("%.17g ", 1, 12), "\\n"], [b, reshape(permute(g, [1 3 2]), [], 9)]');
     """
-    (tmp_path / "main.m").write_text(main, encoding="utf-8")
-    for name, values in (
-        ("points", around_m.numpy()),
-        ("currents", np.array([list(CURRENTS_A.values())])),
-        ("motion", MOTION["stage"].numpy()[None]),
-    ):
-        np.savetxt(tmp_path / f"{name}.txt", values, fmt="%.17g")
-    command = ["octave-cli", "--norc", "--no-history", "--quiet", "main.m"]
-    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True)
-    assert printed.stderr == ""
-    compared(
-        np.array([list(map(float, line.split())) for line in printed.stdout.splitlines()]), magnet, around_m
-    )
+    files = {
+        "points": around_m.numpy(),
+        "currents": np.array([list(CURRENTS_A.values())]),
+        "motion": MOTION["stage"].numpy()[None],
+    }
+    compared(by_octave(tmp_path, main, files), magnet, around_m)
 
 
 @pytest.mark.parametrize("is_exported", [False, pytest.param(True, marks=pytest.mark.slow)])

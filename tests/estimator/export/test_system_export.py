@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import json
-import shutil
-import subprocess
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,9 +19,8 @@ from estimator.export.request import Grid
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.system.system import System
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import assert_close, by_gcc, by_octave, needs_gcc, needs_octave
 
-OCTAVE = shutil.which("octave-cli")
 ONE = """
 schema_version: 1
 name: one
@@ -131,20 +128,14 @@ def check(rows: np.ndarray, expected: tuple[Tensor, Tensor, Tensor]) -> None:
         assert_close(rows[:, rows_of_matrix], expected[2][:, part])
 
 
-@pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
+@needs_gcc
 def test_header_is_the_system(
     system: System, expected: tuple[Tensor, Tensor, Tensor], tmp_path: Path
 ) -> None:
     assert system.coils == ("left", "far", "right")
     system.export("cpp", tmp_path / "magnet.hpp")
-    (tmp_path / "main.cpp").write_text(PROGRAM, encoding="utf-8")
-    strict = ["-std=c++17", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wshadow", "-Werror"]
-    subprocess.run(["g++", *strict, "main.cpp", "-o", "main"], cwd=tmp_path, check=True)
     numbers = [*MOTION["stage"].tolist(), *MOTION["arm"].tolist(), *POINTS_M.flatten().tolist()]
-    printed = subprocess.run(
-        [tmp_path / "main"], input=" ".join(map(repr, numbers)), capture_output=True, text=True, check=True
-    )
-    rows = np.array([[float(word) for word in line.split()] for line in printed.stdout.splitlines()])
+    rows = by_gcc(tmp_path, PROGRAM, numbers)
     check(rows, expected)
     lower_T, upper_T = system.at(POINTS_M, MOTION).field_interval_T(system.currents(CURRENTS_A), 0.6827)
     ratio = rows[:, 36:] / (0.5 * (upper_T - lower_T)).numpy()  # of 400 draws
@@ -152,17 +143,13 @@ def test_header_is_the_system(
     assert abs(ratio.mean() - 1.0) < 0.1
 
 
-@pytest.mark.skipif(OCTAVE is None, reason="Octave is not installed")
+@needs_octave
 def test_octave_finds_the_system(
     system: System, expected: tuple[Tensor, Tensor, Tensor], tmp_path: Path
 ) -> None:
     system.export("matlab", tmp_path / "magnet.m")
-    (tmp_path / "main.m").write_text(OCTAVE_PROGRAM, encoding="utf-8")
-    np.savetxt(tmp_path / "points.txt", POINTS_M.numpy(), fmt="%.17g")
-    np.savetxt(tmp_path / "motion.txt", torch.stack((MOTION["stage"], MOTION["arm"])).numpy(), fmt="%.17g")
-    command = [str(OCTAVE), "--norc", "--no-history", "--quiet", "main.m"]
-    printed = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout
-    check(np.array([[float(word) for word in line.split()] for line in printed.splitlines()]), expected)
+    motion = torch.stack((MOTION["stage"], MOTION["arm"])).numpy()
+    check(by_octave(tmp_path, OCTAVE_PROGRAM, {"points": POINTS_M.numpy(), "motion": motion}), expected)
 
 
 def test_magpylib_makes_the_same_field(system: System, tmp_path: Path) -> None:

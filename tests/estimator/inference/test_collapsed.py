@@ -18,9 +18,9 @@ from estimator.inference.lattice import laplace_mixture
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.coil_field import unwound_field
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.coordinates import Coordinates
+from estimator.rig.coordinates import Coordinates, nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from tests.far import far_device

@@ -12,8 +12,9 @@ from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit
 from estimator.model.clearance import nearest_m
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 

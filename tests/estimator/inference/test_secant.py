@@ -12,7 +12,7 @@ from estimator.inference import secant
 from estimator.inference.laplace import log_evidence
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
-from estimator.inference.secant import _is_behind, climb_with_secants, is_worthwhile
+from estimator.inference.secant import climb_with_secants, is_worthwhile
 from estimator.rig.rig import Cause
 from tests.estimator.inference.conftest import Problem, make_problem, posterior_with
 
@@ -138,19 +138,6 @@ def test_corrected_derivatives_foretell_the_step_that_was_made(problem: Problem)
     torch.testing.assert_close(found.jacobian_T @ across, slopes.jacobian_T @ across, rtol=1e-9, atol=1e-15)
 
 
-def test_a_climb_to_less_than_is_known_ends_early_and_one_to_more_does_not(problem: Problem) -> None:
-    posterior = posterior_with(problem, *SENSOR_CAUSES)
-    start = posterior.coordinates.start()[None]
-    free = climb_with_secants(posterior, start, TOLERANCE)
-    reached = float(free.log_posterior)
-    same = climb_with_secants(posterior, start, TOLERANCE, to_beat=reached - 1.0)
-    torch.testing.assert_close(same.vector, free.vector, rtol=0.0, atol=0.0)
-    beaten = climb_with_secants(posterior, start, TOLERANCE, to_beat=reached + 20.0)
-    assert not beaten.is_converged.any()
-    assert beaten.n_iterations < free.n_iterations
-    assert beaten.slopes is None  # they may be those of a secant
-
-
 def test_a_start_that_rounding_left_outside_the_prior_climbs_all_the_same(problem: Problem) -> None:
     posterior = posterior_with(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
@@ -160,11 +147,3 @@ def test_a_start_that_rounding_left_outside_the_prior_climbs_all_the_same(proble
     outside[:, column] = -0.033 + 1e-15  # the bound is -33 mm
     assert posterior(outside).isneginf().all()
     assert_same_maximum(climb_with_secants(posterior, outside, TOLERANCE), exact)
-
-
-def test_a_climb_is_behind_where_its_pace_would_not_bring_it_to_what_is_known() -> None:
-    crawling = [100.0 + 0.1 * step for step in range(12)]  # 0.8 in the last eight
-    assert not _is_behind(crawling, 103.4)
-    assert _is_behind(crawling, 103.6)
-    assert not _is_behind(crawling[:8], 200.0)
-    assert not _is_behind(crawling, float("-inf"))

@@ -11,11 +11,10 @@ import pytest
 import torch
 
 from estimator import load_rig
-from estimator.live.outlines import CoilOutline, outlines
-from estimator.live.places import places
-from estimator.model.measurement_model import nominal_tensors
+from estimator.live.picture import CoilOutline, outlines, places
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import SidedCoil
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from estimator.live.places import places
+from estimator.live.picture import places
 from estimator.live.stream import Stream
 from estimator.model.measurement_model import MeasurementModel
 from estimator.store.session import Session

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from estimator.live import processor_share
-from estimator.live.processor_share import MOST_S, SHARE, ProcessorShare
+from estimator.live import engine
+from estimator.live.engine import MOST_S, SHARE, ProcessorShare
 
 
 class Clock:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_s = self.used_s = 100.0
-        monkeypatch.setattr(processor_share.time, "monotonic", lambda: self.now_s)
-        monkeypatch.setattr(processor_share.time, "thread_time", lambda: self.used_s)
+        monkeypatch.setattr(engine.time, "monotonic", lambda: self.now_s)
+        monkeypatch.setattr(engine.time, "thread_time", lambda: self.used_s)
 
     def work(self, took_s: float) -> None:
         self.now_s += took_s

@@ -8,7 +8,7 @@ import torch
 from estimator.errors import InvalidInput
 from estimator.field.winding_shape import Rule
 from estimator.model.coil_field import coil_field, refuse
-from estimator.model.measurement_model import nominal_tensors
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig_files.read import rig_from_text
 
 LOOPS = "wire_radius_mm: 0.5, axial_loops: 8, radial_loops: 4"

@@ -10,8 +10,9 @@ from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.model.coil_field import unwound_field
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.model.test_unwound import readings

@@ -19,9 +19,10 @@ from estimator.effects.stages import (
     WindingEffect,
     WindingMagnetisation,
 )
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 

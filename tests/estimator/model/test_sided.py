@@ -19,12 +19,12 @@ from estimator.field.node_sum import SumMode
 from estimator.field.sided import distance_to_sided
 from estimator.field.zones import rules_by_level, zones_of
 from estimator.model.bodies import winding_of
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import load_plan
-from estimator.rig.coordinates import Coordinates
+from estimator.rig.coordinates import Coordinates, nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig, rig_from_text
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS, loops_by_magpylib

@@ -13,11 +13,12 @@ from torch.func import jacrev, vmap
 from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
 from estimator.model.coil_field import unwound_field
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField
 from estimator.model.unit_gate import check_units
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import HarmonicCoil
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.harmonic_terms import terms
 from estimator.rig_files.read import rig_from_text
 

@@ -11,9 +11,10 @@ import torch
 
 from estimator.acquisition.acquire import Choice
 from estimator.model.hide import with_hidden
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.autopilot import Autopilot
 from estimator.planning.decision import Decision
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings
 

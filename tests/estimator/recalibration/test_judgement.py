@@ -17,7 +17,7 @@ from estimator.readings.plan import Plan
 from estimator.recalibration import comparison, judgement, successor
 from estimator.recalibration.conclusion import Conclusion, Judgement
 from estimator.recalibration.judgement import judge
-from estimator.recalibration.stored import stored_log_density
+from estimator.recalibration.successor import stored_log_density
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from estimator.recalibration.comparison import named_together
 from estimator.recalibration.conclusion import EVIDENCE, Conclusion, Judgement
 from estimator.recalibration.recalibrate import recalibrate
 from estimator.recalibration.registry import Registry
-from estimator.recalibration.together import named_together
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 

@@ -10,9 +10,9 @@ from jsonschema import Draft202012Validator
 
 from estimator.errors import InvalidInput
 from estimator.export.plain_model import plain_model
-from estimator.model.measurement_model import nominal_tensors
 from estimator.model.room_field import RoomField
 from estimator.rig.bodies import Leads
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.schema import rig_schema

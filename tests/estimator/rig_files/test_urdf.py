@@ -15,8 +15,8 @@ from estimator.errors import InvalidInput
 from estimator.export.plain_model import plain_model
 from estimator.geometry.kinematics import base_from_flange
 from estimator.geometry.motion import base_from_motion, motion_reached
-from estimator.model.measurement_model import nominal_tensors
 from estimator.readings.observations import Observations
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.write import rig_text

@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from estimator.effects import EFFECTS
-from estimator.model.measurement_model import nominal_tensors
 from estimator.model.room_field import RoomField
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS, outline
 

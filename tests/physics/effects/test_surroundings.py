@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
-from estimator.model.measurement_model import nominal_tensors
 from estimator.model.room_field import RoomField
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
     POINTS_M,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
-from estimator.errors import Faults, InvalidInput, Place, closest, quoted
+from estimator.errors import Faults, InvalidInput, Place, closest, listed, quoted
 from estimator.rig.rig import Rig
 from estimator.store.importers.forms.cells import DATE_CELL, is_clock
 from estimator.store.importers.forms.headings import Target, candidates, heading_of, targets_of
@@ -70,7 +70,7 @@ class Assigner:
     def refuse(self, words: str, index: int | None = None) -> None:
         """Note a fault of the header, or of one of its columns."""
         place = replace(self.place, column=None if index is None else index + 1)
-        self.faults.note(InvalidInput(f"{words} ({place.file}, line {place.line})", place))
+        self.faults.note(InvalidInput.at(place, words))
 
     def give(self) -> None:
         """Assign what the recipe names."""
@@ -195,13 +195,12 @@ class Assigner:
 
     def _refuse_without_unit(self, no_unit: Sequence[tuple[int, Target]]) -> None:
         names = [self.text(index) for index, _ in no_unit]
-        listed = ", ".join(map(quoted, names[:MOST_LISTED]))
-        listed += f" and {len(names) - MOST_LISTED} more" if len(names) > MOST_LISTED else ""
+        shown = listed(map(quoted, names[:MOST_LISTED]), len(names))
         target = no_unit[0][1]
         many = "columns" if len(names) > 1 else "column"
         self.refused |= {target.quantity for _, target in no_unit}
         self.refuse(
-            f"{many} {listed} must have a unit; write it into the header, as {names[0]} [UNIT], or say it with "
+            f"{many} {shown} must have a unit; write it into the header, as {names[0]} [UNIT], or say it with "
             f"--column '{names[0]}={target.quantity}_UNIT'; units of {target.dimension} are {_symbols(target.dimension)}",
             no_unit[0][0],
         )

@@ -94,10 +94,7 @@ def text_source(path: Path, recipe: Recipe) -> Source:
     for line in lines:
         if len(line.text) > LONGEST_LINE:
             words = f"a line must have at most {LONGEST_LINE} characters; received {len(line.text)}"
-            raise InvalidInput(
-                f"{words} ({path}, line {line.number}): write one reading a line",
-                Place(str(path), line.number),
-            )
+            raise InvalidInput.at(Place(str(path), line.number), f"{words}; write one reading a line")
     separators = SEPARATORS if recipe.separator is None else (SEPARATOR_OF[recipe.separator],)
     decimals = ".," if recipe.decimal is None else DECIMALS[recipe.decimal]
     layout = layout_of(lines, separators, decimals)
@@ -106,11 +103,9 @@ def text_source(path: Path, recipe: Recipe) -> Source:
             f"{path} must hold a header and rows of numbers; no line holds two numbers between commas, semicolons, tabs or blanks"
         )
     if layout.is_unclear:
-        raise InvalidInput(
-            f"commas must be decimal signs or part thousands; both fit all numbers: say it with --decimal comma or --decimal point "
-            f"({path}, line {layout.first_line})",
-            Place(str(path), layout.first_line),
-        )
+        words = "commas must be decimal signs or part thousands; both fit all numbers"
+        cure = "say it with --decimal comma or --decimal point"
+        raise InvalidInput.at(Place(str(path), layout.first_line), f"{words}: {cure}")
     decimal = "decimal commas" if layout.decimal == "," else "decimal points"
     told = f"Text in {encoding.replace('_', '-')}, separated by {WORDS[layout.separator]}, with {decimal}"
     return Source(path, layout, encoding, "", tuple(lines), None, (told + _above(layout, lines),))

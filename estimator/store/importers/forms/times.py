@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from estimator.errors import InvalidInput, quoted
+from estimator.store.importers.common import moment
 from estimator.store.importers.forms.cells import (
     DATE_CELL,
     DAY_S,
@@ -19,7 +20,6 @@ from estimator.store.importers.forms.cells import (
     stamp_of,
 )
 from estimator.store.importers.forms.recipe import CLOCK, DATE
-from estimator.store.importers.recorded import moment
 from estimator.store.importers.table import Cells, HeaderCell, Table
 
 

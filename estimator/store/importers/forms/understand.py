@@ -5,6 +5,7 @@ A file that is a readings CSV by its first line is read as such, at full speed a
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 from pathlib import Path
@@ -17,10 +18,10 @@ from estimator.rig.rig import Rig
 from estimator.store.importers.csv_header import csv_header
 from estimator.store.importers.csv_lines import BadLine, Block, csv_blocks, row_of
 from estimator.store.importers.csv_table import filled_table, read_table
-from estimator.store.importers.forms.assigner import Assigned
-from estimator.store.importers.forms.assignment import Assignment, assigned_columns
+from estimator.store.importers.forms.assigner import Assigned, Assigner
 from estimator.store.importers.forms.cells import is_number, plain_numbers
 from estimator.store.importers.forms.layout import SAMPLE_LINES, WORDS, Layout, layout_of
+from estimator.store.importers.forms.missing import check_missing
 from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, Recipe
 from estimator.store.importers.forms.rows import Source, first_lines, grid_source, text_source
 from estimator.store.importers.forms.sources import CELL_SEPARATOR, MOST_COLUMNS, kind_of
@@ -103,7 +104,7 @@ def _understood(source: Source, rig: Rig, recipe: Recipe, faults: Faults) -> Und
     path, layout = source.path, source.layout
     if layout.width > MOST_COLUMNS:
         words = f"a file must have at most {MOST_COLUMNS} columns; received {layout.width}"
-        raise InvalidInput(f"{words} ({path}, line {layout.first_line})", Place(str(path), layout.first_line))
+        raise InvalidInput.at(Place(str(path), layout.first_line), words)
     if layout.header is None:
         raise _no_header(path, layout, rig)
     place = Place(str(path), layout.header_line)
@@ -159,9 +160,7 @@ def _no_header(path: Path, layout: Layout, rig: Rig) -> InvalidInput:
     rule = f"the {layout.width} columns must have names"
     cure = f"put a line above that names each, such as {','.join(names[: layout.width])}"
     place = Place(str(path), layout.first_line)
-    return InvalidInput(
-        f"{rule}; no line above the numbers has them: {cure} ({path}, line {layout.first_line})", place
-    )
+    return InvalidInput.at(place, f"{rule}; no line above the numbers has them: {cure}")
 
 
 def _table(source: Source, assignment: Assignment, rig: Rig, recipe: Recipe, faults: Faults) -> Table:
@@ -232,3 +231,49 @@ def _whole_recipe(source: Source, assignment: Assignment, recipe: Recipe, clock:
         clock=clock,
         is_whole=True,
     )
+
+
+@dataclass(frozen=True)
+class Assignment:
+    """Which columns are read as what.
+
+    Attributes:
+        assigned: Columns that are read.
+        left_out: Headers of the others.
+    """
+
+    assigned: tuple[Assigned, ...]
+    left_out: tuple[str, ...]
+
+
+def assigned_columns(
+    header: Sequence[str],
+    units: Sequence[str],
+    cells: Sequence[Sequence[str]],
+    rig: Rig,
+    recipe: Recipe,
+    place: Place,
+    faults: Faults,
+) -> Assignment:
+    """Which column is which quantity.
+
+    Args:
+        header: Names of the columns.
+        units: Their units, where a line of its own has them.
+        cells: Some rows.
+        rig: Determines the quantities.
+        recipe: What is known beforehand.
+        place: Of the header, for messages.
+        faults: What becomes of faults; columns at fault are left out.
+    Raises:
+        InvalidInput: A quantity is missing, may be one of several columns, or has no known unit; the sentence says what to do.
+    """
+    assigner = Assigner(header, units, rig, recipe, place, faults)
+    assigner.give()
+    if not recipe.is_whole:
+        assigner.find_clock(cells)
+        assigner.guess(cells)
+    assigned = tuple(assigner.assigned[index] for index in sorted(assigner.assigned))
+    check_missing(assigner, {each.quantity for each in assigned} | assigner.refused)
+    left = [heading.text.strip() for i, heading in enumerate(assigner.headings) if i not in assigner.assigned]
+    return Assignment(assigned, tuple(name for name in left if name))

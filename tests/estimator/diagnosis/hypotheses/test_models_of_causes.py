@@ -10,7 +10,8 @@ import torch
 from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.model.measurement_model import MeasurementModel, nominal_tensors
+from estimator.model.measurement_model import MeasurementModel
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of

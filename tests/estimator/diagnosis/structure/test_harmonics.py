@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch.func import jacfwd, vmap
 
-from estimator.diagnosis.structure.harmonics import harmonic_gradients
+from estimator.diagnosis.structure.curves import harmonic_gradients
 
 
 @pytest.mark.parametrize("degree", [1, 2, 3, 4, 5])

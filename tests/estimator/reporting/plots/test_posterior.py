@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from estimator.reporting.page import Picture
-from estimator.reporting.plots import interval_summary, trace, traces
+from estimator.reporting.plots import interval_summary, traces
 from estimator.rig.parameters import Normal
 
 
@@ -16,15 +16,8 @@ def chain(seed: int = 0) -> np.ndarray:
     return np.random.default_rng(seed).normal(0.05, 1e-4, (700, 8))
 
 
-def test_trace_shows_unit_step_and_burn_in(words: Callable[[Axes | Figure], str]) -> None:
-    ax = trace(chain(), "coil1.radius_m", burn_in=70, title="rig, 2026-01-01")
-    text = words(ax)
-    assert all(word in text for word in ("radius (mm)", "step", "burn-in", "rig, 2026-01-01"))
-    assert "burn-in" not in words(trace(chain(), "coil1.radius_m"))
-
-
-def test_trace_bands_are_the_quantiles_over_walkers() -> None:
-    ax = trace(chain(), "coil1.radius_m")
+def test_bands_are_the_quantiles_over_walkers() -> None:
+    ax = traces({"coil1.radius_m": chain()}).axes[0]
     outer, inner = (np.ptp(band.get_paths()[0].vertices[:, 1]) for band in ax.collections)
     assert outer > inner > 0.0
     median = ax.lines[-1].get_ydata()
@@ -32,9 +25,11 @@ def test_trace_bands_are_the_quantiles_over_walkers() -> None:
 
 
 def test_traces_give_every_parameter_a_panel(words: Callable[[Axes | Figure], str]) -> None:
-    fig = traces({f"coil1.{name}_m": chain(i) for i, name in enumerate(("radius", "x", "y"))}, burn_in=10)
+    fig = traces(
+        {f"coil1.{name}_m": chain(i) for i, name in enumerate(("radius", "x", "y"))}, "rig, 2026-01-01"
+    )
     text = words(fig)
-    assert all(label in text for label in ("radius (mm)", "x (mm)", "y (mm)"))
+    assert all(label in text for label in ("radius (mm)", "x (mm)", "y (mm)", "step", "rig, 2026-01-01"))
 
 
 def test_traces_of_many_parameters_leave_room_in_a_page_of_a_megabyte() -> None:

@@ -46,7 +46,7 @@ def test_each_file_is_one_coil_at_one_ampere(tmp_path: Path, rig: Rig) -> None:
 
 def test_maps_may_stand_for_another_current(tmp_path: Path, rig: Rig) -> None:
     assert read_grid_maps([written(tmp_path)], rig, {"c3": 2.5}).observations.current_A[0, 2] == 2.5
-    with pytest.raises(InvalidInput, match="must name coils of rig .*; received 'c9'"):
+    with pytest.raises(InvalidInput, match="must name coils of the rig .*; received 'c9'"):
         read_grid_maps([written(tmp_path)], rig, {"c9": 1.0})
 
 

@@ -19,13 +19,13 @@ from scipy.stats import qmc, sobol_indices
 from estimator.derivatives import jacobian_of
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
+from estimator.planning.planned import LEARNT
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 N_LEVELS = 7  # of every parameter in the paper's Table 1
-LEARNT = 0.5  # of the prior's width: what the readings teach is worth a free parameter
 FAR_APART = 10.0  # ratio of the worst known to the best known direction that is worth a sentence
 Response = Callable[[Float[Tensor, "*batch parameter"]], Float[Tensor, "*batch"]]
 

@@ -10,8 +10,11 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimator.model.sensitivity import Factorial
-from estimator.reporting.plots import interaction, interactions, main_effect, main_effects
+from scripts.paper.factorial import Factorial
+from scripts.paper.factorial_plots import interaction, interactions, main_effect, main_effects
+from tests.estimator.reporting.plots.conftest import words
+
+__all__ = ["words"]  # a fixture
 
 RADIUS_M, LOOPS = np.linspace(0.048, 0.054, 7), np.linspace(45.0, 51.0, 4)
 

@@ -7,10 +7,10 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from estimator.model.sensitivity import Factorial
 from estimator.reporting.numbers import Display, displays
 from estimator.reporting.plots.style import BLUE, FIELD_MAP, GREY, axes, figure, styled
 from estimator.units import UNITS
+from scripts.paper.factorial import Factorial
 
 MILLI = UNITS["mT"].to_si
 
