@@ -95,6 +95,7 @@ class Session(Shown):
         Raises:
             InvalidInput: A column is missing or cannot be read, or the readings cannot be fitted.
         Examples:
+            >>> import numpy as np
             >>> rig = Rig.coil(0.05, 30, 12, wire_radius_m=0.0004)
             >>> places = {f"stage_{axis}_mm": np.linspace(0, 20, 8) for axis in "xyz"}
             >>> fields = {f"B{axis} [mT]": np.linspace(1, 3, 8) for axis in "xyz"}
