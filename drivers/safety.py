@@ -132,7 +132,7 @@ def check_temperature(temperature_K: float, limits: CurrentLimits) -> None:
         >>> check_temperature(354.45, limits)
         Traceback (most recent call last):
         ...
-        drivers.errors.DeviceFault: the coil is too hot: coil.temperature_C must be at most 80; it is 81.3
+        drivers.errors.DeviceFault: the coil is too hot: coil.temperature_C must be at most 80; it is 81.30
     """
     if limits.highest_temperature_K is None or temperature_K <= limits.highest_temperature_K:
         return
@@ -140,7 +140,7 @@ def check_temperature(temperature_K: float, limits: CurrentLimits) -> None:
         raise DeviceFault("the coil must have a thermometer that gives a number; it gives none")
     raise DeviceFault(
         f"the coil is too hot: coil.temperature_C must be at most {limits.highest_temperature_K - ICE_POINT_K:g}; "
-        f"it is {temperature_K - ICE_POINT_K:.1f}"
+        f"it is {temperature_K - ICE_POINT_K:.2f}"
     )
 
 

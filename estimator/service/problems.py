@@ -24,7 +24,7 @@ MOST_SHOWN = 200  # characters of a value
 MOST_SAID = 800  # and of a sentence
 SENTENCE = re.compile(
     r"(?P<thing>.+?) (?P<rule>(?:must|is not|is missing|takes) .*?)"
-    r"(?:; (?:received )?(?P<value>.*?))?"
+    r"(?:; (?:received )?(?P<value>.*?))?(?:; the closest is .*?)?"
     r"(?: \((?P<place>[^()]*)\))?\.?"
 )
 # Control characters, and halves of characters, which no answer can hold.

@@ -135,7 +135,7 @@ def test_a_coil_that_gets_too_hot_trips_while_it_is_read():
     rig = Rig(limits, lambda: temperature_K[0])
     rig.use()
     temperature_K[0] = 351.0
-    with pytest.raises(DeviceFault, match="too hot: coil.temperature_C must be at most 76.85; it is 77.9"):
+    with pytest.raises(DeviceFault, match="too hot: coil.temperature_C must be at most 76.85; it is 77.85"):
         rig.source.read_current_A(timeout_s=1.0)
     assert rig.is_at_rest
 

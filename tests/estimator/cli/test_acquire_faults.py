@@ -164,7 +164,10 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_the_same_command_goes_on(
     assert result.exit_code == 2, result.stderr
     out = tmp_path / "session.zarr"
     (sentence,) = [line for line in result.stderr.splitlines() if "No space left" in line]
-    assert sentence == f"coilcal: session must be writable; {out} is not: No space left on device"
+    assert sentence == (
+        f"coilcal: session must be writable; {out} is not: No space left on device; the disk that holds it is full: "
+        "free some of it, or write to another"
+    )
     assert abs(running.world.snapshot().currents_A[0]) < 1e-3
     n_before = len(load_session(out).observations)
     assert n_before >= 4
@@ -184,7 +187,7 @@ def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when
     assert result.exit_code == 5, result.stderr
     sentence = sentence_of(result)
     said = re.fullmatch(
-        r"coilcal: coil1 failed: the coil is too hot: coil.temperature_C must be at most 40; it is (\d+\.\d); "
+        r"coilcal: coil1 failed: the coil is too hot: coil.temperature_C must be at most 40; it is (\d+\.\d\d); "
         r"arms and currents were brought to rest",
         sentence,
     )
