@@ -19,7 +19,7 @@ from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import CERTAIN, Expansion
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.links import Link
-from estimator.diagnosis.mixture.listed import Offered, again, best_starts, offered, present_items, starts_of
+from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.rig.parameters import LogNormal
@@ -200,8 +200,7 @@ def ask(
     is_near = before is not None and before.changes.is_near(fit)
     if before is not None and is_near:
         changes = before.changes
-        of_led = best_starts(fit, led)
-        known = {**best_starts(fit, before.dictionary.items), **of_led, **shapes}
+        known = {**places_in(fit, before.dictionary.items), **shapes}
     else:
         changes = Changes.about(expansion, causes)
     here = changes.moved(expansion, causes)
@@ -209,7 +208,7 @@ def ask(
     starts += [more for cause, of_cause in known.items() for more in again(fit, starts, cause, of_cause)]
     listed = offered(alone, starts, is_near)
     if expansion.causes:
-        listed = _joined(listed, offered(fit, starts, is_near)) + present_items(expansion.present)
+        listed = _joined(listed, offered(fit, starts)) + present_items(expansion.present)
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(here, alone, others))
     slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))

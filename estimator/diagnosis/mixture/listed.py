@@ -88,20 +88,21 @@ def _is_seen(fit: Fit, candidate: Candidate) -> bool:
     return float(reached) > LEAST_SEEN or not candidate.is_at_null
 
 
-def offered(fit: Fit, starts: Sequence[Start], are_best_known: bool = False) -> list[Offered]:
+def offered(fit: Fit, starts: Sequence[Start], are_places_known: bool = False) -> list[Offered]:
     """The items of each cause that are not far less probable than its best one, at instants between readings and places between starts.
 
     Args:
         fit: Whose residual is asked.
         starts: Of all causes, at coarse instants.
-        are_best_known: The best instants and places are among the starts.
+        are_places_known: The best places are among the starts.
     """
     weighed = _weighed(fit, starts)
     finer = list[Start]()
     for by_item in weighed.values():
         best = max(by_item, key=lambda of_start: of_start.best)
-        if best.best > WORTH_A_FINER_START and not are_best_known:
-            finer += _at_finer_instants(fit, best) + _at_nearer_places(fit, best)
+        if best.best > WORTH_A_FINER_START:
+            finer += _at_finer_instants(fit, best)
+            finer += [] if are_places_known else _at_nearer_places(fit, best)
     for cause, by_item in _weighed(fit, finer).items():
         weighed[cause] += by_item
     return [item for by_item in weighed.values() for item in _most_probable(by_item)]
@@ -112,10 +113,10 @@ def present_items(starts: Sequence[Start]) -> list[Offered]:
     return [item for start in starts for item in _items(start)]
 
 
-def best_starts(fit: Fit, items: Sequence[Item]) -> dict[Cause, dict[str, float]]:
-    """The most probable instant or place of each listed cause that has one, by items that were offered."""
+def places_in(fit: Fit, items: Sequence[Item]) -> dict[Cause, dict[str, float]]:
+    """The most probable place of each listed cause that has one, by items that were offered."""
     best = {item.cause: item.start for item in reversed(items) if item.is_listed}
-    return {cause: start for cause, start in best.items() if instants_in(start) or _places(fit, cause)}
+    return {cause: start for cause, start in best.items() if _places(fit, cause)}
 
 
 def again(fit: Fit, starts: Sequence[Start], cause: Cause, shapes: dict[str, float]) -> list[Start]:
