@@ -16,7 +16,8 @@ from estimator.diagnosis.findings import Fits
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.instants import on_known_sides
-from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, starts_of
+from estimator.diagnosis.mixture.items import Item
+from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, places_in, starts_of
 from estimator.diagnosis.posterior import judged_as_handed_out
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import improvement_of
@@ -138,3 +139,22 @@ def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
     judged = judged_as_handed_out(cast(Diagnosis, Judged(fits)), cast(Calibration, posterior), unseen)
     assert judged.fits.improvement is not None
     assert len(judged.fits.improvement.after.log_density) == len(told)
+
+
+def test_an_instant_that_an_earlier_expansion_has_found_is_searched_again(
+    small_rig: Rig, small_session: Session
+):
+    """Finer instants share the prior of a coarse one. One that is taken over alone would have it whole, unlike a place."""
+    fit = fit_of(small_rig, small_session.observations.calibration)
+    causes = [Cause("offset_step", "hall"), Cause("gain_spell", "hall"), Cause("iron_body", "room")]
+    items = [
+        cast(Item, SimpleNamespace(cause=c.cause, start=c.shapes, is_listed=True))
+        for c in candidates(fit, causes)
+    ]
+    assert {item.cause for item in items} == set(causes)
+    assert set(places_in(fit, items)) == {causes[-1]}
+    coarse = starts_of(fit, candidates(fit, causes[:1]))
+    best = max(_weighed(fit, coarse)[causes[0]], key=lambda of_start: of_start.best)
+    finer = _at_finer_instants(fit, best)
+    total = sum(math.exp(start.log_prior) for start in finer)
+    assert total == pytest.approx(math.exp(best.start.log_prior))
