@@ -87,7 +87,7 @@ def diagnose_command(
     """Find what the model gets wrong in SESSION.
 
     The cause is named, the rig is extended by it, and the improvement is measured on unseen readings. The verdict is named,
-    indistinguishable, unexplained or nothing_found; each ends with exit code 0.
+    indistinguishable, partly_explained, unexplained or nothing_found; each ends with exit code 0.
 
     A diagnosis that was killed, stopped (Ctrl-C, SIGTERM) or ran out of --minutes goes on when the same command is given again.
     """

@@ -92,7 +92,7 @@ def diagnose(
             double precision.
         on_stage: Called with a message at the start of each stage.
         on_progress: Called as the readings are asked, with how far it is.
-    Returns: The verdict; `nothing_found`, `indistinguishable` and `unexplained` are outcomes, not errors.
+    Returns: The verdict; `nothing_found`, `indistinguishable`, `partly_explained` and `unexplained` are outcomes, not errors.
     Raises:
         InvalidInput: The readings cannot support a fit.
     """

@@ -34,11 +34,11 @@ def shown_by_prediction_T(
         values: Other numbers of the same rig; those of the fit by default.
         beside: Departures of sensors and movers that act all the same.
     """
-    rig, values = fit.rig, fit.values if values is None else values
+    rig, values, readings = fit.rig, fit.values if values is None else values, as_meant(fit.rig, readings)
     for correction in set(rig.corrections).difference(beside):
         rig = rig.without_cause(correction)
     own = {name: value for name, value in values.items() if name in rig.parameters}
-    model = MeasurementModel.unruled(rig, as_meant(rig, readings))
+    model = MeasurementModel.unruled(rig, readings)
     n_rows = len(model.every_row)
     with torch.no_grad():
         poses = model.world_from_sensor(model.every_row, own)
@@ -85,13 +85,13 @@ def not_predicted(fit: Fit, readings: Observations) -> tuple[Cause, ...]:
 
     def changes_T(values: Values) -> tuple[Tensor, Tensor]:
         with torch.no_grad():
-            return model.predict(values).expand(len(meant), 3), shown_by_prediction_T(fit, readings, values)
+            return model.predict(values).expand(len(meant), 3), shown_by_prediction_T(fit, meant, values)
 
     read_T, predicted_T = changes_T(fit.values)
     for cause in fit.rig.acting:
         read_without_T, predicted_without_T = changes_T({**fit.values, **fit.null_values(cause)})
         of_readings_T, of_prediction_T = read_T - read_without_T, predicted_T - predicted_without_T
-        lacking_T = (of_readings_T - of_prediction_T)[readings.is_measured].nan_to_num()
-        if lacking_T.norm() > MOSTLY * of_readings_T[readings.is_measured].norm():
+        lacking_T = (of_readings_T - of_prediction_T)[meant.is_measured].nan_to_num()
+        if lacking_T.norm() > MOSTLY * of_readings_T[meant.is_measured].norm():
             result.append(cause)
     return tuple(result)

@@ -100,3 +100,13 @@ def _pose(pose: str, sds: Mapping[str, float] | None = None, z_m: float = 0.0) -
             value,
             None if sd is None else Normal(value, sd),
         )
+
+
+def thickness_at_most(wire_radius: float, radial_loops: float) -> float:
+    """Largest thickness of a winding's layers that the priors of a first rig allow, in the unit of the wire's radius.
+
+    Examples:
+        >>> thickness_at_most(0.5, 10.0) > 10.0
+        True
+    """
+    return 2.0 * wire_radius * radial_loops * (1.0 + 2.0 * RELATIVE_SD)

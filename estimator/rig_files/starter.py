@@ -12,7 +12,15 @@ from dataclasses import dataclass, fields
 from enum import StrEnum
 
 from estimator.errors import InvalidInput, quoted
-from estimator.rig.first import MOUNT_SD_RAD, PLACE_SD_M, RELATIVE_SD, ROOM_SD_T, TILT_SD_RAD, ZERO_SD_T
+from estimator.rig.first import (
+    MOUNT_SD_RAD,
+    PLACE_SD_M,
+    RELATIVE_SD,
+    ROOM_SD_T,
+    TILT_SD_RAD,
+    ZERO_SD_T,
+    thickness_at_most,
+)
 from estimator.rig_files.read import NAME, SCHEMA_VERSION
 
 PLACE_SD_MM, TILT_SD_DEG, MOUNT_SD_DEG = (
@@ -79,7 +87,7 @@ class Starter:
     def __post_init__(self) -> None:
         for field in fields(self):
             check_answer(field.name, getattr(self, field.name))
-        thickness_mm = 2.0 * self.wire_radius_mm * self.radial_loops * (1.0 + 2.0 * RELATIVE_SD)
+        thickness_mm = thickness_at_most(self.wire_radius_mm, self.radial_loops)
         if thickness_mm >= self.radius_mm * (1.0 - 2.0 * RELATIVE_SD):
             rule = f"must exceed {thickness_mm / (1.0 - 2.0 * RELATIVE_SD):.4g}, the thickness of its layers and some room"
             raise InvalidInput(f"radius_mm {rule}; received {self.radius_mm:g}")

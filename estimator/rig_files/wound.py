@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 
 from estimator.errors import InvalidInput
-from estimator.rig.first import RELATIVE_SD
+from estimator.rig.first import RELATIVE_SD, thickness_at_most
 from estimator.rig_files.starter import (
     GAIN,
     N_JUDGED,
@@ -57,7 +57,7 @@ class Wound:
     @property
     def thickness_mm(self) -> float:
         """Thickness of the layers, at most."""
-        return 2.0 * self.wire_radius_mm * self.radial_loops * (1.0 + 2.0 * RELATIVE_SD)
+        return thickness_at_most(self.wire_radius_mm, self.radial_loops)
 
     @property
     def length_mm(self) -> float:

@@ -84,8 +84,10 @@ def _of_session(diagnosis: Diagnosis, improvement: Improvement) -> str:
     after = improvement.after
     if after.is_of_field:
         return ""
-    names = _first_few(diagnosis, improvement.not_predicted) or "what only sensors show"
+    names = _first_few(diagnosis, improvement.not_predicted)
     error = size_with_unit(after.predicted.vector_T, "T", 3)
+    if not names:
+        return f" The field that predict gives misses them by {error}."
     return f" That is with {names}, which these readings have and the field that predict gives has not: it misses them by {error}."
 
 
