@@ -1,0 +1,30 @@
+"""The field that `predict` gives beside what readings show: the same where nothing acts in the readings of one session alone."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.predicted_field import not_predicted, shown_by_prediction_T
+from estimator.effects.attach import with_effect
+from estimator.effects.use import as_meant
+from estimator.rig.rig import Cause, Rig
+from estimator.store.session import Session
+from tests.estimator.diagnosis.small_fits import fit_of
+
+pytestmark = pytest.mark.whole
+
+
+def test_rows_that_were_written_late_are_put_back_first(small_rig: Rig, small_session: Session):
+    """A reading late, its field stands beside the pose of another one, in the session and in a prediction of it."""
+    readings = small_session.observations.calibration
+    rules = fit_of(small_rig, readings).posterior.model.rules
+    rig = with_effect(small_rig, Cause("rows_shifted", "record"), readings, {"rows": 1.0})
+    fit = fit_rig(rig, readings, {}, rules)
+    meant = as_meant(fit.rig, readings)
+    read_T = fit.model_of(meant).predict(fit.values).expand(len(meant), 3)
+    shown_T = shown_by_prediction_T(fit, readings)
+    is_read = meant.is_measured
+    torch.testing.assert_close(shown_T[is_read], read_T[is_read], rtol=1e-4, atol=1e-9)
+    assert not_predicted(fit, readings) == ()
