@@ -83,17 +83,18 @@ def _suspects(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> 
     is_left = torch.ones_like(expected.is_far)
     flags, may_be_causes = list[Flag](), False
     while True:
-        best = max(
-            (trial.claim(number, is_left) for number in range(len(mistakes))),
-            key=lambda claim: claim.log_odds,
-        )
+        claims = [trial.claim(number, is_left) for number in range(len(mistakes))]
+        number, best = max(enumerate(claims), key=lambda claim: claim[1].log_odds)
         if best.log_odds < math.log(policy.MUCH_MORE_PROBABLE):
             return Suspects(_in_few_words(observations, flags), may_be_causes)
         mistake = best.mistake
-        alike = [m for m, fits in zip(mistakes, trial.explained, strict=True) if fits[best.rows].all()]
+        density = trial.by_mistake[:, best.rows].sum(dim=1)
+        is_alike = trial.explained[:, best.rows].all(dim=1)
+        is_alike &= density > density[number] - math.log(policy.MUCH_MORE_PROBABLE)
+        alike = [mistakes[other] for other in is_alike.nonzero().flatten().tolist()]
         for sensor in observations.sensor[best.rows].unique().tolist():
             is_own = (observations.sensor == sensor) & is_left
-            is_its = is_own & (best.rows | _of_the_same(best.rows & is_own, mistake, expected))
+            is_its = is_own & (best.rows | _of_the_same(best.rows & is_own, number, trial, is_own))
             is_left = is_left & ~is_its
             reason = Reason.HELD if mistake.is_exact else Reason.OTHERWISE
             readings = is_its.nonzero().flatten().tolist()
@@ -150,16 +151,28 @@ def _may_be_cause(
 
 
 def _of_the_same(
-    is_clear: Bool[Tensor, " reading"], mistake: Mistake, expected: Expectation
+    is_clear: Bool[Tensor, " reading"], number: int, trial: Trial, is_own: Bool[Tensor, " reading"]
 ) -> Bool[Tensor, " reading"]:
     """Readings that a mistake explains better than none, where it was clearly made in several others.
 
-    It changes them too little to show alone: those that miss still, and those between two that show it.
+    It changes them too little to show alone: those that miss still, and those between two that show it. One that repeats digits was made
+    where they are the same, as often as in the others, and is much more probable than a wrong model.
+
+    Args:
+        is_clear: The others.
+        number: Of the mistake.
+        trial: Of all mistakes.
+        is_own: Readings of their sensor.
     """
-    rows = is_clear.nonzero().flatten()
-    if mistake.is_exact or len(rows) < policy.FEWEST_OF_ONE_MISTAKE:
+    rows, mistake, expected = is_clear.nonzero().flatten(), trial.mistakes[number], trial.expected
+    if len(rows) < policy.FEWEST_OF_ONE_MISTAKE:
         return torch.zeros_like(is_clear)
-    by_mistake = distance(expected.observations.field_sensor_T, mistake.expected_T, expected.size_T)
+    measured_T = expected.observations.field_sensor_T
+    if mistake.is_exact:
+        log_rate = math.log(len(rows) / int(is_own.sum()))
+        is_likely = trial.by_mistake[number] - trial.by_model + log_rate > math.log(policy.MUCH_MORE_PROBABLE)
+        return is_likely & (measured_T == mistake.expected_T)[:, mistake.component]
+    by_mistake = distance(measured_T, mistake.expected_T, expected.size_T)
     is_between = torch.zeros_like(is_clear)
     for before, after in pairwise(rows.tolist()):
         if after - before <= ROWS_BESIDE:

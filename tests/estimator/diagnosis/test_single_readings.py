@@ -65,6 +65,16 @@ def test_a_register_that_was_read_too_early_is_told_by_its_digits(small_rig, mea
     assert (flag.reason, flag.component, flag.readings) == (Reason.HELD, 2, (6, 15))
 
 
+def test_readings_that_repeat_digits_near_what_was_expected_are_told_beside_clear_ones(small_rig, measured):
+    rounded = measured.with_field((measured.field_sensor_T / 1e-8).round() * 1e-8)
+    clear, near = [5, 12, 18, 24], 2  # 250 µT from the row before, and 13 µT, where noise is 5 µT
+    field_T = rounded.field_sensor_T.clone()
+    field_T[[*clear, near], 2] = rounded.field_sensor_T[[row - 1 for row in (*clear, near)], 2]
+    (flag,) = flagged(small_rig, rounded.with_field(field_T))
+    assert flag.words == "repeats the reading before to the last digit"
+    assert set(flag.readings) == {*clear, near}
+
+
 def test_fields_of_a_neighbouring_row_are_told(small_rig, measured):
     field_T = measured.field_sensor_T.clone()
     field_T[10:18] = measured.field_sensor_T[9:17]
