@@ -12,6 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.instants import instants_in
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
@@ -130,13 +131,16 @@ class Answer:
             cause: The most probable one.
             alternatives: The possibilities of its set, itself among them.
         """
-        items, leading = self.asked.dictionary.items, self.asked.leading
-        rest = [i for i in leading if items[i].cause not in alternatives]
-        products, noise = self.asked.slots.products, self.asked.noise
-        of_others = sum(
-            gain for i, gain in zip(leading, products.gains(leading, noise), strict=True) if i in rest
-        )
-        return Standing(products.gains([*rest, self.item_of(cause)], noise)[-1], of_others)
+        asked, item = self.asked, self.item_of(cause)
+        rest = [i for i in asked.leading if asked.dictionary.items[i].cause not in alternatives]
+        own = asked.slots.products.gains([*rest, item], asked.noise)[-1]
+        has_instant = bool(instants_in(asked.dictionary.items[item].start))
+        return Standing(own, self.n_listed_beside(alternatives), has_instant)
+
+    def n_listed_beside(self, alternatives: Collection[Cause]) -> int:
+        """Number of listed causes that lead, without some."""
+        leading = [self.asked.dictionary.items[i] for i in self.asked.leading]
+        return len({item.cause for item in leading if item.is_listed} - set(alternatives))
 
     @cached_property
     def is_full(self) -> bool:

@@ -15,6 +15,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.answer import ALTERNATIVE, STATED, Answer, confirmed
 from estimator.diagnosis.mixture.climb import climbed
+from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.effects.attach import with_effect
@@ -37,18 +38,19 @@ class BesideScatter:
 
     @property
     def stated(self) -> list[NamedCause]:
-        """The causes of scatter that are sure also beside what may be unlisted, which looks like scatter in half of all cases."""
-        sure = 1.0 - 0.5 * self.answer.p_unlisted
-        stated = [
-            replace(
-                cause,
-                probability=sure * cause.probability,
-                alternatives=tuple(replace(a, probability=sure * a.probability) for a in cause.alternatives),
-                p_not_in_library=1.0 - sure * (1.0 - cause.p_not_in_library),
+        """The causes of scatter that are rather there than something unlisted that looks like scatter."""
+        n_others = self.answer.n_listed_beside(())
+        stated = []
+        for cause in self.scattering:
+            real = 1.0 - Standing(cause.log_bayes_factor, n_others).p_imitation
+            others = tuple(replace(a, probability=real * a.probability) for a in cause.alternatives)
+            absent = 1.0 - real * (1.0 - cause.p_not_in_library)
+            stated.append(
+                replace(
+                    cause, probability=real * cause.probability, alternatives=others, p_not_in_library=absent
+                )
             )
-            for cause in self.scattering
-        ]
-        return [cause for cause in stated if 1.0 - cause.p_not_in_library >= STATED]
+        return [cause for cause in stated if cause.p_not_in_library < 0.5]
 
 
 def answer_beside_scatter(
