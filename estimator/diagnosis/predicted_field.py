@@ -25,7 +25,7 @@ def shown_by_prediction_T(
 ) -> Float[Tensor, "reading 3"]:
     """What sensors show in the field that a calibration predicts where they stood, in T.
 
-    Sensors keep their response and their zero. Departures of sensors and movers, instants, drifts and what currents did before are in no
+    It may be differentiated in the numbers. Sensors keep their response and their zero. Departures of sensors and movers, instants, drifts and what currents did before are in no
     predicted field. Inside a winding a prediction has no value, and the sensor is given that of the fit.
 
     Args:
@@ -40,15 +40,15 @@ def shown_by_prediction_T(
     own = {name: value for name, value in values.items() if name in rig.parameters}
     model = MeasurementModel.unruled(rig, readings)
     n_rows = len(model.every_row)
-    with torch.no_grad():
-        poses = model.world_from_sensor(model.every_row, own)
-        turn = poses.rotation.expand(n_rows, 3, 3)[model.pose_row]
-        places_m = poses.translation_m.expand(n_rows, 3)[model.pose_row]
-        room = RoomField(fit.rig, values, places_m, dict(readings.motion))
-        field_T = room.field_by_point_T(values, readings.current_A)
-        shown_T = model.shown_T(own, torch.einsum("nij,...ni->...nj", turn, field_T)).expand(len(readings), 3)
-        if room.is_inside.any():
-            shown_T = torch.where(shown_T.isnan(), fit.model_of(readings).predict(values), shown_T)
+    poses = model.world_from_sensor(model.every_row, own)
+    turn = poses.rotation.expand(n_rows, 3, 3)[model.pose_row]
+    places_m = poses.translation_m.expand(n_rows, 3)[model.pose_row]
+    about = {name: value.detach() for name, value in values.items()}
+    room = RoomField(fit.rig, about, places_m, dict(readings.motion))
+    field_T = room.field_by_point_T(values, readings.current_A)
+    shown_T = model.shown_T(own, torch.einsum("nij,...ni->...nj", turn, field_T)).expand(len(readings), 3)
+    if room.is_inside.any():
+        shown_T = torch.where(shown_T.isnan(), fit.model_of(readings).predict(values), shown_T)
     return shown_T
 
 
@@ -69,7 +69,8 @@ def missed_in_any_session_T(fit: Fit, readings: Observations) -> float:
         )
     ]
     meant = as_meant(fit.rig, readings)
-    error_T = meant.field_sensor_T - shown_by_prediction_T(fit, meant, beside=lasting)
+    with torch.no_grad():
+        error_T = meant.field_sensor_T - shown_by_prediction_T(fit, meant, beside=lasting)
     return float(error_T.nan_to_num().square().sum(-1).mean().sqrt())
 
 

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
+from estimator.derivatives import value_and_jacobian
 from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
@@ -22,6 +23,9 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 
 SAME_ERROR = 0.02  # relative difference of two errors that are told as one
+
+
+N_DRAWS = 200  # of the noise, for predictive densities
 
 
 @dataclass(frozen=True)
@@ -136,22 +140,32 @@ def _difference(before: ValidationScores, after: ValidationScores) -> tuple[floa
 def validation_scores(
     fit: Fit, unseen: Observations, widened: Float[Tensor, "coordinate coordinate"] | None = None
 ) -> ValidationScores:
-    """Errors, log predictive density and coverage of a fit's predictions; Laplace, or a widened covariance, gives the uncertainty."""
+    """Errors, log predictive density and coverage of a fit's predictions; Laplace, or a widened covariance, gives the uncertainty.
+
+    Noise is as uncertain as the rest.
+    """
     unseen = as_meant(fit.rig, unseen)
     model = fit.model_of(unseen)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
     with torch.no_grad():
         predicted_T = model.predict(fit.values).expand(len(unseen), 3)
         mean_T = posterior.measured_components(predicted_T)
-        noise_T = posterior.component_sigma_T(fit.vector)
         jacobian: Tensor = posterior.jacobian(fit.vector)
-    covariance = fit.covariance if widened is None else widened
+        covariance = fit.covariance if widened is None else widened
+        noise_T = posterior.component_sigma_T(_draws(fit, covariance))
     parameter_variance = ((jacobian @ covariance) * jacobian).sum(-1)
     residual_T = posterior.measured_T - mean_T
     log_density, probability_below = _mixture(posterior, fit, residual_T, noise_T, parameter_variance)
-    shown_T = shown_by_prediction_T(fit, unseen) if fit.rig.acting else predicted_T
-    beside_T = posterior.measured_T - posterior.measured_components(shown_T)
-    _, below_prediction = _mixture(posterior, fit, beside_T, noise_T, parameter_variance)
+    shown_T, below_prediction = predicted_T, probability_below
+    if fit.rig.acting:
+        values_of = fit.posterior.coordinates.values
+        shown_T, slopes = value_and_jacobian(
+            lambda vector: shown_by_prediction_T(fit, unseen, values_of(vector)), fit.vector
+        )
+        slopes = slopes[unseen.is_measured]
+        variance = ((slopes @ covariance) * slopes).sum(-1)
+        beside_T = posterior.measured_T - posterior.measured_components(shown_T)
+        _, below_prediction = _mixture(posterior, fit, beside_T, noise_T, variance)
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
     coverage = {p: float(((probability_below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
@@ -180,10 +194,25 @@ def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -
     return validation_scores(handed_out, unseen, coordinates.vector(draws).T.cov())
 
 
+def _draws(fit: Fit, covariance: Float[Tensor, "coordinate coordinate"]) -> Float[Tensor, "draw coordinate"]:
+    """Coordinates that scatter as a covariance says, always the same ones."""
+    variances, axes = torch.linalg.eigh(covariance)
+    generator = torch.Generator().manual_seed(0)
+    normal = torch.randn(N_DRAWS, len(variances), generator=generator, dtype=variances.dtype).to(variances)
+    return fit.vector + (normal * variances.clamp(min=0.0).sqrt()) @ axes.T
+
+
 def _mixture(
-    posterior: LogPosterior, fit: Fit, residual_T: Tensor, noise_T: Tensor, parameter_variance: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Log predictive density of each component and the probability below it; a mixture of two normals where the rig has outliers."""
+    posterior: LogPosterior,
+    fit: Fit,
+    residual_T: Float[Tensor, " component"],
+    noise_T: Float[Tensor, "draw component"],
+    parameter_variance: Float[Tensor, " component"],
+) -> tuple[Float[Tensor, " component"], Float[Tensor, " component"]]:
+    """Log predictive density of each component and the probability below it.
+
+    Where the rig has outliers two normals are mixed, and always those of noise as wide as in each draw.
+    """
     share, ratio = posterior.contamination(fit.values)
     good, bad = (
         torch.distributions.Normal(0.0, torch.sqrt(width_T**2 + parameter_variance))
@@ -193,4 +222,4 @@ def _mixture(
         (torch.log1p(-share) + good.log_prob(residual_T), torch.log(share) + bad.log_prob(residual_T))
     )
     below = (1.0 - share) * good.cdf(residual_T) + share * bad.cdf(residual_T)
-    return torch.logsumexp(parts, 0), below
+    return torch.logsumexp(parts, (0, 1)) - math.log(len(noise_T)), below.mean(0)

@@ -74,7 +74,7 @@ class RoomField:
             if field.winding is None or is_inside.all():
                 continue
             if not field.has_zones:
-                rules[coil.name] = choose_rule(field.winding, points_coil_m[~is_inside], tolerance)
+                rules[coil.name] = choose_rule(field.winding, points_coil_m[~is_inside].detach(), tolerance)
                 continue
             distance_m = field.winding.distance_m(points_coil_m.detach())
             zones[coil.name] = zones_of(field.winding, distance_m, tolerance)
