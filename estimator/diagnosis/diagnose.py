@@ -125,11 +125,12 @@ def diagnose(
                 tell("searching again without readings that were recorded otherwise than they were measured")
                 first = first.without(flags).without_suspects(tell)
                 result, unseen = judged(first)
-    session = first.session
+    session = first.measured
     seen = session.observations.calibration
     is_changed = bool(result.fits.final.rig.effects) or result.verdict.leaves_something
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()) and not limits.stopped.is_set():
-        tell("sampling the posterior of the extended rig")
+        names = [f"{result.label(each.cause)} {each.probability:.0%}" for each in result.findings.causes]
+        tell(f"{', '.join([str(result.verdict), *names])}; sampling the posterior of the extended rig")
         inside = None if folder is None else folder / CALIBRATION_FOLDER
         result = with_posterior(result, session, limits, inside, device, precision)
         are_kept_out = validation is not None or len(seen) < len(session.observations)

@@ -57,11 +57,16 @@ class FirstFit:
         if flags is None:
             flags = flags_of_digits(session.observations)
         session = replace(session, observations=without_flagged(session.observations, flags))
-        seen, unseen = _split(session, validation, question.seed)
+        seen, unseen = (_that_hold_something(part) for part in _split(session, validation, question.seed))
         few = thinned(seen, most_readings, question.seed)
         rules, refusal = rules_and_refusal(question.rig, few)
         plain = fit_rig(question.rig, few, {}, rules, policy.MORE_STARTS)
         return cls(question, session, validation, most_readings, tuple(flags), seen, unseen, plain, refusal)
+
+    @property
+    def measured(self) -> Session:
+        """The session without readings of which nothing is left."""
+        return replace(self.session, observations=_that_hold_something(self.session.observations))
 
     def suspects(self) -> Suspects:
         """Single readings that were recorded otherwise than they were measured."""
@@ -114,3 +119,8 @@ def _split(session: Session, validation: Session | None, seed: int) -> tuple[Obs
         return session.observations.calibration, validation.observations
     observations = with_validation(session.observations, policy.VALIDATION_SHARE, seed)
     return observations.calibration, observations.validation
+
+
+def _that_hold_something(readings: Observations) -> Observations:
+    """Readings of which at least one component was measured."""
+    return readings.rows(readings.is_measured.any(dim=1))

@@ -25,8 +25,8 @@ def shown_by_prediction_T(
 ) -> Float[Tensor, "reading 3"]:
     """What sensors show in the field that a calibration predicts where they stood, in T.
 
-    It may be differentiated in the numbers. Sensors keep their response and their zero. Departures of sensors and movers, instants, drifts and what currents did before are in no
-    predicted field. Inside a winding a prediction has no value, and the sensor is given that of the fit.
+    It may be differentiated in the numbers. Sensors keep their response and their zero. Departures of sensors and movers, instants, drifts
+    and what currents did before are in no predicted field. Inside a winding a prediction has no value: the sensor is given that of the fit.
 
     Args:
         fit: The rig and its numbers.

@@ -38,9 +38,7 @@ def test_neither_the_fit_nor_its_judge_has_readings_that_were_held(held):
     assert (flag.reason, list(flag.readings)) == (Reason.HELD, HELD)
     left = first.session.observations.is_measured.any(dim=1)
     assert (~left).nonzero().flatten().tolist() == HELD
-    assert int(first.seen.is_measured.any(dim=1).sum() + first.unseen.is_measured.any(dim=1).sum()) == int(
-        left.sum()
-    )
+    assert len(first.seen) + len(first.unseen) == len(first.measured.observations) == int(left.sum())
     assert not first.suspects().flags
 
 
