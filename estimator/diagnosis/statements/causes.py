@@ -8,7 +8,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.panel_records import Answer
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval, SizedCause
-from estimator.diagnosis.statements.left import doubts, unexplained
+from estimator.diagnosis.statements.left import doubts, p_nothing, unexplained
 from estimator.diagnosis.statements.visible import PLACE, would_have_shown
 from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS
@@ -19,6 +19,7 @@ from estimator.reporting.numbers import percent, probability, quantity_words, to
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
 
+NOTHING_WRONG = "These readings show nothing wrong"
 MOST_SIZES = 2  # of a cause, that the headline tells
 LEAST_SHARE = 0.005  # of the misfit, that is told as a percentage
 MOST_ALTERNATIVES = 4  # that a sentence lists; the others stand in diagnosis.json
@@ -26,10 +27,11 @@ MOST_ALTERNATIVES = 4  # that a sentence lists; the others stand in diagnosis.js
 
 def what(diagnosis: Diagnosis) -> Iterator[str]:
     """What is wrong, where, and how sure that is."""
-    if diagnosis.verdict is Verdict.NAMED and is_only_flagged(diagnosis):
-        yield doubts(diagnosis) or f"Nothing else shows{would_have_shown(diagnosis, 'these readings')}."
-    elif diagnosis.verdict is Verdict.NOTHING_FOUND:
-        yield doubts(diagnosis) or f"These readings show nothing wrong{would_have_shown(diagnosis, 'they')}."
+    is_flagged = diagnosis.verdict is Verdict.NAMED and is_only_flagged(diagnosis)
+    if is_flagged or diagnosis.verdict is Verdict.NOTHING_FOUND:
+        words, readings = ("Nothing else shows", "these readings") if is_flagged else (NOTHING_WRONG, "they")
+        how_sure = probability(p_nothing(diagnosis))
+        yield doubts(diagnosis) or f"{words} ({how_sure}){would_have_shown(diagnosis, readings)}."
     else:
         causes = [mistake.cause for mistake in diagnosis.record_mistakes]
         mistakes = [f"{_capital(EFFECTS[c.name].words)} ({diagnosis.label(c)})." for c in causes]

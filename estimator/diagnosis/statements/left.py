@@ -37,12 +37,18 @@ def unexplained(diagnosis: Diagnosis) -> str:
     return f"Something is wrong, and {unknown}: {why}."
 
 
+def p_nothing(diagnosis: Diagnosis) -> float:
+    """Probability that nothing is wrong beside what is stated."""
+    last = diagnosis.comparisons[-1][1].hypotheses
+    return next(hypothesis.probability for hypothesis in last if hypothesis.name == NOTHING)
+
+
 def doubts(diagnosis: Diagnosis) -> str:
     """Says that something probably is wrong where nothing is sure enough to be named; empty where nothing wrong is probable."""
-    last = diagnosis.comparisons[-1][1].hypotheses
-    nothing = next(hypothesis.probability for hypothesis in last if hypothesis.name == NOTHING)
+    nothing = p_nothing(diagnosis)
     if nothing > policy.LEAST_SURE_OF_NOTHING:
         return ""
+    last = diagnosis.comparisons[-1][1].hypotheses
     others = [hypothesis for hypothesis in last if hypothesis.name != NOTHING][:MOST_ALTERNATIVES]
     names = ", ".join(
         f"{UNKNOWN if h.cause is None else diagnosis.label(h.cause)} {probability(h.probability)}"

@@ -27,6 +27,7 @@ from scripts.studies.judge.reading import Readers, nothing
 from scripts.studies.judge.statements import Statement, number_statement, size_of
 
 DIAGNOSE = "diagnose"
+SURE_OF_NOTHING = 0.9  # probability from which it counts as said that nothing is wrong
 CLEARLY_VISIBLE = 8.0  # sigma of a flaw that a session shows beyond doubt
 RIGHT_SIGMA = 3.5  # of the noise: an outlier is farther from what was true
 CLEARLY_WRONG = 5.0  # sigma of the noise by which a row is off that a diagnosis has to flag
@@ -62,10 +63,10 @@ def named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
         yield Statement("name_as_fact", DIAGNOSE, f"{text}: {cause['name']}", is_right, why)
 
 
-@sentence(r"show nothing wrong|There is nothing to mend|Nothing else shows")
-def nothing_wrong(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
+@sentence(r"(?:show nothing wrong|Nothing else shows)(?: \((?P<sure>[<>\d ]+ %)\))?|There is nothing to mend")
+def nothing_wrong(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """That nothing is wrong is false where a flaw is clearly visible, or rows are wrong, or the rig as it is gives false intervals."""
-    if case.truth is None:
+    if case.truth is None or (match["sure"] and size_of(match["sure"]) < SURE_OF_NOTHING):
         return
     visible = [c for c in case.truth.causes if c.sigma is None or c.sigma >= CLEARLY_VISIBLE]
     wrong = mistakes_left(case)

@@ -105,7 +105,9 @@ def test_second_sentence_gives_the_size_with_its_interval(diagnosis: Diagnosis) 
 def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: Diagnosis) -> None:
     calm = replace(diagnosis, verdict=Verdict.NOTHING_FOUND)
     first = headline(calm)[0]
-    assert first.startswith("These readings show nothing wrong; they would have shown, for example, ")
+    assert re.match(
+        r"These readings show nothing wrong \(\d+ %\); they would have shown, for example, ", first
+    )
     assert len(re.findall(r" from [\d.]+ \S", first)) == 3  # of the coil, the sensor and the mover
     near = {"axis": 0.0, "distance_m": 0.035}
     far = {"axis": 2.0, "distance_m": -0.19}
