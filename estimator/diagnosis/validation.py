@@ -25,7 +25,8 @@ from estimator.rig.rig import Cause
 SAME_ERROR = 0.02  # relative difference of two errors that are told as one
 
 
-N_DRAWS = 200  # of the noise, for predictive densities
+N_DRAWS = 200  # of the posterior, for predictive densities
+N_SHOWN = 40  # of them, whose predicted field is computed: each takes a hundredth of a second
 
 
 @dataclass(frozen=True)
@@ -138,41 +139,57 @@ def _difference(before: ValidationScores, after: ValidationScores) -> tuple[floa
 
 
 def validation_scores(
-    fit: Fit, unseen: Observations, widened: Float[Tensor, "coordinate coordinate"] | None = None
+    fit: Fit,
+    unseen: Observations,
+    widened: Float[Tensor, "coordinate coordinate"] | None = None,
+    draws: Float[Tensor, "draw coordinate"] | None = None,
 ) -> ValidationScores:
-    """Errors, log predictive density and coverage of a fit's predictions; Laplace, or a widened covariance, gives the uncertainty.
+    """Errors, log predictive density and coverage of a fit's predictions, with noise as uncertain as the rest.
 
-    Noise is as uncertain as the rest.
+    Args:
+        fit: The rig and its numbers.
+        unseen: Readings that it was not fitted to.
+        widened: Covariance that stands for that of Laplace's approximation, by which predictions scatter to first order.
+        draws: From the posterior, where it was sampled; predictions scatter as theirs do.
     """
     unseen = as_meant(fit.rig, unseen)
     model = fit.model_of(unseen)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
+    covariance = fit.covariance if widened is None else widened
     with torch.no_grad():
         predicted_T = model.predict(fit.values).expand(len(unseen), 3)
-        mean_T = posterior.measured_components(predicted_T)
-        jacobian: Tensor = posterior.jacobian(fit.vector)
-        covariance = fit.covariance if widened is None else widened
-        noise_T = posterior.component_sigma_T(_draws(fit, covariance))
-    parameter_variance = ((jacobian @ covariance) * jacobian).sum(-1)
-    residual_T = posterior.measured_T - mean_T
-    log_density, probability_below = _mixture(posterior, fit, residual_T, noise_T, parameter_variance)
-    shown_T, below_prediction = predicted_T, probability_below
+        noise_T = posterior.component_sigma_T(_draws(fit, covariance) if draws is None else draws)
+        if draws is None:
+            middle_T = posterior.measured_components(predicted_T)
+            variance = _to_first_order(posterior.jacobian(fit.vector), covariance)
+        else:
+            each_T = posterior.predicted(draws)
+            middle_T, variance = each_T.mean(0), each_T.var(0)
+    log_density, below = _mixture(posterior, fit, middle_T, noise_T, variance)
+    shown_T, below_prediction = predicted_T, below
     if fit.rig.acting:
-        values_of = fit.posterior.coordinates.values
-        shown_T, slopes = value_and_jacobian(
-            lambda vector: shown_by_prediction_T(fit, unseen, values_of(vector)), fit.vector
-        )
-        slopes = slopes[unseen.is_measured]
-        variance = ((slopes @ covariance) * slopes).sum(-1)
-        beside_T = posterior.measured_T - posterior.measured_components(shown_T)
-        _, below_prediction = _mixture(posterior, fit, beside_T, noise_T, variance)
+
+        def shown(vector: Tensor) -> Tensor:
+            return posterior.measured_components(
+                shown_by_prediction_T(fit, unseen, fit.posterior.coordinates.values(vector))
+            )
+
+        shown_T = shown_by_prediction_T(fit, unseen)
+        if draws is None:
+            middle_T, slopes = value_and_jacobian(shown, fit.vector)
+            variance = _to_first_order(slopes, covariance)
+        else:
+            with torch.no_grad():
+                each_T = torch.stack([shown(vector) for vector in draws[:: len(draws) // N_SHOWN]])
+            middle_T, variance = each_T.mean(0), each_T.var(0)
+        _, below_prediction = _mixture(posterior, fit, middle_T, noise_T, variance)
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
-    coverage = {p: float(((probability_below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
+    coverage = {p: float(((below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
     of_prediction = float(((below_prediction - 0.5).abs() <= 0.45).double().mean())
     is_on = numpy_of((unseen.current_A != 0.0).any(-1))
     errors, predicted = (
-        error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each), is_on)
+        error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each.detach()), is_on)
         for each in (predicted_T, shown_T)
     )
     elpd = float(by_reading.sum())
@@ -190,8 +207,16 @@ def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -
     coordinates = fit.posterior.coordinates
     best = coordinates.vector({name: calibration.best[name] for name in coordinates.names})
     draws = {name: torch.from_numpy(calibration.draws[name].reshape(-1)) for name in coordinates.names}
+    vectors = coordinates.vector(draws)
     handed_out = Fit(fit.posterior, fit.optimum.at(best))
-    return validation_scores(handed_out, unseen, coordinates.vector(draws).T.cov())
+    return validation_scores(handed_out, unseen, draws=vectors[:: max(1, len(vectors) // N_DRAWS)])
+
+
+def _to_first_order(
+    slopes: Float[Tensor, "component coordinate"], covariance: Float[Tensor, "coordinate coordinate"]
+) -> Float[Tensor, " component"]:
+    """Variance of what changes so with the coordinates."""
+    return ((slopes @ covariance) * slopes).sum(-1)
 
 
 def _draws(fit: Fit, covariance: Float[Tensor, "coordinate coordinate"]) -> Float[Tensor, "draw coordinate"]:
@@ -205,17 +230,21 @@ def _draws(fit: Fit, covariance: Float[Tensor, "coordinate coordinate"]) -> Floa
 def _mixture(
     posterior: LogPosterior,
     fit: Fit,
-    residual_T: Float[Tensor, " component"],
+    middle_T: Float[Tensor, " component"],
     noise_T: Float[Tensor, "draw component"],
-    parameter_variance: Float[Tensor, " component"],
+    variance: Float[Tensor, " component"],
 ) -> tuple[Float[Tensor, " component"], Float[Tensor, " component"]]:
     """Log predictive density of each component and the probability below it.
 
     Where the rig has outliers two normals are mixed, and always those of noise as wide as in each draw.
+
+    Args:
+        middle_T, variance: Of the predictions, without noise.
     """
+    residual_T = posterior.measured_T - middle_T
     share, ratio = posterior.contamination(fit.values)
     good, bad = (
-        torch.distributions.Normal(0.0, torch.sqrt(width_T**2 + parameter_variance))
+        torch.distributions.Normal(0.0, torch.sqrt(width_T**2 + variance))
         for width_T in (noise_T, ratio * noise_T)
     )
     parts = torch.stack(
