@@ -66,9 +66,9 @@ def gained(diagnosis: Diagnosis) -> Iterator[str]:
     improvement = diagnosis.improvement
     if improvement is None or not diagnosis.fits.extended.rig.acting:
         return
-    predicted, of_readings = improvement.after.predicted, improvement.after.errors
-    after = predicted if improvement.after.is_of_field else of_readings
-    errors_T = [improvement.before.errors.vector_T, after.vector_T]
+    extended = improvement.after
+    errors = extended.predicted if extended.is_of_field else extended.errors
+    errors_T = [improvement.before.errors.vector_T, errors.vector_T]
     before, after = (size_with_unit(error_T, "T", 3) for error_T in errors_T)
     unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
     if not improvement.is_significant:
