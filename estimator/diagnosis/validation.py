@@ -180,7 +180,7 @@ def validation_scores(
             variance = _to_first_order(slopes, covariance)
         else:
             with torch.no_grad():
-                each_T = torch.stack([shown(vector) for vector in draws[:: len(draws) // N_SHOWN]])
+                each_T = torch.stack([shown(vector) for vector in _some(draws, N_SHOWN)])
             middle_T, variance = each_T.mean(0), each_T.var(0)
         _, below_prediction = _mixture(posterior, fit, middle_T, noise_T, variance)
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
@@ -209,7 +209,12 @@ def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -
     draws = {name: torch.from_numpy(calibration.draws[name].reshape(-1)) for name in coordinates.names}
     vectors = coordinates.vector(draws)
     handed_out = Fit(fit.posterior, fit.optimum.at(best))
-    return validation_scores(handed_out, unseen, draws=vectors[:: max(1, len(vectors) // N_DRAWS)])
+    return validation_scores(handed_out, unseen, draws=_some(vectors, N_DRAWS))
+
+
+def _some(draws: Float[Tensor, "draw coordinate"], n: int) -> Float[Tensor, "some coordinate"]:
+    """About so many of the draws, evenly."""
+    return draws[:: max(1, len(draws) // n)]
 
 
 def _to_first_order(
@@ -225,7 +230,8 @@ def _draws(fit: Fit, covariance: Float[Tensor, "coordinate coordinate"]) -> Floa
     variances, axes = torch.linalg.eigh(covariance)
     generator = torch.Generator().manual_seed(0)
     normal = torch.randn(N_DRAWS, len(variances), generator=generator, dtype=variances.dtype).to(variances)
-    return fit.vector + (normal * variances.clamp(min=0.0).sqrt()) @ axes.T
+    away: Tensor = (normal * variances.clamp(min=0.0).sqrt()) @ axes.T
+    return fit.vector + away
 
 
 def _mixture(
