@@ -67,6 +67,21 @@ def test_log_density_is_that_of_normals_as_wide_as_noise_and_parameters_together
     assert scores.elpd == pytest.approx(float(scores.log_density.sum()), rel=1e-12)
 
 
+def test_predictions_scatter_as_draws_do(fits, wrong_zero):
+    """Draws of a normal posterior, and such that scatter three times as far."""
+    fit, unseen = fits[1], wrong_zero.validation
+    draws = torch.from_numpy(
+        np.random.default_rng(3).multivariate_normal(fit.vector.numpy(), fit.covariance.numpy(), 4000)
+    )
+    by_draws, scores = validation_scores(fit, unseen, draws=draws), validation_scores(fit, unseen)
+    np.testing.assert_allclose(by_draws.log_density, scores.log_density, rtol=0.0, atol=0.1)
+    assert by_draws.predicted_coverage90 == pytest.approx(scores.predicted_coverage90, abs=0.05)
+    farther = validation_scores(fit, unseen, draws=fit.vector + 3.0 * (draws - fit.vector))
+    widened = validation_scores(fit, unseen, 9.0 * fit.covariance)
+    np.testing.assert_allclose(farther.log_density, widened.log_density, rtol=0.0, atol=0.2)
+    assert farther.coverage90 >= by_draws.coverage90
+
+
 def test_errors_are_those_of_the_prediction_at_the_maximum(fits, wrong_zero):
     fit, unseen = fits[1], wrong_zero.validation
     model = MeasurementModel.unruled(fit.rig, unseen).with_rules(fit.posterior.model.rules)
