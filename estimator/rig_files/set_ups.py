@@ -111,13 +111,16 @@ class Wound:
             settings: Currents of the coils; each is set with both signs at every pose.
             depth_mm: How far the stage goes along z to each side.
         """
-        usual = {"like": "", "side_mm": None, "frees_turns": False}
+        usual: dict[str, Any] = {"like": "", "side_mm": None, "frees_turns": False}
         both_signs = [
             {name: sign * A for name, A in each.items()} for each in settings for sign in (1.0, -1.0)
         ]
         return (
             filled(
-                "wound_rig", s=self, words=words, coils={name: usual | coil for name, coil in coils.items()}
+                "wound_rig",
+                s=self,
+                words=words,
+                coils={name: usual | dict(coil) for name, coil in coils.items()},
             ),
             filled("wound_plan", s=self, settings=both_signs, depth_mm=depth_mm),
         )
@@ -148,7 +151,7 @@ class Pair(Wound):
             if self.is_opposed
             else "Distance of the middles over the mean radius: 1, a Helmholtz pair. Equal currents make a flat field."
         )
-        coils = {
+        coils: dict[str, dict[str, Any]] = {
             "coil1": {"face_mm": half_mm + 0.5 * self.length_mm},
             "coil2": {"face_mm": -half_mm + 0.5 * self.length_mm, "like": "coil1"},
         }
@@ -181,7 +184,7 @@ class Cage(Wound):
 
     def texts(self) -> tuple[str, str]:
         """Rig file and plan."""
-        coils = {}
+        coils: dict[str, dict[str, Any]] = {}
         for axis, turn in (("x", "ry_deg: 90"), ("y", "rx_deg: -90"), ("z", "")):
             side_mm = self._side_mm(axis)
             half_mm = 0.5 * SQUARE_HELMHOLTZ * (side_mm + self.thickness_mm)
@@ -214,7 +217,7 @@ class Solenoid(Wound):
     def texts(self) -> tuple[str, str]:
         """Rig file and plan."""
         words = "The middle of the solenoid is the origin of the room, its axis is z."
-        coils = {"coil1": {"face_mm": 0.5 * self.length_mm, "frees_turns": True}}
+        coils: dict[str, dict[str, Any]] = {"coil1": {"face_mm": 0.5 * self.length_mm, "frees_turns": True}}
         settings = [{"coil1": self.largest_A}, {"coil1": 0.5 * self.largest_A}]
         return self.filled(words, coils, settings, 0.75 * self.length_mm)
 

@@ -20,8 +20,7 @@ from estimator.live.stream import Stream
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
-from estimator.service.devices import Device, updated
-from estimator.service.live_state import REDRAWN_AT, LiveState
+from estimator.service.live_state import REDRAWN_AT, Device, LiveState, updated
 from estimator.service.watching import Watched
 from estimator.store.made import JOURNAL
 from estimator.store.session import Session
