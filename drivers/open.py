@@ -51,10 +51,8 @@ from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm, Temp
 from drivers.readings import ICE_POINT_K
 from drivers.safety import CoilLoad
 from drivers.settings import Settings, noting
-from drivers.transport.serial_port import SerialSettings
 
 _TEMPERATURE_S = 3.0
-_SCPI_SERIAL = SerialSettings(9600)
 
 
 @dataclass
