@@ -271,7 +271,17 @@ class PortSettings:
         Raises:
             DeviceFault: It is not there, not permitted, or another process has it.
         """
-        return _open_port(self)
+        if self.connection == "replay":
+            return ReplayedPort.from_file(Path(self.address))
+        port: Port
+        if self.connection == "serial":
+            port = SerialPort(self.address, self.line)
+        elif self.connection == "visa":
+            port = VisaPort(self.address)
+        else:
+            assert self.tcp_port is not None
+            port = TcpPort(self.address, self.tcp_port, timeout_s=_CONNECT_S)
+        return port if self.transcript is None else RecordingPort(port, self.transcript)
 
 
 def _port(
@@ -287,17 +297,3 @@ def _port(
         port_number = settings.whole_number("port")
     line = SerialSettings(baud, serial.data_bits, serial.parity, serial.has_rts_cts)
     return PortSettings(connection, address, line, port_number, transcript)
-
-
-def _open_port(settings: PortSettings) -> Port:
-    if settings.connection == "replay":
-        return ReplayedPort.from_file(Path(settings.address))
-    port: Port
-    if settings.connection == "serial":
-        port = SerialPort(settings.address, settings.line)
-    elif settings.connection == "visa":
-        port = VisaPort(settings.address)
-    else:
-        assert settings.tcp_port is not None
-        port = TcpPort(settings.address, settings.tcp_port, timeout_s=_CONNECT_S)
-    return port if settings.transcript is None else RecordingPort(port, settings.transcript)

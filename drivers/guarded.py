@@ -63,7 +63,7 @@ class GuardedSource(ClosesItself):
         self._source, self._limits, self._interlock, self._name = source, limits, interlock, name
         self._tolerance_A, self._hold_s, self._read_temperature_K = tolerance_A, hold_s, read_temperature_K
         # A coil of unknown history is taken to be cold, for rigs are switched on in the morning; see `begin_with`.
-        self._load_lock = threading.Lock()  # shared with the thread of `drivers.watch`
+        self._load_lock = threading.Lock()  # shared with the thread of `drivers.interlock`
         self._load = CoilLoad(time.monotonic(), 0.0)
         self._flowing_A = 0.0
         self._requested_A: float | None = None

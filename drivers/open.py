@@ -45,17 +45,14 @@ from drivers.device import ClosesItself
 from drivers.entries import arm_of, monitor_of, sensor_of, source_of
 from drivers.errors import Refused
 from drivers.guarded import GuardedSensor, GuardedSource, GuardedThermometer
-from drivers.interlock import Interlock
+from drivers.interlock import Interlock, Watch
 from drivers.limits_section import limits_of
 from drivers.protocols import CurrentSource, Device, FieldSensor, RobotArm, TemperatureMonitor, Thermometer
 from drivers.readings import ICE_POINT_K
 from drivers.safety import CoilLoad
 from drivers.settings import Settings, noting
-from drivers.transport.serial_port import SerialSettings
-from drivers.watch import Watch
 
 _TEMPERATURE_S = 3.0
-_SCPI_SERIAL = SerialSettings(9600)
 
 
 @dataclass

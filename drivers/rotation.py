@@ -1,11 +1,14 @@
-"""Rotation vectors (axis times angle), as Universal Robots reports orientations; every half turn has two of them."""
+"""Rotation vectors (axis times angle), as Universal Robots reports orientations, and poses between two others.
+
+Every half turn has two rotation vectors.
+"""
 
 from __future__ import annotations
 
 import math
 from typing import TypeAlias
 
-from drivers.protocols import Vector
+from drivers.protocols import FlangePose, Vector
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
 
@@ -54,3 +57,23 @@ def angle_between_rad(first_rad: Vector, second_rad: Vector) -> float:
         0.000185
     """
     return math.hypot(*rotation_vector_rad(product(inverse(quaternion(first_rad)), quaternion(second_rad))))
+
+
+def interpolate(start: FlangePose, target: FlangePose, share: float) -> FlangePose:
+    """Pose after a fraction of the motion; `share` 0 is the start, 1 the target.
+
+    Examples:
+        >>> home, turned = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), FlangePose((0.2, 0.0, 0.0), (0.0, 0.0, 1.0))
+        >>> interpolate(home, turned, 0.5)
+        FlangePose(position_m=(0.1, 0.0, 0.0), rotation_vector_rad=(0.0, 0.0, 0.5))
+    """
+    x_m, y_m, z_m = (a + share * (b - a) for a, b in zip(start.position_m, target.position_m, strict=True))
+    first, last = quaternion(start.rotation_vector_rad), quaternion(target.rotation_vector_rad)
+    x_rad, y_rad, z_rad = rotation_vector_rad(product(inverse(first), last))
+    turn = quaternion((share * x_rad, share * y_rad, share * z_rad))
+    return FlangePose((x_m, y_m, z_m), rotation_vector_rad(product(first, turn)))
+
+
+def distance_m(start: FlangePose, target: FlangePose) -> float:
+    """Distance between the origins of two poses."""
+    return math.dist(start.position_m, target.position_m)

@@ -15,15 +15,14 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from drivers.children import run_ahead
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, DriverError, Refused
-from drivers.motion import interpolate
-from drivers.priority import run_ahead
 from drivers.protocols import FlangePose
 from drivers.robots import rtde
 from drivers.robots.rtde_reader import RtdeReader, Sample
 from drivers.robots.safety_bits import NOT_RUNNING, why_not_running, why_stopped
-from drivers.rotation import angle_between_rad
+from drivers.rotation import angle_between_rad, interpolate
 from drivers.supervised import end_at_once
 from drivers.transport.tcp import TcpPort
 

@@ -13,10 +13,9 @@ import time
 from collections.abc import Sequence
 from functools import cache
 
-from drivers.motion import distance_m
 from drivers.protocols import FlangePose
 from drivers.robots.rtde import Value
-from drivers.rotation import angle_between_rad
+from drivers.rotation import angle_between_rad, distance_m
 from drivers.simulated.world import World
 
 _STOPPED, _PLAYING = 1, 2

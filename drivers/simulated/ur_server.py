@@ -16,8 +16,8 @@ from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Protocol
 
+from drivers.children import run_ahead
 from drivers.errors import DeviceFault
-from drivers.priority import run_ahead
 from drivers.robots import rtde
 from drivers.robots.rtde import Package, PackageType, Recipe
 from drivers.simulated.faults import Fault, FaultSwitch

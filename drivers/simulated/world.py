@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 from drivers.children import SPAWN
-from drivers.motion import interpolate
 from drivers.protocols import FlangePose, Vector
+from drivers.rotation import interpolate
 
 ORIGIN = FlangePose((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
 

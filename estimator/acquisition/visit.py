@@ -26,8 +26,7 @@ from drivers.protocols import (
     RobotArm,
     Thermometer,
 )
-from estimator.acquisition.averages import average, measured
-from estimator.acquisition.clocks import DeviceClock
+from estimator.acquisition.averages import DeviceClock, average, measured
 from estimator.acquisition.pace import ANSWER_S, Pace
 from estimator.frames import Transform
 from estimator.geometry.motion import flange_to_reach, motion_reached

@@ -38,7 +38,7 @@ def check_command(rig_path: Path, path: Path | None, form: FormOptions, as_json:
     copied, stretches that were filled in, a sensor that stood still while it was moved, bits that are stuck. Exit code 2 where a file is
     wrong.
     """
-    from estimator.cli.device_faults import device_faults
+    from estimator.cli.instruments import device_faults
     from estimator.cli.understood import rig_lines, rig_record
     from estimator.errors import in_order
     from estimator.rig_files.read import rig_and_faults
@@ -64,7 +64,7 @@ def _file(
     path: Path, rig: Rig, form: FormOptions, is_rig_right: bool
 ) -> tuple[list[str], dict[str, Any], list[InvalidInput]]:
     """What a plan or a file of readings holds, as lines and as a record, and its faults."""
-    from estimator.cli.device_faults import devices_and_faults, is_devices_file
+    from estimator.cli.instruments import devices_and_faults, is_devices_file
     from estimator.cli.understood import plan_lines, plan_record
     from estimator.readings.plan import plan_and_faults
 

@@ -10,11 +10,12 @@ from pathlib import Path
 
 from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.limits_section import thermometer_inputs
-from drivers.open import DeviceSet, open_devices
-from estimator.errors import InvalidInput
+from drivers.open import DeviceSet, faults_of, open_devices
+from estimator.errors import Faults, InvalidInput, in_order
 from estimator.rig.rig import Rig
-from estimator.rig_files.devices import DeviceSettings, load_devices, setting_place
+from estimator.rig_files.devices import DEVICES, DeviceSettings, load_devices, read_devices, setting_place
 from estimator.rig_files.read import load_rig
+from estimator.yaml_section import Section
 
 NAMED = re.compile(r"devices\.(?P<name>[\w-]+)(\.(?P<key>\w+))?")
 
@@ -105,3 +106,40 @@ def fault_words(error: DriverError, name: str) -> str:
     """One sentence that names the device that failed."""
     text = str(error) or type(error).__name__
     return text if NAMED.match(text) else f"devices.{name}: {text}"
+
+
+def device_faults(path: Path, devices: DeviceSettings) -> list[InvalidInput]:
+    """Faults of the settings that drivers ask for.
+
+    Args:
+        path: File that holds them.
+        devices: The settings.
+    """
+    faults = []
+    for fault in faults_of(devices):
+        named = NAMED.match(str(fault))
+        if named is None:
+            faults.append(InvalidInput(f"{fault} ({path})"))
+        else:
+            place = setting_place(path, named["name"], named["key"] or "")
+            faults.append(InvalidInput.at(place, str(fault)))
+    return faults
+
+
+def is_devices_file(path: Path) -> bool:
+    """Whether a YAML file holds settings of instruments, as `coilcal rig-simulator` writes it, and no plan."""
+    try:
+        return DEVICES in Section.from_file(path)
+    except InvalidInput:
+        return False
+
+
+def devices_and_faults(path: Path, rig: Rig) -> tuple[DeviceSettings, list[InvalidInput]]:
+    """Settings in a file of their own, and all that is wrong in it, in the order of its lines."""
+    faults = Faults(is_collected=True)
+    devices: DeviceSettings = {}
+    with faults.noting():
+        top = Section.from_file(path, faults)
+        devices = read_devices(top.section(DEVICES), rig)
+        top.finish()
+    return devices, in_order([*faults.noted, *device_faults(path, devices)])

@@ -9,8 +9,8 @@ Needs the extra `coilcal[client]`, or `coilcal[service]`.
 
 from estimator.client.calibrations import AsyncRemoteCalibration, RemoteCalibration
 from estimator.client.client import AsyncClient, Client
+from estimator.client.connection import JobFailed, ServiceFault
 from estimator.client.diagnoses import RemoteDiagnosis
-from estimator.client.errors import JobFailed, ServiceFault
 from estimator.client.registry import AsyncRemoteRegistry, RemoteRegistry
 from estimator.client.sessions import AsyncRemoteSession, RemoteSession
 

@@ -11,13 +11,11 @@ import httpx
 
 from estimator.client.calibrations import AsyncRemoteCalibration, C, RemoteCalibration, calibration_of
 from estimator.client.calls import Awaits, Call, Waits
-from estimator.client.connection import AsyncConnection, Connection, Http
+from estimator.client.connection import AsyncConnection, Connection, Http, page_after
 from estimator.client.diagnoses import RemoteDiagnosis
 from estimator.client.following import Tell, result_of
-from estimator.client.lists import page_after
 from estimator.client.registry import AsyncRemoteRegistry, RemoteRegistry
-from estimator.client.sessions import AsyncRemoteSession, RemoteSession
-from estimator.client.uploads import upload, upload_rig
+from estimator.client.sessions import AsyncRemoteSession, RemoteSession, upload, upload_rig
 from estimator.inference.ensemble import SamplerSettings
 from estimator.recalibration.log import Entry
 from estimator.rig.rig import Rig

@@ -1,4 +1,4 @@
-"""Requests over httpx, made again while the service is busy or away.
+"""Requests over httpx, made again while the service is busy or away, and lists that come page by page.
 
 Calls are coroutines that use four primitives: a request, a stream of lines, a pause, and work in this process. `AsyncConnection` awaits
 them. On a `Connection` each is done when it is awaited, so that `run` carries a call out without an event loop.
@@ -16,14 +16,21 @@ from typing import Any, TypeVar
 
 import httpx
 
-from estimator.client.errors import ServiceFault
-from estimator.errors import InvalidInput
+from estimator.errors import CoilcalError, InvalidInput
 
 T = TypeVar("T")
 Lines = Callable[[str], None]
 TIMEOUT_S = 120.0
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.5, 30.0
 BUSY = (408, 429, 503)  # the same request may be accepted in a moment
+
+
+class ServiceFault(CoilcalError):
+    """The service cannot be reached, or failed."""
+
+
+class JobFailed(CoilcalError):
+    """A job ended without a result; the message is the sentence of the service."""
 
 
 class Http(ABC):
@@ -203,3 +210,21 @@ def sentence(answer: httpx.Response) -> str:
 
 def _headers(token: str | None) -> dict[str, str]:
     return {} if token is None else {"Authorization": f"Bearer {token}"}
+
+
+async def page_after(
+    connection: Http, path: str, params: Mapping[str, Any], cursor: str | None
+) -> dict[str, Any]:
+    """A page of a list, the first without a cursor: `items`, and in `next` the cursor of the page that follows, or None."""
+    asked = dict(params) if cursor is None else {**params, "cursor": cursor}
+    return await connection.json("GET", path, params=asked)
+
+
+async def whole_list(connection: Http, path: str) -> list[dict[str, Any]]:
+    """Every item of a list."""
+    page = await page_after(connection, path, {}, None)
+    items = list(page["items"])
+    while page["next"] is not None:
+        page = await page_after(connection, path, {}, page["next"])
+        items += page["items"]
+    return items

@@ -6,8 +6,7 @@ import uuid
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from estimator.client.connection import Http
-from estimator.client.errors import JobFailed
+from estimator.client.connection import Http, JobFailed
 from estimator.json_files import json_of
 
 Tell = Callable[[Mapping[str, Any]], None]

@@ -6,8 +6,7 @@ from typing import Any, ClassVar, Generic
 
 from estimator.client.calibrations import AsyncRemoteCalibration, C, RemoteCalibration, calibration_of
 from estimator.client.calls import Awaits, Call, Waits
-from estimator.client.connection import Http
-from estimator.client.lists import whole_list
+from estimator.client.connection import Http, whole_list
 from estimator.errors import InvalidInput
 
 

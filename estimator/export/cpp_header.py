@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from estimator.export.labels import identifier, plain_words
+from estimator.export.labels import identifier
 from estimator.export.plain_model import PlainCoil, numbers_of
 from estimator.export.request import Request
 from estimator.export.sides import first_arc, is_rounded
-from estimator.export.templates import Filters, number, template
-from estimator.field.sided import SidedWinding
+from estimator.export.templates import Filters, number, source_code
 from estimator.field.winding import Winding
-from estimator.field.winding_shape import DEFAULT_TOLERANCE
-from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
 from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
@@ -24,25 +21,16 @@ def cpp_header(request: Request) -> str:
     """
     magnet = request.magnet
     model = magnet.model("cpp")
-    sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
-    has_leads = any(coil.leads for coil in model.coils)
-    return template("cpp_header.hpp.j2", FILTERS).render(
-        model=model,
-        sided=sided,
-        has_leads=has_leads,
-        wires=sided or has_leads,
+    return source_code(
+        magnet,
+        model,
+        "cpp_header.hpp.j2",
+        FILTERS,
         n_numbers=max(len(numbers_of(coil.winding)) for coil in model.coils),
         changes=magnet.changes,
-        title=plain_words(model.name),
         name=identifier(model.name),
-        regions=magnet.regions,
-        origin=magnet.origin,
-        coil_names=", ".join(coil.name for coil in model.coils),
-        mover_names=", ".join(mover.name for mover in model.movers) or "none",
         currents=", ".join(["1.0"] * len(model.coils)),
         mu0=MU0_T_M_PER_A,
-        tolerance=f"{DEFAULT_TOLERANCE:g}",
-        zones_per_octave=ZONES_PER_OCTAVE,
     )
 
 

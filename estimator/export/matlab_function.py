@@ -6,14 +6,10 @@ import re
 from dataclasses import astuple
 
 from estimator.errors import InvalidInput, quoted
-from estimator.export.labels import plain_words
 from estimator.export.plain_model import numbers_of
 from estimator.export.request import Request
 from estimator.export.sides import first_arc, is_rounded
-from estimator.export.templates import Filters, number, template
-from estimator.field.sided import SidedWinding
-from estimator.field.winding_shape import DEFAULT_TOLERANCE
-from estimator.field.zones import ZONES_PER_OCTAVE
+from estimator.export.templates import Filters, number, source_code
 from estimator.frames import Transform
 from estimator.rig.arms import DenavitHartenberg
 from estimator.tensors import Tensor, torch
@@ -35,22 +31,8 @@ def matlab_function(request: Request) -> str:
             f"name of a MATLAB function must have up to 63 letters, digits and underscores, a letter first; received {quoted(name)}"
         )
     model = magnet.model("matlab")
-    sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
-    has_leads = any(coil.leads for coil in model.coils)
-    text = template("matlab_function.m.j2", FILTERS).render(
-        model=model,
-        name=name,
-        title=plain_words(model.name),
-        regions=magnet.regions,
-        origin=magnet.origin,
-        coil_names=", ".join(coil.name for coil in model.coils),
-        mover_names=", ".join(mover.name for mover in model.movers) or "none",
-        sided=sided,
-        has_leads=has_leads,
-        wires=sided or has_leads,
-        quarter_mu0=number(0.25 * MU0_T_M_PER_A),
-        tolerance=f"{DEFAULT_TOLERANCE:g}",
-        zones_per_octave=ZONES_PER_OCTAVE,
+    text = source_code(
+        magnet, model, "matlab_function.m.j2", FILTERS, name=name, quarter_mu0=number(0.25 * MU0_T_M_PER_A)
     )
     if name in DEFINED.findall(text)[1:]:
         raise InvalidInput(

@@ -7,6 +7,12 @@ from typing import Any
 
 import jinja2
 
+from estimator.export.labels import plain_words
+from estimator.export.magnet import Magnet
+from estimator.export.plain_model import PlainModel
+from estimator.field.sided import SidedWinding
+from estimator.field.winding_shape import DEFAULT_TOLERANCE
+from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.tensors import Tensor
 
 Filters = Mapping[str, Callable[..., Any]]  # how values are written in a language, by name
@@ -26,6 +32,34 @@ def template(name: str, filters: Filters) -> jinja2.Template:
     )
     environment.filters |= {"number": number, **filters}
     return environment.get_template(name)
+
+
+def source_code(magnet: Magnet, model: PlainModel, file: str, filters: Filters, **own: Any) -> str:
+    """Source code of a magnet by a template, which gets the numbers and words that every language asks for.
+
+    Args:
+        magnet: What is exported.
+        model: Its numbers.
+        file: The template.
+        filters: Besides `number`.
+        own: What this language asks for besides.
+    """
+    sided = any(isinstance(coil.winding, SidedWinding) for coil in model.coils)
+    has_leads = any(coil.leads for coil in model.coils)
+    return template(file, filters).render(
+        model=model,
+        title=plain_words(model.name),
+        regions=magnet.regions,
+        origin=magnet.origin,
+        coil_names=", ".join(coil.name for coil in model.coils),
+        mover_names=", ".join(mover.name for mover in model.movers) or "none",
+        sided=sided,
+        has_leads=has_leads,
+        wires=sided or has_leads,
+        tolerance=f"{DEFAULT_TOLERANCE:g}",
+        zones_per_octave=ZONES_PER_OCTAVE,
+        **own,
+    )
 
 
 def number(value: Tensor | float) -> str:

@@ -15,7 +15,7 @@ from estimator.export.torch_wires import of_leads, padded, sided_per_ampere
 from estimator.field.kernel import SMALLEST_RHO2_M2
 from estimator.field.loop import loop_derivatives
 from estimator.field.sided import SidedWinding, distance_to_sided
-from estimator.field.winding import Winding
+from estimator.field.winding import Winding, distance_to_winding
 from estimator.field.zones import ZONES_PER_OCTAVE
 from estimator.frames import Transform
 from estimator.geometry.kinematics import base_from_flange
@@ -118,7 +118,7 @@ def _per_ampere(
         distance_m = distance_to_sided(points_m, winding)
         field, slopes = sided_per_ampere(coil, winding, points_m, _rule_numbers(coil, distance_m))
     else:
-        distance_m = _distance_m(winding, points_m)
+        distance_m = distance_to_winding(points_m, winding)
         field, slopes = _round_per_ampere(coil, winding, points_m, _rule_numbers(coil, distance_m))
     if coil.leads:
         of_wires = of_leads(points_m, coil.leads)
@@ -168,13 +168,3 @@ def _loops(coil: PlainCoil, winding: Winding) -> tuple[Tensor, Tensor, Tensor]:
         rows.append(torch.stack(parts, dim=-1).flatten(0, 1))
     heights_m, radii_m, weights = padded(rows, 2).unbind(-1)
     return heights_m, radii_m, weights
-
-
-def _distance_m(winding: Winding, points_m: Float[Tensor, "point 3"]) -> Float[Tensor, " point"]:
-    """Distance of points from the cross-section of the winding, in m; 0 inside it."""
-    x, y, z = points_m.unbind(-1)
-    rho = (x * x + y * y).sqrt()
-    inner_m = winding.radius_m - winding.radial_pitch_m * winding.radial_loops
-    radial = torch.maximum(inner_m - rho, rho - winding.radius_m).clamp(min=0.0)
-    axial = torch.maximum(-winding.axial_pitch_m * winding.axial_loops - z, z).clamp(min=0.0)
-    return (radial * radial + axial * axial).sqrt()

@@ -10,8 +10,7 @@ from estimator.errors import InvalidInput
 from estimator.rig.arms import ARMS, N_JOINTS, ArmEnds, DenavitHartenberg
 from estimator.rig.bodies import MotionKind
 from estimator.rig.charged_box import Triple
-from estimator.rig_files.ur_kinematics import corrections_from_ros
-from estimator.rig_files.urdf import arm_from_urdf
+from estimator.rig_files.arm_files import arm_from_urdf, corrections_from_ros
 from estimator.units import LARGEST
 from estimator.yaml_section import Section
 

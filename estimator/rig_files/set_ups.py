@@ -6,32 +6,28 @@ In each of them the middle is the origin of the room, and what moves is a stage 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from enum import StrEnum
 from typing import Any
 
 from estimator.errors import InvalidInput
-from estimator.rig.first import RELATIVE_SD
+from estimator.rig.first import RELATIVE_SD, thickness_at_most
 from estimator.rig_files.starter import (
     Earth,
     Motion,
     Moved,
     Starter,
+    check_answer,
     check_name,
-    effects,
-    noise,
-    normal,
+    filled,
     starter_plan_text,
-    starter_rig_text,
 )
-from estimator.rig_files.wound import Wound, both_signs, plan_text_of, rig_text_of, round_coil
 
-SQUARE_HELMHOLTZ = (
-    0.5445  # distance of two square loops over their side, where the field is flattest in the middle
-)
+MARGIN_MM = 12.0  # of a place that was measured with a ruler, four times its standard deviation
+# Distance of two square loops over their side, where the field is flattest in the middle.
+SQUARE_HELMHOLTZ = 0.5445
 MAXWELL = math.sqrt(3.0)  # distance of two opposed loops over their radius, where the gradient is flattest
-FACE_SD_MM = 1.0  # of the distance of two windings on one frame
 
 
 class Kind(StrEnum):
@@ -44,6 +40,90 @@ class Kind(StrEnum):
     CAGE = "cage"
     ARRAY = "array"
     SOLENOID = "solenoid"
+
+
+@dataclass(frozen=True)
+class Wound:
+    """Answers that all of these set-ups share, in the units of rig files.
+
+    Attributes:
+        name: Of the rig.
+        wire_radius_mm: Half the distance of neighbouring turns.
+        axial_loops, radial_loops: Turns along the axis, and layers, of each coil.
+        reach_mm: How far the stage goes to each side.
+        noise_uT: Scatter of one component of one reading.
+        largest_A: Largest current of each coil.
+        earth: Whether readings contain the Earth's field.
+    """
+
+    name: str = "my rig"
+    wire_radius_mm: float = 0.5
+    axial_loops: float = 10.0
+    radial_loops: float = 10.0
+    reach_mm: float = 40.0
+    noise_uT: float = 20.0
+    largest_A: float = 3.0
+    earth: Earth = Earth.INCLUDED
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            check_answer(field.name, getattr(self, field.name))
+
+    @property
+    def thickness_mm(self) -> float:
+        """Thickness of the layers, at most."""
+        return thickness_at_most(self.wire_radius_mm, self.radial_loops)
+
+    @property
+    def length_mm(self) -> float:
+        """Length of the winding."""
+        return 2.0 * self.wire_radius_mm * self.axial_loops
+
+    def check_bore(self, key: str, inner_mm: float) -> None:
+        """Refuse a stage whose sensor would come into a winding.
+
+        Raises:
+            InvalidInput: The corners of its way are not inside the bore of this half width.
+        """
+        room_mm = (inner_mm - MARGIN_MM) / math.sqrt(2.0)
+        if room_mm <= 0.0:
+            raise InvalidInput(
+                f"{key} must leave a bore in which a sensor can be moved, beside layers of {self.thickness_mm:.4g} mm; "
+                f"received {getattr(self, key):g}"
+            )
+        if self.reach_mm > room_mm:
+            raise InvalidInput(
+                f"reach_mm must be at most {room_mm:.4g}, so that the sensor stays inside the bore; received {self.reach_mm:g}"
+            )
+
+    def filled(
+        self,
+        words: str,
+        coils: Mapping[str, Mapping[str, Any]],
+        settings: Sequence[Mapping[str, float]],
+        depth_mm: float,
+    ) -> tuple[str, str]:
+        """Rig file and plan.
+
+        Args:
+            words: What the coils are there for.
+            coils: Of each its place along the axis (`face_mm`), the coil whose numbers it shares (`like`), and what else the template asks.
+            settings: Currents of the coils; each is set with both signs at every pose.
+            depth_mm: How far the stage goes along z to each side.
+        """
+        usual: dict[str, Any] = {"like": "", "side_mm": None, "frees_turns": False}
+        both_signs = [
+            {name: sign * A for name, A in each.items()} for each in settings for sign in (1.0, -1.0)
+        ]
+        return (
+            filled(
+                "wound_rig",
+                s=self,
+                words=words,
+                coils={name: usual | dict(coil) for name, coil in coils.items()},
+            ),
+            filled("wound_plan", s=self, settings=both_signs, depth_mm=depth_mm),
+        )
 
 
 @dataclass(frozen=True)
@@ -66,20 +146,18 @@ class Pair(Wound):
         """Rig file and plan."""
         mean_mm = self.radius_mm - 0.5 * self.thickness_mm
         half_mm = 0.5 * mean_mm * (MAXWELL if self.is_opposed else 1.0)
-        radius = normal(self.radius_mm, RELATIVE_SD * self.radius_mm)
         words = (
             "Distance of the middles over the mean radius: 1.732, a Maxwell pair. Currents of opposite sign make a gradient."
             if self.is_opposed
             else "Distance of the middles over the mean radius: 1, a Helmholtz pair. Equal currents make a flat field."
         )
-        coils = {
-            "coil1": round_coil(self, radius, half_mm, ""),
-            "coil2": round_coil(self, "{tied_to: coil1.radius_m}", -half_mm, "coil1", FACE_SD_MM),
+        coils: dict[str, dict[str, Any]] = {
+            "coil1": {"face_mm": half_mm + 0.5 * self.length_mm},
+            "coil2": {"face_mm": -half_mm + 0.5 * self.length_mm, "like": "coil1"},
         }
-        sign = -1.0 if self.is_opposed else 1.0
-        both = {"coil1": self.largest_A, "coil2": sign * self.largest_A}
-        settings = both_signs([{"coil1": self.largest_A}, {"coil2": self.largest_A}, both])
-        return rig_text_of(self, words, coils), plan_text_of(self, settings, self.reach_mm)
+        both = {"coil1": self.largest_A, "coil2": -self.largest_A if self.is_opposed else self.largest_A}
+        settings = [{"coil1": self.largest_A}, {"coil2": self.largest_A}, both]
+        return self.filled(words, coils, settings, self.reach_mm)
 
 
 @dataclass(frozen=True)
@@ -106,33 +184,17 @@ class Cage(Wound):
 
     def texts(self) -> tuple[str, str]:
         """Rig file and plan."""
-        coils = {}
-        turn = {"x": "ry_deg: 90", "y": "rx_deg: -90", "z": ""}
-        for axis in "xyz":
+        coils: dict[str, dict[str, Any]] = {}
+        for axis, turn in (("x", "ry_deg: 90"), ("y", "rx_deg: -90"), ("z", "")):
             side_mm = self._side_mm(axis)
             half_mm = 0.5 * SQUARE_HELMHOLTZ * (side_mm + self.thickness_mm)
-            for number, middle_mm in ((1, half_mm), (2, -half_mm)):
+            of_both = {"side_mm": side_mm, "axis": axis, "turn": turn}
+            for number, middle_mm, like in ((1, half_mm, ""), (2, -half_mm, f"{axis}1")):
                 face_mm = middle_mm + 0.5 * self.length_mm
-                first = f"{axis}1"
-                is_first = number == 1
-                side = (
-                    normal(side_mm, 0.002 * side_mm) if is_first else f"{{tied_to: {first}.inner_side_x_m}}"
-                )
-                wire = (
-                    normal(self.wire_radius_mm, RELATIVE_SD * self.wire_radius_mm)
-                    if is_first
-                    else f"{{tied_to: {first}.wire_radius_m}}"
-                )
-                pose = ", ".join(filter(None, (f"{axis}_mm: {normal(face_mm, FACE_SD_MM)}", turn[axis])))
-                coils[f"{axis}{number}"] = (
-                    f"    model: rectangular\n    inner_side_x_mm: {side}\n"
-                    f"    inner_side_y_mm: {{tied_to: {axis}{number}.inner_side_x_m}}\n    wire_radius_mm: {wire}\n"
-                    f"    axial_loops: {self.axial_loops:g}\n    radial_loops: {self.radial_loops:g}\n"
-                    f"    world_from_coil: {{{pose}}}\n"
-                )
+                coils[f"{axis}{number}"] = {**of_both, "face_mm": face_mm, "like": like}
         words = "Two windings of a pair in series have the same current in both of their columns, such as x1_current_A and x2_current_A."
         pairs = [{f"{axis}1": self.largest_A, f"{axis}2": self.largest_A} for axis in "xyz"]
-        return rig_text_of(self, words, coils), plan_text_of(self, both_signs(pairs), self.reach_mm)
+        return self.filled(words, coils, pairs, self.reach_mm)
 
 
 @dataclass(frozen=True)
@@ -154,11 +216,10 @@ class Solenoid(Wound):
 
     def texts(self) -> tuple[str, str]:
         """Rig file and plan."""
-        radius = normal(self.radius_mm, RELATIVE_SD * self.radius_mm)
-        coils = {"coil1": round_coil(self, radius, 0.0, "", frees_turns=True)}
         words = "The middle of the solenoid is the origin of the room, its axis is z."
-        settings = both_signs([{"coil1": self.largest_A}, {"coil1": 0.5 * self.largest_A}])
-        return rig_text_of(self, words, coils), plan_text_of(self, settings, 0.75 * self.length_mm)
+        coils: dict[str, dict[str, Any]] = {"coil1": {"face_mm": 0.5 * self.length_mm, "frees_turns": True}}
+        settings = [{"coil1": self.largest_A}, {"coil1": 0.5 * self.largest_A}]
+        return self.filled(words, coils, settings, 0.75 * self.length_mm)
 
 
 @dataclass(frozen=True)
@@ -181,31 +242,13 @@ class Array(Starter):
 
     def texts(self) -> tuple[str, str]:
         """Rig file and plan."""
-        names = [f"s{number}" for number in range(1, self.n_sensors + 1)]
-        n_side = math.ceil(math.sqrt(len(names)))
-        rig = starter_rig_text(self)
-        before, _, rest = rig.partition("sensors:\n")
-        tail = effects(names, self.earth)
-        assert rest.endswith(effects(("hall",), self.earth))
-        middle = 0.5 * (n_side - 1) * self.spacing_mm
-        lines = [
-            "sensors:\n    # The middle of the array is the origin of the room; the first sensor is at its place exactly.\n"
-        ]
-        for number, name in enumerate(names):
-            x_mm, y_mm = (
-                (number % n_side) * self.spacing_mm - middle,
-                (number // n_side) * self.spacing_mm - middle,
-            )
-            pose = (
-                f"{{x_mm: {x_mm:g}, y_mm: {y_mm:g}}}"
-                if number == 0
-                else f"{{x_mm: {normal(x_mm, FACE_SD_MM)}, y_mm: {normal(y_mm, FACE_SD_MM)}, z_mm: {normal(0.0, FACE_SD_MM)}}}"
-            )
-            gain = "1" if number == 0 else normal(1.0, 0.01)
-            lines.append(
-                f"  {name}:\n    noise_uT: {noise(self.noise_uT)}\n    gain: {gain}\n    world_from_sensor: {pose}\n"
-            )
-        return f"{before}{''.join(lines)}\n{tail}", starter_plan_text(self)
+        n_side = math.ceil(math.sqrt(self.n_sensors))
+        middle_mm = 0.5 * (n_side - 1) * self.spacing_mm
+        places_mm = {
+            f"s{n + 1}": tuple(k * self.spacing_mm - middle_mm for k in (n % n_side, n // n_side))
+            for n in range(self.n_sensors)
+        }
+        return filled("starter_rig", s=self, places_mm=places_mm), starter_plan_text(self)
 
 
 def texts_of(kind: Kind, answers: Mapping[str, object]) -> tuple[str, str]:
@@ -226,9 +269,8 @@ def texts_of(kind: Kind, answers: Mapping[str, object]) -> tuple[str, str]:
         if key in given:
             given[key] = words(given[key])
     set_up = SET_UPS[kind](**FIXED.get(kind, {}) | given)
-    return (
-        (starter_rig_text(set_up), starter_plan_text(set_up)) if type(set_up) is Starter else set_up.texts()
-    )
+    texts: tuple[str, str] = set_up.texts()
+    return texts
 
 
 def defaults_of(kind: Kind) -> dict[str, Any]:

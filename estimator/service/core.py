@@ -18,10 +18,10 @@ from estimator.service import alerts, removal, running_diagnosis, schedules, web
 from estimator.service.alerts import ALERTS
 from estimator.service.cache import Cache
 from estimator.service.concurrency import RefusingLimit, WaitingLimit
-from estimator.service.cookies import Cookies
 from estimator.service.database import Database, check_database
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.job_queue import JobQueue
+from estimator.service.logins import Cookies
 from estimator.service.metrics import Metrics
 from estimator.service.next_stops import NextStops
 from estimator.service.open_sessions import OpenSessions

@@ -15,9 +15,8 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from estimator.service.bodies import Bodies, Body
-from estimator.service.cookies import Cookies
 from estimator.service.database import Database, now
-from estimator.service.logins import caller_of_login
+from estimator.service.logins import Cookies, caller_of_login
 from estimator.service.metrics import NO_ROUTE, Metrics
 from estimator.service.page_files import page_files
 from estimator.service.problems import Problem, answer_to, failure

@@ -1,20 +1,21 @@
-"""The state of an open session, as the data of events: what was measured, and what the estimate and the diagnosis say of it."""
+"""The state of an open session, as the data of events: what was measured, by which instruments, and what fits say of it."""
 
 from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any, Literal
 
 from estimator.live.engine import LiveEngine
 from estimator.live.picture import CoilOutline, Place, outlines, places
 from estimator.live.refresh import Refreshed
 from estimator.live.stream import Interval
-from estimator.service.devices import Device, updated
+from estimator.rig.rig import Rig
 from estimator.store.growing import observations_of
 from estimator.store.journal import Entry
 from estimator.store.made import JOURNAL
@@ -183,3 +184,63 @@ def _pace_s(entries: Sequence[Entry]) -> float | None:
     """Usual time from one reading to the next; None where there are too few to tell."""
     times_s = [float(entry["time_s"]) for entry in entries[-PACED:]]
     return statistics.median(b - a for a, b in pairwise(times_s)) if len(times_s) >= FEWEST_PACED else None
+
+
+Kind = Literal["sensor", "mover", "supply", "thermometer"]
+
+
+@dataclass(frozen=True)
+class Device:
+    """What an instrument showed last.
+
+    Attributes:
+        kind: What it is.
+        name: Sensor or mover that it is, coil that it feeds, or body whose temperature it measures.
+        values: What it showed, in `unit`; None for a component out of range.
+        unit: Unit of `values`: T, A or °C; m for the position of a mover, rad for the joints of one that reports these.
+        commanded_A: Of a supply, the current that was asked for.
+        n_readings: How often it was read.
+        n_silent: Readings of the session since then, in which it is missing.
+    """
+
+    kind: Kind
+    name: str
+    values: list[float | None]
+    unit: str
+    commanded_A: float | None = None
+    n_readings: int = 0
+    n_silent: int = 0
+
+
+def updated(devices: Sequence[Device], entries: Sequence[Mapping[str, Any]], rig: Rig) -> list[Device]:
+    """The instruments after further entries of the journal, in the order in which they were met.
+
+    Args:
+        devices: The instruments before.
+        entries: What was appended.
+        rig: The rig of the session.
+    """
+    known = {(device.kind, device.name): device for device in devices}
+    for entry in entries:
+        known = {key: replace(device, n_silent=device.n_silent + 1) for key, device in known.items()}
+        for device in _of_entry(entry, rig):
+            key = device.kind, device.name
+            n_before = known[key].n_readings if key in known else 0
+            known[key] = replace(device, n_readings=n_before + 1)
+    return list(known.values())
+
+
+def _of_entry(entry: Mapping[str, Any], rig: Rig) -> Iterator[Device]:
+    commanded_A = dict(zip((coil.name for coil in rig.coils), entry["current_A"], strict=True))
+    for name, field_T in entry["field_T"].items():
+        yield Device("sensor", name, list(field_T), "T")
+    for mover in rig.movers:
+        numbers = list(entry["motion"][mover.name])
+        if mover.table is None:
+            yield Device("mover", mover.name, numbers[:3], "m")
+        else:
+            yield Device("mover", mover.name, numbers, "rad")
+    for name, measured_A in entry.get("measured_A", {}).items():
+        yield Device("supply", name, [measured_A], "A", commanded_A[name])
+    for name, temperature_C in entry.get("temperature_C", {}).items():
+        yield Device("thermometer", name, [temperature_C], "°C")

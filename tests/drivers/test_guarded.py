@@ -12,10 +12,9 @@ import pytest
 
 from drivers.errors import DeviceFault, Refused
 from drivers.guarded import GuardedArm, GuardedSensor, GuardedSource, GuardedThermometer
-from drivers.interlock import Interlock, sigterm_as_exception
+from drivers.interlock import Interlock, Watch, sigterm_as_exception
 from drivers.protocols import CurrentSource, FieldSensor, FlangePose, ReadingFlag, RobotArm
 from drivers.safety import ArmLimits, CoilLoad, CurrentLimits
-from drivers.watch import Watch
 from tests.drivers.memory import HOME, MemoryArm, MemorySensor, MemorySource
 
 LIMITS = CurrentLimits(-5.0, 5.0, 10.0, continuous_A=3.0, thermal_time_constant_s=10.0)

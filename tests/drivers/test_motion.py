@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from drivers.motion import interpolate
 from drivers.protocols import FlangePose
+from drivers.rotation import interpolate
 
 START = FlangePose((0.1, -0.2, 0.3), (0.9, -0.4, 1.3))
 TARGET = FlangePose((0.2, 0.2, 0.1), (-0.2, 0.7, 0.4))

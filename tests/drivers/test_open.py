@@ -19,9 +19,9 @@ from drivers.errors import DeviceFault, DriverError, Refused
 from drivers.open import check_device, open_devices
 from drivers.protocols import FlangePose
 from drivers.pulse import SILENT_S
-from drivers.simulated.hall import SimulatedF71, SimulatedSenis
+from drivers.simulated.hall import SimulatedF71
 from drivers.simulated.process import Simulator
-from drivers.simulated.supplies import SimulatedKorad, simulated_kepco
+from drivers.simulated.supplies import simulated_kepco
 from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, World
@@ -107,45 +107,6 @@ def test_a_device_that_is_not_there_leaves_none_open(section):
         open_devices(section)
     del section["coil2"]
     open_devices(section).close()  # all ports are free again
-
-
-def test_what_is_recorded_opens_as_a_device_that_replays_it(section, tmp_path):
-    path = str(tmp_path / "f71.txt")
-    recorded = {"hall": {**section["hall"], "record": path}}
-    with open_devices(recorded) as devices:
-        text = devices.sensors["hall"].identify(timeout_s=2.0)
-        readings = devices.sensors["hall"].read_new_T(timeout_s=2.0)
-    with open_devices({"hall": {**SENSOR, "replay": path}}) as devices:
-        assert devices.sensors["hall"].identify(timeout_s=2.0) == text
-        replayed = devices.sensors["hall"].read_new_T(timeout_s=2.0)
-    assert [reading.value for reading in replayed] == [reading.value for reading in readings]
-    assert [reading.device_time_s for reading in replayed] == [reading.device_time_s for reading in readings]
-
-
-def test_a_check_that_was_recorded_is_repeated_without_the_instruments(section, world, tmp_path):
-    world.drive(0, 1.0)
-    senis = {"sensor": "senis_3mh6", "rate_Hz": 100, "range_number": 1, "full_scale_mT": 100}
-    monitor = {"thermometer": "lakeshore_224", "inputs": {"hall": "C1"}}
-    with (
-        Simulator.on_serial_line(partial(SimulatedSenis, world, along_z)) as fast,
-        Simulator.on_serial_line(partial(Simulated224, world, {"C1": None})) as warmth,
-        Simulator.on_serial_line(partial(SimulatedKorad, world, 0)) as korad,
-    ):
-        bare = {
-            "hall": (SENSOR, {key: section["hall"][key] for key in ("tcp", "port")}),
-            "fast": (senis, {"serial": fast.address}),
-            "coil1": (SUPPLY, {"serial": section["coil1"]["serial"]}),
-            "coil2": ({**SUPPLY, "supply": "korad_ka3005p", "lowest_A": 0}, {"serial": korad.address}),
-            "warmth": (monitor, {"serial": warmth.address}),
-            "arm1": (ARM, {"host": section["arm1"]["host"]}),
-        }
-        paths = {name: str(tmp_path / f"{name}.txt") for name in bare}
-        recorded = {name: {**kind, **port, "record": paths[name]} for name, (kind, port) in bare.items()}
-        with open_devices(recorded) as devices:
-            answers = {name: check_device(device) for name, device in devices.devices.items()}
-    replayed = {name: {**kind, "replay": paths[name]} for name, (kind, _) in bare.items()}
-    with open_devices(replayed) as devices:
-        assert {name: check_device(device) for name, device in devices.devices.items()} == answers
 
 
 def test_an_arm_that_was_recorded_repeats_its_motion_within_the_limits_of_its_section(section, tmp_path):

@@ -19,8 +19,8 @@ from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.given_files import open_given, read_given, text_of
 from estimator.readings.plan import load_plan
 from estimator.rig.rig import Rig
+from estimator.rig_files.arm_files import _links
 from estimator.rig_files.read import load_rig
-from estimator.rig_files.ur_kinematics import _links
 from estimator.service.settings import load_settings
 from estimator.store.importers import IMPORTERS
 from estimator.store.importers.forms.understand import understood

@@ -69,8 +69,3 @@ def test_a_field_beyond_all_ranges_is_refused():
 
 def test_its_line_is_9600_baud_7_bits_odd_parity():
     assert (SERIAL.baud, SERIAL.data_bits, SERIAL.parity) == (9600, 7, "O")
-
-
-def test_it_identifies_itself():
-    port = conversation((b"*IDN?\r\n", b"LSCI,MODEL460,0,022499\r\n"))
-    assert LakeShore460(port, range_T=0.02).identify(timeout_s=5.0) == "LSCI,MODEL460,0,022499"

@@ -86,13 +86,6 @@ def test_its_probe_is_a_thermometer():
     assert math.isnan(sensor.read_temperature_K(timeout_s=1.0).value)
 
 
-def test_it_identifies_itself():
-    assert (
-        f71((b"*IDN?;:SYST:ERR:ALL?\n", b"LSCI,F71,LSA1,1.6;" + OK)).identify(timeout_s=1.0)
-        == "LSCI,F71,LSA1,1.6"
-    )
-
-
 @pytest.mark.parametrize(
     ("answer", "message"),
     [

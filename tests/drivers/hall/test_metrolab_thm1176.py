@@ -85,12 +85,6 @@ def test_an_answer_that_makes_no_sense_is_a_fault(answer):
         thm(SETUP, (ASK, answer)).read_field_T(timeout_s=1.0)
 
 
-def test_it_identifies_itself():
-    assert (
-        thm((b"*IDN?\n", b"Metrolab,THM1176-MF,1,2\n")).identify(timeout_s=1.0) == "Metrolab,THM1176-MF,1,2"
-    )
-
-
 def test_a_field_beyond_all_ranges_is_refused():
     assert choose_range_T(3.0) == 3.0
     with pytest.raises(Refused, match="at most 3.0; received 3.1"):

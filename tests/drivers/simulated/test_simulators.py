@@ -13,7 +13,6 @@ from functools import partial
 
 import pytest
 
-from drivers.motion import interpolate
 from drivers.protocols import FlangePose
 from drivers.simulated.hall import SimulatedF71
 from drivers.simulated.process import Simulator
@@ -143,24 +142,6 @@ def test_a_client_of_any_scpi_instrument_sets_and_reads_the_simulated_supplies(m
     assert world.snapshot().currents_A == (current_A,)
 
 
-def test_the_simulated_kepco_understands_what_pymeasure_sends(world):
-    """The lines of its `kepcobop.py` and `SCPIMixin` (0.15), without the package, which depends on VISA and a plotting library."""
-    kepco = simulated_kepco(world, 0, 5.0)
-
-    def ask(line):
-        return kepco.take(f"{line}\n".encode("ascii")).strip(b"\x11\x13\r\n").decode("ascii")
-
-    for command in ("SYST:REM 1", "FUNCtion:MODE CURR", "VOLTage 20", "CURRent -1.5", "OUTPut 1"):
-        assert ask(command) == ""
-    assert ask("*IDN?").startswith("KEPCO,BOP")
-    assert [ask("OUTPut?"), ask("FUNCtion:MODE?")] == ["1", "1"]
-    answers = [ask(f"{what}?") for what in ("CURRent", "VOLTage", "MEASure:CURRent", "MEASure:VOLTage")]
-    assert [float(answer) for answer in answers] == [-1.5, 20.0, -1.5, -3.0]
-    assert ask("SYST:ERR?") == '0,"No error"'
-    assert ask("CURRent 6") == ""
-    assert ask("SYST:ERR?") == '-222,"Data out of range"'
-
-
 def test_a_coil_warms_up_by_its_losses_and_cools_down_again():
     world = World([CoilCircuit(2.0, 0.0, kelvin_per_W=3.0, thermal_time_constant_s=0.2)])
     rises_K = []
@@ -197,13 +178,6 @@ def test_a_motion_takes_its_time_and_can_be_halted():
     assert 0.15 < stopped_m < 0.5
     time.sleep(0.05)
     assert world.snapshot().base_from_flange[0].position_m[0] == stopped_m
-
-
-def test_a_rotation_is_interpolated_about_one_axis():
-    quarter = FlangePose((0.0, 0.0, 0.0), (1.5707963, 0.0, 0.0))
-    turned = FlangePose((0.0, 0.0, 0.0), (1.2091996, 1.2091996, 1.2091996))  # 120 degrees about (1, 1, 1)
-    assert interpolate(quarter, turned, 0.0).rotation_vector_rad == pytest.approx(quarter.rotation_vector_rad)
-    assert interpolate(quarter, turned, 1.0).rotation_vector_rad == pytest.approx(turned.rotation_vector_rad)
 
 
 @pytest.mark.parametrize(

@@ -51,10 +51,6 @@ def test_the_output_is_switched(is_on, command):
     korad((command, None)).switch_output(is_on, soon())
 
 
-def test_it_identifies_itself():
-    assert korad((b"*IDN?", b"KORADKA3005PV2.0\0")).identify(soon()) == "KORADKA3005PV2.0"
-
-
 def test_commands_keep_the_distance_that_it_needs():
     supply = korad((b"OUT0", None), (b"OUT0", None), (b"OUT0", None))
     begin_s = time.monotonic()

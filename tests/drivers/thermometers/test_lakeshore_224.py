@@ -49,11 +49,6 @@ def test_an_answer_that_makes_no_sense_is_a_fault(answer, message):
         monitor((COIL, answer)).thermometers["coil1"].read_temperature_K(timeout_s=1.0)
 
 
-def test_it_identifies_itself():
-    identity = "LSCI,MODEL224,LSA1/LSA2,1.0"
-    assert monitor((b"*IDN?\n", f"{identity}\r\n".encode())).identify(timeout_s=1.0) == identity
-
-
 def test_an_input_that_there_is_not_is_refused():
     with pytest.raises(
         Refused, match=r"thermometer.inputs.coil1 must be A, B, C1 to C5 or D1 to D5; received E"

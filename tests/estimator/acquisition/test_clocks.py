@@ -6,7 +6,7 @@ import random
 
 import pytest
 
-from estimator.acquisition.clocks import WINDOW, DeviceClock
+from estimator.acquisition.averages import WINDOW, DeviceClock
 
 
 def test_a_reading_is_dated_within_the_spread_of_its_delays_while_the_clock_drifts() -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from numcodecs.zstd import Zstd
 
 from estimator.errors import CorruptStore
-from estimator.store.chunks import LARGEST_BLOCK, MAGIC, admit_chunk
+from estimator.store.admission import LARGEST_BLOCK, MAGIC, admit_chunk
 from estimator.store.session import load_session
 from tests.estimator.attack.conftest import N, refusal, replace_array
 

@@ -197,8 +197,11 @@ def test_what_reads_and_explains_loads_no_torch(workspace: Path, rig_text: str, 
     ended = each_in_a_fork(calls, tmp_path, RIG)
     assert [code for code, *_ in ended] == [0] * (len(calls) - 1) + [5]
     assert all(printed for _, printed, _ in ended)
+    # `init` fills templates by jinja2, which takes a tenth of a second.
     assert [
-        (call, more) for call, (*_, loaded) in zip(calls, ended, strict=True) if (more := loaded - RIG)
+        (call, more)
+        for call, (*_, loaded) in zip(calls, ended, strict=True)
+        if (more := loaded - RIG - {"jinja2"})
     ] == []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import numpy as np
 import pytest
@@ -12,7 +12,6 @@ import scipy.optimize
 import torch
 from torch import Tensor
 
-from estimator.errors import InvalidInput
 from estimator.inference.nelder_mead import (
     Coefficients,
     NelderMeadResult,
@@ -283,50 +282,6 @@ def test_forbidden_regions_are_left_and_avoided(forbidden):
     torch.testing.assert_close(result.points, torch.ones(1, 3).double(), rtol=0, atol=1e-6)
 
 
-def test_starts_that_have_converged_are_not_evaluated():
-    objective = Recorder(ellipsoid)
-    converged = simplex_at(1.0, 1.0, 1.0, scale=1e-9)
-    vertices = torch.cat([converged, random_simplexes(4, 3), converged])
-    n_active = []
-
-    def check(state: SimplexState) -> None:
-        n_active.append(int(state.is_active.sum()))
-        first = 1 if len(n_active) == 1 else 0  # the starting simplexes
-        n_rows = [len(call) for call in objective.calls[first:]]
-        assert n_rows[0] == n_active[-1], "one reflection for every active start"
-        assert len(n_rows) <= 3, "then second candidates, then shrinks"
-        rows_seen.append(sum(n_rows))
-        objective.calls.clear()
-
-    rows_seen: list[int] = []
-    result = tightly(objective, vertices, on_step=check)
-    assert n_active == sorted(n_active, reverse=True)
-    assert (n_active[0], n_active[-1]) == (4, 1)
-    assert result.n_evaluations[[0, 5]].tolist() == [4, 4]
-    assert result.n_iterations[[0, 5]].tolist() == [0, 0]
-    assert int(result.n_evaluations.sum()) == 6 * 4 + sum(rows_seen)
-    assert int(result.n_iterations.sum()) == sum(n_active)
-
-
-def test_step_changes_only_active_starts_and_never_its_input():
-    state = replace(
-        evaluated(rosenbrock, random_simplexes(3, 2)), is_active=torch.tensor([True, False, True])
-    )
-    before = SimplexState(*(getattr(state, field.name).clone() for field in fields(state)))
-    after = step(state, rosenbrock, Coefficients.for_dimension(2))
-    for field in fields(state):
-        assert torch.equal(getattr(state, field.name), getattr(before, field.name)), field.name
-        assert torch.equal(getattr(after, field.name)[1], getattr(before, field.name)[1]), field.name
-    assert (after.vertices != before.vertices).any(dim=(1, 2)).tolist() == [True, False, True]
-
-
-def test_step_without_active_starts_calls_nothing():
-    objective = Recorder(rosenbrock)
-    state = evaluated(rosenbrock, random_simplexes(3, 2))
-    step(replace(state, is_active=torch.zeros(3, dtype=torch.bool)), objective, Coefficients.for_dimension(2))
-    assert objective.calls == []
-
-
 DEVICES = [
     "cpu",
     pytest.param("cuda", marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")),
@@ -343,31 +298,3 @@ def test_dtype_and_device_are_kept_and_no_gradient_is_recorded(dtype, device):
     for tensor in (result.points, result.values):
         assert (tensor.dtype, tensor.device, tensor.requires_grad) == (dtype, vertices.device, False)
     torch.testing.assert_close(result.points[0], centre.detach(), rtol=0, atol=0.1)
-
-
-def test_simplex_without_volume_is_refused():
-    with pytest.raises(InvalidInput, match="scale must move every parameter"):
-        initial_simplex(torch.tensor([[0.0, 1e9]]), torch.tensor([1.0, 1.0]))
-
-
-@pytest.mark.parametrize("shape", [(2, 3, 3), (2, 5, 3)])
-def test_wrong_number_of_vertices_is_refused(shape):
-    with pytest.raises(InvalidInput, match="vertices must be finite"):
-        tightly(ellipsoid, torch.rand(shape))
-
-
-def test_vertices_that_are_not_finite_are_refused():
-    with pytest.raises(InvalidInput, match="vertices must be finite"):
-        tightly(ellipsoid, random_simplexes(2, 3) / 0)
-
-
-@pytest.mark.parametrize("forbidden", [math.inf, math.nan])
-def test_start_without_one_allowed_vertex_is_refused(forbidden):
-    vertices = torch.cat([simplex_at(2.0, 2.0, scale=1.0), simplex_at(-9.0, 2.0, scale=1.0)])
-    with pytest.raises(InvalidInput, match=r"below \+inf; received none in starts \[1\]"):
-        tightly(lambda x: torch.where(x[:, 0] > 0, ellipsoid(x), forbidden), vertices)
-
-
-def test_objective_with_values_in_a_column_is_refused():
-    with pytest.raises(InvalidInput, match=r"objective must return 8 values; received shape \(8, 1\)"):
-        tightly(lambda x: ellipsoid(x).unsqueeze(-1), random_simplexes(2, 3))

@@ -15,8 +15,8 @@ from estimator.errors import InvalidInput
 from estimator.geometry.kinematics import base_from_flange
 from estimator.geometry.motion import base_from_motion
 from estimator.rig.arms import ARMS, DenavitHartenberg
+from estimator.rig_files.arm_files import LINKS, corrections_from_ros
 from estimator.rig_files.read import load_rig, rig_from_text
-from estimator.rig_files.ur_kinematics import LINKS, corrections_from_ros
 from estimator.rig_files.write import rig_text
 
 DELTAS = DenavitHartenberg(  # as a controller reports them: large offsets that cancel, along axes that are nearly parallel

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -12,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,6 +41,8 @@ PATIENCE_S = 240
 CHROMIUM = shutil.which("chromium")
 ON_BREACH = "addEventListener('securitypolicyviolation', (e) => console.error(`policy: ${e.violatedDirective} ${e.blockedURI}`))"
 STEPS = 400
+YAML, JSON, NDJSON = "application/yaml", "application/json", "application/x-ndjson"
+CSV, ZIP = "text/csv", "application/zip"
 LONG = {"n_walkers": 16, "target_ess": 1e6, "max_steps": STEPS}  # a chain that a kill meets at work
 
 
@@ -153,6 +157,13 @@ def api(tmp_path_factory: pytest.TempPathFactory) -> Iterator[TestClient]:
 
 
 @pytest.fixture
+def url(api: TestClient) -> Iterator[str]:
+    """Where the service in this process is reached."""
+    with listening(api.app, api.app.state.core.settings, lifespan="off") as port:
+        yield f"http://127.0.0.1:{port}"
+
+
+@pytest.fixture
 def idle(tmp_path: Path) -> Iterator[Callable[..., TestClient]]:
     """Makes services in this process that leave jobs in the queue, with settings of one's own."""
     yield from _idle(tmp_path)
@@ -178,6 +189,19 @@ def _idle(folder: Path) -> Iterator[Callable[..., TestClient]]:
         client.__exit__(None, None, None)
 
 
+@pytest.fixture
+def filled(
+    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+) -> Callable[..., tuple[TestClient, str]]:
+    """As `idle`, with a closed session, whose id is told."""
+
+    def make(**settings: Any) -> tuple[TestClient, str]:
+        client = idle(**settings)
+        return client, str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+
+    return make
+
+
 @pytest.fixture(scope="session")
 def readings_csv(small_session: Session, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("csv") / "readings.csv"
@@ -185,17 +209,42 @@ def readings_csv(small_session: Session, tmp_path_factory: pytest.TempPathFactor
     return path.read_bytes()
 
 
+def until(is_so: Callable[[], Any], patience_s: float = 60.0) -> None:
+    """Wait for it."""
+    end_s = time.monotonic() + patience_s
+    while not is_so():
+        assert time.monotonic() < end_s
+        time.sleep(0.005)
+
+
+def sent(client: httpx.Client, path: str, body: str | bytes, kind: str, **more: Any) -> httpx.Response:
+    return client.post(path, content=body, headers={"Content-Type": kind}, **more)
+
+
 def upload_rig(client: httpx.Client, text: str) -> str:
-    answer = client.post("/v1/rigs", content=text, headers={"Content-Type": "application/yaml"})
+    answer = sent(client, "/v1/rigs", text, YAML)
     assert answer.status_code in (200, 201), answer.text
     return str(answer.json()["id"])
 
 
 def import_csv(client: httpx.Client, rig_id: str, csv: bytes) -> dict[str, Any]:
-    call = {"params": {"rig_id": rig_id}, "content": csv, "headers": {"Content-Type": "text/csv"}}
-    answer = client.post("/v1/sessions/import-csv", **call)
+    answer = sent(client, "/v1/sessions/import-csv", csv, CSV, params={"rig_id": rig_id})
     assert answer.status_code == 201, answer.text
     return dict(answer.json())
+
+
+def send_zip(client: httpx.Client, rig_id: str, archive: bytes) -> httpx.Response:
+    return sent(client, "/v1/sessions/import-zip", archive, ZIP, params={"rig_id": rig_id})
+
+
+def zip_of(files: dict[str, bytes], mode: int = 0, method: int = zipfile.ZIP_DEFLATED) -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", method) as archive:
+        for name, content in files.items():
+            info = zipfile.ZipInfo(name)
+            info.external_attr, info.compress_type = mode << 16, method
+            archive.writestr(info, content)
+    return buffer.getvalue()
 
 
 def begin_session(client: httpx.Client, rig_id: str) -> str:
@@ -232,8 +281,7 @@ def numbered(session: Session, rig: Rig, n: int) -> list[bytes]:
 
 
 def append(client: httpx.Client, session_id: str, body: bytes) -> httpx.Response:
-    headers = {"Content-Type": "application/x-ndjson"}
-    return client.post(f"/v1/sessions/{session_id}/readings", content=body, headers=headers)
+    return sent(client, f"/v1/sessions/{session_id}/readings", body, NDJSON)
 
 
 def wait_for(client: httpx.Client, job_id: str) -> dict[str, Any]:

@@ -3,15 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import io
-import json
 import shutil
 import socket
-import struct
 import threading
 import time
 import zipfile
-import zlib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -22,15 +18,22 @@ from starlette.testclient import TestClient
 from estimator.service import archives, connections
 from estimator.service.concurrency import WaitingLimit
 from estimator.service.connections import PromptHttp
-from estimator.service.post import Undelivered, post
 from estimator.service.problems import Problem
 from estimator.store.session import Session
 from estimator.store.zipped import zipped
-from tests.estimator.service.conftest import Served, begin_session, refusal, upload_rig
+from tests.estimator.service.conftest import (
+    CSV,
+    JSON,
+    YAML,
+    ZIP,
+    Served,
+    refusal,
+    send_zip,
+    sent,
+    upload_rig,
+    zip_of,
+)
 
-YAML, JSON, ZIP = "application/yaml", "application/json", "application/zip"
-NDJSON = "application/x-ndjson"
-DEEP = 100_000
 LOOPBACK = "http://127.0.0.1:8765"
 
 
@@ -50,70 +53,14 @@ def rig_id(client: TestClient, rig_text: str) -> str:
     return upload_rig(client, rig_text)
 
 
-def archive(*members: tuple[str, bytes], kind: int = zipfile.ZIP_DEFLATED) -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", kind) as file:
-        for name, content in members:
-            file.writestr(zipfile.ZipInfo(name), content, kind)
-    return buffer.getvalue()
-
-
-def symlink() -> bytes:
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as file:
-        entry = zipfile.ZipInfo("zarr.json")
-        entry.external_attr = 0o120777 << 16
-        file.writestr(entry, "/etc/passwd")
-    return buffer.getvalue()
-
-
-def quine_like() -> bytes:
-    """A member whose header promises four bytes and which unfolds to ten million."""
-    honest = bytearray(archive(("zarr.json", b"0" * 10_000_000)))
-    for position in (honest.find(b"PK\x03\x04") + 22, honest.find(b"PK\x01\x02") + 24):
-        honest[position : position + 4] = struct.pack("<I", 4)
-    return bytes(honest)
-
-
-ARCHIVES = {
-    "a bomb": archive(("zarr.json", b"0" * 50_000_000)),
-    "a bomb that claims to be small": quine_like(),
-    "many files": archive(*((f"{n}", b"") for n in range(8000))),
-    "up": archive(("../../coilcal.sqlite", b"x")),
-    "absolute": archive(("/etc/passwd", b"x")),
-    "backslashes": archive(("..\\..\\x", b"x")),
-    "a drive": archive(("C:x", b"x")),
-    "up in the middle": archive(("a/../../x", b"x")),
-    "a link": symlink(),
-    "deep": archive(("a/" * 90 + "x", b"x")),
-    "a long name": archive(("x" * 5000, b"x")),
-    "a line feed in a name": archive(("a\r\nSet-Cookie: x=1", b"x")),
-    "a zip in a zip": archive(("zarr.json", archive(("zarr.json", b"{}")))),
-    "lzma": archive(("zarr.json", b"{}"), kind=zipfile.ZIP_LZMA),
-    "gzip instead": zlib.compress(b"0" * 100_000),
-    "nothing": b"",
-}
 RIGS = {
     "aliases that unfold": "a: &a [x,x,x,x,x,x,x,x,x]\n"
     + "".join(f"{chr(98 + i)}: &{chr(98 + i)} [{','.join(['*' + chr(97 + i)] * 9)}]\n" for i in range(9)),
-    "nesting": "[" * DEEP,
     "an object": "!!python/object/apply:os.system ['id']",
     "an endless number": "schema_version: " + "9" * 10_000,
     "half a character": 'schema_version: 1\nname: "\\ud800"\n',
     "a name with a zero": 'schema_version: 1\nname: "a\\0b"\n',
     "merge keys": "<<: [" + ",".join(["{a: 1}"] * 20_000) + "]",
-    "bytes": b"\xff\xfe\x00",
-}
-BODIES = {
-    "nested lists": "[" * DEEP,
-    "nested objects": '{"a":' * DEEP,
-    "an endless number": '{"rig_id": ' + "9" * 10_000 + "}",
-    "half a character": json.dumps({"rig_id": "0" * 32, "source": "\ud800"}),
-    "a path as id": json.dumps({"rig_id": "../../../etc/passwd", "source": "x"}),
-    "a list as id": json.dumps({"rig_id": ["0" * 32], "source": "x"}),
-    "a key twice": '{"rig_id": "' + "0" * 32 + '", "rig_id": "' + "1" * 32 + '", "source": "x"}',
-    "prototypes": json.dumps({"__proto__": {"x": 1}, "rig_id": "0" * 32, "source": "x"}),
-    "NaN": '{"rig_id": NaN, "source": Infinity}',
 }
 PATHS = (
     "/page/../../coilcal.sqlite",
@@ -123,30 +70,6 @@ PATHS = (
     "/v1/sessions/..%2f..%2fcoilcal.sqlite",
     "/v1/sessions/%00",
     "/v1/jobs/" + "a" * 5000,
-    "/v1/rigs?cursor=..%2f..%2f",
-    "/v1/rigs?limit=99999999999999999999999",
-    "/v1/rigs?name=' OR 1=1 --&limit=0",
-)
-ADDRESSES = (
-    "http://127.0.0.1/",
-    "http://[::1]/",
-    "http://[::ffff:127.0.0.1]/",
-    "http://[::ffff:a9fe:a9fe]/",
-    "http://[64:ff9b::7f00:1]/",
-    "http://[2002:7f00:1::]/",
-    "http://169.254.169.254/latest/meta-data/",
-    "http://0.0.0.0/",
-    "http://10.0.0.1/",
-    "http://100.64.0.1/",
-    "http://[fc00::1]/",
-    "http://[fe80::1%25eth0]/",
-    "ftp://example.com/",
-    "file:///etc/passwd",
-    "gopher://example.com/",
-    "http://user:secret@example.com/",
-    "http://example.com\r\nX-Injected: 1/",
-    "http://example.com:99999/",
-    "http://exa mple.com/",
 )
 
 
@@ -159,24 +82,10 @@ def lives_on(client: TestClient) -> Iterator[None]:
     assert not uploads.exists() or not list(uploads.iterdir())
 
 
-@pytest.mark.parametrize("name", ARCHIVES)
-def test_an_archive_is_refused(client: TestClient, rig_id: str, name: str) -> None:
-    call = {"content": ARCHIVES[name], "headers": {"Content-Type": ZIP}}
-    answer = client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call)
-    assert refusal(answer, answer.status_code)["status"] in (413, 422)
-
-
 @pytest.mark.parametrize("name", RIGS)
 def test_a_rig_is_refused(client: TestClient, name: str) -> None:
     for path in ("/v1/rigs", "/v1/rigs/validate"):
-        refusal(client.post(path, content=RIGS[name], headers={"Content-Type": YAML}), 422)
-
-
-@pytest.mark.parametrize("name", BODIES)
-def test_a_body_is_refused(client: TestClient, rig_id: str, name: str) -> None:
-    body = BODIES[name].replace("0" * 32, rig_id if "character" in name else "0" * 32)
-    answer = client.post("/v1/sessions", content=body, headers={"Content-Type": JSON})
-    assert refusal(answer, answer.status_code)["status"] in (400, 404, 422)
+        refusal(sent(client, path, RIGS[name], YAML), 422)
 
 
 @pytest.mark.parametrize("path", PATHS)
@@ -187,25 +96,13 @@ def test_a_path_leads_nowhere(client: TestClient, path: str) -> None:
     assert b"SQLite" not in answer.content
 
 
-@pytest.mark.parametrize("address", ADDRESSES)
-def test_an_address_of_a_webhook_is_refused(client: TestClient, address: str) -> None:
-    refusal(client.post("/v1/webhooks", json={"url": address}), 422)
-
-
-@pytest.mark.parametrize("address", ["http://2130706433/", "http://0x7f.1/", "http://localhost/"])
-def test_odd_spellings_of_loopback_are_refused_when_they_are_looked_up_too(address: str) -> None:
-    with pytest.raises(Undelivered, match="private address|must be reached"):
-        asyncio.run(post(address, "whsec_AAAA", "1", 1, b"{}", ()))
-
-
 def test_members_are_counted_before_a_list_of_them_is_made(
     client: TestClient, rig_id: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """600,000 members of 50 bytes took half a gigabyte and seconds in which nothing else was answered."""
-    flood = archive(*((f"{n}", b"") for n in range(archives.MOST_MEMBERS + 1)), kind=zipfile.ZIP_STORED)
+    flood = zip_of({f"{n}": b"" for n in range(archives.MOST_MEMBERS + 1)}, method=zipfile.ZIP_STORED)
     monkeypatch.setattr(archives.zipfile, "ZipFile", None)
-    call = {"content": flood, "headers": {"Content-Type": ZIP}}
-    problem = refusal(client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call), 413)
+    problem = refusal(send_zip(client, rig_id, flood), 413)
     assert problem["rule"] == "must hold at most 5000 files"
 
 
@@ -223,13 +120,12 @@ def test_readings_that_an_archive_claims_and_does_not_hold_are_counted_before_th
     small_session.save(tmp_path / "s.zarr")
     for chunks in (tmp_path / "s.zarr").glob("*/c"):
         shutil.rmtree(chunks)
-    call = {"content": zipped(tmp_path / "s.zarr"), "headers": {"Content-Type": ZIP}}
+    archive = zipped(tmp_path / "s.zarr")
     monkeypatch.setattr(archives, "load_session", None)
     n = len(small_session.observations)
-    problem = refusal(client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call), 413)
+    problem = refusal(send_zip(client, rig_id, archive), 413)
     assert (problem["rule"], problem["value"]) == (f"must have at most {n - 1} readings", str(n))
-    call = {"content": readings_csv, "headers": {"Content-Type": "text/csv"}}
-    refusal(client.post("/v1/sessions/import-csv", params={"rig_id": rig_id}, **call), 413)
+    refusal(sent(client, f"/v1/sessions/import-csv?rig_id={rig_id}", readings_csv, CSV), 413)
 
 
 def test_few_sessions_are_imported_at_once_and_the_others_wait_without_a_thread() -> None:
@@ -265,9 +161,8 @@ def test_imports_stand_in_that_line(
     client = idle()
     rig_id = upload_rig(client, rig_text)
     client.app.state.core.importing = WaitingLimit("sessions to import", 1, 0)
-    for kind, body in (("csv", readings_csv), ("zip", b"PK")):
-        headers = {"Content-Type": "text/csv" if kind == "csv" else ZIP}
-        answer = client.post(f"/v1/sessions/import-{kind}?rig_id={rig_id}", content=body, headers=headers)
+    for name, body, kind in (("csv", readings_csv, CSV), ("zip", b"PK", ZIP)):
+        answer = sent(client, f"/v1/sessions/import-{name}?rig_id={rig_id}", body, kind)
         assert refusal(answer, 429)["thing"] == "sessions to import"
         assert answer.headers["Retry-After"] == "10"
 
@@ -282,13 +177,6 @@ def test_names_are_words_and_no_headers(client: TestClient, rig_id: str) -> None
     assert answer.headers["content-type"] == JSON
     assert "set-cookie" not in answer.headers
     assert answer.headers["x-content-type-options"] == "nosniff"
-
-
-def test_readings_that_are_too_many_or_too_deep_are_refused(client: TestClient, rig_id: str) -> None:
-    path = f"/v1/sessions/{begin_session(client, rig_id)}/readings"
-    for body in (b"{}\n" * 10_001, b"[" * DEEP, b'{"sequence": ' + b"9" * 5000 + b"}", b"\x00" * 1000):
-        answer = client.post(path, content=body, headers={"Content-Type": NDJSON})
-        assert refusal(answer, answer.status_code)["status"] in (413, 422)
 
 
 def test_guesses_at_the_login_are_counted_as_guesses(idle: Callable[..., TestClient]) -> None:

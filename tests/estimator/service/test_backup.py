@@ -101,20 +101,19 @@ BEGUN = unfinished_name("a.zarr")  # what a kill left of a session that was bein
 
 
 @pytest.fixture
-def data(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tmp_path: Path) -> Path:
+def data(filled: Callable[..., tuple[TestClient, str]], tmp_path: Path) -> Path:
     """A data folder that is served, with things that a kill or a job may have left."""
-    client = idle()
-    imported = import_csv(client, upload_rig(client, rig_text), readings_csv)
+    _, session_id = filled()
     folder = tmp_path / "data" / "sessions"
     (folder / BEGUN).mkdir()
     (folder / BEGUN / "journal.jsonl").write_bytes(b"x")
-    sealing = folder / f"{imported['id']}.zarr" / unfinished_name("arrays")
+    sealing = folder / f"{session_id}.zarr" / unfinished_name("arrays")
     sealing.mkdir()
     job = tmp_path / "data" / "jobs" / "j"
     (job / "versions" / "0001").mkdir(parents=True)
     (job / "versions" / "0001" / "zarr.json").write_text("{}", encoding="utf-8")
     (job / "current").symlink_to("versions/0001")
-    (job / "session.zarr").symlink_to(folder / f"{imported['id']}.zarr")  # as a recalibration has it
+    (job / "session.zarr").symlink_to(folder / f"{session_id}.zarr")  # as a recalibration has it
     (job / "outside").symlink_to("/etc/passwd")
     return tmp_path / "data"
 
@@ -142,12 +141,11 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
 
 
 def test_a_job_of_a_restored_folder_works_in_that_folder(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, tmp_path: Path
+    filled: Callable[..., tuple[TestClient, str]], tmp_path: Path
 ) -> None:
     """It had begun before the backup, so its folder tells the paths of the old one."""
-    client = idle()
-    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
-    client.post("/v1/jobs/recalibrate", json={"session_id": session["id"]})
+    client, session_id = filled()
+    client.post("/v1/jobs/recalibrate", json={"session_id": session_id})
     client.app.state.core.jobs._look(Idle())
     backup(tmp_path / "data", tmp_path / "b.tar")
     restore(tmp_path / "b.tar", tmp_path / "restored")

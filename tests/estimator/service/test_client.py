@@ -53,13 +53,6 @@ SETTINGS = SamplerSettings(**QUICK)
 
 
 @pytest.fixture
-def url(api: TestClient) -> Iterator[str]:
-    """Where the service in this process is reached."""
-    with listening(api.app, api.app.state.core.settings, lifespan="off") as port:
-        yield f"http://127.0.0.1:{port}"
-
-
-@pytest.fixture
 def interrupted(api: TestClient) -> Iterator[str]:
     """Address of a service that is gone as soon as it has a job, and comes back."""
     core: Core = api.app.state.core

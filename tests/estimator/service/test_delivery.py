@@ -21,7 +21,7 @@ from estimator.service.tokens import Scope, create_token
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, load_session, seal
-from tests.estimator.service.conftest import Served
+from tests.estimator.service.conftest import Served, until
 
 URL = "http://127.0.0.1:8765"
 PATIENCE_S = 60.0
@@ -119,9 +119,7 @@ def test_a_delivery_goes_on_where_another_process_has_left_it(
         journal.append_all(stops(40)[:20])
         first = Delivery(path, Client(URL, transport=Through(service), attempts=1), URL, lambda _: None)
         first.start()
-        end_s = time.monotonic() + PATIENCE_S
-        while first.receipt.n_acknowledged < 20 and time.monotonic() < end_s:
-            time.sleep(0.01)
+        until(lambda: first.receipt.n_acknowledged == 20)
         first.stop()
         journal.append_all(stops(40)[20:])
     session = seal(path)

@@ -30,7 +30,18 @@ from estimator.service.dispatcher import Dispatcher
 from estimator.service.storage import Storage, shortage
 from estimator.store.growing import observations_of
 from estimator.store.session import Session, load_session, seal
-from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, refusal, upload_rig
+from tests.estimator.service.conftest import (
+    CSV,
+    append,
+    begin_session,
+    import_csv,
+    lines_of,
+    refusal,
+    send_zip,
+    sent,
+    until,
+    upload_rig,
+)
 from tests.estimator.service.test_delivery import PATIENCE_S, URL, Through, begun, stops
 
 
@@ -69,12 +80,6 @@ def test_readings_wait_while_the_disk_of_the_service_is_full_and_all_arrive_once
     monkeypatch.setattr(delivery, "LONGEST_PAUSE_S", 0.1)
     monkeypatch.setattr(delivery, "MOST_AT_ONCE", 7)
     told: list[str] = []
-
-    def until(is_so: Callable[[], bool]) -> None:
-        end_s = time.monotonic() + PATIENCE_S
-        while not is_so() and time.monotonic() < end_s:
-            time.sleep(0.01)
-        assert is_so(), told
 
     path = tmp_path / "s.zarr"
     assert ready.get("/readyz").status_code == 200
@@ -121,12 +126,12 @@ def test_no_request_that_writes_is_blamed_for_the_disk(
     lines = lines_of(small_session, small_rig)
     first = lines.splitlines(keepends=True)[0]
     assert append(ready, session_id, first).json()["n_readings"] == 1
-    csv = {"params": {"rig_id": rig_id}, "content": readings_csv, "headers": {"Content-Type": "text/csv"}}
+    of_rig = f"/v1/sessions/import-csv?rig_id={rig_id}"
 
     def requests() -> Iterator[Callable[[], int]]:
         yield lambda: ready.post("/v1/sessions", json={"rig_id": rig_id, "source": "x"}).status_code
         yield lambda: append(ready, session_id, lines).status_code
-        yield lambda: ready.post("/v1/sessions/import-csv", **csv).status_code
+        yield lambda: sent(ready, of_rig, readings_csv, CSV).status_code
         yield lambda: ready.post(f"/v1/sessions/{session_id}/close").status_code
 
     disk.code = code
@@ -151,8 +156,7 @@ def test_an_archive_that_finds_no_room_is_not_called_damaged(
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr("estimator.service.archives._unpack_file", full)
-    call = {"content": archive, "headers": {"Content-Type": "application/zip"}, "params": {"rig_id": rig_id}}
-    refusal(ready.post("/v1/sessions/import-zip", **call), 507)
+    refusal(send_zip(ready, rig_id, archive), 507)
 
 
 def test_a_database_without_room_is_told_as_such_and_is_whole_afterwards(
@@ -183,11 +187,10 @@ def test_a_database_without_room_is_told_as_such_and_is_whole_afterwards(
 
 
 def test_a_job_that_finds_no_room_for_its_folder_waits_for_it(
-    idle: Callable[..., TestClient], disk: Disk, rig_text: str, readings_csv: bytes
+    filled: Callable[..., tuple[TestClient, str]], disk: Disk
 ) -> None:
-    client = idle()
+    client, session_id = filled()
     core: Core = client.app.state.core
-    session_id = import_csv(client, upload_rig(client, rig_text), readings_csv)["id"]
     job_id = client.post("/v1/jobs/calibrate", json={"session_id": session_id}).json()["id"]
     disk.code = errno.ENOSPC
 
@@ -246,9 +249,7 @@ def test_a_full_disk_at_the_client_holds_up_the_receipt_and_nothing_else(
     own.code = errno.ENOSPC
     sending = Delivery(path, Client(URL, transport=Through(idle()), attempts=1), URL, told.append)
     sending.start()
-    end_s = time.monotonic() + PATIENCE_S
-    while not told and time.monotonic() < end_s:
-        time.sleep(0.01)
+    until(lambda: told)
     assert "receipt must be writable: No space left on device" in told[0]
     own.code = 0
     assert sending.finish(PATIENCE_S).hash == session.hash

@@ -13,7 +13,7 @@ import pytest
 
 from estimator.service.app import create_app
 from estimator.service.settings import Settings
-from tests.estimator.service.conftest import listening
+from tests.estimator.service.conftest import listening, until
 
 RIGS = b"POST /v1/rigs HTTP/1.1\r\nHost: 127.0.0.1\r\n"
 HEALTH = b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n\r\n"
@@ -167,8 +167,6 @@ def test_a_client_that_leaves_in_its_body_is_no_fault_of_the_service(
     caplog.set_level(logging.INFO)
     with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
         line.sendall(RIGS + b"Content-Type: application/yaml\r\nContent-Length: 100\r\n\r\n{")
-    end_s = time.monotonic() + 10
-    while not any(record.message == "request" for record in caplog.records) and time.monotonic() < end_s:
-        time.sleep(0.01)
+    until(lambda: any(record.message == "request" for record in caplog.records))
     assert [record.message for record in caplog.records if record.levelname == "ERROR"] == []
     assert any(getattr(record, "status", None) == 400 for record in caplog.records)

@@ -130,14 +130,10 @@ def test_lists_come_in_pages(api: TestClient, session_id: str, job: dict[str, An
     assert whole["next"] is None
     collected: list[dict[str, Any]] = []
     cursor: str | None = None
-    while True:
-        page = api.get(
-            "/v1/jobs", params={"limit": 1, **({} if cursor is None else {"cursor": cursor})}
-        ).json()
+    while not collected or cursor is not None:
+        page = api.get("/v1/jobs", params={"limit": 1, "cursor": cursor} if cursor else {"limit": 1}).json()
         collected += page["items"]
         cursor = page["next"]
-        if cursor is None:
-            break
     assert collected == whole["items"]
     assert [item["id"] for item in api.get("/v1/calibrations").json()["items"]]
     assert refusal(api.get("/v1/jobs", params={"cursor": "what"}), 422)["thing"] == "cursor"
@@ -150,11 +146,9 @@ def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api: TestClient, sessi
     assert (job["state"], job["fault"]) == ("done", None)
     result = api.get(f"/v1/jobs/{job['id']}/result").json()
     assert result["result"]["verdict"] in ("named", "indistinguishable", "unexplained", "nothing_found")
-    assert (
-        result["extended_rig"].startswith("schema_version") or "schema_version: 1" in result["extended_rig"]
-    )
-    assert "Diagnosis" in api.get(f"/v1/jobs/{job['id']}/report").text
+    assert "schema_version: 1" in result["extended_rig"]
     report = api.get(f"/v1/jobs/{job['id']}/report")
+    assert "Diagnosis" in report.text
     tag = {"If-None-Match": report.headers["etag"]}
     again = api.get(f"/v1/jobs/{job['id']}/report", headers=tag)
     policy = "content-security-policy"
@@ -169,9 +163,8 @@ def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api: TestClient, sessi
 
 
 @pytest.fixture
-def queue(idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes) -> tuple[TestClient, str]:
-    client = idle(most_queued=4, most_queued_per_user=3, most_running_per_user=2)
-    return client, str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+def queue(filled: Callable[..., tuple[TestClient, str]]) -> tuple[TestClient, str]:
+    return filled(most_queued=4, most_queued_per_user=3, most_running_per_user=2)
 
 
 def add(client: TestClient, session_id: str, user: str) -> Job:
@@ -189,16 +182,14 @@ def test_a_full_queue_says_when_to_ask_again(queue: tuple[TestClient, str]) -> N
     assert refusal(answer, 429)["thing"] == "queue of local"
     assert int(answer.headers["retry-after"]) > 0
     add(client, session_id, "anne")
-    assert (
-        refusal(client.post("/v1/jobs/calibrate", json={"session_id": session_id}), 429)["thing"] == "queue"
-    )
+    answer = client.post("/v1/jobs/calibrate", json={"session_id": session_id})
+    assert refusal(answer, 429)["thing"] == "queue"
 
 
 def test_users_take_turns_and_none_has_more_than_its_share(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+    filled: Callable[..., tuple[TestClient, str]],
 ) -> None:
-    client = idle(most_running_per_user=2)
-    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    client, session_id = filled(most_running_per_user=2)
     for user in ("anne", "anne", "anne", "bo"):
         add(client, session_id, user)
     queue: JobQueue = client.app.state.core.queue
@@ -236,12 +227,11 @@ class Workers:
 
 
 def test_other_jobs_start_while_a_cancelled_one_ends(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, monkeypatch: pytest.MonkeyPatch
+    filled: Callable[..., tuple[TestClient, str]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A worker that does not look up has to be replaced, which takes seconds; its place is taken for so long."""
     monkeypatch.setattr(dispatcher_module, "GRACE_S", 0.0)
-    client, workers = idle(workers=3), Workers()
-    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    (client, session_id), workers = filled(workers=3), Workers()
     jobs: Dispatcher = client.app.state.core.jobs
     ids = [add(client, session_id, "local").id for _ in range(2)]
 
@@ -264,10 +254,9 @@ def test_other_jobs_start_while_a_cancelled_one_ends(
 
 
 def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
+    filled: Callable[..., tuple[TestClient, str]],
 ) -> None:
-    client, workers = idle(workers=1), Workers()
-    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    (client, session_id), workers = filled(workers=1), Workers()
     jobs: Dispatcher = client.app.state.core.jobs
     job_id = add(client, session_id, "local").id
     jobs._look(workers)
@@ -286,10 +275,9 @@ def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(
     [(b"", "result.json must be JSON"), (b"[", "result.json must be JSON"), (None, "it ended with")],
 )
 def test_a_job_without_a_whole_result_fails_and_others_go_on(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes, result: bytes | None, words: str
+    filled: Callable[..., tuple[TestClient, str]], result: bytes | None, words: str
 ) -> None:
-    client, workers = idle(workers=2), Workers()
-    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
+    (client, session_id), workers = filled(workers=2), Workers()
     jobs: Dispatcher = client.app.state.core.jobs
     damaged, other = (add(client, session_id, "local").id for _ in range(2))
     jobs._look(workers)
@@ -311,22 +299,19 @@ def test_a_job_without_a_whole_result_fails_and_others_go_on(
     ],
 )
 def test_a_job_does_as_the_command_does_with_the_same_option(
-    idle: Callable[..., TestClient],
-    rig_text: str,
-    readings_csv: bytes,
+    filled: Callable[..., tuple[TestClient, str]],
     monkeypatch: pytest.MonkeyPatch,
     kind: str,
     options: dict[str, bool],
     words: str,
 ) -> None:
-    client, heard = idle(), dict[str, Any]()
+    (client, session_id), heard = filled(), dict[str, Any]()
 
     def listen(*_: object, **given: Any) -> None:
         heard.update(given)
         raise InvalidInput("heard")
 
     monkeypatch.setattr(WHAT_WORKS[kind], listen)
-    session_id = str(import_csv(client, upload_rig(client, rig_text), readings_csv)["id"])
     which = {"session_ids": [session_id]} if kind == "batch" else {"session_id": session_id}
     for given in ({}, options):
         job_id = client.post(f"/v1/jobs/{kind}", json={**which, **given}).json()["id"]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -24,19 +23,12 @@ from tests.estimator.service.conftest import (
     begin_session,
     import_csv,
     lines_of,
-    listening,
     refusal,
     upload_rig,
 )
 
 GOAL = "field 1 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
 PLACES = PLAN.replace("[{coil1: 3}]", "[{coil1: 3}, {coil1: -3}, {}]")
-
-
-@pytest.fixture(scope="module")
-def url(api: TestClient) -> Iterator[str]:
-    with listening(api.app, api.app.state.core.settings, lifespan="off") as port:
-        yield f"http://127.0.0.1:{port}"
 
 
 def readings_of(session_lines: bytes) -> list[dict[str, Any]]:

@@ -31,6 +31,8 @@ from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, create_token, revoke_token
 from estimator.store.session import Session
 from tests.estimator.service.conftest import (
+    CSV,
+    ZIP,
     bearer,
     begin_session,
     import_csv,
@@ -294,16 +296,8 @@ def test_whatever_somebody_makes_is_noted_once(bench: Bench, rig_text: str, read
         "/v1/login": {"json": {"token": token}},
         "/v1/rigs": {"content": rig_text + "\n", "headers": {"Content-Type": "application/yaml"}},
         "/v1/sessions": {"json": {"rig_id": bench.rig_id, "source": "x"}},
-        "/v1/sessions/import-csv": {
-            "content": readings_csv,
-            "headers": {"Content-Type": "text/csv"},
-            **of_rig,
-        },
-        "/v1/sessions/import-zip": {
-            "content": archive,
-            "headers": {"Content-Type": "application/zip"},
-            **of_rig,
-        },
+        "/v1/sessions/import-csv": {"content": readings_csv, "headers": {"Content-Type": CSV}, **of_rig},
+        "/v1/sessions/import-zip": {"content": archive, "headers": {"Content-Type": ZIP}, **of_rig},
     }
     for (method, path), rule in sorted(RULES.items(), key=lambda item: item[0][0] == "DELETE"):
         if rule not in (NEW, ADMIN, SELF):

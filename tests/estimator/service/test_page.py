@@ -17,7 +17,7 @@ from starlette.testclient import TestClient
 
 from estimator.service import serve
 from estimator.service.app import create_app
-from estimator.service.cookies import MOST_AGE_S
+from estimator.service.logins import MOST_AGE_S
 from estimator.service.page_files import PAGE, page_files
 from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, create_token, revoke_token

@@ -8,6 +8,7 @@ import time
 import pytest
 
 from estimator.service.periodic import scheduler_of
+from tests.estimator.service.conftest import until
 
 
 def test_a_call_that_fails_is_logged_and_made_again_and_holds_up_no_other(
@@ -28,9 +29,7 @@ def test_a_call_that_fails_is_logged_and_made_again_and_holds_up_no_other(
     begin_s = time.monotonic()
     scheduler = scheduler_of({name: (0.05, function) for name, function in functions.items()})
     scheduler.start()
-    while min(len(calls["fails"]), len(calls["works"])) < 4:
-        assert time.monotonic() < begin_s + 20.0
-        time.sleep(0.01)
+    until(lambda: min(len(calls["fails"]), len(calls["works"])) >= 4)
     may_end.set()
     scheduler.shutdown()
     assert calls["works"][0] - begin_s < 5.0

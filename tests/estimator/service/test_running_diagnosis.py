@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -18,7 +17,7 @@ from estimator.service.live_state import Seen
 from estimator.service.periodic import scheduler_of
 from estimator.service.watching import Watched
 from estimator.store.session import Session
-from tests.estimator.service.conftest import append, begin_session, lines_of, upload_rig
+from tests.estimator.service.conftest import append, begin_session, lines_of, until, upload_rig
 
 
 class Process:
@@ -48,13 +47,6 @@ class Process:
 
     def __exit__(self, *_: object) -> None:
         self.is_ended = True
-
-
-def until(condition: Callable[[], Any]) -> None:
-    end_s = time.monotonic() + 20.0
-    while not condition():
-        assert time.monotonic() < end_s
-        time.sleep(0.005)
 
 
 @pytest.fixture

@@ -19,7 +19,7 @@ from estimator.service.job_queue import JobQueue
 from estimator.service.schedules import next_run
 from estimator.service.schema import Job, Schedule, SessionRow
 from estimator.service.settings import Settings
-from tests.estimator.service.conftest import PATIENCE_S, begin_session, import_csv, refusal, upload_rig
+from tests.estimator.service.conftest import PATIENCE_S, begin_session, import_csv, refusal, until, upload_rig
 from tests.estimator.service.test_webhooks import Receiver
 
 
@@ -229,9 +229,7 @@ def test_a_schedule_makes_a_calibration_that_a_webhook_hears_of_and_a_backup_hol
             rig_id = upload_rig(client, rig_text)
             session = import_csv(client, rig_id, readings_csv)
             client.post(f"/v1/schedules/{made(client, rig_id)['id']}/run")
-            end_s = time.monotonic() + PATIENCE_S
-            while not receiver.got and time.monotonic() < end_s:
-                time.sleep(0.1)
+            until(lambda: receiver.got, PATIENCE_S)
             told = json.loads(receiver.got[0][1])["data"]
             assert (told["kind"], told["state"], told["fault"]) == ("recalibrate", "done", None)
             assert (told["session_id"], told["result"]["conclusion"]) == (session["id"], "updated")

@@ -25,7 +25,7 @@ from estimator.service.routes import operation
 from estimator.service.schema import Audit, Token
 from estimator.service.settings import Settings, load_settings
 from estimator.service.tokens import Scope, caller_of, create_token, revoke_token
-from tests.estimator.service.conftest import refusal, upload_rig
+from tests.estimator.service.conftest import JSON, YAML, refusal, upload_rig
 
 ADDRESS = "http://10.1.2.3:8765"
 
@@ -183,18 +183,15 @@ def test_pages_of_other_sites_reach_nothing(
 
 
 def test_bodies_are_limited_whatever_they_claim(client: TestClient, tokens: dict[str, str]) -> None:
-    headers = {"Authorization": f"Bearer {tokens['write']}", "Content-Type": "application/yaml"}
-    answer = client.post("/v1/rigs", content=b"a" * 100_001, headers=headers)
-    assert refusal(answer, 413)["thing"] == "body"
-
-    def pieces() -> Iterator[bytes]:
-        yield from [b"a" * 50_000] * 3
-
-    assert refusal(client.post("/v1/rigs", content=pieces(), headers=headers), 413)["thing"] == "body"
-    json_headers = {**headers, "Content-Type": "application/json"}
-    assert (
-        refusal(client.post("/v1/sessions", content=pieces(), headers=json_headers), 413)["thing"] == "body"
-    )
+    headers = {"Authorization": f"Bearer {tokens['write']}", "Content-Type": YAML}
+    in_pieces = [b"a" * 50_000] * 3
+    for path, body, kind in (
+        ("/v1/rigs", b"a" * 100_001, YAML),
+        ("/v1/rigs", iter(in_pieces), YAML),
+        ("/v1/sessions", iter(in_pieces), JSON),
+    ):
+        answer = client.post(path, content=body, headers={**headers, "Content-Type": kind})
+        assert refusal(answer, 413)["thing"] == "body"
     encoded = {**headers, "Content-Encoding": "gzip"}
     assert refusal(client.post("/v1/rigs", content=b"a", headers=encoded), 415)["value"] == "gzip"
     refusal(client.post("/v1/rigs", content=b"a" * 100_001), 401)  # before the body is looked at
@@ -263,9 +260,10 @@ def test_the_command_makes_lists_and_revokes_tokens_and_needs_one_beyond_loopbac
     def run(*words: str) -> Any:
         return CliRunner().invoke(main, ["serve", *words, "--data", str(tmp_path / "data")])
 
-    refused = CliRunner().invoke(
-        main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")]
-    )
+    def check() -> Any:
+        return run("--host", "0.0.0.0", "--check")
+
+    refused = check()
     assert refused.exit_code == 2
     assert "tokens must be there before the service starts" in refused.stderr
     assert not (tmp_path / "data").exists()
@@ -275,13 +273,7 @@ def test_the_command_makes_lists_and_revokes_tokens_and_needs_one_beyond_loopbac
     listed = run("token", "list")
     token_id = listed.stdout.splitlines()[1].split()[0]
     assert made.stdout.strip() not in listed.stdout
-    checked = CliRunner().invoke(
-        main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")]
-    )
-    assert "needed; 1 are valid" in checked.stdout
+    assert "needed; 1 are valid" in check().stdout
     assert run("token", "revoke", token_id).exit_code == 0
     assert run("token", "revoke", "nope").exit_code == 2
-    refused = CliRunner().invoke(
-        main, ["serve", "--host", "0.0.0.0", "--check", "--data", str(tmp_path / "data")]
-    )
-    assert refused.exit_code == 2
+    assert check().exit_code == 2

@@ -7,7 +7,6 @@ import json
 import os
 import re
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import aclosing
 from itertools import pairwise
@@ -20,12 +19,11 @@ from estimator.live.stream import Stream
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
-from estimator.service.devices import Device, updated
-from estimator.service.live_state import REDRAWN_AT, LiveState
+from estimator.service.live_state import REDRAWN_AT, Device, LiveState, updated
 from estimator.service.watching import Watched
 from estimator.store.made import JOURNAL
 from estimator.store.session import Session
-from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, upload_rig
+from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, until, upload_rig
 
 PATIENCE_S = 30.0
 
@@ -182,10 +180,7 @@ def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(
 
     with watching.watched(session_id) as first:
         asyncio.run(both(first))
-    end_s = time.monotonic() + PATIENCE_S
-    while any(thread.name == "coilcal watching" for thread in threading.enumerate()):
-        assert time.monotonic() < end_s, threading.enumerate()
-        time.sleep(0.05)
+    until(lambda: all(thread.name != "coilcal watching" for thread in threading.enumerate()))
 
 
 def test_the_stream_ends_with_the_session(
@@ -194,9 +189,7 @@ def test_the_stream_ends_with_the_session(
     append(client, session_id, lines_of(small_session, small_rig, 0, 12))
 
     def close() -> None:
-        end_s = time.monotonic() + PATIENCE_S
-        while not core_of(client).watching._watched and time.monotonic() < end_s:
-            time.sleep(0.05)
+        until(lambda: core_of(client).watching._watched)
         client.post(f"/v1/sessions/{session_id}/close")
 
     closing = threading.Thread(target=close)

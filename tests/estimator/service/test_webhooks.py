@@ -27,7 +27,7 @@ from estimator.service.app import create_app
 from estimator.service.post import Undelivered, post, signature
 from estimator.service.schema import Delivery
 from estimator.service.settings import Settings
-from tests.estimator.service.conftest import import_csv, refusal, upload_rig
+from tests.estimator.service.conftest import refusal, until
 
 LOOPBACK = ("127.0.0.0/8",)
 
@@ -98,7 +98,7 @@ def make_due(client: TestClient) -> None:
         db.execute(update(Delivery).where(Delivery.state == "waiting").values(next_attempt="2000-01-01"))
 
 
-def sent(url: str, networks: tuple[str, ...] = ()) -> int:
+def posted(url: str, networks: tuple[str, ...] = ()) -> int:
     return asyncio.run(post(url, "whsec_AAAA", "1", 1, b"{}", networks))
 
 
@@ -109,12 +109,11 @@ def test_the_signature_is_that_of_the_specification() -> None:
 
 
 def test_the_end_of_a_job_is_told_signed_once(
-    idle: Callable[..., TestClient], receiver: Receiver, rig_text: str, readings_csv: bytes
+    filled: Callable[..., tuple[TestClient, str]], receiver: Receiver
 ) -> None:
-    client = idle(webhook_networks=LOOPBACK)
+    client, session_id = filled(webhook_networks=LOOPBACK)
     webhook = made(client, f"{receiver.url}/hook?lab=1")
-    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
-    job = client.post("/v1/jobs/calibrate", json={"session_id": session["id"]}).json()
+    job = client.post("/v1/jobs/calibrate", json={"session_id": session_id}).json()
     assert deliver(client) == 0
     client.post(f"/v1/jobs/{job['id']}/cancel")
     client.post(f"/v1/jobs/{job['id']}/cancel")
@@ -137,14 +136,13 @@ def test_the_end_of_a_job_is_told_signed_once(
 
 
 def test_jobs_that_are_done_and_that_fail_are_told_too(
-    idle: Callable[..., TestClient], receiver: Receiver, rig_text: str, readings_csv: bytes
+    filled: Callable[..., tuple[TestClient, str]], receiver: Receiver
 ) -> None:
-    client = idle(webhook_networks=LOOPBACK)
+    client, session_id = filled(webhook_networks=LOOPBACK)
     made(client, receiver.url)
-    session = import_csv(client, upload_rig(client, rig_text), readings_csv)
     queue = client.app.state.core.queue
     for state, fault in (("done", None), ("failed", "rig must fit")):
-        client.post("/v1/jobs/calibrate", json={"session_id": session["id"]})
+        client.post("/v1/jobs/calibrate", json={"session_id": session_id})
         queue.end(queue.next().id, {"state": state, "fault": fault, "verdict": "good"})
     while deliver(client):
         pass
@@ -218,7 +216,8 @@ PRIVATE = ("127.0.0.1", "10.0.0.1", "192.168.1.1", "169.254.169.254", "100.64.0.
 NO_URLS = ("ftp://example.com", "http://", "http:///x", "//example.com", "http://a:b@example.com", "file:///etc/passwd",
            "http://example.com:99999", "http://example.com:0/", "http://example.com:-1", "http://example.com/#x",
            "http://10.0.0.1\\@example.com/", "http://example.com\\@10.0.0.1/", "http://example.com:80@10.0.0.1/", "http://%31%32%37.0.0.1/",
-           "http://127。0。0。1/", "http://①②⑦.0.0.1/", "http://127.0.0.1./", "http://0177.0.0.1/", "data:text/plain,x", "ws://example.com/", "http://exa mple.com", "javascript:1", "http://[::1")  # fmt: skip
+           "http://127。0。0。1/", "http://①②⑦.0.0.1/", "http://127.0.0.1./", "http://0177.0.0.1/", "data:text/plain,x", "ws://example.com/", "http://exa mple.com",
+           "http://example.com\r\nX-Injected: 1/", "javascript:1", "http://[::1")  # fmt: skip
 
 
 def test_private_addresses_and_what_is_no_address_are_refused(idle: Callable[..., TestClient]) -> None:
@@ -277,7 +276,7 @@ def test_a_name_server_that_is_slow_takes_no_more_time_than_the_receiver_has(
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: is_over.wait(30) and [])
     begin_s = time.monotonic()
     with pytest.raises(Undelivered, match=r"must answer within 0\.2 s"):
-        sent("http://slow.example/")
+        posted("http://slow.example/")
     assert time.monotonic() - begin_s < 15
     is_over.set()
 
@@ -325,7 +324,7 @@ def test_an_answer_without_an_end_ends(monkeypatch: pytest.MonkeyPatch, name: st
     thread = threading.Thread(target=answer)
     thread.start()
     try:
-        said = str(sent(f"http://127.0.0.1:{listener.getsockname()[1]}/", LOOPBACK))
+        said = str(posted(f"http://127.0.0.1:{listener.getsockname()[1]}/", LOOPBACK))
     except Undelivered as undelivered:
         said = str(undelivered)
     thread.join(30)
@@ -371,7 +370,5 @@ def test_a_service_that_runs_tells_by_itself(
         client.app.state.core.periodic.start()
         webhook = made(client, receiver.url)
         client.post(f"/v1/webhooks/{webhook['id']}/test")
-        end_s = time.monotonic() + 20
-        while not receiver.got and time.monotonic() < end_s:
-            time.sleep(0.02)
+        until(lambda: receiver.got)
     assert len(receiver.got) == 1

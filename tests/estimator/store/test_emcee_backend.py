@@ -22,6 +22,7 @@ from emcee.moves import DEMove, StretchMove
 import estimator
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.store.emcee_backend import ZarrBackend
+from tests.estimator.store.damaged import files, flipped, lost
 from tests.estimator.store.interrupted import killed_at_each_operation
 
 pytestmark = pytest.mark.whole
@@ -90,10 +91,6 @@ def store(tmp_path: Path) -> Path:
     return path
 
 
-def files_of(path: Path) -> list[Path]:
-    return sorted(file for file in path.rglob("*") if file.is_file())
-
-
 def test_chain_equals_that_of_emcees_own_backend_in_memory_and_read_back(store: Path) -> None:
     assert_same(ZarrBackend.open(store), uninterrupted(9))
 
@@ -118,7 +115,7 @@ def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
     path = tmp_path / "chain.zarr"
     backend = create(path)
     sample(backend, CHECKPOINT_STEPS - 1)
-    before = {file: file.read_bytes() for file in files_of(path)}
+    before = {file: file.read_bytes() for file in files(path)}
     synced: dict[Path, bytes] = {}
     committed_at_sync: list[bytes] = []  # what stood there whenever the names in the folder were synced
     fsync, replace = os.fsync, Path.replace
@@ -133,7 +130,7 @@ def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
 
     def committing(self: Path, target: Path) -> Path:
         if target == path / "zarr.json":
-            changed = {file for file in files_of(path) if file.read_bytes() != before.get(file)}
+            changed = {file for file in files(path) if file.read_bytes() != before.get(file)}
             assert {file.parts[len(path.parts)] for file in changed} >= {
                 "chain",
                 "log_prob",
@@ -183,9 +180,9 @@ def test_chunks_are_one_checkpoint_long_compressed_and_checksummed(store: Path) 
 
 
 def test_opening_writes_nothing(store: Path) -> None:
-    before = [(file, file.stat().st_mtime_ns) for file in files_of(store)]
+    before = [(file, file.stat().st_mtime_ns) for file in files(store)]
     ZarrBackend.open(store)
-    assert [(file, file.stat().st_mtime_ns) for file in files_of(store)] == before
+    assert [(file, file.stat().st_mtime_ns) for file in files(store)] == before
 
 
 ENDLESS_RUN = """
@@ -312,34 +309,22 @@ def test_interrupted_call_followed_by_a_shorter_one_continues(tmp_path: Path) ->
 
 def test_flipped_bit_never_changes_a_chain_silently(store: Path) -> None:
     expected = uninterrupted(9)
-    random = np.random.default_rng(1)
-    for file in files_of(store):
-        intact = file.read_bytes()
-        # Array metadata have harmless bits, such as the level of compression.
-        is_array_metadata = file.name == "zarr.json" and file.parent != store
-        for bit in random.integers(8 * len(intact), size=15):
-            damaged = bytearray(intact)
-            damaged[bit // 8] ^= 1 << (bit % 8)
-            file.write_bytes(damaged)
-            if is_array_metadata:
-                with suppress(CorruptStore):
-                    assert_same(ZarrBackend.open(store), expected)
-            else:
-                with pytest.raises(CorruptStore, match=str(store)):
-                    ZarrBackend.open(store)
-        file.write_bytes(intact)
+    for file in flipped(store, 15):
+        if file.name == "zarr.json" and file.parent != store:
+            # Array metadata have harmless bits, such as the level of compression.
+            with suppress(CorruptStore):
+                assert_same(ZarrBackend.open(store), expected)
+        else:
+            with pytest.raises(CorruptStore, match=str(store)):
+                ZarrBackend.open(store)
     assert_same(ZarrBackend.open(store), expected)
 
 
 def test_missing_file_is_found(store: Path) -> None:
-    files = files_of(store)
-    assert len(files) == 1 + 4 + 4 * 3  # group, arrays, three chunks each
-    for file in files:
-        intact = file.read_bytes()
-        file.unlink()
+    assert len(files(store)) == 1 + 4 + 4 * 3  # group, arrays, three chunks each
+    for _ in lost(store):
         with pytest.raises(CorruptStore, match=f"{store} .*missing"):
             ZarrBackend.open(store)
-        file.write_bytes(intact)
 
 
 def test_missing_chunk_is_found_when_nothing_was_ever_accepted(tmp_path: Path) -> None:
