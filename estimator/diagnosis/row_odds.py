@@ -167,6 +167,8 @@ def _log_density(mistake: Mistake, expected: Expectation) -> Float[Tensor, " rea
     components = slice(None) if mistake.component is None else mistake.component
     sizes_T[:, components] *= mistake.magnifies
     density = _of_errors(measured_T - mistake.expected_T, sizes_T)
+    if mistake.is_anywhere:
+        density = -expected.range_T.log()[:, None].expand(-1, 3)
     if mistake.is_exact:
         for sensor in expected.observations.sensor.unique().tolist():
             own = expected.observations.sensor == sensor
@@ -180,10 +182,7 @@ def _log_density_by_chance(expected: Expectation) -> Float[Tensor, " reading"]:
     """Log density of the readings where each component may be anything that its sensor reads."""
     measured_T = expected.observations.field_sensor_T
     density = _of_errors(measured_T - expected.predicted_T, expected.size_T[:, None].expand(-1, 3))
-    for sensor in expected.observations.sensor.unique().tolist():
-        own = expected.observations.sensor == sensor
-        range_T = 2.0 * float(measured_T[own].nan_to_num(0.0).abs().max())
-        density[own] = torch.logaddexp(density[own], density.new_tensor(-math.log(range_T)))
+    density = torch.logaddexp(density, -expected.range_T.log()[:, None])
     return torch.where(measured_T.isnan(), 0.0, density).sum(dim=1)
 
 
