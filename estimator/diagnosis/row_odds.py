@@ -134,14 +134,24 @@ class Trial:
         columns = _columns(recorded, self.expected.predicted_T)[own]
         if mistake.real is not None:
             columns = torch.where(chosen[:, None], _columns(mistake.real, mistake.expected_T)[own], columns)
-        columns = columns[:, columns.min(dim=0).values < columns.max(dim=0).values]
-        by_time = min(_log_ways(len(own), int(chosen.sum())), _log_ways(len(own), 2 * _runs(chosen)))
-        by_column = [
-            _log_ways(len(own), 2 * _runs(chosen[column.argsort(stable=True)])) for column in columns.T
-        ]
-        if not by_column:
-            return False
-        return min(by_column) + math.log(len(by_column) * policy.MUCH_MORE_PROBABLE) < by_time
+        return follow_a_column(columns, chosen)
+
+
+def follow_a_column(columns: Float[Tensor, "own column"], chosen: Bool[Tensor, " own"]) -> bool:
+    """Whether a setting or the field tells much more briefly than time which readings of a sensor are chosen.
+
+    Args:
+        columns: Settings and field, of the readings in order of time.
+        chosen: Those of them.
+    """
+    columns = columns[:, columns.min(dim=0).values < columns.max(dim=0).values]
+    by_time = min(_log_ways(len(chosen), int(chosen.sum())), _log_ways(len(chosen), 2 * n_runs(chosen)))
+    by_column = [
+        _log_ways(len(chosen), 2 * n_runs(chosen[column.argsort(stable=True)])) for column in columns.T
+    ]
+    if not by_column:
+        return False
+    return min(by_column) + math.log(len(by_column) * policy.MUCH_MORE_PROBABLE) < by_time
 
 
 def would_show(mistake: Mistake, expected: Expectation, magnified: float = 1.0) -> Bool[Tensor, " reading"]:
@@ -200,7 +210,7 @@ def _columns(readings: Observations, field_T: Float[Tensor, "reading 3"]) -> Flo
     return torch.cat(columns, dim=1)
 
 
-def _runs(chosen: Bool[Tensor, " own"]) -> int:
+def n_runs(chosen: Bool[Tensor, " own"]) -> int:
     """Number of unbroken stretches of those that are chosen."""
     return int(chosen[:1].sum()) + int((chosen[1:] & ~chosen[:-1]).sum())
 

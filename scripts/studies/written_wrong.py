@@ -23,12 +23,12 @@ import torch
 from estimator import load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.expectation import predict_T
+from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
+from estimator.diagnosis.result import Question
 from estimator.diagnosis.single_readings import suspects_of
 from estimator.effects import EFFECTS
-from estimator.readings.digits import flags_of_digits
-from estimator.readings.flags import without_flagged
 from estimator.readings.observations import Observations
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
@@ -151,11 +151,10 @@ def _misplaced(
 
 def _flagged(session: Session) -> set[int]:
     """Numbers of the readings that are flagged by their digits and by a fit of the rig as described."""
-    flags = flags_of_digits(session.observations)
-    left = without_flagged(session.observations, flags)
-    rules, _ = rules_and_refusal(session.rig, left)
-    fit = fit_rig(session.rig, left.calibration, {}, rules, policy.MORE_STARTS)
-    flags += suspects_of(fit, left).flags
+    first = FirstFit.of(
+        Question(session.rig, session.source, 0), session, None, policy.MOST_READINGS_SEARCHED
+    )
+    flags = [*first.flags, *suspects_of(first.plain, first.session.observations).flags]
     return {reading for flag in flags if not flag.is_everywhere for reading in flag.readings}
 
 
