@@ -144,11 +144,12 @@ def follow_a_column(columns: Float[Tensor, "own column"], chosen: Bool[Tensor, "
         columns: Settings and field, of the readings in order of time.
         chosen: Those of them.
     """
+    n = len(chosen)
     columns = columns[:, columns.min(dim=0).values < columns.max(dim=0).values]
-    by_time = min(_log_ways(len(chosen), int(chosen.sum())), _log_ways(len(chosen), 2 * n_runs(chosen)))
-    by_column = [
-        _log_ways(len(chosen), 2 * n_runs(chosen[column.argsort(stable=True)])) for column in columns.T
-    ]
+    by_time = min(_log_ways(n, int(chosen.sum())), _log_ways(n, 2 * n_runs(chosen)))
+    # More ends than half the readings are as briefly told as few, but then the chosen ones lie between all others.
+    ends = (min(2 * n_runs(chosen[column.argsort(stable=True)]), n // 2) for column in columns.T)
+    by_column = [_log_ways(n, number) for number in ends]
     if not by_column:
         return False
     return min(by_column) + math.log(len(by_column) * policy.MUCH_MORE_PROBABLE) < by_time

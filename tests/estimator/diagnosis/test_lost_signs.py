@@ -44,7 +44,7 @@ def rig() -> Rig:
 
 
 def measured(
-    loses: tuple[int, ...], seed: int = 1, *, is_in_order: bool = False
+    loses: tuple[int, ...], seed: int = 1, *, is_in_order: bool = False, by_size: bool = False
 ) -> tuple[Observations, np.ndarray]:
     """Readings with the signs of some coils lost, and the currents that flowed."""
     rng = np.random.default_rng(seed)
@@ -53,6 +53,8 @@ def measured(
     flowed_A = current_A * rng.choice([-1.0, 1.0], (N, 2))
     if is_in_order:  # forth in the first half and back in the second
         flowed_A[:, 0] = np.where(np.arange(N) < N / 2, 1.0, -1.0) * current_A[:, 0]
+    if by_size:
+        flowed_A[:, 0] = np.tile([1.0, -2.0, -1.0, 2.0], N // 4)
     field_T = EARTH_T + rng.normal(0.0, SD_T, (N, 3))
     for i, x_m in enumerate((-0.061, 0.0595)):  # a millimetre beside where the rig says
         field_T += flowed_A[:, i : i + 1] * coil_field_T(
@@ -97,6 +99,13 @@ def test_the_readings_in_which_a_current_flowed_back_are_told_by_coil_and_line(
         assert len(flag.readings) > 0.9 * len(flowed_back), "only far from the coil nobody can say"
         assert flag.lines[0] == flag.readings[0] + 2
         assert "readings between lines" in told([flag], ["hall"])
+
+
+def test_signs_that_alternate_by_size_at_each_stop_are_told_too() -> None:
+    """The plan of `coilcal init` measures so; of one size of the current each second reading was reversed."""
+    readings, flowed_A = measured((0,), by_size=True)
+    (flag,) = told_before_a_search(readings)
+    assert len(flag.readings) > 0.9 * (flowed_A[:, 0] < 0.0).sum()
 
 
 def test_one_change_of_sign_is_left_to_the_cause_of_the_library() -> None:
