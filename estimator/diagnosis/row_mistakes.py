@@ -58,6 +58,7 @@ class Mistake:
         real: The readings with the settings that they were taken at, where others were recorded.
         follows_field: Whether it is made where the field is large, so that its rows follow the field.
         log_choices: Logarithm of the number of fields that a reading with this mistake may hold.
+        is_of_rows: Whether it is made in single rows only, so that no cause of the library is like it.
         is_anywhere: Whether its field may be anything that its sensor reads.
     """
 
@@ -70,6 +71,7 @@ class Mistake:
     real: Observations | None = None
     follows_field: bool = False
     log_choices: float = 0.0
+    is_of_rows: bool = False
     is_anywhere: bool = False
 
 
@@ -266,9 +268,9 @@ def _of_exchanged_readings(expected: Expectation) -> Iterator[Mistake]:
     if bool(is_pair.any()):
         expected_T = torch.full_like(expected.predicted_T, torch.nan)
         expected_T[far[is_pair]] = predicted_T[partner[is_pair]]
-        yield Mistake(
-            "is exchanged with another reading", None, expected_T, log_choices=math.log(len(expected.is_far))
-        )
+        choices = math.log(len(expected.is_far))
+        words = "is exchanged with another reading"
+        yield Mistake(words, None, expected_T, log_choices=choices, is_of_rows=True)
 
 
 def _of_a_repeated_setting(expected: Expectation) -> Mistake:
@@ -283,7 +285,8 @@ def _of_a_repeated_setting(expected: Expectation) -> Mistake:
     share = (float((is_repeated & ~expected.is_far).sum()) + 0.5) / (len(before) + 1.0)
     expected_T = torch.where(is_repeated[:, None], observations.field_sensor_T, torch.nan)
     words = "stands beside the pose and the currents of the reading before"
-    return Mistake(words, None, expected_T, log_choices=math.log(share), is_anywhere=True)
+    choices = math.log(share)
+    return Mistake(words, None, expected_T, log_choices=choices, is_of_rows=True, is_anywhere=True)
 
 
 def _beside(observations: Observations, rows: int) -> Int[Tensor, " reading"]:
