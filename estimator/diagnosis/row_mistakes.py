@@ -284,7 +284,7 @@ def _of_a_repeated_setting(expected: Expectation) -> Mistake:
     is_repeated = (before >= 0) & (settings == settings[before]).all(dim=1)
     share = (float((is_repeated & ~expected.is_far).sum()) + 0.5) / (len(before) + 1.0)
     expected_T = torch.where(is_repeated[:, None], observations.field_sensor_T, torch.nan)
-    words = "stands beside the pose and the currents of the reading before"
+    words = "has the pose and the currents of the reading before, but another field"
     choices = math.log(share)
     return Mistake(words, None, expected_T, log_choices=choices, is_of_rows=True, is_anywhere=True)
 
