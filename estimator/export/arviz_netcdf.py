@@ -163,7 +163,8 @@ def _predictions(calibrated: Calibrated, steps: np.ndarray) -> tuple[xr.Dataset,
     each = {"long_name": "log likelihood of each measured component, of a density per T"}
     return (
         xr.Dataset(
-            {"field_sensor_T": (("chain", "draw", "reading", "component"), field_T, told)}, coords | COMPONENT
+            {"field_sensor_T": (("chain", "draw", "reading", "component"), field_T, told)},
+            {**coords, **COMPONENT},
         ),
         xr.Dataset(
             {
