@@ -45,6 +45,15 @@ class Expectation:
         return size_T
 
     @cached_property
+    def range_T(self) -> Float[Tensor, " reading"]:
+        """Twice the largest component that the sensor of each reading read."""
+        field_T, range_T = self.observations.field_sensor_T.nan_to_num(0.0), torch.zeros_like(self.size_T)
+        for sensor in self.observations.sensor.unique():
+            own = self.observations.sensor == sensor
+            range_T[own] = 2.0 * field_T[own].abs().max()
+        return range_T
+
+    @cached_property
     def misses(self) -> Float[Tensor, " reading"]:
         """How far each reading is from what is expected of it, as `distance` has it."""
         return distance(self.observations.field_sensor_T, self.predicted_T, self.size_T)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import leaves_much_of_the_field, rules_and_refusal
+from estimator.diagnosis.lost_signs import lost_signs
 from estimator.diagnosis.result import Diagnosis, Question
 from estimator.diagnosis.robust_fit import robust_values
 from estimator.diagnosis.single_readings import Suspects, some_miss_by_far, suspects_beside, suspects_of
@@ -53,9 +54,15 @@ class FirstFit:
         most_readings: int,
         flags: Sequence[Flag] | None = None,
     ) -> FirstFit:
-        """The fit without the readings that were flagged, by default those whose digits say that they were not measured."""
+        """The fit without the readings that were flagged, by default those that are told without a fit."""
         if flags is None:
             flags = flags_of_digits(session.observations)
+            left = without_flagged(session.observations, flags)
+            signs = lost_signs(question.rig, left)
+            if signs.flags:
+                session_of_known = replace(session, observations=signs.without(left))
+                rough = cls.of(question, session_of_known, validation, most_readings, ())
+                flags = merged(left, (*flags, *lost_signs(question.rig, left, rough.plain).flags))
         session = replace(session, observations=without_flagged(session.observations, flags))
         seen, unseen = (_that_hold_something(part) for part in _split(session, validation, question.seed))
         few = thinned(seen, most_readings, question.seed)
@@ -92,9 +99,11 @@ class FirstFit:
         if self.validation is None:
             return self.unseen, []
         readings = self.validation.observations
-        by_digits = flags_of_digits(readings)
-        suspects = suspects_beside(extended, extended.values, without_flagged(readings, by_digits))
-        flags = merged(readings, by_digits if suspects.may_be_causes else (*by_digits, *suspects.flags))
+        before = flags_of_digits(readings)
+        signs = lost_signs(extended.rig, without_flagged(readings, before), extended)
+        before = merged(readings, (*before, *signs.flags))
+        suspects = suspects_beside(extended, extended.values, without_flagged(readings, before))
+        flags = merged(readings, before if suspects.may_be_causes else (*before, *suspects.flags))
         return without_flagged(readings, flags), flags
 
     def without_suspects(self, tell: Callable[[str], None]) -> FirstFit:

@@ -6,8 +6,12 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.row_mistakes import FACTORS
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import as_meant, uses_of
 from estimator.inference.likelihood import LogPosterior
@@ -28,6 +32,8 @@ class Outlier:
         miss_T: Measured less predicted.
         miss_sd: The same in standard deviations of the readings that are right.
         probability: That it is wrong.
+        words: How it may have been written down so, as a clause: a decimal point beside its place, a sign; empty where nothing tells.
+        line: Line of the file from which it was imported; None where there is no such file.
     """
 
     reading: int
@@ -36,6 +42,8 @@ class Outlier:
     miss_T: float
     miss_sd: float
     probability: float
+    words: str = ""
+    line: int | None = None
 
     def to_json(self) -> dict[str, Any]:
         """The outlier in the form of JSON; readings are counted from 1."""
@@ -68,4 +76,23 @@ def outliers_of(fit: Fit, observations: Observations) -> list[Outlier]:
     readings, components = observations.is_measured.nonzero()[probable].unbind(1)
     names = [fit.rig.sensors[sensor].name for sensor in observations.sensor[readings].tolist()]
     numbers = (numbers[probable].tolist() for numbers in (miss_T, miss_sd, probability))
-    return list(map(Outlier, readings.tolist(), names, components.tolist(), *numbers))
+    measured_T, sigma_T = posterior.measured_T[probable], (miss_T / miss_sd)[probable]
+    words = _written_as(measured_T, measured_T - miss_T[probable], sigma_T)
+    lines = [None] * len(probable) if observations.line is None else observations.line[readings].tolist()
+    return list(map(Outlier, readings.tolist(), names, components.tolist(), *numbers, words, lines))
+
+
+def _written_as(
+    measured_T: Float[Tensor, " component"],
+    predicted_T: Float[Tensor, " component"],
+    sigma_T: Float[Tensor, " component"],
+) -> list[str]:
+    """The factor by which each component comes nearest to what is predicted, in words, where it explains one by more than its errors."""
+    factors = measured_T.new_tensor(list(FACTORS))[:, None]
+    error_T = factors.abs().clamp(min=1.0) * sigma_T
+    would_show = ((factors - 1.0) * predicted_T).abs() > policy.FAR_FROM_EXPECTED * error_T
+    off = ((measured_T - factors * predicted_T) / error_T).abs().masked_fill(~would_show, torch.inf)
+    least, nearest = off.min(dim=0)
+    words = list(FACTORS.values())
+    is_near = (least < policy.NEAR_TO_EXPECTED).tolist()
+    return [words[i] if near else "" for i, near in zip(nearest.tolist(), is_near, strict=True)]

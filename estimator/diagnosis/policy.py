@@ -101,6 +101,14 @@ NEAR_TO_EXPECTED = 5.0
 """Size of an error, in the same, up to which a reading is as a mistake would have it. By judgement: of ten thousand normal errors none is
 larger; the fit of the others is a little off. Study: not in it."""
 
+LEAST_OF_A_SIGN = 0.1
+"""Share of a coil's clear readings that must have either sign where none was recorded, and the most of them that may agree with neither. By
+judgement: fewer are mistakes of single rows. Study: not in it."""
+
+FIELD_BUT_FOR_ITS_SIGN = 0.5
+"""Error of a reading, over the field of the coils, up to which it agrees with that but for its sign. By judgement: rigs are described to
+some per cent and millimetres, and other mistakes change directions. Study: not in it."""
+
 MOST_TRIMMINGS = 5
 """Fits to the readings that do not miss by far, one after another. Effort: one fit each; most settle after three. Study: not in it."""
 

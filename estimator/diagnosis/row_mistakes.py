@@ -1,13 +1,13 @@
 """Ways to write a row of a table down wrongly, each with the fields that rows would then hold.
 
-A field may be reversed, in another unit, with two axes exchanged, of another sensor or of a neighbouring row; a counter may have wrapped;
-or it was measured with another current or at another place than the row says.
+A field may be reversed, in another unit, with two axes exchanged, of another sensor or row; a counter may have wrapped; or it was measured
+with another current or at another place than the row says, as where the pose is that of the row before.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
@@ -41,6 +41,7 @@ COUNTERS = {
 }
 OF_ANOTHER_ROW = "holds the field of the reading"
 ROWS_BESIDE = 8  # how many rows away a field may have been written down
+MOST_EXCHANGED = 200  # rows that miss by far among which pairs are looked for: exchanges are few
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,8 @@ class Mistake:
         real: The readings with the settings that they were taken at, where others were recorded.
         follows_field: Whether it is made where the field is large, so that its rows follow the field.
         log_choices: Logarithm of the number of fields that a reading with this mistake may hold.
+        is_of_rows: Whether it is made in single rows only, so that no cause of the library is like it.
+        is_anywhere: Whether its field may be anything that its sensor reads.
     """
 
     words: str
@@ -68,6 +71,8 @@ class Mistake:
     real: Observations | None = None
     follows_field: bool = False
     log_choices: float = 0.0
+    is_of_rows: bool = False
+    is_anywhere: bool = False
 
 
 def mistakes_of(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> list[Mistake]:
@@ -78,11 +83,15 @@ def mistakes_of(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -
         values: Of its parameters.
         expected: Of the readings as they are, by these values.
     """
+    readings = expected.observations
     return [
         *_of_what_was_expected(expected),
         *_of_counters(expected),
-        *_of_other_settings(fit, values, expected),
+        *_of_settings((*_other_currents(fit.rig), *_other_poses(fit.rig, readings)), fit, values, expected),
         *_of_other_readings(fit.rig, expected),
+        *_of_settings(_poses_beside(fit.rig, readings), fit, values, expected),
+        *_of_exchanged_readings(expected),
+        _of_a_repeated_setting(expected),
     ]
 
 
@@ -131,13 +140,16 @@ def _of_counters(expected: Expectation) -> Iterator[Mistake]:
         explained |= is_off & (off < policy.NEAR_TO_EXPECTED)
 
 
-def _of_other_settings(fit: Fit, values: Mapping[str, Tensor], expected: Expectation) -> Iterator[Mistake]:
+def _of_settings(
+    settings: Iterable[_Setting], fit: Fit, values: Mapping[str, Tensor], expected: Expectation
+) -> Iterator[Mistake]:
     """Fields of other currents or poses than recorded, of those that make one of the readings fit that miss by far."""
-    far, size_T = expected.observations.rows(expected.is_far), expected.size_T[expected.is_far]
-    for setting in (*_other_currents(fit.rig), *_other_poses(fit.rig, far)):
-        there_T = predict_T(fit, values, setting.of(far))
-        if bool((distance(far.field_sensor_T, there_T, size_T) < policy.NEAR_TO_EXPECTED).any()):
-            real = setting.of(expected.observations)
+    is_far = expected.is_far
+    far_T, size_T = expected.observations.field_sensor_T[is_far], expected.size_T[is_far]
+    for setting in settings:
+        real = setting.of(expected.observations)
+        there_T = predict_T(fit, values, real.rows(is_far))
+        if bool((distance(far_T, there_T, size_T) < policy.NEAR_TO_EXPECTED).any()):
             real_T = predict_T(fit, values, real)
             yield Mistake(setting.words, None, real_T, is_reversal=setting.is_reversed_current, real=real)
 
@@ -148,22 +160,25 @@ class _Setting(NamedTuple):
     Attributes:
         words: How, as a clause.
         mover: Whose columns; None for currents.
-        matrix: The recorded ones times this are the real ones.
+        matrix: The recorded ones times this are the real ones; None where they are those of another reading.
         is_reversed_current: Whether the current of one coil is reversed.
+        other: Number of the reading that has the real ones.
     """
 
     words: str
     mover: str | None
-    matrix: Float[Tensor, "column column"]
+    matrix: Float[Tensor, "column column"] | None
     is_reversed_current: bool = False
+    other: Int[Tensor, " reading"] | None = None
 
     def of(self, observations: Observations) -> Observations:
         """Readings with the real settings."""
-        matrix = self.matrix.to(observations.current_A)
+        recorded = observations.current_A if self.mover is None else observations.motion[self.mover]
+        real = recorded if self.other is None else recorded[self.other]
+        real = real if self.matrix is None else real @ self.matrix.to(real)
         if self.mover is None:
-            return replace(observations, current_A=observations.current_A @ matrix)
-        motion = {**observations.motion, self.mover: observations.motion[self.mover] @ matrix}
-        return replace(observations, motion=motion)
+            return replace(observations, current_A=real)
+        return replace(observations, motion={**observations.motion, self.mover: real})
 
 
 def _other_currents(rig: Rig) -> Iterator[_Setting]:
@@ -191,6 +206,16 @@ def _other_poses(rig: Rig, observations: Observations) -> Iterator[_Setting]:
         for i, k in combinations(lengths, 2):
             words = f"fits {columns[i]} and {columns[k]} exchanged"
             yield _Setting(words, mover.name, _exchanged(i, k, n))
+
+
+def _poses_beside(rig: Rig, observations: Observations) -> Iterator[_Setting]:
+    """The pose of the reading after, where that of the reading before was written down, and the other way round."""
+    for rows, way in ((-1, "after"), (1, "before")):
+        other = _beside(observations, rows)
+        other = torch.where(other < 0, torch.arange(len(other), device=other.device), other)
+        for mover in rig.movers:
+            words = f"fits the pose that {mover.name} has in the reading {way}"
+            yield _Setting(words, mover.name, None, other=other)
 
 
 def _times(factor: float, column: int, n: int) -> Float[Tensor, "column column"]:
@@ -227,6 +252,41 @@ def _of_other_readings(rig: Rig, expected: Expectation) -> Iterator[Mistake]:
         expected_T = predicted_T[order[torch.where(is_earlier, earlier, after)]]
         is_own = (observations.sensor == index)[:, None]
         yield Mistake(f"holds the field of {sensor.name}", None, expected_T.masked_fill(is_own, torch.nan))
+
+
+def _of_exchanged_readings(expected: Expectation) -> Iterator[Mistake]:
+    """Each reading of a pair of one sensor holds the field of the other, however far apart they are."""
+    far = expected.is_far.nonzero().flatten()
+    if not 1 < len(far) <= MOST_EXCHANGED:
+        return
+    measured_T, predicted_T = expected.observations.field_sensor_T[far], expected.predicted_T[far]
+    off = ((measured_T[:, None] - predicted_T).abs() / expected.size_T[far, None, None]).nan_to_num(0.0)
+    sensor = expected.observations.sensor[far]
+    apart = off.amax(dim=2).masked_fill(sensor[:, None] != sensor, math.inf)
+    least, partner = torch.maximum(apart, apart.mT).min(dim=1)
+    is_pair = (least < policy.NEAR_TO_EXPECTED) & (partner[partner] == torch.arange(len(far)).to(partner))
+    if bool(is_pair.any()):
+        expected_T = torch.full_like(expected.predicted_T, torch.nan)
+        expected_T[far[is_pair]] = predicted_T[partner[is_pair]]
+        choices = math.log(len(expected.is_far))
+        words = "is exchanged with another reading"
+        yield Mistake(words, None, expected_T, log_choices=choices, is_of_rows=True)
+
+
+def _of_a_repeated_setting(expected: Expectation) -> Mistake:
+    """Pose and currents are those of the reading before, for the new ones had not arrived: nothing says what the field should be.
+
+    A wild value may be as far off. That it falls on a repeated setting is the less probable by chance the fewer there are.
+    """
+    observations = expected.observations
+    before = _beside(observations, 1)
+    settings = torch.cat((observations.current_A, *observations.motion.values()), dim=1)
+    is_repeated = (before >= 0) & (settings == settings[before]).all(dim=1)
+    share = (float((is_repeated & ~expected.is_far).sum()) + 0.5) / (len(before) + 1.0)
+    expected_T = torch.where(is_repeated[:, None], observations.field_sensor_T, torch.nan)
+    words = "has the pose and the currents of the reading before, but another field"
+    choices = math.log(share)
+    return Mistake(words, None, expected_T, log_choices=choices, is_of_rows=True, is_anywhere=True)
 
 
 def _beside(observations: Observations, rows: int) -> Int[Tensor, " reading"]:

@@ -134,14 +134,25 @@ class Trial:
         columns = _columns(recorded, self.expected.predicted_T)[own]
         if mistake.real is not None:
             columns = torch.where(chosen[:, None], _columns(mistake.real, mistake.expected_T)[own], columns)
-        columns = columns[:, columns.min(dim=0).values < columns.max(dim=0).values]
-        by_time = min(_log_ways(len(own), int(chosen.sum())), _log_ways(len(own), 2 * _runs(chosen)))
-        by_column = [
-            _log_ways(len(own), 2 * _runs(chosen[column.argsort(stable=True)])) for column in columns.T
-        ]
-        if not by_column:
-            return False
-        return min(by_column) + math.log(len(by_column) * policy.MUCH_MORE_PROBABLE) < by_time
+        return follow_a_column(columns, chosen)
+
+
+def follow_a_column(columns: Float[Tensor, "own column"], chosen: Bool[Tensor, " own"]) -> bool:
+    """Whether a setting or the field tells much more briefly than time which readings of a sensor are chosen.
+
+    Args:
+        columns: Settings and field, of the readings in order of time.
+        chosen: Those of them.
+    """
+    n = len(chosen)
+    columns = columns[:, columns.min(dim=0).values < columns.max(dim=0).values]
+    by_time = min(_log_ways(n, int(chosen.sum())), _log_ways(n, 2 * n_runs(chosen)))
+    # More ends than half the readings are as briefly told as few, but then the chosen ones lie between all others.
+    ends = (min(2 * n_runs(chosen[column.argsort(stable=True)]), n // 2) for column in columns.T)
+    by_column = [_log_ways(n, number) for number in ends]
+    if not by_column:
+        return False
+    return min(by_column) + math.log(len(by_column) * policy.MUCH_MORE_PROBABLE) < by_time
 
 
 def would_show(mistake: Mistake, expected: Expectation, magnified: float = 1.0) -> Bool[Tensor, " reading"]:
@@ -167,6 +178,8 @@ def _log_density(mistake: Mistake, expected: Expectation) -> Float[Tensor, " rea
     components = slice(None) if mistake.component is None else mistake.component
     sizes_T[:, components] *= mistake.magnifies
     density = _of_errors(measured_T - mistake.expected_T, sizes_T)
+    if mistake.is_anywhere:
+        density = -expected.range_T.log()[:, None].expand(-1, 3)
     if mistake.is_exact:
         for sensor in expected.observations.sensor.unique().tolist():
             own = expected.observations.sensor == sensor
@@ -180,10 +193,7 @@ def _log_density_by_chance(expected: Expectation) -> Float[Tensor, " reading"]:
     """Log density of the readings where each component may be anything that its sensor reads."""
     measured_T = expected.observations.field_sensor_T
     density = _of_errors(measured_T - expected.predicted_T, expected.size_T[:, None].expand(-1, 3))
-    for sensor in expected.observations.sensor.unique().tolist():
-        own = expected.observations.sensor == sensor
-        range_T = 2.0 * float(measured_T[own].nan_to_num(0.0).abs().max())
-        density[own] = torch.logaddexp(density[own], density.new_tensor(-math.log(range_T)))
+    density = torch.logaddexp(density, -expected.range_T.log()[:, None])
     return torch.where(measured_T.isnan(), 0.0, density).sum(dim=1)
 
 
@@ -201,7 +211,7 @@ def _columns(readings: Observations, field_T: Float[Tensor, "reading 3"]) -> Flo
     return torch.cat(columns, dim=1)
 
 
-def _runs(chosen: Bool[Tensor, " own"]) -> int:
+def n_runs(chosen: Bool[Tensor, " own"]) -> int:
     """Number of unbroken stretches of those that are chosen."""
     return int(chosen[:1].sum()) + int((chosen[1:] & ~chosen[:-1]).sum())
 

@@ -146,6 +146,8 @@ def _may_be_cause(
         is_its: Readings that have it.
         is_without: Readings that would show it and do not.
     """
+    if mistake.is_of_rows:
+        return False
     later_s = time_s[is_without & (time_s >= time_s[is_its].min())]
     return not len(later_s) or (mistake.is_reversal and bool((later_s > time_s[is_its].max()).all()))
 

@@ -23,12 +23,12 @@ import torch
 from estimator import load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.expectation import predict_T
+from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
+from estimator.diagnosis.result import Question
 from estimator.diagnosis.single_readings import suspects_of
 from estimator.effects import EFFECTS
-from estimator.readings.digits import flags_of_digits
-from estimator.readings.flags import without_flagged
 from estimator.readings.observations import Observations
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
@@ -38,9 +38,12 @@ from scripts.studies.real_data import DATA_SETS
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.session import draw_session
 from tests.hidden.study import PROTOCOLS, draw_case
-from tests.hidden.written_wrong import KINDS, PLACES, placed, written
+from tests.hidden.written_wrong import KINDS, LATER_KINDS, LATER_PLACES, PLACES, placed, unsigned, written
 
 RIGHT_KINDS = ("clean", "single", "discrete", "outside", "unknown30", "unforeseen30")
+UNSIGNED = "unsigned_currents"
+OF_PLACES = (*PLACES, *LATER_PLACES)
+ALL_KINDS = (*KINDS, *LATER_KINDS, *OF_PLACES, UNSIGNED, *RIGHT_KINDS)
 CLEAR_SIGMA = 20.0  # of the noise by which a wrong row differs clearly from what was measured
 
 
@@ -49,11 +52,12 @@ def main() -> None:
     parser.add_argument("--cases", type=int, default=40, help="sessions of each kind")
     parser.add_argument("--first-seed", type=int, default=92_000)
     parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--kinds", nargs="+", choices=ALL_KINDS, default=ALL_KINDS)
     options = parser.parse_args()
     seeds = range(options.first_seed, options.first_seed + options.cases)
     print("kind           sessions  clearly wrong rows, flagged  flagged whole  right rows flagged")
     with multiprocessing.get_context("spawn").Pool(options.workers, initializer=one_thread) as pool:
-        for kind in (*KINDS, *PLACES, *RIGHT_KINDS):
+        for kind in options.kinds:
             cases = pool.map(partial(run_case, kind), seeds, chunksize=1)
             clear = [case for case in cases if case.clear]
             found = f"{sum(case.found for case in clear)} of {sum(case.clear for case in clear)}"
@@ -84,8 +88,11 @@ def run_case(kind: str, seed: int) -> Case:
     hidden = draw_session(seed, None, protocol=PROTOCOLS[seed % 2])
     session = _imported(hidden)
     sigma_T = float(hidden.scene.noise_T[0])
-    spoil = _misplaced if kind in PLACES else _spoilt
-    observations, wrong, clear = spoil(kind, session, sigma_T, seed)
+    if kind == UNSIGNED:
+        observations, wrong, clear = _unsigned(session, sigma_T, seed)
+    else:
+        spoil = _misplaced if kind in OF_PLACES else _spoilt
+        observations, wrong, clear = spoil(kind, session, sigma_T, seed)
     flagged = _flagged(replace(session, observations=observations))
     return Case(len(clear), len(clear & flagged), len(flagged - wrong))
 
@@ -112,6 +119,20 @@ def _spoilt(
     return spoilt, set(own[made.wrong].tolist()), set(clear.tolist())
 
 
+def _unsigned(session: Session, sigma_T: float, seed: int) -> tuple[Observations, set[int], set[int]]:
+    """Currents written down without their sign; numbers of the rows where it is another one, and of those where the field tells it."""
+    right = session.observations
+    field_T = right.field_sensor_T.numpy()
+    made_T, current_A, rows = unsigned(
+        field_T, right.current_A[:, 0].numpy(), np.random.default_rng([19, seed])
+    )
+    recorded_A = right.current_A.clone()
+    recorded_A[:, 0] = torch.from_numpy(current_A)
+    spoilt = replace(right.with_field(torch.from_numpy(made_T)), current_A=recorded_A)
+    is_clear = 2.0 * np.nanmax(np.abs(field_T), axis=1) > CLEAR_SIGMA * sigma_T
+    return spoilt, set(rows.tolist()), set(np.intersect1d(rows, np.flatnonzero(is_clear)).tolist())
+
+
 def _misplaced(
     kind: str, session: Session, sigma_T: float, seed: int
 ) -> tuple[Observations, set[int], set[int]]:
@@ -130,11 +151,10 @@ def _misplaced(
 
 def _flagged(session: Session) -> set[int]:
     """Numbers of the readings that are flagged by their digits and by a fit of the rig as described."""
-    flags = flags_of_digits(session.observations)
-    left = without_flagged(session.observations, flags)
-    rules, _ = rules_and_refusal(session.rig, left)
-    fit = fit_rig(session.rig, left.calibration, {}, rules, policy.MORE_STARTS)
-    flags += suspects_of(fit, left).flags
+    first = FirstFit.of(
+        Question(session.rig, session.source, 0), session, None, policy.MOST_READINGS_SEARCHED
+    )
+    flags = [*first.flags, *suspects_of(first.plain, first.session.observations).flags]
     return {reading for flag in flags if not flag.is_everywhere for reading in flag.readings}
 
 

@@ -15,6 +15,7 @@ from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.result import Question
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
+from scripts.studies.written_wrong import run_case
 from tests.hidden.plated_solenoid import write_plated_solenoid
 from tests.hidden.session import draw_session
 from tests.hidden.study import PROTOCOLS
@@ -43,6 +44,15 @@ def test_no_reading_behind_an_iron_plate_is_flagged(tmp_path, plate_m, opening_m
     """What is left of the field there is what the coils would make with one of them off or reversed, in whole ranges of place."""
     write_plated_solenoid(tmp_path, plate_m, opening_m, np.random.default_rng(4))
     assert flagged(session_in(tmp_path)) == []
+
+
+@pytest.mark.parametrize("kind", ["exchanged_rows", "stale_reading", "stale_pose", "unsigned_currents"])
+@pytest.mark.parametrize("seed", [93204, pytest.param(93205, marks=pytest.mark.slow)])
+def test_all_rows_that_are_clearly_written_down_wrongly_are_flagged_and_no_others(kind, seed):
+    """Two rows exchanged, each n-th reading or pose that of the row before, currents without their sign."""
+    case = run_case(kind, seed)
+    assert case.clear > 0
+    assert (case.found, case.false) == (case.clear, 0)
 
 
 @pytest.mark.parametrize("seed", [155203, pytest.param(155205, marks=pytest.mark.slow)])

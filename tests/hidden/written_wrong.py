@@ -28,7 +28,7 @@ class Written(NamedTuple):
 def written(kind: str, field_T: Fields, rng: np.random.Generator) -> Written:
     """A laboratory's table with one mistake in it; fields of one sensor in order of time, in T."""
     measured = np.round(field_T / DIGIT_T) * DIGIT_T
-    changed, rows = KINDS[kind](measured.copy(), rng)
+    changed, rows = (KINDS | LATER_KINDS)[kind](measured.copy(), rng)
     return Written(changed if kind == "wrapped" else np.round(changed / DIGIT_T) * DIGIT_T, rows)
 
 
@@ -98,6 +98,20 @@ def _wrapped(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
     return held * count_T, np.flatnonzero((held != counts).any(axis=1))
 
 
+def _exchanged_rows(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """The fields of two rows, however far apart, are written down in each other's place."""
+    pair = rng.choice(len(field_T), size=2, replace=False)
+    field_T[pair] = field_T[pair[::-1]]
+    return field_T, np.sort(pair)
+
+
+def _stale_reading(field_T: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """Each n-th reading is the one before: the sensor had no new one when it was asked."""
+    rows = _every_nth(len(field_T), rng)
+    field_T[rows] = field_T[rows - 1]
+    return field_T, rows
+
+
 class Placed(NamedTuple):
     """Places as they were written down, and the rows in which the sensor stood elsewhere."""
 
@@ -107,7 +121,7 @@ class Placed(NamedTuple):
 
 def placed(kind: str, place_m: Fields, rng: np.random.Generator) -> Placed:
     """A laboratory's table with one mistake in the columns of the places, in m."""
-    changed, rows = PLACES[kind](place_m.copy(), rng)
+    changed, rows = (PLACES | LATER_PLACES)[kind](place_m.copy(), rng)
     return Placed(changed, rows[np.abs(changed - place_m)[rows].max(axis=1) > 0.0])
 
 
@@ -130,6 +144,32 @@ def _other_order(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, Row
     return _two_exchanged(place_m, rng)
 
 
+def _stale_pose(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """In each n-th row the pose is the one before: the arm had not told the new one yet."""
+    rows = _every_nth(len(place_m), rng)
+    place_m[rows] = place_m[rows - 1]
+    return place_m, rows
+
+
+def _late_pose(place_m: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
+    """For a while each pose is the one before."""
+    rows = _a_while(len(place_m), rng)
+    place_m[rows] = place_m[rows - 1].copy()
+    return place_m, rows
+
+
+def unsigned(field_T: Fields, current_A: Fields, rng: np.random.Generator) -> tuple[Fields, Fields, Rows]:
+    """A relay reverses the current of a coil now and then, and the supply shows its size: fields, currents as written, and reversed rows.
+
+    Args:
+        field_T: As measured, of the coil alone.
+        current_A: As delivered, by reading.
+    """
+    is_switched = rng.random(len(field_T)) < rng.uniform(0.3, 0.7)
+    is_reversed = is_switched != (current_A < 0.0)
+    return np.where(is_switched[:, None], -field_T, field_T), np.abs(current_A), np.flatnonzero(is_reversed)
+
+
 def _two_exchanged(table: Fields, rng: np.random.Generator) -> tuple[Fields, Rows]:
     """Two columns of a table exchanged in a stretch of rows."""
     first, second = rng.choice(3, size=2, replace=False)
@@ -141,6 +181,12 @@ def _two_exchanged(table: Fields, rng: np.random.Generator) -> tuple[Fields, Row
 def _some(n: int, rng: np.random.Generator) -> Rows:
     """One in thirty to one in seven rows, all over the session."""
     return np.flatnonzero(rng.random(n) < rng.uniform(0.03, 0.15))
+
+
+def _every_nth(n: int, rng: np.random.Generator) -> Rows:
+    """Each third to tenth row, from some row on."""
+    step = int(rng.integers(3, 11))
+    return np.arange(int(rng.integers(1, step + 1)), n, step)
 
 
 def _a_while(n: int, rng: np.random.Generator) -> Rows:
@@ -160,9 +206,12 @@ KINDS: dict[str, Callable[[Fields, np.random.Generator], tuple[Fields, Rows]]] =
     "neighbour_row": _neighbour_row,
     "wrapped": _wrapped,
 }
+# Not among those that the study of statements draws from, whose seeds keep their meaning.
+LATER_KINDS = {"exchanged_rows": _exchanged_rows, "stale_reading": _stale_reading}
 
 PLACES: dict[str, Callable[[Fields, np.random.Generator], tuple[Fields, Rows]]] = {
     "minus_lost": _minus_lost,
     "decimal_point": _decimal_point,
     "other_order": _other_order,
 }
+LATER_PLACES = {"stale_pose": _stale_pose, "late_pose": _late_pose}

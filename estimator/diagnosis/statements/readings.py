@@ -53,13 +53,15 @@ def outliers(diagnosis: Diagnosis) -> Iterator[str]:
     probable = diagnosis.findings.outliers
     if probable:
         far = probable[0]
-        where = f"{COMPONENTS[far.component]} of {far.sensor} in reading {far.reading + 1}"
+        row = f"reading {far.reading + 1}" if far.line is None else f"line {far.line}"
+        where = f"{COMPONENTS[far.component]} of {far.sensor} in {row}"
         few = (
             "One component is probably an outlier"
             if len(probable) == 1
             else f"{len(probable)} components are probably outliers, the farthest"
         )
-        yield f"{few}: {where}, {size_with_unit(abs(far.miss_T), 'T')} off."
+        slip = f"; it {far.words}" if far.words else ""
+        yield f"{few}: {where}, {size_with_unit(abs(far.miss_T), 'T')} off{slip}."
 
 
 def outliers_tables(diagnosis: Diagnosis) -> Iterator[Table]:
@@ -71,17 +73,27 @@ def outliers_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     more = f" {n_more} more are in diagnosis.json." if n_more > 0 else ""
     yield Table(
         "Readings that are probably outliers",
-        ["reading", "component", "measured − predicted", "in standard deviations", "probability"],
+        [
+            "reading",
+            "line",
+            "component",
+            "measured − predicted",
+            "in standard deviations",
+            "probability",
+            "it",
+        ],
         [
             [
                 str(outlier.reading + 1),
+                "" if outlier.line is None else str(outlier.line),
                 f"{COMPONENTS[outlier.component]} of {outlier.sensor}",
                 size_with_unit(outlier.miss_T, "T"),
                 f"{outlier.miss_sd:.1f}",
                 f"{outlier.probability:.3f}",
+                outlier.words,
             ]
             for outlier in probable[:MOST_OUTLIERS]
         ],
-        "Readings are counted from 1 in the order of the file. Outliers count little in the fit. The probability follows from their "
-        f"share and width, as fitted.{more}",
+        "Readings are counted from 1, lines are those of the file. Outliers count little in the fit. The probability follows from their "
+        f"share and width, as fitted. The last column says which factor would explain a component.{more}",
     )

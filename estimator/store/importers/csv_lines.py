@@ -60,6 +60,7 @@ class Block:
         is_plain: Whether no line holds a quote or a NUL.
         separator: Between cells; None for runs of blanks.
         may_comment: Whether a line may be a comment.
+        n_optional: Cells at the end of a row that may be missing.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class Block:
     is_plain: bool
     separator: str | None = ","
     may_comment: bool = False
+    n_optional: int = 0
 
     def rest(self, n: int) -> Block:
         """The block without its first lines."""
@@ -102,6 +104,8 @@ class Block:
                 continue
             if len(row) > width and not any(cell.strip() for cell in row[width:]):
                 row = row[:width]  # a separator at the end of the line
+            elif width - self.n_optional <= len(row) < width:
+                row = [*row, *[""] * (width - len(row))]
             if len(row) != width:
                 rule = f"a row must have {width} cells like the header"
                 bad_lines.append(BadLine(number, None, rule, f"{len(row)}"))

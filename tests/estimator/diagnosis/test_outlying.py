@@ -48,6 +48,19 @@ def test_the_wrong_components_are_listed_the_farthest_first(fit, session):
     assert outliers[0].to_json()["reading"] == 4
 
 
+def test_a_decimal_point_beside_its_place_is_told_with_the_line_of_the_file(fit, session):
+    readings = replace(session.observations, line=torch.arange(len(session.observations)) + 2)
+    field_T = readings.field_sensor_T.clone()
+    field_T[7, 0] *= 100.0
+    field_T[8, 1] *= -1.0
+    smallest = int(field_T[12:, 2].abs().argmin()) + 12
+    field_T[smallest, 2] += 1e-4  # far off, but of nearly nothing: no factor says so
+    written = {(o.reading, o.component): o for o in outliers_of(fit, readings.with_field(field_T))}
+    assert (written[7, 0].words, written[7, 0].line) == ("is a hundred times too large", 9)
+    assert written[8, 1].words == "is reversed"
+    assert {written[place].words for place in (*WRONG, (smallest, 2))} == {""}
+
+
 def test_its_probability_is_that_of_a_mixture_of_two_normals(fit, session):
     for outlier in outliers_of(fit, session.observations):
         good = (1.0 - SHARE) * stats.norm.pdf(outlier.miss_sd)

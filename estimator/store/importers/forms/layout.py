@@ -43,6 +43,7 @@ class Layout:
         units: Units by column, from a line of their own; empty where there is none.
         first_line: Line of the first row.
         width: Cells of a row.
+        n_optional: Cells at its end that may be missing: columns of comments.
         is_unclear: Whether a comma may be the decimal sign or part thousands.
     """
 
@@ -53,6 +54,7 @@ class Layout:
     units: tuple[str, ...]
     first_line: int
     width: int
+    n_optional: int = 0
     is_unclear: bool = False
 
 
@@ -94,7 +96,10 @@ def layout_of(
     ]
     first_line = min([*starts, first.number]) if header is not None else first.number
     unclear = decimals == ".," and _is_unclear(data_rows)
-    return Layout(separator, decimal, header, header_line, units, first_line, width, unclear)
+    n_optional = 0 if header is None else len(header) - width
+    return Layout(
+        separator, decimal, header, header_line, units, first_line, width + n_optional, n_optional, unclear
+    )
 
 
 def is_comment(text: str) -> bool:
@@ -132,14 +137,14 @@ def _header(
         if names is None:
             continue
         if not units and _are_units(names):
-            units = names
+            units = names[:width]
             continue
         return names, line.number, units
     return None, 0, ()
 
 
 def header_names(text: str, separator: str | None, width: int) -> tuple[str, ...] | None:
-    """Cells of a line that may name as many columns as rows have; None where it does not.
+    """Cells of a line that may name as many columns as rows have, and columns of comments; None where it does not.
 
     Examples:
         >>> header_names("# t_s, Bx_mT", ",", 2), header_names("x [mm]  B x [G]", None, 2), header_names("a b c", None, 2)
@@ -148,11 +153,12 @@ def header_names(text: str, separator: str | None, width: int) -> tuple[str, ...
     text = re.sub(r"^\s*(?:#+|%+|//+)\s*", "", text).strip("\ufeff")
     for cells in _splits(text, separator):
         names = tuple(cell.strip().strip("\"'") for cell in cells)
-        while len(names) > width and names[-1].lower() in NO_CELLS:
+        while len(names) > width and not names[-1]:
             names = names[:-1]
+        n_comments = sum(name.lower() in NO_CELLS for name in names[width:])
         n_words = sum(any(letter.isalpha() for letter in name) for name in names)
         is_text = n_words >= FEWEST_NUMBERS and not any(is_number(name, ".") for name in names)
-        if len(names) == width and is_text:
+        if len(names) - n_comments == width and is_text:
             return names
     return None
 

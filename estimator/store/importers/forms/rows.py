@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -67,7 +67,7 @@ class Source:
             )
             if any(is_comment(text) or text in repeated for text in rows.texts):
                 rows = rows.without(lambda text: is_comment(text) or text in repeated)
-            yield rows
+            yield replace(rows, n_optional=self.layout.n_optional)
 
     def sample_rows(self) -> list[list[str]]:
         """Cells of some rows."""
@@ -75,7 +75,7 @@ class Source:
         for line in self.lines:
             if line.number >= self.layout.first_line and not is_comment(line.text):
                 row = row_of(line.text, line.number, self.layout.separator)
-                if not isinstance(row, BadLine) and len(row) >= self.layout.width:
+                if not isinstance(row, BadLine) and len(row) >= self.layout.width - self.layout.n_optional:
                     rows.append(row)
         return rows
 

@@ -195,6 +195,21 @@ OF_TEXT = [
         ),
     ),
     Form("separator_at_the_end.csv", lines(*(line + ";" for line in text(separator=";").splitlines()))),
+    Form(
+        "comments_in_few_rows.csv",
+        columns(
+            [*HEADER, "Remarks"],
+            *TABLE.T,
+            ["lamp on" if row == 40 else "" for row in range(60)],
+            separator=";",
+        ).encode(),
+        tells="Left out: Remarks.",
+    ),
+    Form(
+        "comments_without_separators.csv",
+        lines(LINES[0] + ",Note", *(line + ",paused" * (row == 5) for row, line in enumerate(LINES[1:]))),
+        tells="Left out: Note.",
+    ),
     Form("empty_columns.csv", lines(*(line + ",,," for line in LINES))),
     Form("blank_lines.csv", lines(*(part for line in LINES for part in (line, "")))),
     Form("comments_between.csv", lines(*LINES[:20], "# paused", *LINES[20:])),
