@@ -21,7 +21,7 @@ HEADER = (
 )
 
 
-@click.command("predict", cls=CoilcalCommand)
+@click.command("predict", cls=CoilcalCommand, takes_derivatives=False)
 @click.argument("folder", metavar="CALIBRATION", type=PATH)
 @option(
     "--grid axes",
@@ -69,12 +69,12 @@ def predict_command(
     Points lie on a grid in the world frame; the output is CSV. CALIBRATION is a folder written by `coilcal calibrate`.
     """
     import numpy as np
-    import torch
 
     from estimator.calibration.result import Calibration
     from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.devices import device_named, precision_named
     from estimator.store.staging import check_output, write_output
+    from estimator.tensors import torch
 
     check_output(out, overwrite)
     there = {"device": device_named(device), "dtype": precision_named(precision)}

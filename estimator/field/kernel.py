@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.field.loop import FEWEST_STEPS
-from estimator.tensors import Tensor, torch
+from estimator.tensors import Tensor, is_on_numpy, torch
 from estimator.units import MU0_T_M_PER_A
 
 POINTS_AT_ONCE = 32  # in a block
@@ -33,6 +33,7 @@ ROWS = 20
 # After these, for rings of dipoles: four factors of the ring itself, then four of each pattern.
 RING, PATTERNS = POINTS_AT_ONCE * ROWS, POINTS_AT_ONCE * (ROWS + 4)
 SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
+FEW_TERMS = 2**18  # that NumPy sums in a tenth of the time that numba takes to load
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
 
 
@@ -48,6 +49,16 @@ def is_plain(*tensors: Tensor) -> bool:
         tensor.device.type == "cpu" and tensor.dtype == torch.float64 and not has_derivatives(tensor)
         for tensor in tensors
     )
+
+
+def pays(n_terms: int) -> bool:
+    """Whether so many loops times points are worth machine code: numba's second, in commands that do without torch's.
+
+    Examples:
+        >>> pays(1)
+        True
+    """
+    return n_terms > FEW_TERMS or not is_on_numpy()
 
 
 def has_derivatives(tensor: Tensor) -> bool:
