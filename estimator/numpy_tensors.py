@@ -203,7 +203,7 @@ class Tensor:
         return int(self.array.reshape(()))
 
     def __index__(self) -> Whole:
-        return self.array.reshape(()).__index__()
+        return int(operator.index(self.array.reshape(())[()]))
 
     def __format__(self, words: str) -> str:
         return format(self.item(), words) if self.array.ndim == 0 else repr(self)
@@ -256,7 +256,7 @@ class Tensor:
         return self.array.ndim
 
     def size(self, dim: Whole) -> Whole:
-        return self.array.shape[dim]
+        return int(self.array.shape[dim])
 
     def numel(self) -> Whole:
         return self.array.size

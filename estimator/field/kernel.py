@@ -33,7 +33,8 @@ ROWS = 20
 # After these, for rings of dipoles: four factors of the ring itself, then four of each pattern.
 RING, PATTERNS = POINTS_AT_ONCE * ROWS, POINTS_AT_ONCE * (ROWS + 4)
 SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
-FEW_TERMS = 2**18  # that NumPy sums in a tenth of the time that numba takes to load
+FEW_TERMS = 2**22  # loops times points that NumPy sums in the time that numba takes to load
+_so_far = {"terms": 0}  # summed without machine code
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
 
 
@@ -52,13 +53,15 @@ def is_plain(*tensors: Tensor) -> bool:
 
 
 def pays(n_terms: int) -> bool:
-    """Whether so many loops times points are worth machine code: numba's second, in commands that do without torch's.
+    """Whether machine code is worth its start for so many loops times points, after all before them; beside torch's start it always is.
 
     Examples:
         >>> pays(1)
         True
     """
-    return n_terms > FEW_TERMS or not is_on_numpy()
+    if is_on_numpy():
+        _so_far["terms"] += n_terms
+    return _so_far["terms"] > FEW_TERMS or not is_on_numpy()
 
 
 def has_derivatives(tensor: Tensor) -> bool:
