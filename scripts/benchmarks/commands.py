@@ -152,6 +152,7 @@ def run(
         out.unlink(missing_ok=True)
     call = [sys.executable, "-c", *([PROGRAM, *arguments] if arguments else ["pass"])]
     told = {**environment, "PYTHONPATH": str(tree)}
+    told.pop("PYTHONDONTWRITEBYTECODE", None)  # or every run would compile the project anew
     begin_s = time.perf_counter()
     process = subprocess.Popen(call, cwd=tree, env=told, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     first_s, lines = followed(process, begin_s)
