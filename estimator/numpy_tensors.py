@@ -160,9 +160,9 @@ def _extreme(
             return Tensor(best(self.array))
         if isinstance(dim, Tensor):
             return Tensor(each(*_pair(self, dim)))
-        found = where(self.array, axis=dim, keepdims=True)
-        values = np.take_along_axis(self.array, found, dim)
-        both = (values, found) if keepdim else (values.squeeze(dim), found.squeeze(dim))
+        places = where(self.array, axis=dim, keepdims=True)
+        values = np.take_along_axis(self.array, places, dim)
+        both = (values, places) if keepdim else (values.squeeze(dim), places.squeeze(dim))
         return WithIndices(*map(Tensor, both))
 
     return apply

@@ -46,7 +46,7 @@ def predictions() -> dict[str, np.ndarray]:
 
     described = rig_from_text(RIG)
     readings = observed()
-    found: dict[str, np.ndarray] = {}
+    predicted: dict[str, np.ndarray] = {}
     for name, effect in EFFECTS.items():
         for place in effect.places(described)[-1:]:
             circumstances = Circumstances(described, readings)
@@ -56,13 +56,13 @@ def predictions() -> dict[str, np.ndarray]:
                 if not quantity.is_fixed and not quantity.is_shape:
                     numbers[f"{name}[{place}].{quantity.key}"] = quantity.null + 0.7 * quantity.prior.sd
             values = {key: torch.tensor(value, dtype=torch.float64) for key, value in numbers.items()}
-            found[f"{name}[{place}]"] = MeasurementModel.build(rig, readings).predict(values).numpy()
+            predicted[f"{name}[{place}]"] = MeasurementModel.build(rig, readings).predict(values).numpy()
             points_m = torch.tensor([[0.0, 0.01, 0.05], [0.2, 0.0, 0.1]], dtype=torch.float64)
             current_A = torch.tensor([2.0, -1.0], dtype=torch.float64)
-            found[f"{name}[{place}] in the room"] = (
+            predicted[f"{name}[{place}] in the room"] = (
                 RoomField(rig, values, points_m).field_T(values, current_A).numpy()
             )
-    return found
+    return predicted
 
 
 def observed() -> Any:

@@ -84,8 +84,8 @@ def prepared(folder: Path) -> dict[str, list[str]]:
         run(ROOT, [str(part) for part in call], os.environ)
     calls: dict[str, list[object]] = {
         NOTHING: [],
-        "--help": ["--help"],
-        "batch --help": ["batch", "--help"],
+        "help": ["--help"],
+        "help of batch": ["batch", "--help"],
         "explain": ["explain", "axis_gain"],
         "schema": ["schema", "rig"],
         "init": ["init", out, "--yes"],
