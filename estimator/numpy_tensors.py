@@ -23,9 +23,8 @@ lacking: list[str] = []
 SMALL_STEP = 1e-100  # nothing is subtracted, so that it may be as small as numbers are
 
 float64, float32 = np.dtype(np.float64), np.dtype(np.float32)
-int64, int32, int8, uint8 = (np.dtype(each) for each in (np.int64, np.int32, np.int8, np.uint8))
+int64 = np.dtype(np.int64)
 bool = np.dtype(np.bool_)
-long, double = int64, float64
 dtype = np.dtype
 nan, inf, pi = math.nan, math.inf, math.pi
 contiguous_format = None
@@ -255,9 +254,6 @@ class Tensor:
     def dim(self) -> Whole:
         return self.array.ndim
 
-    def size(self, dim: Whole) -> Whole:
-        return int(self.array.shape[dim])
-
     def numel(self) -> Whole:
         return self.array.size
 
@@ -294,14 +290,8 @@ class Tensor:
     def double(self) -> Tensor:
         return self.to(float64)
 
-    def float(self) -> Tensor:
-        return self.to(float32)
-
     def long(self) -> Tensor:
         return self.to(int64)
-
-    def int(self) -> Tensor:
-        return self.to(int32)
 
     def new_tensor(self, data: Any, **_: object) -> Tensor:
         return tensor(data, dtype=self.dtype)
@@ -311,9 +301,6 @@ class Tensor:
 
     def new_ones(self, *sizes: Any) -> Tensor:
         return Tensor(np.ones(_dims(sizes), self.dtype))
-
-    def new_full(self, size: Any, value: Any) -> Tensor:
-        return Tensor(np.full(size, _own(value), self.dtype))
 
     def reshape(self, *sizes: Any) -> Tensor:
         return Tensor(self.array.reshape(_dims(sizes)))
@@ -442,7 +429,7 @@ class Tensor:
     __sub__, __rsub__, __isub__ = _forward(np.subtract), _backward(np.subtract), _in_place(np.subtract)
     __mul__, __rmul__, __imul__ = _forward(np.multiply), _backward(np.multiply), _in_place(np.multiply)
     __truediv__, __rtruediv__, __itruediv__ = _forward(_quotient), _backward(_quotient), _in_place(_quotient)
-    __pow__, __rpow__ = _forward(operator.pow), _backward(operator.pow)
+    __pow__ = _forward(operator.pow)
     __mod__, __floordiv__ = _forward(np.remainder), _forward(np.floor_divide)
     __matmul__, __rmatmul__ = _forward(np.matmul), _backward(np.matmul)
     __and__, __rand__, __iand__ = (
@@ -451,20 +438,19 @@ class Tensor:
         _in_place(np.bitwise_and),
     )
     __or__, __ror__, __ior__ = _forward(np.bitwise_or), _backward(np.bitwise_or), _in_place(np.bitwise_or)
-    __xor__ = _forward(np.bitwise_xor)
     __eq__, __ne__ = _forward(np.equal), _forward(np.not_equal)
     __lt__, __le__, __gt__, __ge__ = map(_forward, (np.less, np.less_equal, np.greater, np.greater_equal))
     minimum, maximum, atan2, logaddexp = map(_forward, (np.minimum, np.maximum, np.arctan2, np.logaddexp))
     __neg__, __invert__, __abs__ = (_elementwise(f, False) for f in (np.negative, np.invert, _size))
-    abs, sign, floor, ceil = (_elementwise(f, False) for f in (_size, _sign, np.floor, np.ceil))
+    abs, sign, floor = (_elementwise(f, False) for f in (_size, _sign, np.floor))
     square, isnan, isfinite, isinf = (
         _elementwise(f, False) for f in (np.square, np.isnan, np.isfinite, np.isinf)
     )
-    sqrt, sin, cos, tan, exp = (_elementwise(f) for f in (np.sqrt, np.sin, np.cos, np.tan, np.exp))
-    log, log1p, log2, tanh, atan = (_elementwise(f) for f in (np.log, np.log1p, np.log2, np.tanh, np.arctan))
+    sqrt, sin, cos, exp = (_elementwise(f) for f in (np.sqrt, np.sin, np.cos, np.exp))
+    log, log1p, log2 = (_elementwise(f) for f in (np.log, np.log1p, np.log2))
     asinh, acos, deg2rad = (_elementwise(f) for f in (np.arcsinh, np.arccos, np.deg2rad))
     rsqrt = _elementwise(lambda x: 1.0 / np.sqrt(x))
-    sum, prod, mean = _reduced(np.sum), _reduced(np.prod), _reduced(np.mean)
+    sum, mean = _reduced(np.sum), _reduced(np.mean)
     all, any, amin, amax = _reduced(np.all), _reduced(np.any), _reduced(np.min), _reduced(np.max)
     argmin, argmax = _reduced(np.argmin), _reduced(np.argmax)
     min = _extreme(np.minimum, np.min, np.argmin)
@@ -486,8 +472,6 @@ class Tensor:
     def clamp(self, min: Any = None, max: Any = None) -> Tensor:
         result = self if min is None else maximum(self, min)
         return result if max is None else minimum(result, max)
-
-    clip = clamp
 
     def nan_to_num(self, nan: Real = 0.0) -> Tensor:
         return Tensor(np.nan_to_num(self.array, nan=nan))

@@ -112,7 +112,7 @@ CALLS = {
             ~(c > 0.0),
         ),
         *(c.clamp(min=0.0), c.clamp(max=c[0]), c.round(decimals=2), c.sign(), c.square(), c.norm(dim=-1)),
-        *(c.mean(0), c.sum((-1, 0)), c.std(), c.median(), c.prod(-1), c.cumsum(1), (c > 0.0).any(-1)),
+        *(c.mean(0), c.sum((-1, 0)), c.std(), c.median(), c.cumsum(1), (c > 0.0).any(-1)),
         *(c.abs().sqrt(), c.abs().rsqrt(), c.sin(), c.exp(), c.abs().log(), c.asinh(), t.atan2(c, c.cos())),
         *(t.maximum(c, -c), t.minimum(c[0], c), t.logaddexp(c, c), t.lerp(c, -c, 0.3), t.lerp(c, -c, 0.7)),
         *(t.addcmul(c, c, c, value=-1.0), t.add(c, c, alpha=2.0), c @ c.mT, t.einsum("bij,bij->b", c, c)),
