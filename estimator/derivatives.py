@@ -7,11 +7,12 @@ few hundred readings of a session that takes most of the time: two backward pass
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any, cast
 
 from jaxtyping import Float
 
 from estimator.side_by_side import each
-from estimator.tensors import Tensor, torch
+from estimator.tensors import Tensor, is_on_numpy, torch
 
 # Entries of a Jacobian from which on its paths take less time side by side than one after another.
 LARGE = 2**17
@@ -48,9 +49,12 @@ def value_and_jacobian(
     Returns: Both without a graph.
     References: J. Townsend, A new trick for calculating Jacobian vector products (2017).
     """
+    each = _every(point) if directions is None else directions
+    if is_on_numpy():
+        on_numpy: tuple[Tensor, Tensor] = cast(Any, torch).jacobian_by_complex_steps(function, point, each)
+        return on_numpy
     with torch.enable_grad():
         free = point.detach().requires_grad_()
-        each = _every(point) if directions is None else directions
         values = function(free)
         if not (values.requires_grad and len(point) and len(each)):
             return values.detach(), values.new_zeros(*values.shape, len(each))

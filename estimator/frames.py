@@ -213,7 +213,7 @@ def _is_plain(tensor: Tensor) -> bool:
 def _may_be_numbers(tensor: Tensor) -> bool:
     """Whether a tensor is numbers on the processor, in double precision, that nothing but a backward pass differentiates or traces."""
     return (
-        type(tensor) is Tensor
+        type(tensor) is torch.Tensor
         and tensor.dtype == torch.float64
         and tensor.device.type == "cpu"
         and not torch.compiler.is_compiling()

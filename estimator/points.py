@@ -6,12 +6,11 @@ from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.devices import numpy_of
 from estimator.errors import InvalidInput, cut, quoted
+from estimator.tensors import Tensor, torch
 
 AXES = ("x", "y", "z")
 KINDS = "[0.0, 0.0, 0.05], a NumPy array or a tensor of shape (n, 3), or an xarray.DataArray with x, y, z along one dimension"

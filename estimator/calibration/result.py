@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.calibration.files import Parts, read_parts, write_parts
 from estimator.devices import numpy_of
@@ -27,6 +25,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.bodies import MotionKind
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 from estimator.units import LARGEST
 
 if TYPE_CHECKING:
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INTERVAL_DRAWS = 400
-DOUBLE = torch.empty(0, dtype=torch.float64)
 Kind = TypeVar("Kind")  # of points: answers are of the same
 
 
@@ -200,20 +198,22 @@ class Calibration(Shown):
             raise InvalidInput("points must be finite; received NaN or infinity among them")
         return RoomField(self.rig, self.best_values(points_m), points_m, motion)
 
-    def best_values(self, like: Tensor = DOUBLE) -> dict[str, Tensor]:
+    def best_values(self, like: Tensor | None = None) -> dict[str, Tensor]:
         """Every number of the rig at the maximum of the posterior, as `RoomField` takes them.
 
         Args:
             like: A tensor on the device and in the precision that are wanted; double precision on the processor by default.
         """
+        like = _kind(like)
         return {name: like.new_tensor(value) for name, value in self.best.items()}
 
-    def draw_values(self, most: int, like: Tensor = DOUBLE) -> dict[str, Tensor]:
+    def draw_values(self, most: int, like: Tensor | None = None) -> dict[str, Tensor]:
         """Every number of the rig for evenly spaced draws of the posterior, in the order of the steps; `like` as in `best_values`."""
         n_draws = self.log_prob.size
         index = np.linspace(0, n_draws - 1, min(most, n_draws)).astype(int)
         chosen = {name: torch.from_numpy(array.T.reshape(-1)[index]) for name, array in self.draws.items()}
         coordinates = Coordinates(self.rig, integer_counts=True)
+        like = _kind(like)
         return {
             name: value.to(like) for name, value in coordinates.values(coordinates.vector(chosen)).items()
         }
@@ -298,7 +298,7 @@ class Calibration(Shown):
         """
         return cls(*read_parts(Path(folder)))
 
-    def currents(self, currents_A: Mapping[str, float], like: Tensor = DOUBLE) -> Float[Tensor, " coil"]:
+    def currents(self, currents_A: Mapping[str, float], like: Tensor | None = None) -> Float[Tensor, " coil"]:
         """Currents in the order of the rig's coils; those that are not named are off. `like` as in `best_values`."""
         names = [coil.name for coil in self.rig.coils]
         if not isinstance(cast(object, currents_A), Mapping):
@@ -311,7 +311,12 @@ class Calibration(Shown):
             if not abs(currents_A[name]) <= LARGEST:
                 rule = f"current of {name} must lie between {-LARGEST:g} and {LARGEST:g}"
                 raise InvalidInput(f"{rule}; received {currents_A[name]:g}")
-        return like.new_tensor([float(currents_A.get(name, 0.0)) for name in names])
+        return _kind(like).new_tensor([float(currents_A.get(name, 0.0)) for name in names])
+
+
+def _kind(like: Tensor | None) -> Tensor:
+    """A tensor on the device and in the precision that are wanted."""
+    return torch.empty(0, dtype=torch.float64) if like is None else like
 
 
 def check_level(level: float) -> None:

@@ -23,7 +23,7 @@ MOST_SHOWN = 50  # faults; `--json` has them all
 PLANS = (".yaml", ".yml")
 
 
-@click.command("check", cls=CoilcalCommand)
+@click.command("check", cls=CoilcalCommand, takes_derivatives=False)
 @click.argument("rig_path", metavar="RIG", type=PATH)
 @click.argument("path", metavar="[FILE]", required=False, type=PATH)
 @form_options

@@ -17,6 +17,7 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
 @click.command(
     "export",
     cls=CoilcalCommand,
+    takes_derivatives=False,
     help="Write the model of CALIBRATION for other programs.\n\nCALIBRATION is a folder written by `coilcal calibrate`. Several are "
     "written as one magnet: each with the coils that were on in it, all in the same world frame. Formats:\n\n\b\n"
     + TABLE,
@@ -51,16 +52,18 @@ def export_command(
     as_json: bool,
 ) -> None:
     """Write the model of CALIBRATION for other programs."""
-    import torch
-
     from estimator.calibration.result import Calibration
     from estimator.export.formats import default_path, export
     from estimator.export.request import Grid
     from estimator.store.staging import check_output
-    from estimator.system.system import System
+    from estimator.tensors import torch
 
     loaded = [Calibration.load(folder) for folder in folders]
-    calibrated = loaded[0] if len(loaded) == 1 else System.of(*loaded)
+    calibrated: Calibration | System = loaded[0]
+    if len(loaded) > 1:
+        from estimator.system.system import System
+
+        calibrated = System.of(*loaded)
     path = default_path(calibrated.magnet(), to) if out is None else out
     check_output(path, overwrite)
     grid = Grid(*grid_axes(axes).values()) if axes else None

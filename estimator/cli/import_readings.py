@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 VALIDATION_SHARE = 0.2  # `estimator.store.importers.checked`, which needs torch
 
 
-@click.command("import", cls=CoilcalCommand)
+@click.command("import", cls=CoilcalCommand, takes_derivatives=False)
 @click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=PATH)
 @option("--rig rig_path", "Rig file.", PATH, required=True)
 @option("--out", "Session to write (zarr).", OutputPath(), required=True)

@@ -23,6 +23,7 @@ from click.core import ParameterSource
 from drivers.errors import DriverError, Refused
 from estimator.cli.interruption import ignore_interruptions, interrupt_once
 from estimator.cli.options import OutputPath
+from estimator.cli.without_torch import on_numpy
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, cut, quoted, reason
 from estimator.store.files import real, unwritable
 from estimator.units import LARGEST
@@ -116,11 +117,14 @@ class CoilcalCommand(ShortMessages):
 
     Attributes:
         goes_on: After an interruption, the same command goes on where it was.
+        takes_derivatives: It needs torch; others compute on NumPy.
     """
 
-    def __init__(self, *args: Any, goes_on: bool = False, **kwargs: Any) -> None:
+    def __init__(
+        self, *args: Any, goes_on: bool = False, takes_derivatives: bool = True, **kwargs: Any
+    ) -> None:
         super().__init__(*args, **kwargs)
-        self.goes_on = goes_on
+        self.goes_on, self.takes_derivatives = goes_on, takes_derivatives
         words = {
             "quiet": ("No progress on standard error; faults and warnings stay.", _keep_quiet),
             "verbose": ("Log on standard error what modules do.", _log),
@@ -139,7 +143,10 @@ class CoilcalCommand(ShortMessages):
             for option in self.params:
                 if ctx.get_parameter_source(option.name or "") is ParameterSource.COMMANDLINE:
                     _check_size(option, ctx.params.get(option.name or ""))
-            return super().invoke(ctx)
+            if self.takes_derivatives:
+                return super().invoke(ctx)
+            with on_numpy(ctx.params):
+                return super().invoke(ctx)
 
 
 def _check_size(option: click.Parameter, value: object) -> None:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from drivers.errors import Refused
 from drivers.limits_section import RigLimits
@@ -20,6 +19,7 @@ from estimator.planning.candidates import places_within
 from estimator.readings.plan import Plan, load_plan
 from estimator.rig.bodies import MotionKind
 from estimator.rig.rig import Rig
+from estimator.tensors import torch
 
 
 def places_of(rig: Rig, path: Path | None, limits: RigLimits, is_any_order: bool = False) -> Plan:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import io
+import math
 from pathlib import Path
 
 import click
@@ -21,7 +21,7 @@ HEADER = (
 )
 
 
-@click.command("predict", cls=CoilcalCommand)
+@click.command("predict", cls=CoilcalCommand, takes_derivatives=False)
 @click.argument("folder", metavar="CALIBRATION", type=PATH)
 @option(
     "--grid axes",
@@ -69,12 +69,12 @@ def predict_command(
     Points lie on a grid in the world frame; the output is CSV. CALIBRATION is a folder written by `coilcal calibrate`.
     """
     import numpy as np
-    import torch
 
     from estimator.calibration.result import Calibration
     from estimator.cli.progress import COUNTED_EVERY_S, UNTOLD_S, Reporter
     from estimator.devices import device_named, precision_named
-    from estimator.store.staging import check_output, write_output
+    from estimator.store.staging import check_output, staged
+    from estimator.tensors import torch
 
     check_output(out, overwrite)
     there = {"device": device_named(device), "dtype": precision_named(precision)}
@@ -90,26 +90,27 @@ def predict_command(
         name: torch.tensor(values, dtype=torch.float64)
         for name, values in (named_numbers(text, "--motion", 6) for text in motions)
     }
-    done = []
-    with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
+    n_inside = 0
+    with (
+        staged(out, overwrite) as new,
+        new.open("w", encoding="utf-8", newline="") as file,
+        Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter,
+    ):
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(HEADER)
         for n, block in enumerate(points_m.split(BLOCK)):
             reporter.count("predicting points", n * BLOCK, len(points_m))
             points = block.to(**there)
             best = calibration.field(points, currents_A, motion)
-            done.append((best, *calibration.field_interval(points, currents_A, level, motion)))
-    field, lower, upper = (torch.cat(blocks).to(points_m) for blocks in zip(*done, strict=True))
-    is_inside = torch.isnan(field).any(dim=1)
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(HEADER)
-    bounds = torch.stack((lower, upper), dim=-1).flatten(1)
-    table = torch.cat((points_m, field, bounds), dim=1).tolist()
-    for numbers, inside in zip(table, is_inside.tolist(), strict=True):
-        writer.writerow(
-            [*(f"{number:.9g}" if np.isfinite(number) else "" for number in numbers), int(inside)]
-        )
-    write_output(out, buffer.getvalue(), overwrite)
-    n_inside = int(is_inside.sum())
+            ends = calibration.field_interval(points, currents_A, level, motion)
+            field, *bounds = (values.to(block) for values in (best, *ends))
+            is_inside = torch.isnan(field).any(dim=1)
+            n_inside += int(is_inside.sum())
+            table = torch.cat((block, field, torch.stack(bounds, dim=-1).flatten(1)), dim=1).tolist()
+            writer.writerows(
+                [*(f"{number:.9g}" if math.isfinite(number) else "" for number in numbers), int(inside)]
+                for numbers, inside in zip(table, is_inside.tolist(), strict=True)
+            )
     inside = f"; {n_inside} lie inside a winding and are empty" if n_inside else ""
     text = f"{len(points_m)} points written to {out}{inside}\n{grid_words(coordinates_m)}"
     show(

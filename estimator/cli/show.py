@@ -10,7 +10,7 @@ from estimator.cli.options import PATH, json_option
 from estimator.cli.output import CoilcalCommand, printable, show
 
 
-@click.command("show", cls=CoilcalCommand)
+@click.command("show", cls=CoilcalCommand, takes_derivatives=False)
 @click.argument("path", metavar="PATH", type=PATH)
 @json_option
 def show_command(path: Path, as_json: bool) -> None:

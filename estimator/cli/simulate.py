@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from estimator.rig.rig import Rig
 
 
-@click.command("simulate", cls=CoilcalCommand)
+@click.command("simulate", cls=CoilcalCommand, takes_derivatives=False)
 @option("--rig rig_path", "Rig file.", PATH, required=True)
 @option("--plan plan_path", "Plan file: poses and currents to visit.", PATH, required=True)
 @truth_option("prior")

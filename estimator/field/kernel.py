@@ -12,15 +12,15 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable
+from functools import cached_property
 from math import sqrt
 from typing import Any
 
-import numba
 import numpy as np
 from jaxtyping import Float
 
 from estimator.field.loop import FEWEST_STEPS
-from estimator.tensors import Tensor, torch
+from estimator.tensors import Tensor, is_on_numpy, torch
 from estimator.units import MU0_T_M_PER_A
 
 POINTS_AT_ONCE = 32  # in a block
@@ -33,6 +33,8 @@ ROWS = 20
 # After these, for rings of dipoles: four factors of the ring itself, then four of each pattern.
 RING, PATTERNS = POINTS_AT_ONCE * ROWS, POINTS_AT_ONCE * (ROWS + 4)
 SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
+FEW_TERMS = 2**22  # loops times points that NumPy sums in the time that numba takes to load
+_so_far = {"terms": 0}  # summed without machine code
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
 
 
@@ -48,6 +50,18 @@ def is_plain(*tensors: Tensor) -> bool:
         tensor.device.type == "cpu" and tensor.dtype == torch.float64 and not has_derivatives(tensor)
         for tensor in tensors
     )
+
+
+def pays(n_terms: int) -> bool:
+    """Whether machine code is worth its start for so many loops times points, after all before them; beside torch's start it always is.
+
+    Examples:
+        >>> pays(1)
+        True
+    """
+    if is_on_numpy():
+        _so_far["terms"] += n_terms
+    return _so_far["terms"] > FEW_TERMS or not is_on_numpy()
 
 
 def has_derivatives(tensor: Tensor) -> bool:
@@ -138,21 +152,48 @@ def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
 
 
-def machine_code(function: Callable[..., None], is_in_order: bool = True) -> Any:
-    """Machine code of a function, kept on disk where a folder for it can be written.
+def machine_code(function: Callable[..., None], is_in_order: bool = True) -> MachineCode:
+    """Machine code of a function, made or read when it is first called.
 
     Args:
         function: What is translated.
         is_in_order: Sums are added in the order in which they are written, not several terms at a time.
     """
-    plain = inspect.unwrap(function)  # without the checks of shapes that tests put around every function
     # A product and a sum may become one instruction, which rounds once.
-    fastmath = {"contract"} if is_in_order else {"contract", "reassoc", "nsz"}
-    settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": fastmath}
-    try:
-        return numba.njit(cache=True, **settings)(plain)
-    except RuntimeError:  # neither the package's folder nor the user's can be written
-        return numba.njit(**settings)(plain)
+    return MachineCode(function, {"contract"} if is_in_order else {"contract", "reassoc", "nsz"})
+
+
+class MachineCode:
+    """A function that numba translates when it is first called, and keeps on disk where a folder for it can be written.
+
+    numba takes a quarter of a second to load, and a third one for the first call, which commands that compute little do without.
+
+    Args:
+        function: What is translated.
+        fastmath: What the compiler may change of the order and rounding of operations.
+    """
+
+    def __init__(self, function: Callable[..., None], fastmath: set[str]) -> None:
+        self._function, self._fastmath = function, fastmath
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Run it."""
+        return self._translated(*arguments)
+
+    @cached_property
+    def _translated(self) -> Any:
+        import numba
+
+        plain = inspect.unwrap(self._function)  # without the checks of shapes that tests put around it
+        settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": self._fastmath}
+        try:
+            return numba.njit(cache=True, **settings)(plain)
+        except RuntimeError:  # neither the package's folder nor the user's can be written
+            return numba.njit(**settings)(plain)
+
+    @property
+    def _numba_type_(self) -> Any:  # numba asks for it where a translated function calls this one
+        return self._translated._numba_type_
 
 
 @machine_code

@@ -12,7 +12,14 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.field.first_order import carrying_slopes
-from estimator.field.kernel import SMALLEST_RHO2_M2, field_and_slopes, is_plain, slopes_of_loops, sum_of_loops
+from estimator.field.kernel import (
+    SMALLEST_RHO2_M2,
+    field_and_slopes,
+    is_plain,
+    pays,
+    slopes_of_loops,
+    sum_of_loops,
+)
 from estimator.field.loop import loop_derivatives, loop_terms
 from estimator.tensors import Tensor, torch
 
@@ -51,7 +58,7 @@ def sum_over_nodes(
         nodes: Height, radius and weight of the loops of every row.
         steps: AGM steps of each loop.
     """
-    if is_plain(points_m, *nodes):
+    if pays(points_m.shape[1] * nodes.weight.numel()) and is_plain(points_m, *nodes):
         return sum_of_loops(points_m, *nodes.flat(), steps)
     # Points run along the last axis, which vector instructions need to be long; loops run along the axes before it.
     height, radius, weight = (value[..., None] for value in nodes)

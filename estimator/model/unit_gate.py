@@ -9,14 +9,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, Int
-from torch import Tensor
 
 from estimator.errors import InvalidInput, listed
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0

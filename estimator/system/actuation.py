@@ -8,12 +8,11 @@ entries of the gradient, which is symmetric and traceless where there is no curr
 from __future__ import annotations
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from scipy.optimize import lsq_linear
-from torch import Tensor
 
 from estimator.errors import InvalidInput
+from estimator.tensors import Tensor, torch
 
 INDEPENDENT = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2))  # (i, j) of the dB_i / dx_j that determine all nine
 RIDGE = 1e-7  # in largest singular values: picks the smallest among bounded currents that do equally well

@@ -12,9 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.calibration.result import INTERVAL_DRAWS, Calibration, check_level
 from estimator.effects.base import Effect
@@ -33,6 +31,7 @@ from estimator.system.actuation import (
     minimum_norm_currents,
 )
 from estimator.system.compiled import CompiledSystem
+from estimator.tensors import Tensor, torch
 
 Motion = Mapping[str, Float[Tensor, "... 6"]]
 

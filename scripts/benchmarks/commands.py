@@ -84,8 +84,8 @@ def prepared(folder: Path) -> dict[str, list[str]]:
         run(ROOT, [str(part) for part in call], os.environ)
     calls: dict[str, list[object]] = {
         NOTHING: [],
-        "--help": ["--help"],
-        "batch --help": ["batch", "--help"],
+        "help": ["--help"],
+        "help of batch": ["batch", "--help"],
         "explain": ["explain", "axis_gain"],
         "schema": ["schema", "rig"],
         "init": ["init", out, "--yes"],
@@ -152,6 +152,7 @@ def run(
         out.unlink(missing_ok=True)
     call = [sys.executable, "-c", *([PROGRAM, *arguments] if arguments else ["pass"])]
     told = {**environment, "PYTHONPATH": str(tree)}
+    told.pop("PYTHONDONTWRITEBYTECODE", None)  # or every run would compile the project anew
     begin_s = time.perf_counter()
     process = subprocess.Popen(call, cwd=tree, env=told, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     first_s, lines = followed(process, begin_s)

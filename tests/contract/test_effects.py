@@ -20,27 +20,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
-
-RIG = """
-schema_version: 1
-name: two coils
-movers:
-  arm1: {motion: displacement}
-  arm2: {motion: UR3e, world_from_base: {x_mm: 537, y_mm: 223, z_mm: -66}}
-coils:
-  coil1:
-    carried_by: arm1
-    radius_mm: {prior: {normal: {mean: 40, sd: 1}}}
-    wire_radius_mm: 0.5
-    axial_loops: 6
-    radial_loops: 4
-    superconducting: true
-    world_from_coil0: {z_mm: -45, tilt_x_deg: 2}
-  coil2: {carried_by: arm2, radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 5, radial_loops: 3}
-sensors:
-  hall: {noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}}
-  other: {noise_uT: 5, world_from_sensor: {y_mm: 15, rx_deg: 90}}
-"""
+from tests.every_cause import RIG
 
 
 @pytest.fixture(scope="module")

@@ -274,3 +274,10 @@ def test_few_rotations_are_those_of_many(angle_rad: float) -> None:
     one_by_one = torch.stack([rotation_from_vector(vector) for vector in many])
     torch.testing.assert_close(one_by_one, rotation_from_vector(many), rtol=1e-14, atol=1e-15)
     assert rotation_from_vector(many[:4].unflatten(0, (2, 2))).shape == (2, 2, 3, 3)
+
+
+def test_few_rotations_of_plain_numbers_are_not_left_to_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
+    vector_rad = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64)
+    expected = rotation_from_vector(vector_rad.clone().requires_grad_()).detach()
+    monkeypatch.setattr(torch.Tensor, "sin", None)
+    torch.testing.assert_close(rotation_from_vector(vector_rad), expected, rtol=1e-15, atol=1e-16)

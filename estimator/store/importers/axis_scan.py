@@ -8,12 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-import torch
-
 from estimator.errors import InvalidInput, quoted
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import check_one_sensor, current_by_coil, map_observations, read_numbers
 from estimator.store.session import Session
+from estimator.tensors import torch
 from estimator.units import UNITS
 
 

@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.errors import InvalidInput, Place, quoted
 from estimator.given_files import MOST_TABLE_BYTES, read_given_text
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import MotionKind, Mover
 from estimator.rig.rig import Rig
+from estimator.tensors import Tensor, torch
 
 
 def finite_number(cell: str, name: str, location: str) -> float:

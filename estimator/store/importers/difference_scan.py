@@ -9,13 +9,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import torch
-from torch import Tensor
-
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import current_by_coil, map_observations, read_lines
 from estimator.store.session import Session
+from estimator.tensors import Tensor, torch
 
 FIELD_UNIT_T = 1e-7
 COLUMNS = ["index", "dx", "dy", "dz", "Bx", "By", "Bz"]

@@ -10,14 +10,13 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput, check_known
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import check_one_sensor, map_observations, read_lines, read_numbers
 from estimator.store.session import Session
+from estimator.tensors import Tensor, torch
 
 NAME = re.compile(r"vfield_(\d+)$")
 HEADER_LINES = 5

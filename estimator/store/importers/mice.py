@@ -10,9 +10,7 @@ from collections.abc import Mapping
 from datetime import datetime
 from pathlib import Path
 
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.errors import InvalidInput, quoted
 from estimator.rig.rig import Rig
@@ -24,6 +22,7 @@ from estimator.store.importers.common import (
     read_numbers,
 )
 from estimator.store.session import Session
+from estimator.tensors import Tensor, torch
 
 NOMINAL_CURRENT_A = 30.0
 COLUMNS = ("z", "r", "phi", "Br", "Bphi", "Bz", "B", "probeID", "Date", "Time")

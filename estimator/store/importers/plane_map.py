@@ -11,18 +11,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import check_one_sensor, current_by_coil, map_observations, read_numbers
 from estimator.store.session import Session
+from estimator.tensors import Tensor, torch
 from estimator.units import UNITS
 
-AXIAL_M = torch.linspace(-0.05, 0.05, 11, dtype=torch.float64)
-TRANSVERSE_M = torch.linspace(-0.06, 0.07, 14, dtype=torch.float64)
+AXIAL_M, TRANSVERSE_M = (-0.05, 0.05, 11), (-0.06, 0.07, 14)  # first, last and number of places
 NAME = re.compile(r"u1_(-?\d+(?:_\d+)?)_u2_(-?\d+(?:_\d+)?)_r(\d+)$")
 
 
@@ -47,7 +45,9 @@ def read_plane_maps(
     maps = [_map_T(path) for path in paths]
     settings = [_setting(path, rig, currents_A) for path in paths]
     n_points = maps[0].numel()
-    transverse_m, axial_m = torch.meshgrid(TRANSVERSE_M, AXIAL_M, indexing="ij")
+    transverse_m, axial_m = torch.meshgrid(
+        *(torch.linspace(*places, dtype=torch.float64) for places in (TRANSVERSE_M, AXIAL_M)), indexing="ij"
+    )
     pose = torch.zeros(n_points, 6, dtype=torch.float64)
     pose[:, 0], pose[:, 2] = transverse_m.flatten(), axial_m.flatten()
     field_T = torch.full((n_points * len(maps), 3), torch.nan, dtype=torch.float64)
@@ -71,7 +71,7 @@ def read_plane_maps(
 
 def _map_T(path: Path) -> Float[Tensor, "transverse axial"]:
     table = read_numbers(path, separator=",", header_lines=1)
-    shape = (len(TRANSVERSE_M), 1 + len(AXIAL_M))
+    shape = (TRANSVERSE_M[-1], 1 + AXIAL_M[-1])
     if table.shape != shape:
         raise InvalidInput(
             f"{path} must hold {shape[0]} rows of {shape[1]} cells; it holds {tuple(table.shape)}"

@@ -17,9 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from jaxtyping import Float, Int
-from torch import Tensor
 
 from estimator.errors import InvalidInput, Place, listed, quoted
 from estimator.readings.clock import Clock, jumps_back, read_clock
@@ -33,6 +31,7 @@ from estimator.store.importers.places import MOST_PLACES, left_out
 from estimator.store.importers.table import Column, Table
 from estimator.store.session import Session
 from estimator.store.staging import write_output
+from estimator.tensors import Tensor, torch
 from estimator.units import split_unit
 
 FIELD = ("Bx", "By", "Bz")

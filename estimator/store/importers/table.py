@@ -14,11 +14,11 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from jaxtyping import Float, Int
 
 from estimator.errors import Faults, closest, cut, quoted
 from estimator.store.importers.places import MOST_PLACES, fault_at
+from estimator.tensors import Tensor, torch
 from estimator.units import LARGEST, UNITS
 
 SKIP = "leave such lines out with --skip-bad-lines"
@@ -116,7 +116,7 @@ class Table:
     def __contains__(self, quantity: str) -> bool:
         return quantity in self.header
 
-    def numbers(self, quantity: str, may_be_empty: bool = False) -> Float[torch.Tensor, " reading"]:
+    def numbers(self, quantity: str, may_be_empty: bool = False) -> Float[Tensor, " reading"]:
         """A column of numbers in SI; empty cells and words for them, if allowed, become NaN."""
         _, text, to_si = self.header[quantity]
         values, refused = self._as_written(quantity)
@@ -198,7 +198,7 @@ class Table:
         counts = np.bincount(cells.codes, minlength=len(cells.words)).tolist()
         return dict(zip(cells.words, counts, strict=True))
 
-    def words(self, quantity: str, choices: Sequence[str]) -> Int[torch.Tensor, " reading"]:
+    def words(self, quantity: str, choices: Sequence[str]) -> Int[Tensor, " reading"]:
         """A column of words, as indices into `choices`."""
         cells, text = self.columns[quantity], self.header[quantity].text
         index_of = {word: index for index, word in enumerate(choices)}

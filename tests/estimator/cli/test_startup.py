@@ -27,8 +27,8 @@ LARGE = (
     *("apscheduler", "arviz", "dask", "distributed", "emcee", "jaxtyping", "jinja2", "matplotlib", "numba"),
     *("numpy", "pandas", "rich", "scipy", "scipy.stats", "sympy", "torch", "xarray", "yaml", "zarr"),
 )
-RIG = {"jaxtyping", "numba", "numpy", "scipy", "yaml"}  # of scipy its name alone, which numba asks for
-MODEL = RIG | {"torch"}
+RIG = {"jaxtyping", "numpy", "yaml"}
+MODEL = RIG | {"numba", "scipy", "torch"}  # of scipy its name alone, which numba asks for
 JACOBIANS = {"sympy"}  # torch.autograd.grad loads it where it is given weights
 COMPLETION = {"_COILCAL_COMPLETE": "bash_complete", "COMP_WORDS": "coilcal cal", "COMP_CWORD": "1"}
 LONGEST_HELP_S = 1.5  # of the processor: 0.2 s on a quiet computer, 5.7 s when help still loaded torch
@@ -117,13 +117,6 @@ def ended(
 
     def make(folder: Path) -> dict[str, Ended]:
         calls: dict[str, Sequence[object]] = {
-            "import": [
-                *(workspace / "readings.csv", "--rig", workspace / "rig.yaml", "--out", folder / "s.zarr")
-            ],
-            "predict": [
-                *(workspace / "calibration", "--grid", "z_mm=10", "--current", "coil1=2"),
-                *("--out", folder / "field.csv"),
-            ],
             "live": [measured(small_rig, small_session, folder / "live.zarr"), "--no-refresh", "--json"],
             "design": [workspace / "session.zarr", "--shrink", "coil1.radius_m", "--readings", 1],
         }
@@ -168,11 +161,6 @@ def measured(rig: Rig, session: Session, path: Path) -> Path:
     return path
 
 
-def test_import_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
-    exit_code, _, libraries = ended["import"]
-    assert (exit_code, libraries) == (0, MODEL | {"zarr"})
-
-
 def test_what_reads_and_explains_loads_no_torch(workspace: Path, rig_text: str, tmp_path: Path) -> None:
     """Rigs and causes are declared without it, and nothing else reads an array."""
     rig, plan = workspace / "rig.yaml", workspace / "plan.yaml"
@@ -205,9 +193,39 @@ def test_what_reads_and_explains_loads_no_torch(workspace: Path, rig_text: str, 
     ] == []
 
 
-def test_predict_loads_what_reads_a_posterior(ended: dict[str, Ended]) -> None:
-    exit_code, _, libraries = ended["predict"]
-    assert (exit_code, libraries) == (0, MODEL | {"zarr"})
+def test_what_takes_no_derivative_computes_on_numpy(workspace: Path, tmp_path: Path) -> None:
+    """Neither torch nor numba, each of which takes longer to load than all the rest."""
+    rig, plan, csv = (workspace / name for name in ("rig.yaml", "plan.yaml", "readings.csv"))
+    calibration, session = workspace / "calibration", workspace / "session.zarr"
+    calls: list[list[object]] = [
+        ["check", rig, csv],
+        ["import", csv, "--rig", rig, "--out", tmp_path / "imported.zarr"],
+        ["show", session],
+        ["show", calibration],
+        [
+            *("simulate", "--rig", rig, "--plan", plan, "--truth", "nominal", "--hide", "axis_gain.x=0.01"),
+            *("--out", tmp_path / "new.zarr"),
+        ],
+        [
+            "predict",
+            calibration,
+            "--grid",
+            "z_mm=10",
+            "--current",
+            "coil1=2",
+            "--out",
+            tmp_path / "field.csv",
+        ],
+        ["export", calibration, "--to", "cpp", "--out", tmp_path / "coil.hpp"],
+    ]
+    ended = each_in_a_fork(calls, tmp_path, RIG)
+    assert [code for code, *_ in ended] == [0] * len(calls)
+    assert all(printed for _, printed, _ in ended)
+    assert [
+        (call, more)
+        for call, (*_, loaded) in zip(calls, ended, strict=True)
+        if (more := loaded - RIG - {"zarr", "jinja2", "scipy"})  # arrays, templates, blocks of places
+    ] == []
 
 
 def test_live_without_refresh_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
@@ -225,10 +243,8 @@ def test_the_package_loads_a_public_name_when_it_is_used() -> None:
     assert start("import estimator; dir(estimator)", variables={})[2] == set()
     assert start("from estimator import InvalidInput", variables={})[2] == set()
     assert start("from estimator import load_rig", variables={})[2] == RIG
-    assert (
-        start("from estimator import register_effect; from estimator.effects import EFFECTS", variables={})[2]
-        == RIG
-    )
+    effects = "from estimator import register_effect; from estimator.effects import EFFECTS"
+    assert start(effects, variables={})[2] == RIG - {"yaml"}
 
 
 def test_threads_are_set_where_a_command_runs(

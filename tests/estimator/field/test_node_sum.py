@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numba
 import pytest
 import torch
 from torch import Tensor
@@ -94,14 +95,14 @@ def test_kernels_take_numbers_without_derivatives_only():
 
 
 def test_where_no_folder_can_be_written_the_kernels_are_translated_in_every_process(monkeypatch):
-    translate = kernel.numba.njit
+    translate = numba.njit
 
     def refuses_a_cache(**settings):
         if settings.get("cache"):
             raise RuntimeError("cannot cache function: no locator available")
         return translate(**settings)
 
-    monkeypatch.setattr(kernel.numba, "njit", refuses_a_cache)
+    monkeypatch.setattr(numba, "njit", refuses_a_cache)
     assert kernel.machine_code(lambda x: x + 1.0)(2.0) == 3.0
 
 

@@ -1,0 +1,59 @@
+"""Commands on NumPy: what it lacks, the command does with torch in a second run; a fault of the caller is told once."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+CALL = """
+import sys
+from pathlib import Path
+import estimator.numpy_tensors
+from estimator.cli.main import main
+{without}
+try:
+    main(prog_name="coilcal")
+finally:
+    with Path("runs").open("a") as file:
+        print("torch" in sys.modules, file=file)
+"""
+
+
+@pytest.mark.parametrize(
+    ("without", "current", "exit_code", "runs"),
+    [
+        ("", "coil1=2", 0, ["False"]),
+        ("del estimator.numpy_tensors.linalg", "coil1=2", 0, ["True", "False"]),
+        ("del estimator.numpy_tensors.Tensor.norm", "coil1=2", 0, ["True", "False"]),
+        ("", "coil9=2", 2, ["False"]),
+    ],
+)
+def test_a_command_runs_again_with_torch_where_numpy_lacks_something(
+    workspace: Path, tmp_path: Path, without: str, current: str, exit_code: int, runs: list[str]
+) -> None:
+    call = [
+        "predict",
+        workspace / "calibration",
+        "--grid",
+        "z_mm=10",
+        "--current",
+        current,
+        "--out",
+        "field.csv",
+    ]
+    ended = subprocess.run(
+        [sys.executable, "-c", CALL.format(without=without), *map(str, call)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, (tmp_path / "runs").read_text().split()) == (exit_code, runs)
+    assert (tmp_path / "field.csv").is_file() == (exit_code == 0)
+    assert ended.stderr.count("coil9") == (exit_code == 2)
