@@ -63,8 +63,8 @@ class Case:
     def by_diagnosis(self) -> list[HandedOut]:
         """All that `diagnose` handed out: the extended rig with its values, and its calibration.
 
-        Where it extended nothing, the rig as described, calibrated; nothing where that was fitted to rows that the diagnosis left out, or where
-        an extended rig was not sampled: its file has priors and no values.
+        Where it extended nothing, the rig as described, calibrated. Nothing where that was fitted to rows that the diagnosis left out, or
+        where an extended rig was not sampled: its file has priors and no values.
         """
         rig = HandedOut.of_rig_file(self.folder / DIAGNOSIS / "rig_extended.yaml")
         if self.extended is not None:

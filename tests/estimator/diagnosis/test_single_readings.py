@@ -110,7 +110,9 @@ def test_a_pose_that_is_the_one_before_in_each_fifth_row_is_told(small_rig, meas
     told = {reading for flag in flags for reading in flag.readings}
     assert told <= set(rows.tolist())
     assert len(told) > len(rows) / 2
-    assert all("has the pose and the currents of the reading before, but another field" in f.words for f in flags)
+    assert all(
+        "has the pose and the currents of the reading before, but another field" in f.words for f in flags
+    )
 
 
 def test_a_pose_that_comes_one_row_late_for_a_while_is_told(small_rig, measured):
