@@ -16,7 +16,7 @@ from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.predicted_field import not_predicted, shown_by_prediction_T
-from estimator.effects.use import as_meant
+from estimator.effects.use import as_meant, is_in_field
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
@@ -176,8 +176,10 @@ def validation_scores(
 
         shown_T = shown_by_prediction_T(fit, unseen)
         if draws is None:
-            middle_T, slopes = value_and_jacobian(shown, fit.vector)
-            variance = _to_first_order(slopes, covariance)
+            shown_by = _coordinates_of_predictions(fit)
+            each_way = torch.eye(len(fit.vector)).to(fit.vector)[shown_by]
+            middle_T, slopes = value_and_jacobian(shown, fit.vector, each_way)
+            variance = _to_first_order(slopes, covariance[shown_by][:, shown_by])
         else:
             with torch.no_grad():
                 each_T = torch.stack([shown(vector) for vector in _some(draws, N_SHOWN)])
@@ -210,6 +212,12 @@ def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -
     vectors = coordinates.vector(draws)
     handed_out = Fit(fit.posterior, fit.optimum.at(best))
     return validation_scores(handed_out, unseen, draws=_some(vectors, N_DRAWS))
+
+
+def _coordinates_of_predictions(fit: Fit) -> list[int]:
+    """Numbers of the coordinates that the predicted field depends on: it has no departure of sensors, and those may be hundreds."""
+    absent = tuple(f"{c.label}." for c in fit.rig.corrections if not is_in_field(fit.rig, c))
+    return [i for i, name in enumerate(fit.posterior.coordinates.names) if not name.startswith(absent)]
 
 
 def _some(draws: Float[Tensor, "draw coordinate"], n: int) -> Float[Tensor, "some coordinate"]:
