@@ -85,9 +85,6 @@ LEAST_LOG_EVIDENCE_OF_MISTAKE = math.log(1e3) - math.log(1e-3)
 """Log evidence from which on a mistake is undone. Prior odds of 1 to 1000, for few sessions have one, and odds of 1000 to 1 after the
 readings; both by judgement. Study of 1 case: no change."""
 
-TWINS_WITHIN = 3.0
-"""Log evidence within which another mistake explains the readings as well. Statistics: odds of 20 to 1. Study: read by no case."""
-
 MOST_MISTAKES = 3
 """Mistakes that are undone one after another. Effort: three in one session are rare. Study of 5 cases: no change."""
 
@@ -161,10 +158,6 @@ needs a log evidence of 7 or so. Study of 5 cases: no change."""
 
 # Search
 
-LEAST_LOG_ODDS = math.log(20.0)
-"""Posterior odds against nothing from which on a cause is taken. Statistics: one in twenty at most is wrong if priors are right; 3 false
-alarms in 300 clean sessions (docs/results.md). Study of 5 cases: no change."""
-
 CREDIBLE_SHARE = 0.95
 """Probability that a credible set of causes holds. Convention; 24 of 25 sets held the truth (docs/results.md). Study of 5 cases:
 verdict or names change in 1."""
@@ -187,7 +180,8 @@ TIME_DEGREE = 6
 """Degree of the polynomials in time. By judgement: three periods of what swings during a session. Study of 5 cases: numbers change in 5."""
 
 SETTING_DEGREE = 4
-"""Degree of the curves in one circumstance, such as a current or a pause. As `SMOOTH_DEGREE`. Study of 5 cases: numbers change in 4."""
+"""Degree of the curves in one circumstance, such as a current or a pause. By judgement: smooth curves with few turns. Study of 5
+cases: numbers change in 4."""
 
 N_INSTANTS_OF_BURSTS = 24
 """Parts of a session between which readings may scatter more, any number of them in a row. By judgement: a burst of four readings among 96
@@ -242,10 +236,6 @@ MUCH_ABSORBED = 0.5
 """Share of what a cause changes, in squares, that free numbers of the rig must follow for the report to say which do. For a reader. Study:
 not in it."""
 
-LEAST_HIDDEN_SD = 2.0
-"""Standard deviations by which a cause of a usual size could move a number of the rig unseen from which on `nothing_found` tells it. For a
-reader: the number's 90 % interval does not hold the truth then. Study: not in it."""
-
 PLAUSIBLE_SD = 3.0
 """Standard deviations of its prior up to which a size of a cause is plausible. Statistics: 0.3 % lie beyond. Study of 6 cases: numbers
 change in 5."""
@@ -257,10 +247,6 @@ judgement: a cause needs odds of 20 to 1 alone, several together may reach 4 to 
 TYPICAL_SIGMA = 8.0
 """Visible size at which causes are compared that the session does not show. Convention: that of the hidden study. Study of 6 cases: numbers
 change in 6."""
-
-CONFUSED_WITHIN = math.log(20.0)
-"""Expected log evidence, at that size, below which a session cannot tell two causes apart. As `LEAST_LOG_ODDS`. Study of 5 cases: numbers
-change in 4."""
 
 LEAST_DIRECTION = 1e-3
 """Singular value, over the largest, of a direction in which the columns of a cause count. By judgement. Study of 5 cases: no change."""
@@ -288,16 +274,14 @@ case: no change."""
 
 # Symptoms and report
 
-CLEAR_LOG_EVIDENCE = 3.0
-"""Log evidence by which one answer must lead to be given alone, a cause must exceed nothing to be designed for at its fitted size, and a
-programme must add to be proposed. Statistics: odds of 20 to 1. Study of 6 cases: numbers change in 1."""
+CLEAR_LOG_EVIDENCE = math.log(20.0)
+"""Log evidence by which one answer must lead to be told without the other: causes, mistakes, instants; a cause must exceed nothing to be
+designed for at its fitted size, and a programme must add to be proposed. Statistics: odds of 20 to 1. Study of 6 cases: numbers change
+in 1."""
 
 SIGNATURE_DEGREES = (1, 2, 3)
 """Degrees of the polynomials that describe what a residual stays with. By judgement: several, so that none pays for columns it does not
 need. Study of 5 cases: numbers change in 5."""
-
-COVARIATE_DEGREE = 4
-"""Degree of the polynomials that the residual is tested with along each covariate. By judgement. Study of 5 cases: numbers change in 5."""
 
 N_NOISE_DRAWS = 2000
 """Draws of pure noise that these tests are compared with. Statistics: a p-value of 0.05 is known to 10 %. Study of 5 cases: numbers change
@@ -318,7 +302,8 @@ CLEARLY_MORE = 1.2
 """Residual over noise from which on the report says more, though the noise may be so. For a reader. Study: not in it."""
 
 CLEAR_SD = 2.0
-"""Standard deviations from zero from which on a number of a cause is told in the first sentence. For a reader. Study: not in it."""
+"""Standard deviations from zero from which on a number of a cause is told in the first sentence, and by which a cause of a usual size could
+move a number of the rig unseen for `nothing_found` to tell it. For a reader. Study: not in it."""
 
 CLEARER_DIFFERENCE = 1.5
 """Factor by which the difference of two quantities must be farther from zero, in its standard deviations, than any quantity alone, to be

@@ -267,7 +267,7 @@ def named_together(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
     unexplained = total.pop(UNEXPLAINED, 0.0) + policy.LOG_PRIOR_UNEXPLAINED
     if not total:
         return {}
-    least = max(policy.LOG_PRIOR_NOTHING + policy.LEAST_LOG_ODDS, unexplained)
+    least = max(policy.LOG_PRIOR_NOTHING + policy.CLEAR_LOG_EVIDENCE, unexplained)
     ranked = sorted(total, key=lambda name: (-total[name], name))
     if total[ranked[0]] + policy.LOG_PRIOR_CAUSE - math.log(len(ranked)) <= least:
         return {}

@@ -109,7 +109,7 @@ def _possible_from_to_h(
         components_T = fit.posterior.measured_components(reading_T.expand(len(asked_h), -1, 3))
     whitened = (fit.posterior.measured_T - components_T) * fit.whitening_per_T
     log_likelihood = -0.5 * whitened.square().sum(-1)
-    possible_h = asked_h[log_likelihood > log_likelihood.max() - policy.LEAST_LOG_ODDS]
+    possible_h = asked_h[log_likelihood > log_likelihood.max() - policy.CLEAR_LOG_EVIDENCE]
     times_h = fit.posterior.model.circumstances.hours.unique()
     before, after = times_h[times_h < possible_h.min()], times_h[times_h >= possible_h.max()]
     return float(before[-1]) if len(before) else -math.inf, float(after[0]) if len(after) else math.inf

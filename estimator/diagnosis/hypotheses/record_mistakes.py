@@ -112,7 +112,7 @@ def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
         twins = {
             cause: value
             for cause, value in reversed(others)
-            if value > -policy.TWINS_WITHIN and cause != best.rig.effects[-1]
+            if value > -policy.CLEAR_LOG_EVIDENCE and cause != best.rig.effects[-1]
         }
         log_bayes_factor = best.log_evidence - base.log_evidence
         mistakes.append(RecordMistake(best.rig.effects[-1], log_bayes_factor, tuple(twins.items())))

@@ -230,4 +230,4 @@ def _follows(bases: Sequence[Tensor]) -> Bool[Tensor, "basis followed"]:
 
 def _least_followed() -> float:
     """Share of a typical direction that must be followed for the expected log evidence to be too small."""
-    return 1.0 - policy.CONFUSED_WITHIN / (0.5 * policy.TYPICAL_SIGMA**2)
+    return 1.0 - policy.CLEAR_LOG_EVIDENCE / (0.5 * policy.TYPICAL_SIGMA**2)

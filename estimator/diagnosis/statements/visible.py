@@ -64,7 +64,7 @@ def _one_of_each_kind(ranked: Iterable[Visible], kinds: Sequence[Kind]) -> list[
 def _is_hidden(visible: Visible) -> bool:
     """Whether a usual size of a quantity would move a number of the rig unseen."""
     is_pose = "_from_" in visible.hidden_in and visible.share_absorbed > WHOLLY
-    is_usual = _share_unseen(visible) > LEAST_UNSEEN and visible.hidden_sd > policy.LEAST_HIDDEN_SD
+    is_usual = _share_unseen(visible) > LEAST_UNSEEN and visible.hidden_sd > policy.CLEAR_SD
     return is_usual and not (is_pose or EFFECTS[visible.cause.name].is_structural)
 
 

@@ -132,7 +132,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
 def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "component column"]:
     """Orthonormal smooth functions of a covariate in one component of the reading, less what the fit follows."""
     values = covariate.by_reading
-    degree = min(policy.COVARIATE_DEGREE, len(torch.unique(values)) - 1)
+    degree = min(policy.SETTING_DEGREE, len(torch.unique(values)) - 1)
     smooth = legendre(unit_interval(values[:, None])[:, 0], max(degree, 1))
     smooth = smooth[:, 1 : degree + 1] if degree else smooth[:, :1]
     on_axis = torch.zeros(smooth.shape[1], len(values), 3, dtype=torch.float64)
