@@ -26,7 +26,9 @@ SAME_ERROR = 0.02  # relative difference of two errors that are told as one
 
 
 N_DRAWS = 200  # of the posterior, for predictive densities
+DRAWS_AT_ONCE = 20  # so that maps of thousands of readings fit the memory
 N_SHOWN = 40  # of them, whose predicted field is computed: each takes a hundredth of a second
+MOST_COVERED = 400  # readings that the intervals of predicted fields are held against: their coverage is known to 1 % then
 
 
 @dataclass(frozen=True)
@@ -163,39 +165,59 @@ def validation_scores(
             middle_T = posterior.measured_components(predicted_T)
             variance = _to_first_order(posterior.jacobian(fit.vector), covariance)
         else:
-            each_T = posterior.predicted(draws)
+            each_T = torch.cat([posterior.predicted(some) for some in draws.split(DRAWS_AT_ONCE)])
             middle_T, variance = each_T.mean(0), each_T.var(0)
     log_density, below = _mixture(posterior, fit, middle_T, noise_T, variance)
-    shown_T, below_prediction = predicted_T, below
-    if fit.rig.acting:
-
-        def shown(vector: Tensor) -> Tensor:
-            return posterior.measured_components(
-                shown_by_prediction_T(fit, unseen, fit.posterior.coordinates.values(vector))
-            )
-
-        shown_T = shown_by_prediction_T(fit, unseen)
-        if draws is None:
-            shown_by = _coordinates_of_predictions(fit)
-            each_way = torch.eye(len(fit.vector)).to(fit.vector)[shown_by]
-            middle_T, slopes = value_and_jacobian(shown, fit.vector, each_way)
-            variance = _to_first_order(slopes, covariance[shown_by][:, shown_by])
-        else:
-            with torch.no_grad():
-                each_T = torch.stack([shown(vector) for vector in _some(draws, N_SHOWN)])
-            middle_T, variance = each_T.mean(0), each_T.var(0)
-        _, below_prediction = _mixture(posterior, fit, middle_T, noise_T, variance)
     reading = torch.arange(len(unseen), device=unseen.device)[:, None].expand(-1, 3)[unseen.is_measured]
     by_reading = log_density.new_zeros(len(unseen)).index_add(0, reading, log_density)
-    coverage = {p: float(((below - 0.5).abs() <= 0.5 * p).double().mean()) for p in (0.5, 0.9)}
-    of_prediction = float(((below_prediction - 0.5).abs() <= 0.45).double().mean())
+    coverage = {p: _inside(below, p) for p in (0.5, 0.9)}
+    shown_T, of_prediction = predicted_T, coverage[0.9]
+    if fit.rig.acting:
+        with torch.no_grad():
+            shown_T = shown_by_prediction_T(fit, unseen)
+        of_prediction = _predicted_coverage90(fit, unseen, covariance, draws)
     is_on = numpy_of((unseen.current_A != 0.0).any(-1))
     errors, predicted = (
-        error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each.detach()), is_on)
+        error_metrics(numpy_of(unseen.field_sensor_T), numpy_of(each), is_on)
         for each in (predicted_T, shown_T)
     )
     elpd = float(by_reading.sum())
     return ValidationScores(errors, elpd, coverage[0.5], coverage[0.9], by_reading, predicted, of_prediction)
+
+
+def _inside(below: Float[Tensor, " component"], share: float) -> float:
+    """Share of components inside central intervals, by the probability below each."""
+    return float(((below - 0.5).abs() <= 0.5 * share).double().mean())
+
+
+def _predicted_coverage90(
+    fit: Fit,
+    unseen: Observations,
+    covariance: Float[Tensor, "coordinate coordinate"],
+    draws: Float[Tensor, "draw coordinate"] | None,
+) -> float:
+    """Share of components inside the 90 % intervals of the predicted field, of some readings."""
+    few = unseen.rows(torch.arange(0, len(unseen), 1 + len(unseen) // MOST_COVERED, device=unseen.device))
+    posterior = LogPosterior(fit.posterior.coordinates, fit.model_of(few), few)
+
+    def shown(vector: Float[Tensor, " coordinate"]) -> Tensor:
+        return posterior.measured_components(
+            shown_by_prediction_T(fit, few, posterior.coordinates.values(vector))
+        )
+
+    if draws is None:
+        changing = _coordinates_of_predictions(fit)
+        each_way = torch.eye(len(fit.vector)).to(fit.vector)[changing]
+        middle_T, slopes = value_and_jacobian(shown, fit.vector, each_way)
+        variance = _to_first_order(slopes, covariance[changing][:, changing])
+        draws = _draws(fit, covariance)
+    else:
+        with torch.no_grad():
+            each_T = torch.stack([shown(vector) for vector in _some(draws, N_SHOWN)])
+        middle_T, variance = each_T.mean(0), each_T.var(0)
+    with torch.no_grad():
+        noise_T = posterior.component_sigma_T(draws)
+    return _inside(_mixture(posterior, fit, middle_T, noise_T, variance)[1], 0.9)
 
 
 def posterior_scores(fit: Fit, calibration: Calibration, unseen: Observations) -> ValidationScores:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 from jaxtyping import Float
@@ -21,6 +22,7 @@ from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
+from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.effects.attach import with_effect
@@ -50,6 +52,7 @@ class Answer:
         expected: Probability that halves are expected to give each leading item, by its number.
         ended_early: Why it ended before all was asked; empty where it did not.
         refused: Causes that full fits do not bear out, so that they were not asked any more.
+        rivals: Of stated causes, by full fits in their place.
         fits: Of the rig with listed causes, by these, as they were made.
     """
 
@@ -59,6 +62,7 @@ class Answer:
     expected: Mapping[int, float] = field(default_factory=dict)
     ended_early: str = ""
     refused: frozenset[Cause] = frozenset()
+    rivals: Mapping[Cause, tuple[Rival, ...]] = field(default_factory=dict)
     fits: dict[frozenset[Cause], Fit] = field(default_factory=dict, repr=False, compare=False)
 
     @property
@@ -112,8 +116,18 @@ class Answer:
         listed, whole = [cause for cause in shares if first[cause].is_listed], sum(shares.values())
         likeliest = max(listed, key=shares.__getitem__, default=None)
         real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, shares).p_imitation
+        if likeliest is not None:
+            likely = shares[likeliest]
+            shares = shares | {other.cause: likely * other.odds for other in self.rivals.get(likeliest, ())}
+        of_listed = sum(shares[cause] for cause in listed)
+        with_rivals = sum(share for cause, share in shares.items() if first[cause].is_listed)
         possibilities = [
-            Possibility(cause, at.is_listed, at.link, share / whole * (real if at.is_listed else 1.0))
+            Possibility(
+                cause,
+                at.is_listed,
+                at.link,
+                share / whole * (real * of_listed / with_rivals if at.is_listed else 1.0),
+            )
             for cause, share in shares.items()
             for at in [first[cause]]
         ]
@@ -187,6 +201,44 @@ class Answer:
         is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
         return None if is_clear else least
 
+    def with_rivals(self) -> Answer:
+        """The answer in which the stated causes have been compared with the likeliest others by full fits."""
+        stated = [entry.first_listed for entry in self.stated]
+        pairs = [
+            (cause, other)
+            for entry, cause in zip(self.stated, stated, strict=True)
+            for other in self._able(entry)
+        ]
+        if not pairs:
+            return self
+
+        def fit_of(pair: tuple[Cause, Contender]) -> Fit:
+            rest = [cause for cause in stated if cause != pair[0]]
+            start = {pair[1].cause: self.asked.dictionary.items[pair[1].item].start}
+            return self._fit_with([*rest, pair[1].cause], self.leading_fit.observations, start)
+
+        own, fits = self._beside_departures(stated), each(fit_of, pairs)
+        rivals: dict[Cause, tuple[Rival, ...]] = {}
+        for (cause, other), fit in zip(pairs, fits, strict=True):
+            fitted = rival(other, fit, own)
+            if fitted.odds > ALTERNATIVE:
+                rivals[cause] = (*rivals.get(cause, ()), fitted)
+        return replace(self, rivals=rivals)
+
+    def _able(self, entry: Found) -> list[Contender]:
+        """Causes that may be rivals of a stated one."""
+        listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
+        comparison = self.beside_item(self.item_of(entry.first_listed), listed)
+        others = [*listed, *(each.first_listed for each in self.stated)]
+        beside_more = {item.cause for item in self.asked.pool}.difference(
+            item.cause for item in self.first.pool
+        )
+        return contenders(comparison, entry.first_listed, [*others, *beside_more])
+
+    @cached_property
+    def _by_rival(self) -> dict[Cause, Rival]:
+        return {other.cause: other for rivals in self.rivals.values() for other in rivals}
+
     @cached_property
     def beside(self) -> tuple[Found, ...]:
         """Other sets that are rather there than not."""
@@ -240,15 +292,23 @@ class Answer:
             return self.fit_with(causes)
         return self._fit_with(causes, readings)
 
-    def _fit_with(self, causes: Sequence[Cause], readings: Observations) -> Fit:
+    def _fit_with(
+        self,
+        causes: Sequence[Cause],
+        readings: Observations,
+        shapes: Mapping[Cause, dict[str, float]] = MappingProxyType({}),
+    ) -> Fit:
         plain, rig = self.plain, self.plain.rig
         for cause in causes:
-            rig = with_effect(rig, cause, plain.observations, self.shapes_of(cause))
+            start_at = shapes.get(cause) or self.shapes_of(cause)
+            rig = with_effect(rig, cause, plain.observations, start_at)
         start = self.asked.expansion.fit.values
         return fit_rig(rig, readings, start, plain.posterior.model.rules)
 
     def item_of(self, cause: Cause) -> int:
         """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""
+        if cause in self._by_rival:
+            return self._by_rival[cause].item
         own = [i for i, item in enumerate(self.asked.dictionary.items) if item.cause == cause]
         in_leading = [i for i in own if i in self.asked.leading]
         return in_leading[0] if in_leading else max(own, key=lambda i: float(self.both.present[i]))
@@ -261,11 +321,11 @@ class Answer:
         return sizes[len(sizes) - len(asked.dictionary.items[item].columns) :]
 
     def shapes_of(self, cause: Cause) -> dict[str, float]:
-        """Shapes of a cause: as fitted where the expansion has it, else those of its start."""
-        start, values = (
-            self.asked.dictionary.items[self.item_of(cause)].start,
-            self.asked.expansion.fit.values,
-        )
+        """Shapes of a cause: as fitted where the expansion has it or it was fitted as a rival, else those of its start."""
+        start = self.asked.dictionary.items[self.item_of(cause)].start
+        values = self.asked.expansion.fit.values
+        if cause in self._by_rival:
+            return {key: self._by_rival[cause].shapes[key] for key in start}
         own = {key: values.get(f"{cause.label}.{key}") for key in start}
         return {key: start[key] if value is None else float(value) for key, value in own.items()}
 
@@ -360,7 +420,7 @@ def confirmed(
         if expected
     }
     ended_early = limits.words if limits.is_over else ""
-    return Answer(first, asked, tuple(of_halves), mean, ended_early, refused)
+    return Answer(first, asked, tuple(of_halves), mean, ended_early, refused).with_rivals()
 
 
 def _borne_out(first: Asked, asked: Asked, seed: int) -> tuple[Asked, frozenset[Cause]]:

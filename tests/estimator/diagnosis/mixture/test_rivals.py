@@ -1,0 +1,63 @@
+"""Causes in the place of a stated one, judged by full fits."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
+from estimator.rig.rig import Cause
+from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
+
+pytestmark = pytest.mark.whole
+
+GAIN, SCALE = Cause("axis_gain", "hall"), Cause("robot_scale", "arm1")
+
+
+@pytest.fixture(scope="module")
+def answer(small_rig, small_session, small_truth):
+    truth = small_rig.with_values(small_truth)
+    return answered(
+        fit_of(small_rig, with_wrong(truth, small_session.observations.calibration, GAIN, {"z": 0.05}))
+    )
+
+
+def test_a_rival_takes_its_share_of_the_name_by_its_evidence(answer):
+    alone = replace(answer, rivals={})
+    (entry,) = alone.stated
+    first = entry.first_listed
+    rival = Rival(SCALE, alone.item_of(SCALE), math.log(0.25), {})
+    (shared,) = replace(answer, rivals={first: (rival,)}).stated
+    shares = {possibility.cause: possibility.share for possibility in shared.possibilities}
+    assert shares[SCALE] == pytest.approx(0.25 * shares[first])
+    assert shared.listed_share == pytest.approx(entry.listed_share)
+    assert shared.probability == entry.probability
+
+
+def test_a_rival_with_more_evidence_comes_first(answer):
+    alone = replace(answer, rivals={})
+    (entry,) = alone.stated
+    rival = Rival(SCALE, alone.item_of(SCALE), 3.0, {})
+    (shared,) = replace(answer, rivals={entry.first_listed: (rival,)}).stated
+    assert shared.first_listed == SCALE
+
+
+def test_contenders_have_half_of_the_evidence_and_are_not_in_the_set(answer):
+    first = answer.stated[0].first_listed
+    comparison = answer.beside_item(answer.item_of(first), [first])
+    factors = {h.cause: h.log_bayes_factor for h in comparison.hypotheses}
+    able = contenders(comparison, first, [])
+    assert len(able) <= MOST_RIVALS
+    assert all(factors[each.cause] > 0.5 * factors[first] for each in able)
+    without = contenders(comparison, first, [each.cause for each in able])
+    assert not {each.cause for each in able} & {each.cause for each in without}
+
+
+def test_odds_of_rivals_are_those_of_full_fits(answer):
+    assert answer.rivals
+    for first, rivals in answer.rivals.items():
+        for rival in rivals:
+            own, other = (answer.fit_with([cause]) for cause in (first, rival.cause))
+            assert rival.log_odds == pytest.approx(other.log_evidence - own.log_evidence, abs=0.1)
