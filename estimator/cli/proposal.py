@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from pathlib import Path
 
 import click
 
 from estimator.cli.output import is_quiet, printable
-from estimator.cli.understood import si_symbol
 from estimator.errors import InvalidInput, cut
 from estimator.glance import aligned
 from estimator.store.files import write_text
-from estimator.store.importers.forms.assigner import Assigned
+from estimator.store.importers.forms.preview import PreviewedColumn, first_lines_of, previewed_column
 from estimator.store.importers.forms.recipe import CLOCK, DATE
 from estimator.store.importers.forms.understand import Proposal, Understood
-from estimator.store.importers.table import Table
 
 RECIPE = "columns.yaml"
-ROWS_SHOWN = 3
 LONGEST_HEADER = 28  # characters of a heading in the table
 
 
@@ -30,41 +26,19 @@ def proposal_lines(path: Path, read: Understood) -> list[str]:
         path: The file.
         read: What was read of it.
     """
-    proposal, table = read.proposal, read.table
+    proposal = read.proposal
     assert proposal is not None
-    head = ["column", "is", *(f"line {line}" for line in _first_lines(table))]
-    rows = [head] + [_row(each, table) for each in proposal.assigned]
+    head = ["column", "is", *(f"line {line}" for line in first_lines_of(read.table))]
+    rows = [head] + [_row(previewed_column(each, read)) for each in proposal.assigned]
     lines = [f"{path}: {len(read.session.observations)} readings. {' '.join(proposal.remarks)}"]
     lines += [f"  {line}" for line in aligned(rows)]
     return [printable(line) for line in lines]
 
 
-def _first_lines(table: Table) -> list[int]:
-    return list(dict.fromkeys(table.lines[: ROWS_SHOWN * 20].tolist()))[:ROWS_SHOWN]
-
-
-def _row(each: Assigned, table: Table) -> list[str]:
+def _row(column: PreviewedColumn) -> list[str]:
     """Heading, meaning, and the first rows in SI."""
-    quantity = "t" if each.quantity in {CLOCK, DATE} else each.quantity
-    meaning = {CLOCK: "time of day", DATE: "date"}.get(each.quantity, each.name)
-    sensor, _, component = quantity.rpartition("_")
-    own = component if component in {"Bx", "By", "Bz"} and component in table else quantity
-    cells = []
-    for line in _first_lines(table):
-        rows = [i for i in range(min(len(table.lines), ROWS_SHOWN * 20)) if table.lines[i] == line]
-        if own != quantity:
-            names = table.columns["sensor"]
-            rows = [i for i in rows if names.words[names.codes[i]] == sensor]
-        cells.append(_shown(table, own, rows[0]) if rows and own in table else "")
-    return [cut(each.header, LONGEST_HEADER), meaning, *cells]
-
-
-def _shown(table: Table, quantity: str, row: int) -> str:
-    column, to_si = table.columns[quantity], table.header[quantity].to_si
-    if column.numbers is None:
-        return cut(column.words[column.codes[row]], 12)
-    value = column.numbers[row] * to_si
-    return "-" if math.isnan(value) else f"{value:.6g} {si_symbol(quantity)}"
+    meaning = {CLOCK: "time of day", DATE: "date"}.get(column.name, column.name)
+    return [cut(column.header, LONGEST_HEADER), meaning, *column.values]
 
 
 def settle(path: Path, read: Understood, is_accepted: bool, is_asked: bool) -> None:

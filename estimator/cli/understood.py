@@ -149,6 +149,8 @@ def _prior_shown(parameter: Parameter) -> str:
 
 def _columns(table: Table) -> dict[str, dict[str, Any]]:
     """Unit and range of each column of numbers, in that unit; how often each word stands in a column of words."""
+    from estimator.store.importers.forms.preview import si_symbol  # with what reads tables
+
     columns: dict[str, dict[str, Any]] = {}
     for quantity, cell in table.header.items():
         if table.columns[quantity].numbers is None:
@@ -161,15 +163,3 @@ def _columns(table: Table) -> dict[str, dict[str, Any]]:
         ends = (None, None) if not len(given) else (float(given.min()), float(given.max()))
         columns[quantity] = {"unit": unit, "low": ends[0], "high": ends[1], "empty": len(values) - len(given)}
     return columns
-
-
-def si_symbol(quantity: str) -> str:
-    """The SI unit of a column of readings, degrees Celsius for temperatures.
-
-    Examples:
-        >>> [si_symbol(name) for name in ("t", "coil1_current", "arm1_x", "arm1_rz", "ur_q0", "hall_Bx", "hall_temperature")]
-        ['s', 'A', 'm', 'rad', 'rad', 'T', 'C']
-    """
-    last = quantity.rpartition("_")[2]
-    ends = {"t": "s", "current": "A", "temperature": "C", "Bx": "T", "By": "T", "Bz": "T"}
-    return ends.get(last, "m" if last in {"x", "y", "z"} else "rad")

@@ -2,6 +2,7 @@
 
 import { html } from "./vendor/lit-html.js";
 import { all, ask, post, Problem } from "./api.js";
+import { ColumnPicker } from "./picker.js";
 import { age, short } from "./words.js";
 
 export class SessionsView {
@@ -68,32 +69,51 @@ export class SessionsView {
   upload() {
     const send = async (event) => {
       event.preventDefault();
-      const { rig, file, accept } = event.target.elements;
-      const isZip = file.files[0].name.endsWith(".zip");
-      const accepted = !isZip && accept.checked ? "&accept=true" : "";
-      const path = `/v1/sessions/import-${isZip ? "zip" : "csv"}?rig_id=${rig.value}${accepted}`;
+      const { rig, file } = event.target.elements;
+      const table = file.files[0];
       this.fault = null;
       try {
-        await ask("POST", path, { body: file.files[0], type: isZip ? "application/zip" : "text/csv" });
+        if (table.name.endsWith(".zip")) {
+          await ask("POST", `/v1/sessions/import-zip?rig_id=${rig.value}`, { body: table, type: "application/zip" });
+        } else if (!this.picker && !(await this.isPlain(rig.value, table))) {
+          return this.update(); // the columns are shown first
+        } else {
+          const query = this.picker ? this.picker.query({ accept: true }) : new URLSearchParams({ rig_id: rig.value });
+          await ask("POST", `/v1/sessions/import-csv?${query}`, { body: table, type: "text/csv" });
+        }
       } catch (error) {
         if (!(error instanceof Problem) || error.status === 401) throw error;
         this.fault = error.message; // beside the form, so that what was chosen stays
         this.update();
         return;
       }
+      this.picker = null;
       event.target.reset();
       await this.load();
     };
-    return html`<form class="card row" @submit=${send}>
-      <label>Readings (CSV, or a zipped session)
+    const forget = () => {
+      this.picker = this.fault = null;
+      this.update();
+    };
+    return html`<form class="card row" @submit=${send} @change=${(event) => event.target.closest(".picker") || forget()}>
+      <label>Readings (CSV or another table, or a zipped session)
         <input name="file" type="file" accept=".csv,.txt,.dat,.tsv,.zip" required /></label>
       <label>of the rig
         <select name="rig">
           ${this.rigs.map((rig) => html`<option value=${rig.id}>${rig.name} (${short(rig.id)})</option>`)}
         </select></label>
-      <label><input name="accept" type="checkbox" /> Accept what is understood of a table that is no readings CSV</label>
-      <button>Upload</button>
+      ${this.picker?.template()}
       ${this.fault ? html`<p class="fault" role="alert">${this.fault}</p>` : null}
+      <button ?disabled=${this.picker && !this.picker.isReadable}>${this.picker ? "Import it so" : "Upload"}</button>
     </form>`;
+  }
+
+  // Whether a table is a readings CSV; what was understood of another one is shown, and waits for an answer.
+  async isPlain(rigId, table) {
+    const picker = new ColumnPicker(() => this.update(), rigId, table);
+    await picker.load();
+    if (picker.isReadable && !picker.preview.remarks.length) return true;
+    this.picker = picker;
+    return false;
   }
 }

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -13,13 +16,24 @@ from estimator.readings.clock import Clock
 from estimator.rig_files.read import rig_from_text
 from estimator.service.answers import shown_as
 from estimator.service.archives import check_length, unpacked_session
+from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.problems import Problem
-from estimator.service.requests import ID, Change, ChangeOf, Importing, documented_body, raw_body, router_of
+from estimator.service.requests import (
+    ID,
+    Change,
+    ChangeOf,
+    CoreOf,
+    Importing,
+    documented_body,
+    raw_body,
+    router_of,
+)
 from estimator.service.routes.rigs import rig_row_of
 from estimator.service.routes.sessions import CLOSED, SessionInfo
 from estimator.service.schema import SessionRow
 from estimator.store.files import sync
+from estimator.store.importers.forms.preview import previewed
 from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants
 from estimator.store.importers.forms.sources import kind_of
 from estimator.store.importers.forms.understand import understood
@@ -59,6 +73,52 @@ class Form(BaseModel):
         )
 
 
+class ColumnPreview(BaseModel):
+    """A column of a table: what it is, `-` where it is left out, and its first rows, in SI where it is read."""
+
+    header: str
+    name: str
+    values: list[str]
+
+
+class TablePreview(BaseModel):
+    """What was understood of a table; `n_readings` is null where `fault` says why it cannot be read so."""
+
+    columns: list[ColumnPreview]
+    lines: Annotated[list[int], Field(description="Lines of the file that the first rows stand in.")]
+    remarks: list[str]
+    names: Annotated[list[str], Field(description="What a column may be.")]
+    n_readings: int | None
+    fault: str
+
+
+@router.post("/preview-csv", openapi_extra=documented_body("text/csv", "A table of readings."))
+def preview_csv(
+    core: CoreOf,
+    rig_id: RigId,
+    body: Csv,
+    turn: Importing,  # noqa: ARG001
+    form: Annotated[Form, Query()],
+) -> TablePreview:
+    """What would be understood of a table of readings, with its first rows; nothing is stored."""
+    rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
+    with _as_text(core, body) as path:
+        preview = previewed(path, rig, form.recipe())
+        fault = preview.fault.replace(f"{path.parent}/", "")
+        return TablePreview.model_validate(asdict(preview) | {"fault": fault})
+
+
+@contextmanager
+def _as_text(core: Core, body: bytes) -> Iterator[Path]:
+    """A file with a body that must be text."""
+    with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
+        path = Path(folder) / "readings.csv"
+        path.write_bytes(body)
+        if kind_of(path) != "text":  # libraries for other files are not made for what strangers send
+            raise Problem(415, "body", "must be text; export the table as CSV")
+        yield path
+
+
 @router.post(
     "/import-csv",
     status_code=201,
@@ -74,11 +134,7 @@ def import_csv(
     """Make a closed session of a table of readings; what is not a readings CSV has to be accepted with `accept=true`."""
     core = change.core
     rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
-    with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
-        path = Path(folder) / "readings.csv"
-        path.write_bytes(body)
-        if kind_of(path) != "text":  # libraries for other files are not made for what strangers send
-            raise Problem(415, "body", "must be text; export the table as CSV")
+    with _as_text(core, body) as path:
         read = understood(path, rig, form.recipe())
         if read.proposal is not None and not form.accept:
             meaning = ", ".join(f"{each.header!r} is {each.name}" for each in read.proposal.assigned)

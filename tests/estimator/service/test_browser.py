@@ -155,6 +155,30 @@ def test_a_hidden_cause_is_diagnosed_read_and_accepted(
     check(page, "jobs")
 
 
+def test_columns_of_another_table_are_shown_chosen_and_imported(
+    served: Callable[..., Served], page: Any, rig_text: str, readings_csv: bytes, tmp_path: Path
+) -> None:
+    service = served()
+    upload_rig(service.client, rig_text)
+    header, *rows = readings_csv.decode().splitlines()
+    odd = [header.replace("Bx_T", "Probe 7 [T]").replace("t_s", "stamp"), *rows]
+    (tmp_path / "lab.csv").write_text("Monday\n" + "\n".join(odd).replace(",", ";"), encoding="utf-8")
+    page.goto(f"{service.url}/#/sessions")
+    page.locator("input[type=file]").set_input_files(tmp_path / "lab.csv")
+    page.get_by_role("button", name="Upload").click()
+    page.get_by_label("What Probe 7 [T] is").wait_for()
+    check(page, "columns")
+    assert service.client.get("/v1/sessions").json()["items"] == []
+    page.get_by_label("What stamp is").select_option("t_ms")
+    page.get_by_label("What Probe 7 [T] is").select_option("Bx_T")
+    page.get_by_text("readings. Are these numbers right?").wait_for()
+    page.get_by_role("button", name="Import it so").click()
+    page.get_by_role("button", name="Diagnose").wait_for()
+    (session,) = service.client.get("/v1/sessions").json()["items"]
+    again = service.client.get(f"/v1/sessions/{session['id']}/readings.csv").text.splitlines()
+    assert float(again[2].split(",")[0]) == pytest.approx(1e-3 * float(rows[1].split(",")[0]))
+
+
 def test_what_a_cause_would_do_follows_the_slider(
     served: Callable[..., Served], page: Any, small_session: Session, rig_text: str, tmp_path: Path
 ) -> None:

@@ -203,6 +203,35 @@ def test_a_faulty_csv_is_refused_with_its_line(client: TestClient, rig_id: str, 
     assert "/" not in problem["detail"]
 
 
+def test_a_preview_says_what_each_column_is_taken_for_and_stores_nothing(
+    client: TestClient, rig_id: str, readings_csv: bytes
+) -> None:
+    def preview(content: bytes, **more: str) -> dict[str, Any]:
+        call = {"content": content, "headers": {"Content-Type": "text/csv"}}
+        answer = client.post("/v1/sessions/preview-csv", params={"rig_id": rig_id, **more}, **call)
+        assert answer.status_code == 200, answer.text
+        return dict(answer.json())
+
+    plain = preview(readings_csv)
+    assert (plain["remarks"], plain["fault"]) == ([], "")
+    header, first = readings_csv.decode().splitlines()[:2]
+    assert [column["header"] for column in plain["columns"]] == header.split(",")
+    other = readings_csv.replace(b"Bx_T", b"Hall Bx [T]", 1).replace(b"t_s", b"time [s]", 1)
+    told = preview(other)
+    names = {column["header"]: column["name"] for column in told["columns"]}
+    assert (names["Hall Bx [T]"], told["lines"]) == ("Bx_T", [2, 3, 4])
+    assert told["n_readings"] == len(readings_csv.splitlines()) - 1
+    values = {column["header"]: column["values"][0] for column in told["columns"]}
+    assert values["Hall Bx [T]"] == f"{float(first.split(',')[header.split(',').index('Bx_T')]):.6g} T"
+    assert {"Bx_mT", "t_ms", "clock", "-"} <= set(told["names"])
+    torn = preview(readings_csv.replace(b"Bx_T", b"Probe 7", 1), column="Probe 7=Bx_mm")
+    assert torn["n_readings"] is None
+    assert "must have a unit of field" in torn["fault"]
+    assert torn["fault"].endswith("(readings.csv, line 1)"), "no folder of the service"
+    assert {column["header"]: column["name"] for column in torn["columns"]}["Probe 7"] == "Bx_mm"
+    assert client.get("/v1/sessions").json()["items"] == []
+
+
 def test_another_table_is_taken_where_what_was_understood_is_accepted(
     client: TestClient, rig_id: str, readings_csv: bytes
 ) -> None:
