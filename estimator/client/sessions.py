@@ -44,6 +44,15 @@ class SessionCalls:
         return await self.connection.json("GET", f"/v1/sessions/{self.id}")
 
     @Call
+    async def label(self, labels: Mapping[str, Any]) -> dict[str, Any]:
+        """Give the session labels by which it is found again; what `info` then says.
+
+        Args:
+            labels: `name`, `note`, `tags` (a list of words) and `measured` (an ISO date); what is left out stays.
+        """
+        return await self.connection.json("PATCH", f"/v1/sessions/{self.id}", json=dict(labels))
+
+    @Call
     async def next(
         self, goals: Sequence[str], places: str, *, most_stops: int = 200, seed: int = 0
     ) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Generic, TypeVar
 
 from fastapi import Depends, Query, Request
 from pydantic import BaseModel
-from sqlalchemy import select, tuple_
+from sqlalchemy import ColumnElement, select, tuple_
 from sqlalchemy.orm import Session
 from starlette.responses import Response
 
@@ -32,6 +32,9 @@ class Page(BaseModel, Generic[Item]):
 
 
 Limit = Annotated[int, Query(ge=1, le=MOST_ITEMS, description="Items of a page.")]
+Search = Annotated[
+    str | None, Query(max_length=200, description="Words that name, note, tags or the like must contain.")
+]
 Cursor = Annotated[str | None, Query(max_length=200, description="`next` of the page before.")]
 
 
@@ -43,17 +46,20 @@ class Listing:
     limit: Limit = ITEMS
     cursor: Cursor = None
 
-    def page(self, table: Any, shape: type[Shape], **equal: str | None) -> Page[Shape]:
+    def page(
+        self, table: Any, shape: type[Shape], *where: ColumnElement[bool], **equal: str | None
+    ) -> Page[Shape]:
         """A page of the rows of a table, which has `created` and `id`.
 
         Args:
             table: Its class.
             shape: Rows as the API shows them.
+            where: Conditions that rows must fulfil.
             equal: Values of columns that rows must have; None admits all.
         """
         key = tuple_(table.created, table.id)
         asked = {name: value for name, value in equal.items() if value is not None}
-        rows = select(table).filter_by(**asked)
+        rows = select(table).filter_by(**asked).where(*where)
         if self.cursor is not None:
             rows = rows.where(key < _key(self.cursor))
         rows = rows.order_by(table.created.desc(), table.id.desc()).limit(self.limit + 1)

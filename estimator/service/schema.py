@@ -35,6 +35,14 @@ class Made(Base):
     user: Mapped[str]
 
 
+class Labelled:
+    """What people call a row: a name, a note, and tags with blanks between."""
+
+    name: Mapped[str | None]
+    note: Mapped[str | None]
+    tags: Mapped[str | None]
+
+
 class Token(Made):
     """Permission to use the service; the token itself is never stored, only its SHA-256."""
 
@@ -66,7 +74,7 @@ class RigVersion(Made):
     text: Mapped[str]
 
 
-class SessionRow(Made):
+class SessionRow(Labelled, Made):
     """A session; its readings lie in the folder of its id."""
 
     __tablename__ = "sessions"
@@ -78,9 +86,10 @@ class SessionRow(Made):
     n_readings: Mapped[int | None]
     hash: Mapped[str | None] = mapped_column(index=True)
     idempotency_key: Mapped[str | None]
+    measured: Mapped[str | None]
 
 
-class Job(Base):
+class Job(Labelled, Base):
     """Work that was asked for; its folder of the same id is its state."""
 
     __tablename__ = "jobs"

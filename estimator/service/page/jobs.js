@@ -2,6 +2,7 @@
 
 import { html } from "./vendor/lit-html.js";
 import { all, post } from "./api.js";
+import { Finder, labelForm, labels } from "./labels.js";
 import { age, jobName, short } from "./words.js";
 
 const LOOK_EVERY_MS = 2000;
@@ -19,14 +20,19 @@ export class JobsView {
 
   constructor(update) {
     this.update = update;
+    this.finder = new Finder(() => this.look(), update, ["newest", "name"]);
   }
 
   async load() {
     this.rigs ??= await rigOfSessions();
-    this.jobs = await all("/v1/jobs", 200);
-    this.update();
+    await this.look();
     if (this.isClosed) return;
     this.timer = setTimeout(() => this.load(), LOOK_EVERY_MS);
+  }
+
+  async look() {
+    this.jobs = await all(`/v1/jobs${this.finder.query}`, 200);
+    this.update();
   }
 
   close() {
@@ -40,16 +46,19 @@ export class JobsView {
       <nav class="actions new" aria-label="New job">New
         ${["recalibrate", "batch", "design"].map((kind) => html`<a class="button" href="#/new/${kind}">${jobName(kind)}</a>`)}
       </nav>
-      ${this.jobs.length === 0 ? html`<p>Nothing has been asked for yet.</p>` : null}
+      ${this.jobs.length || this.finder.text ? this.finder.template("jobs") : null}
+      ${this.jobs.length === 0 ? html`<p>${this.finder.text ? "No job has these words." : "Nothing has been asked for yet."}</p>` : null}
       <ul class="list">
-        ${this.jobs.map(
+        ${this.finder.sorted(this.jobs).map(
           (job) => html`<li class="card row">
             <div class="grow">
-              <h2><a href="#/jobs/${job.id}">${jobName(job.kind)} of ${this.rigs.get(job.session_id) ?? "a session"}</a></h2>
+              <h2><a href="#/jobs/${job.id}">${job.name ?? `${jobName(job.kind)} of ${this.rigs.get(job.session_id) ?? "a session"}`}</a></h2>
+              ${labels(job)}
               <p>
                 <span class="state ${job.state}">${job.state}</span> ${age(job.ended ?? job.started ?? job.created)},
                 <span class="muted">job ${short(job.id)}, session ${short(job.session_id)}, ${job.user}</span> ${job.fault ? html`<br />${job.fault}` : null}
               </p>
+              ${labelForm("/v1/jobs", `job ${short(job.id)}`, job, () => this.update())}
             </div>
             <div class="actions">${cancelButton(job, () => this.update())}</div>
           </li>`,

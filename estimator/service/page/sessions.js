@@ -2,6 +2,7 @@
 
 import { html } from "./vendor/lit-html.js";
 import { all, ask, post, Problem } from "./api.js";
+import { Finder, labelForm, labels } from "./labels.js";
 import { ColumnPicker } from "./picker.js";
 import { age, short } from "./words.js";
 
@@ -12,10 +13,11 @@ export class SessionsView {
 
   constructor(update) {
     this.update = update;
+    this.finder = new Finder(() => this.load(), update);
   }
 
   async load() {
-    [this.sessions, this.rigs] = await Promise.all([all("/v1/sessions"), all("/v1/rigs")]);
+    [this.sessions, this.rigs] = await Promise.all([all(`/v1/sessions${this.finder.query}`), all("/v1/rigs")]);
     this.update();
   }
 
@@ -29,9 +31,10 @@ export class SessionsView {
     if (this.sessions === null) return html`<h1>Sessions</h1><p class="waiting">Loading</p>`;
     const names = new Map(this.rigs.map((rig) => [rig.id, rig.name]));
     return html`<h1>Sessions</h1>
-      ${this.sessions.length === 0 ? html`<p>No readings have arrived yet.</p>` : null}
+      ${this.sessions.length || this.finder.text ? this.finder.template("sessions") : null}
+      ${this.sessions.length === 0 ? html`<p>${this.finder.text ? "No session has these words." : "No readings have arrived yet."}</p>` : null}
       <ul class="list">
-        ${this.sessions.map((session) => this.row(session, names.get(session.rig_id) ?? short(session.rig_id)))}
+        ${this.finder.sorted(this.sessions).map((session) => this.row(session, names.get(session.rig_id) ?? short(session.rig_id)))}
       </ul>
       ${this.upload()}`;
   }
@@ -41,11 +44,13 @@ export class SessionsView {
     const isOpen = session.state === "open";
     return html`<li class="card row">
       <div class="grow">
-        <h2>${rig}</h2>
+        <h2>${session.name ?? rig}</h2>
+        ${labels(session)}
         <p>
-          ${isOpen ? html`<strong>open</strong>` : `${session.n_readings} readings`}, ${age(session.created)},
-          ${session.user} <span class="muted">${session.source.slice(0, 80)} · ${short(session.id)}</span>
+          ${isOpen ? html`<strong>open</strong>` : `${session.n_readings} readings`}, measured ${age(session.measured ?? session.created)},
+          ${session.user}${session.name ? html`, rig ${rig}` : null} <span class="muted">${session.source.slice(0, 80)} · ${short(session.id)}</span>
         </p>
+        ${labelForm("/v1/sessions", label, session, () => this.update(), { hasDate: true })}
       </div>
       <div class="actions">
         ${isOpen

@@ -177,6 +177,7 @@ def _stored(change: Change, session: Session, rig_id: str) -> SessionInfo:
                 user=change.caller.user,
                 n_readings=len(session.observations),
                 hash=session.hash,
+                measured=session.created,
             )
             db.add(row)
             change.note(db, "session.import", session_id)

@@ -15,11 +15,12 @@ from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.result import EXTENDED_RIG
 from estimator.errors import CorruptStore
 from estimator.json_files import read_json
-from estimator.service.answers import UNCHANGED, ListingOf, Page, row_of, shown_as, with_etag
+from estimator.service.answers import UNCHANGED, ListingOf, Page, Search, row_of, shown_as, with_etag
 from estimator.service.core import Core
 from estimator.service.database import now
 from estimator.service.events import events_of
 from estimator.service.job_queue import CANCELLED, DONE, ENDED, RETRY_AFTER_S
+from estimator.service.labels import Labelled, Labels, containing, relabelled
 from estimator.service.ownership import OWN_JOB
 from estimator.service.problems import Problem
 from estimator.service.requests import ID, STREAM, ChangeOf, CoreOf, Id, router_of
@@ -35,7 +36,7 @@ PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; fra
 Kind = Literal["calibrate", "diagnose", "recalibrate", "batch", "design"]
 
 
-class JobInfo(BaseModel):
+class JobInfo(Labelled):
     """A job; `fault` is the sentence that says why it failed."""
 
     id: str
@@ -78,9 +79,16 @@ def list_jobs(
     listing: ListingOf,
     state: Annotated[Literal["queued", "running", "done", "failed", "cancelled"] | None, Query()] = None,
     session_id: Annotated[str | None, Query(pattern=ID)] = None,
+    search: Search = None,
 ) -> Page[JobInfo]:
     """Jobs, newest first."""
-    return listing.page(Job, JobInfo, state=state, session_id=session_id)
+    return listing.page(Job, JobInfo, *containing(Job, search), state=state, session_id=session_id)
+
+
+@router.patch("/{job_id}", dependencies=[OWN_JOB])
+def label_job(change: ChangeOf, job_id: Id, body: Labels) -> JobInfo:
+    """Give a job of one's own a name, a note or tags."""
+    return shown_as(JobInfo, relabelled(change, Job, job_id, "job", body))
 
 
 @router.get("/{job_id}")

@@ -17,9 +17,10 @@ from sqlalchemy.orm import Session as DatabaseSession
 from starlette.responses import Response
 
 from estimator.rig_files.read import rig_from_text
-from estimator.service.answers import ListingOf, Page, file_of, row_of, shown_as, with_etag
+from estimator.service.answers import ListingOf, Page, Search, file_of, row_of, shown_as, with_etag
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
+from estimator.service.labels import Labelled, SessionLabels, containing, relabelled
 from estimator.service.ownership import OWN_SESSION
 from estimator.service.problems import Problem, check_limits, not_found
 from estimator.service.readings import readings_of
@@ -57,7 +58,7 @@ class NewSession(BaseModel):
     ]
 
 
-class SessionInfo(BaseModel):
+class SessionInfo(Labelled):
     """A session; a closed one has the SHA-256 of its readings and rig as `hash`."""
 
     id: str
@@ -68,6 +69,7 @@ class SessionInfo(BaseModel):
     user: str
     n_readings: int | None
     hash: str | None
+    measured: str | None
 
 
 class Appended(BaseModel):
@@ -113,7 +115,7 @@ def create_session(response: Response, change: ChangeOf, body: NewSession, key: 
             _check_open_sessions(core, db, caller)
             core.sessions.create(session_id, rig_from_text(version.text, "rig"), body.source)
             row = SessionRow(id=session_id, rig_id=version.id, source=body.source, state=OPEN, created=now())
-            row.user, row.idempotency_key = caller.user, key
+            row.user, row.idempotency_key, row.measured = caller.user, key, row.created
             db.add(row)
             change.note(db, "session.create", session_id)
             return shown_as(SessionInfo, row)
@@ -149,9 +151,16 @@ def list_sessions(
     listing: ListingOf,
     rig_id: Annotated[str | None, Query(pattern=ID)] = None,
     hash: Annotated[str | None, Query(pattern=r"^[0-9a-f]{64}$")] = None,
+    search: Search = None,
 ) -> Page[SessionInfo]:
     """Sessions, newest first."""
-    return listing.page(SessionRow, SessionInfo, rig_id=rig_id, hash=hash)
+    return listing.page(SessionRow, SessionInfo, *containing(SessionRow, search), rig_id=rig_id, hash=hash)
+
+
+@router.patch("/{session_id}", dependencies=[OWN_SESSION])
+def label_session(change: ChangeOf, session_id: Id, body: SessionLabels) -> SessionInfo:
+    """Give a session of one's own a name, a note, tags, or the time when it was measured."""
+    return shown_as(SessionInfo, relabelled(change, SessionRow, session_id, "session", body))
 
 
 @router.get("/{session_id}")

@@ -174,7 +174,16 @@ def test_columns_of_another_table_are_shown_chosen_and_imported(
     page.get_by_text("readings. Are these numbers right?").wait_for()
     page.get_by_role("button", name="Import it so").click()
     page.get_by_role("button", name="Diagnose").wait_for()
-    (session,) = service.client.get("/v1/sessions").json()["items"]
+    page.get_by_text("Labels", exact=True).click()
+    page.get_by_role("textbox", name="Name").fill("Coil 7")
+    page.get_by_label("Tags").fill("cold, monday")
+    page.get_by_role("button", name="Save").click()
+    page.get_by_role("heading", name="Coil 7").wait_for()
+    check(page, "labels")
+    page.get_by_label("Search sessions").fill("warm")
+    page.get_by_role("button", name="Search").click()
+    page.get_by_text("No session has these words.").wait_for()
+    (session,) = service.client.get("/v1/sessions", params={"search": "monday"}).json()["items"]
     again = service.client.get(f"/v1/sessions/{session['id']}/readings.csv").text.splitlines()
     assert float(again[2].split(",")[0]) == pytest.approx(1e-3 * float(rows[1].split(",")[0]))
 

@@ -170,6 +170,7 @@ def test_readings_are_streamed_and_a_job_that_fails_says_why(
             session = await client.begin(small_rig, "a stream", key="second")
             assert (await client.begin(small_rig, "a stream", key="second")).id == session.id
             assert await session.append(readings) == len(readings)
+            assert (await session.label({"name": "Coil 7", "tags": ["cold"]}))["tags"] == ["cold"]
             assert (await session.close())["state"] == (await session.info())["state"] == "closed"
             with pytest.raises(JobFailed, match="must have a free parameter besides loop counts"):
                 await client.calibrate(small_session, fixed)

@@ -56,6 +56,9 @@ RULES = {
     ("POST", "/v1/sessions/{session_id}/readings"): OWN,
     ("POST", "/v1/sessions/{session_id}/close"): OWN,
     ("POST", "/v1/sessions/{session_id}/next"): READS,
+    ("POST", "/v1/sessions/preview-csv"): READS,
+    ("PATCH", "/v1/sessions/{session_id}"): OWN,
+    ("PATCH", "/v1/jobs/{job_id}"): OWN,
     ("DELETE", "/v1/sessions/{session_id}"): OWN,
     ("POST", "/v1/jobs/calibrate"): NEW,
     ("POST", "/v1/jobs/diagnose"): NEW,
@@ -113,7 +116,9 @@ class Bench:
         if method == "DELETE":
             ids["session_id"] = self.spare_id
         call: dict[str, Any] = {"headers": dict(self.users[user])}
-        if path.endswith("/readings"):
+        if method == "PATCH":
+            call["json"] = {"name": f"as {user} calls it"}
+        elif path.endswith("/readings"):
             call["content"] = self.lines[0]
             call["headers"]["Content-Type"] = "application/x-ndjson"
         elif path.endswith("/roll-back"):

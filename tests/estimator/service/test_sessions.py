@@ -203,6 +203,40 @@ def test_a_faulty_csv_is_refused_with_its_line(client: TestClient, rig_id: str, 
     assert "/" not in problem["detail"]
 
 
+def test_sessions_are_labelled_and_found_by_their_labels(
+    client: TestClient, rig_id: str, readings_csv: bytes
+) -> None:
+    first, second = (import_csv(client, rig_id, readings_csv) for _ in range(2))
+    assert (first["name"], first["note"], first["tags"]) == (None, None, [])
+    path = f"/v1/sessions/{first['id']}"
+    labels = {"name": "Coil 7, cold", "note": "100 % nitrogen", "tags": ["cold", "cold", "new-probe"]}
+    told = client.patch(path, json={**labels, "measured": "2026-03-02"}).json()
+    assert (told["name"], told["note"], told["tags"]) == (
+        "Coil 7, cold",
+        "100 % nitrogen",
+        ["cold", "new-probe"],
+    )
+    assert told["measured"] == "2026-03-02"
+    assert client.patch(path, json={"note": None}).json()["tags"] == ["cold", "new-probe"], "the others stay"
+
+    def found(text: str) -> list[str]:
+        page = client.get("/v1/sessions", params={"search": text}).json()
+        return [session["id"] for session in page["items"]]
+
+    assert found("COLD coil") == found("new-probe") == [first["id"]]
+    assert set(found("")) == {first["id"], second["id"]}
+    assert found("100 %") == found("col_") == [], "the note is gone, and _ is no wildcard"
+    for body in ({"tags": ["two words"]}, {"measured": "Monday"}, {"colour": "red"}, {"name": "x" * 201}):
+        refusal(client.patch(path, json=body), 422)
+    job = client.post("/v1/jobs/calibrate", json={"session_id": first["id"], "seed": 1}).json()
+    named = client.patch(f"/v1/jobs/{job['id']}", json={"name": "with the new probe"}).json()
+    assert (named["name"], named["tags"]) == ("with the new probe", [])
+    assert [one["id"] for one in client.get("/v1/jobs", params={"search": "new probe"}).json()["items"]] == [
+        job["id"]
+    ]
+    assert client.get("/v1/jobs", params={"search": "old"}).json()["items"] == []
+
+
 def test_a_preview_says_what_each_column_is_taken_for_and_stores_nothing(
     client: TestClient, rig_id: str, readings_csv: bytes
 ) -> None:
