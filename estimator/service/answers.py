@@ -106,6 +106,9 @@ def _key(cursor: str) -> tuple[str, str]:
     return created, row_id
 
 
+PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
+"""Content-Security-Policy of reports, which are one file with their style and pictures inside; nothing in them may run."""
+
 UNCHANGED: dict[int | str, dict[str, Any]] = {304: {"description": "It has not changed."}}
 
 

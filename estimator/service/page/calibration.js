@@ -1,11 +1,11 @@
 // A calibration as its report tells it: how good it is, fields and their uncertainty, what the data taught, residuals; and predictions.
 
 import { html } from "./vendor/lit-html.js";
-import { ask, download, post, Problem } from "./api.js";
+import { all, ask, download, post, Problem } from "./api.js";
 import { heat, intervals, lines } from "./chart.js";
 import { figure } from "./figure.js";
 import { intervalTable } from "./rigs.js";
-import { minus, percent, short, size } from "./words.js";
+import { age, minus, percent, short, size } from "./words.js";
 
 const FORMATS = [["json", "JSON"], ["cpp", "C++"], ["matlab", "MATLAB"], ["magpylib", "magpylib"], ["arviz", "ArviZ"]];
 const STRONG_SIGMA = 3;
@@ -54,8 +54,32 @@ export class Calibration {
       <a class="button" href="/v1/jobs/${this.job.id}/report" target="_blank" rel="noopener">Full report</a>
       ${FORMATS.map(([to, words]) => html`<button aria-label="Export as ${words}" @click=${() => this.export_(to)}>${words}</button>`)}
       <a class="button" href="/v1/calibrations/${this.id}/calibration.zip" download>Folder as zip</a>
+      ${this.comparison()}
       ${this.fault ? html`<p class="fault" role="alert">${this.fault}</p>` : null}
     </div>`;
+  }
+
+  // Other calibrations of the rig; the page of both is made when it is opened.
+  comparison() {
+    if (this.others === undefined) {
+      this.others = [];
+      all(`/v1/calibrations?${new URLSearchParams({ rig_name: this.summary.rig_name })}`).then((listed) => {
+        this.others = listed.filter((one) => one.id !== this.id);
+        this.update();
+      });
+    }
+    if (!this.others.length) return null;
+    const open = (event) => {
+      event.preventDefault();
+      window.open(`/v1/calibrations/${this.id}/compare/${event.target.elements.other.value}/report`, "_blank", "noopener");
+    };
+    return html`<form class="row" @submit=${open}>
+      <label>Compare with
+        <select name="other">
+          ${this.others.map((one) => html`<option value=${one.id}>${age(one.created)}, ${one.user} (${short(one.id)})</option>`)}
+        </select></label>
+      <button>Compare</button>
+    </form>`;
   }
 
   async export_(to) {

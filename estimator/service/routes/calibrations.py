@@ -10,14 +10,24 @@ from typing import Annotated, Any
 from fastapi import Query, Request
 from pydantic import BaseModel, Field
 from sqlalchemy import select
-from starlette.responses import JSONResponse, Response
+from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from estimator.calibration.files import POSTERIOR_STORE, SUMMARY_FILE
 from estimator.calibration.panels import CalibrationPanels, calibration_panels
 from estimator.calibration.result import Calibration
 from estimator.code_version import code_version
+from estimator.comparison.calibrations import SideBySide, sentences, side_by_side, side_by_side_report
 from estimator.rig_files.write import rig_text
-from estimator.service.answers import UNCHANGED, ListingOf, Page, file_of, row_of, shown_as, with_etag
+from estimator.service.answers import (
+    PAGE_POLICY,
+    UNCHANGED,
+    ListingOf,
+    Page,
+    file_of,
+    row_of,
+    shown_as,
+    with_etag,
+)
 from estimator.service.core import Core
 from estimator.service.requests import CoreOf, Id, router_of
 from estimator.service.schema import CalibrationRow, Job
@@ -104,6 +114,40 @@ def get_panels(request: Request, core: CoreOf, calibration_id: Id) -> Response:
         f"{calibration_id}-panels-{version('coilcal')}-{code_version()}",
         lambda: JSONResponse(asdict(calibration_panels(calibration))),
     )
+
+
+@router.get("/{calibration_id}/compare/{other_id}", response_model=dict[str, Any], responses=UNCHANGED)
+def compare_calibrations(request: Request, core: CoreOf, calibration_id: Id, other_id: Id) -> Response:
+    """Two calibrations side by side: sentences, numbers and the difference of the fields, as `coilcal compare --json` prints them."""
+
+    def content() -> Response:
+        compared = _side_by_side(core, calibration_id, other_id)
+        return JSONResponse(compared.to_json() | {"sentences": sentences(compared)})
+
+    return with_etag(request, f"{calibration_id}-{other_id}-{code_version()}", content)
+
+
+@router.get("/{calibration_id}/compare/{other_id}/report", response_class=HTMLResponse, responses=UNCHANGED)
+def get_comparison_report(request: Request, core: CoreOf, calibration_id: Id, other_id: Id) -> Response:
+    """The page of two calibrations side by side, one file without scripts."""
+
+    def page() -> Response:
+        compared = _side_by_side(core, calibration_id, other_id)
+        return HTMLResponse(side_by_side_report(compared, request.url.path))
+
+    answer = with_etag(request, f"{calibration_id}-{other_id}-page-{code_version()}", page)
+    answer.headers["Content-Security-Policy"] = (
+        PAGE_POLICY  # on 304 too, whose headers replace those of the copy
+    )
+    return answer
+
+
+def _side_by_side(core: Core, calibration_id: str, other_id: str) -> SideBySide:
+    (first_row, _, first), (second_row, _, second) = (
+        calibration_of(core, each) for each in (calibration_id, other_id)
+    )
+    names = [f"{row.created[:16].replace('T', ' ')} ({row.id[:8]})" for row in (first_row, second_row)]
+    return side_by_side(first, second, (names[0], names[1]))
 
 
 @router.get("/{calibration_id}/rig", **file_of("application/yaml", {"description": "A rig file."}))

@@ -15,7 +15,16 @@ from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.result import EXTENDED_RIG
 from estimator.errors import CorruptStore
 from estimator.json_files import read_json
-from estimator.service.answers import UNCHANGED, ListingOf, Page, Search, row_of, shown_as, with_etag
+from estimator.service.answers import (
+    PAGE_POLICY,
+    UNCHANGED,
+    ListingOf,
+    Page,
+    Search,
+    row_of,
+    shown_as,
+    with_etag,
+)
 from estimator.service.core import Core
 from estimator.service.database import now
 from estimator.service.events import events_of
@@ -29,10 +38,6 @@ from estimator.service.tasks import DIAGNOSIS, PANELS, TASKS
 from estimator.service.webhooks import announce_end
 
 router = router_of("/v1/jobs", "jobs")
-PAGE_POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data:; frame-ancestors 'none'; sandbox"
-"""Content-Security-Policy of reports, which are one file with their style and pictures inside; nothing in them may run."""
-
-
 Kind = Literal["calibrate", "diagnose", "recalibrate", "batch", "design"]
 
 

@@ -64,6 +64,8 @@ def marked(
         rig_id = upload_rig(client, rig_text.replace("name: small", f"name: {json.dumps(MARK)}"))
         session_id = import_csv(client, rig_id, readings_csv)["id"]
         client.post("/v1/sessions", json={"rig_id": rig_id, "source": MARK}).raise_for_status()
+        labels = {"name": MARK[:200], "note": MARK}
+        client.patch(f"/v1/sessions/{session_id}", json=labels).raise_for_status()
         registry = Registry(app.state.core.registry_path(MARK))
         entry = Entry(
             "drifted", MARK, f"{session_id}.zarr", taken="2026-11-24T03:00:00", causes=[{"name": MARK}]
@@ -99,6 +101,7 @@ def stored_jobs(app: FastAPI, session_id: str, calibration: Calibration) -> dict
         state = "done" if kind == name else name
         ids[name] = new_id()
         job = Job(id=ids[name], kind=kind, state=state, session_id=session_id, rig_id=None, options={})
+        job.note = MARK
         job.user, job.created, job.starts, job.fault = MARK, now(), 1, MARK if name == "failed" else None
         with core.database.writing() as db:
             db.add(job)

@@ -119,6 +119,20 @@ def arrow(answer: Any) -> pa.Table:
     return pa.ipc.open_stream(answer.content).read_all()
 
 
+def test_two_calibrations_are_compared_as_numbers_and_as_a_page(client: TestClient) -> None:
+    """Here one with itself: the fields are the same, and both have the same readings."""
+    told = client.get(f"{PATH}/compare/{ID}").json()
+    (field,) = told["fields"]
+    assert (field["rms_T_per_A"], told["is_same_session"]) == (0.0, True)
+    assert told["sentences"][1] == "No number differs by more than 3 standard deviations."
+    page = client.get(f"{PATH}/compare/{ID}/report")
+    assert "Difference of the fields of coil1" in page.text
+    assert "sandbox" in page.headers["content-security-policy"]
+    again = client.get(f"{PATH}/compare/{ID}/report", headers={"If-None-Match": page.headers["etag"]})
+    assert again.status_code == 304
+    assert client.get(f"{PATH}/compare/{'d' * 32}").status_code == 404
+
+
 def test_a_grid_has_its_points_in_the_order_of_its_axes(
     client: TestClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
