@@ -29,6 +29,7 @@ MOST_COILS = 6  # without signs, all combinations of which are tried in each rea
 MOST_TURNS = 20  # of choosing signs and fitting
 OF_NOMINAL, OF_FITTED = 0.05, 0.01  # shares of its field that a rig as described, or fitted, may well be off
 LEAST_RATIO = 2.0  # of the change by a sign to the error that a reading may well have, from which the nearer sign counts
+LEAST_SIZE = 1e-3  # of such an error, over the largest one
 FEWEST_RUNS = 3  # fewer stretches with the other sign are causes of the library: `current_sign_since`, `current_sign_spell`
 
 
@@ -84,12 +85,14 @@ def lost_signs(rig: Rig, observations: Observations, fit: Fit | None = None) -> 
         if coil.is_wound and bool((current_A[:, i] != 0.0).any()) and _has_one_sign(current_A[:, i])
     ]
     result = LostSigns([], set())
-    if not 0 < len(lacking) <= MOST_COILS:
+    if not 0 < len(lacking) <= MOST_COILS or not bool(observations.is_measured.any()):
         return result
     try:
         expected_T = _expected_T(rig, observations, fit)
     except InvalidInput:
         return result  # a sensor stands in a winding there
+    if not bool(expected_T[1].any()):
+        return result
     off_by = OF_NOMINAL if fit is None else OF_FITTED
     best = min(
         (_signed(observations, *expected_T, lacking, off_by, at_mean) for at_mean in (False, True)),
@@ -186,7 +189,8 @@ def _signed(
         chosen = (rest_T[:, None] - by_choice_T).norm(dim=2).argmin(dim=1)
         before, signs = signs, choices[chosen]
         off_T = (rest_T - by_choice_T[torch.arange(n), chosen]).norm(dim=1)
-        size_T = off_by * largest_T + off_T.median()
+        size_T = off_by * largest_T + off_T[is_measured.any(dim=1)].median()
+        size_T = size_T.clamp(min=LEAST_SIZE * float(size_T.max()))
         design = torch.cat(((signs[:, :, None] * of_coil_T).mT, constant), dim=2) / size_T[:, None, None]
         design = design.flatten(0, 1)
         solution = least_squares(design.T @ design, design.T @ (measured_T / size_T[:, None]).flatten())

@@ -10,6 +10,7 @@ import torch
 
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.first_fit import FirstFit
+from estimator.diagnosis.lost_signs import lost_signs
 from estimator.diagnosis.result import Question
 from estimator.readings.flags import Flag, told
 from estimator.readings.observations import Observations
@@ -106,6 +107,19 @@ def test_signs_that_alternate_by_size_at_each_stop_are_told_too() -> None:
     readings, flowed_A = measured((0,), by_size=True)
     (flag,) = told_before_a_search(readings)
     assert len(flag.readings) > 0.9 * (flowed_A[:, 0] < 0.0).sum()
+
+
+def test_most_readings_may_be_left_out_before_and_others_may_have_no_current() -> None:
+    readings, flowed_A = measured((0,))
+    field_T, current_A = readings.field_sensor_T.clone(), readings.current_A.clone()
+    field_T[: N // 2 + 5] = torch.nan
+    current_A[-20:] = 0.0
+    field_T[-20:] = torch.from_numpy(EARTH_T)
+    rest = replace(readings.with_field(field_T), current_A=current_A)
+    (flag,) = lost_signs(rig(), rest).flags
+    assert set(flag.readings) <= set(np.flatnonzero(flowed_A[:, 0] < 0.0).tolist())
+    perfect = replace(rest, field_sensor_T=torch.zeros_like(field_T))
+    assert lost_signs(rig(), perfect).flags == []
 
 
 def test_one_change_of_sign_is_left_to_the_cause_of_the_library() -> None:
