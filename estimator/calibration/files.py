@@ -8,7 +8,7 @@ import math
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,10 +23,7 @@ from estimator.store.arrays import ARRAYS, observation_arrays, observations_from
 from estimator.store.files import kind_of, write_text, writing
 from estimator.store.made import GROUP, Made, arrays_of, holds
 from estimator.store.staging import staged
-from estimator.store.tree import Node, read_tree, tree_hash
-
-if TYPE_CHECKING:
-    import xarray as xr
+from estimator.store.tree import Node, read_tree, tree_hash, write_tree
 
 SCHEMA_VERSION = 1
 POSTERIOR_STORE, SUMMARY_FILE, CHAIN_STORE, REPORT = (
@@ -126,32 +123,26 @@ def read_parts(folder: Path) -> Parts:
 
 
 def _write_posterior(parts: Parts, path: Path, summary: str) -> None:
-    import xarray as xr  # almost a second, which whoever reads does without
-    from zarr.codecs import Crc32cCodec, ZstdCodec
-
     walkers, steps = parts.log_prob.shape
-    coords = {"chain": np.arange(walkers), "draw": np.arange(steps)}
     attributes = {
         "schema_version": SCHEMA_VERSION,
         "rig": json.dumps(rig_state(parts.rig)),
         "best": json.dumps(dict(parts.best)),
         SUMMARY_SEAL: _sha256(summary.encode()),
     }
-    posterior = {name: (("chain", "draw"), draws) for name, draws in parts.draws.items()}
+    axes = ("chain", "draw")
+    coordinates = {"chain": (axes[:1], np.arange(walkers)), "draw": (axes[1:], np.arange(steps))}
+    posterior = {name: (axes, draws) for name, draws in parts.draws.items()}
     arrays = observation_arrays(parts.observations)
-    tree = xr.DataTree.from_dict(
-        {
-            "/": xr.Dataset(attrs=attributes),
-            "/posterior": xr.Dataset(posterior, coords, {"inference_library": "emcee"}),
-            "/sample_stats": xr.Dataset({"lp": (("chain", "draw"), parts.log_prob)}, coords),
-            "/observed_data": xr.Dataset({"field_sensor_T": arrays.pop("field_sensor_T")}),
-            "/constant_data": xr.Dataset(arrays),
-        }
-    )
-    tree.attrs["sha256"] = tree_hash({node.path: _as_read(node) for node in tree.subtree})
-    checksummed = {"compressors": [ZstdCodec(level=3), Crc32cCodec()]}
-    encoding = {node.path: dict.fromkeys(node.dataset.variables, checksummed) for node in tree.subtree}
-    tree.to_zarr(path, mode="w", zarr_format=3, consolidated=False, encoding=encoding)
+    tree = {
+        "/": Node(attributes, {}),
+        "/posterior": Node({"inference_library": "emcee"}, {**posterior, **coordinates}),
+        "/sample_stats": Node({}, {"lp": (axes, parts.log_prob), **coordinates}),
+        "/observed_data": Node({}, {"field_sensor_T": arrays.pop("field_sensor_T")}),
+        "/constant_data": Node({}, arrays),
+    }
+    attributes["sha256"] = tree_hash(tree)
+    write_tree(path, tree)
 
 
 # By what damage may leave of them, too.
@@ -232,12 +223,3 @@ def _check_numbers(
 
 def _sha256(text: bytes) -> str:
     return hashlib.sha256(text).hexdigest()
-
-
-def _as_read(node: xr.DataTree) -> Node:
-    """A node of a tree as `read_tree` will find it."""
-    variables = {
-        str(name): (tuple(map(str, variable.dims)), variable.to_numpy())
-        for name, variable in node.dataset.variables.items()
-    }
-    return Node({str(name): value for name, value in node.attrs.items()}, variables)

@@ -33,7 +33,7 @@ ROWS = 20
 # After these, for rings of dipoles: four factors of the ring itself, then four of each pattern.
 RING, PATTERNS = POINTS_AT_ONCE * ROWS, POINTS_AT_ONCE * (ROWS + 4)
 SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
-FEW_TERMS = 2**22  # loops times points that NumPy sums in the time that numba takes to load
+FEW_TERMS = 2**23  # loops times points; NumPy sums them in hardly more time than numba takes to load
 _so_far = {"terms": 0}  # summed without machine code
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
 

@@ -288,11 +288,11 @@ class LogPosterior(Density):
         return (self.measured_T - self.predicted(vector)) / self.component_sigma_T(vector)
 
     def log_likelihood(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
-        """Log probability density of the measured components, some rows at a time where they would fill the memory."""
+        """Log probability density of the measured components, some rows at a time on each core where they would fill the memory."""
         at_once = max(1, COMPONENTS_AT_ONCE // max(1, len(self._flat)))
         if vector.dim() > 1 and len(vector) > at_once:
             parts = torch.arange(len(vector), device=vector.device).split(at_once)
-            return torch.cat([self.at(part).log_likelihood(vector[part]) for part in parts])
+            return torch.cat(list(each(lambda part: self.at(part).log_likelihood(vector[part]), parts)))
         if self._noise or uses_of(self.model.rig, RecordEffect):
             return self.log_likelihood_of(self.predicted(vector), self.component_sigma_T(vector), vector)
         # All components of a sensor have the same noise.

@@ -11,6 +11,7 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput, check_known
+from estimator.field.kernel import pays
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
 from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform
@@ -21,6 +22,7 @@ from estimator.model.sources import Sources
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Rig
+from estimator.side_by_side import each
 from estimator.tensors import Tensor, torch
 
 DRAWS_AND_POINTS = 20_000  # at a time: an oval coil holds a dozen arrays of 256 numbers for each
@@ -145,7 +147,7 @@ class RoomField:
 def some_at_a_time(
     at: Callable[[Values], Float[Tensor, "..."]], draws: Values, n_points: int, n_axes: int
 ) -> Float[Tensor, "..."]:
-    """What a function of the values says for many draws, some at a time: memory stays bounded where effects sum over loops of their own.
+    """What a function of the values says for many draws, some at a time on each core: memory stays bounded where effects sum over loops.
 
     Args:
         at: Of values with one batch axis or none, for all points.
@@ -156,11 +158,16 @@ def some_at_a_time(
     """
     n_draws = max((len(value) for value in draws.values() if value.dim()), default=1)
     n_each = max(1, DRAWS_AND_POINTS // max(n_points, 1))
+
+    def some(first: int) -> Tensor:
+        return at({k: v[first : first + n_each] if v.dim() else v for k, v in draws.items()})
+
     said = []
-    for first in range(0, n_draws, n_each):
-        said.append(at({k: v[first : first + n_each] if v.dim() else v for k, v in draws.items()}))
-        if said[0].dim() == n_axes:
-            return said[0]
+    # Threads would reach the end of what NumPy sums at any draw, and the last digits of a run would be its own.
+    for values in (each if pays(0) else map)(some, range(0, n_draws, n_each)):
+        if values.dim() == n_axes:
+            return values
+        said.append(values)
     return torch.cat(said)
 
 
@@ -185,8 +192,12 @@ def at_one_moment(
     powered = {coil.name: every_point for coil in rig.coils}
     n_moments = max(map(len, rows.values()), default=1) if uses_of(rig, MotionEffect) else 1
     off_A = zero.new_zeros(1, len(rig.coils))
-    each = [{name: row[min(i, len(row) - 1)][None] for name, row in rows.items()} for i in range(n_moments)]
-    moments = [Circumstances(rig, _readings(at, off_A)) for at in each]
+    moments = [
+        Circumstances(
+            rig, _readings({name: row[min(i, len(row) - 1)][None] for name, row in rows.items()}, off_A)
+        )
+        for i in range(n_moments)
+    ]
     by_moment = [columns_of(rig, moment) for moment in moments]
     columns = {label: torch.cat([columns[label] for columns in by_moment]) for label in by_moment[0]}
     return Sources(rig, moments[0], n_points, None, flange, columns, powered, rules={})

@@ -22,11 +22,12 @@ def scatter_T(observations: Observations, n_sensors: int) -> list[float | None]:
     _, place = torch.unique(torch.cat(settings, dim=1), dim=0, return_inverse=True)
     order = torch.argsort(place, stable=True)
     groups = torch.split(order, torch.bincount(place).tolist())
+    is_measured = observations.is_measured  # looks at all readings
     by_sensor: list[list[tuple[float, int]]] = [[] for _ in range(n_sensors)]
-    for rows in groups:
+    for rows in (rows for rows in groups if len(rows) >= 2):
         of_sensor = by_sensor[int(observations.sensor[rows[0]])]
         for axis in range(3):
-            read = rows[observations.is_measured[rows, axis]]
+            read = rows[is_measured[rows, axis]]
             if len(read) >= 2:
                 of_sensor.append(
                     _about_a_line(observations.current_A[read], observations.field_sensor_T[read, axis])

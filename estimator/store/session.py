@@ -30,7 +30,7 @@ from estimator.store.growing import GROWING, observations_of
 from estimator.store.journal import read_journal, unwritten
 from estimator.store.made import END, GROUP, JOURNAL, Made, arrays_of, has_journal, holds
 from estimator.store.staging import scratch_folder, staged
-from estimator.store.tree import read_tree
+from estimator.store.tree import read_tree, write_arrays
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
@@ -160,7 +160,6 @@ class Session(Shown):
 
     def _write(self, path: Path) -> None:
         import zarr  # a fifth of a second, which only the arrays of a session need
-        from zarr.codecs import Crc32cCodec, ZstdCodec
 
         attributes: dict[str, Any] = {
             "kind": KIND,
@@ -180,16 +179,7 @@ class Session(Shown):
             arrays["line"] = ("reading",), self.observations.line.numpy()
         _provenance(attributes, path)
         group = zarr.open_group(path, mode="w", zarr_format=3)
-        for name, (dimensions, data) in arrays.items():
-            array = group.create_array(
-                name,
-                shape=data.shape,
-                chunks=tuple(max(1, min(n, 65_536)) for n in data.shape),
-                dtype=data.dtype,
-                compressors=[ZstdCodec(level=3), Crc32cCodec()],
-                dimension_names=list(dimensions),
-            )
-            array[...] = data
+        write_arrays(group, arrays)
         group.attrs.update({**attributes, "sha256": digest(arrays, attributes)})
 
 

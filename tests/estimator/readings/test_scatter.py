@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from estimator.model.simulate import simulate
+from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
 from estimator.readings.scatter import scatter_T
 from estimator.rig_files.read import rig_from_text
@@ -68,3 +69,15 @@ def test_readings_that_were_written_beside_a_wrong_place_do_not_count(small_plan
     field_T[::40] = field_T[::40].flip(0)
     (noise_T,) = scatter_T(replace(observations, field_sensor_T=field_T), 1)
     assert noise_T == pytest.approx(5e-6, rel=0.25)
+
+
+def test_all_readings_are_looked_at_once_and_not_for_each_place(
+    small_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=2), {}, seed=4)
+    looks = []
+    is_measured = Observations.is_measured.fget
+    assert is_measured is not None
+    monkeypatch.setattr(Observations, "is_measured", property(lambda o: looks.append(o) or is_measured(o)))
+    scatter_T(observations, 1)
+    assert len(looks) == 1
