@@ -8,7 +8,7 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -22,8 +22,10 @@ from estimator.rig_files.read import load_rig
 from estimator.store.growing import new_header
 from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session
-from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, START_S, start
+from tests.estimator.cli.conftest import run
+from tests.estimator.cli.test_rig_simulator import START_S, start
 from tests.estimator.service.conftest import Served
+from tests.program import PROGRAM, ROOT
 
 HIDDEN_XY = 0.04
 BUSY = "arm1 failed: "  # by its watchdog, where a busy computer does not kick it five times a second; the same command goes on
@@ -54,8 +56,6 @@ devices:
   arm1: {arm: ur3e, host: 192.168.0.10, workspace_low_mm: [100, -150, 100], workspace_high_mm: [400, 150, 400], highest_speed_mm_per_s: 250}
   warmth: {thermometer: lakeshore_224, serial: /dev/ttyUSB2, inputs: {coil1: A}}
 """
-
-Run = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
@@ -112,7 +112,7 @@ def bring_home(folder: Path) -> None:
         )
 
 
-def gone_on(run: Run, folder: Path, out: Path) -> Result:
+def gone_on(folder: Path, out: Path) -> Result:
     """The same command again, and again where the computer was too busy for the arm."""
     for _ in range(4):
         result = run(*call(folder, out, "--json"))
@@ -136,9 +136,7 @@ def copy_without_devices(folder: Path, to: Path) -> None:
         (to / name).write_text((folder / name).read_text(), encoding="utf-8")
 
 
-def test_the_plan_and_its_times_are_shown_without_touching_anything(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
+def test_the_plan_and_its_times_are_shown_without_touching_anything(folder: Path, tmp_path: Path) -> None:
     copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
     result = run(*call(tmp_path, out, "--dry-run"))
@@ -164,7 +162,7 @@ def test_the_plan_and_its_times_are_shown_without_touching_anything(
     ],
 )
 def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
-    run: Run, folder: Path, tmp_path: Path, change: tuple[str, str], message: str
+    folder: Path, tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     plan = tmp_path / "plan.yaml"
     plan.write_text(PLAN.replace(*change), encoding="utf-8")
@@ -178,7 +176,7 @@ def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
 
 
 def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_are_not_opened(
-    run: Run, folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path
 ) -> None:
     copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
@@ -195,7 +193,7 @@ def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_
     ("how", "code"), [pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow), (signal.SIGKILL, -9)]
 )
 def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only(
-    run: Run, folder: Path, tmp_path: Path, how: signal.Signals, code: int
+    folder: Path, tmp_path: Path, how: signal.Signals, code: int
 ) -> None:
     out = tmp_path / "session.zarr"
     program = started(folder, out, 2)
@@ -216,9 +214,7 @@ def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only
 
 
 @pytest.mark.slow
-def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
+def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "session.zarr"
     program = started(folder, out, 3)
     os.kill(program.pid, signal.SIGINT)
@@ -226,7 +222,7 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
     assert program.returncode == 130, said
     assert "the same command goes on" in said[1]
     before = (out / JOURNAL).read_bytes()
-    result = gone_on(run, folder, out)
+    result = gone_on(folder, out)
     assert result.exit_code == 0, result.stderr
     said_json = json.loads(result.stdout)
     assert 3 <= said_json["stops_of_earlier_runs"] < 24
@@ -246,9 +242,7 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
 
 
 @pytest.mark.slow
-def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
-    run: Run, tmp_path: Path, rig_text: str
-) -> None:
+def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(tmp_path: Path, rig_text: str) -> None:
     rig = tmp_path / "rig.yaml"
     rig.write_text(rig_text.replace("noise_uT: 5", NOISE) + WARM_DEVICES, encoding="utf-8")
     (tmp_path / "plan.yaml").write_text(
@@ -258,7 +252,7 @@ def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
     simulator = start(rig, tmp_path / "devices.yaml", *hidden)
     try:
         out = tmp_path / "session.zarr"
-        result = gone_on(run, tmp_path, out)
+        result = gone_on(tmp_path, out)
     finally:
         simulator.terminate()
         simulator.communicate()
@@ -278,7 +272,7 @@ def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
 
 @pytest.mark.slow  # service/test_delivery.py holds the same without a program
 def test_readings_wait_for_a_service_that_does_not_answer_and_the_same_command_sends_the_rest(
-    run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(acquire, "DELIVERY_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as listener:

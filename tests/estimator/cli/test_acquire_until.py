@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -13,8 +13,10 @@ from click.testing import Result
 
 from estimator.store.journal import JOURNAL, read_journal
 from estimator.store.session import is_growing, load_session
+from tests.estimator.cli.conftest import refused, run
 from tests.estimator.cli.test_acquire import BUSY, NOISE, bring_home, is_off
-from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, START_S, start
+from tests.estimator.cli.test_rig_simulator import START_S, start
+from tests.program import PROGRAM, ROOT
 
 GOAL = "field 0.5 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
 PLAN = """\
@@ -26,7 +28,6 @@ poses:
     arm1: {x_mm: {from: -40, to: 40, count: 3}, y_mm: {from: -40, to: 40, count: 3}, z_mm: {from: -20, to: 20, count: 2}}
 currents_A: [{coil1: 3}, {coil1: -3}, {}]
 """
-Run = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +49,7 @@ def call(folder: Path, out: Path, *more: object) -> list[str]:
     return [str(part) for part in ("acquire", *files, "--until", GOAL, "--longest-settle", "0.5", *more)]
 
 
-def gone_on(run: Run, folder: Path, out: Path, *more: object) -> Result:
+def gone_on(folder: Path, out: Path, *more: object) -> Result:
     for _ in range(4):
         result = run(*call(folder, out, "--json", *more))
         if BUSY not in result.stderr:
@@ -58,7 +59,7 @@ def gone_on(run: Run, folder: Path, out: Path, *more: object) -> Result:
 
 @pytest.mark.flaky(reruns=2)
 def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
-    run: Run, folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path
 ) -> None:
     bring_home(folder)
     out = tmp_path / "session.zarr"
@@ -72,7 +73,7 @@ def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
     program.communicate()
     assert is_growing(out)
     before = read_journal(out)[1]
-    result = gone_on(run, folder, out)
+    result = gone_on(folder, out)
     assert result.exit_code == 0, result.stderr
     shown = json.loads(result.stdout)
     assert shown["ended"]["reason"].startswith("goal reached, also by")
@@ -87,12 +88,10 @@ def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
 
 
 @pytest.mark.flaky(reruns=2)
-def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(
-    run: Run, folder: Path, tmp_path: Path, refused: Callable[[Result], str]
-) -> None:
+def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(folder: Path, tmp_path: Path) -> None:
     bring_home(folder)
     out = tmp_path / "session.zarr"
-    result = gone_on(run, folder, out, "--most-stops", 3)
+    result = gone_on(folder, out, "--most-stops", 3)
     assert json.loads(result.stdout)["ended"]["reason"].startswith("limit of 3 stops")
     assert len(json.loads(run("show", out, "--json").stdout)["decisions"]) == 3
     (out / "zarr.json").unlink()  # as if it were interrupted
@@ -101,13 +100,13 @@ def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(
 
 
 @pytest.mark.flaky(reruns=2)
-def test_a_stop_that_the_arm_refuses_is_skipped_and_told(run: Run, folder: Path, tmp_path: Path) -> None:
+def test_a_stop_that_the_arm_refuses_is_skipped_and_told(folder: Path, tmp_path: Path) -> None:
     bring_home(folder)
     out, devices, narrow = tmp_path / "session.zarr", folder / "devices.yaml", tmp_path / "narrow.yaml"
     # The joints of the simulated arm are the numbers of its pose; its controller refuses the places on one side.
     limits = "    joint_low_rad: [-7, -7, -7, -7, -7, -7]\n    joint_high_rad: [7, 0.03, 7, 7, 7, 7]\n"
     narrow.write_text(devices.read_text().replace("    arm: ur3e\n", f"    arm: ur3e\n{limits}"))
-    result = gone_on(run, folder, out, "--most-stops", 8, "--devices", narrow)
+    result = gone_on(folder, out, "--most-stops", 8, "--devices", narrow)
     assert result.exit_code == 0, result.stderr
     assert (
         "a stop was refused, another one is chosen: arm.joint_2_rad must be within -7 and 0.03"
@@ -122,14 +121,12 @@ def test_a_stop_that_the_arm_refuses_is_skipped_and_told(run: Run, folder: Path,
     assert is_off(folder)
 
 
-def test_the_dry_run_names_candidates_and_goals(run: Run, folder: Path, tmp_path: Path) -> None:
+def test_the_dry_run_names_candidates_and_goals(folder: Path, tmp_path: Path) -> None:
     dry = run(*call(folder, tmp_path / "s.zarr", "--dry-run"))
     assert "54 stops to choose from" in dry.stdout
     assert GOAL in dry.stdout
 
 
-def test_neither_plan_nor_goal_is_refused(
-    run: Run, folder: Path, tmp_path: Path, refused: Callable[[Result], str]
-) -> None:
+def test_neither_plan_nor_goal_is_refused(folder: Path, tmp_path: Path) -> None:
     files = (folder / "rig.yaml", "--devices", folder / "devices.yaml", "--out", tmp_path / "s.zarr")
     assert "must be given a PLAN to carry out, or goals with --until" in refused(run("acquire", *files))

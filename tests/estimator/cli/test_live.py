@@ -9,13 +9,12 @@ import re
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from click.testing import Result
 from rich.console import Console
 
 from estimator.cli import live_session
@@ -31,8 +30,8 @@ from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
+from tests.estimator.cli.conftest import run
 
-Run = Callable[..., Result]
 N_STOPS = 108
 
 
@@ -82,7 +81,7 @@ def growing(tmp_path: Path, small_rig: Rig, stops: list[StopReadings]) -> Iterat
     writer.join()
 
 
-def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growing: Path) -> None:
+def test_it_follows_a_session_to_its_end_and_dates_what_changed(growing: Path) -> None:
     result = run("live", growing, "--no-refresh", "--json", "--wait", "20")
     assert result.exit_code == 0, result.stderr
     said = json.loads(result.stdout)
@@ -95,7 +94,7 @@ def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growin
 
 
 def test_what_is_not_fitted_and_what_was_lost_is_said(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
+    tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
 ) -> None:
     path = tmp_path / "session.zarr"
     stops[3] = replace(stops[3], is_validation=True)
@@ -114,7 +113,7 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
 
 
 def test_a_session_that_was_measured_before_has_alarms_too(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
+    tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
 ) -> None:
     """Its readings are taken in growing parts, each of which is compared with its prediction by those before."""
     path = tmp_path / "session.zarr"
@@ -129,7 +128,7 @@ def test_a_session_that_was_measured_before_has_alarms_too(
 
 @pytest.mark.slow
 def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
-    run: Run, tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
+    tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
 ) -> None:
     """The coil is cold for half the session, then warms up by 12 K, and its current sags by 0.4 % per kelvin."""
     path = tmp_path / "session.zarr"
@@ -173,7 +172,7 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     assert low < high
 
 
-def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
+def test_what_is_no_session_is_one_sentence(tmp_path: Path) -> None:
     result = run("live", tmp_path / "none", "--wait", "0")
     assert result.exit_code == 2
     assert "must be one that coilcal acquire writes or wrote" in result.stderr
@@ -211,7 +210,7 @@ class Failing(Background):
 
 
 def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_are(
-    run: Run, growing: Path, monkeypatch: pytest.MonkeyPatch
+    growing: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(refresh, "Background", Failing)
     result = run("live", growing, "--json", "--wait", "20")
@@ -257,7 +256,7 @@ def test_an_estimate_that_a_diagnosis_has_moved_is_not_called_polished(
 
 
 def test_nothing_is_made_of_the_readings_while_none_is_new(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, small_rig: Rig, stops: list[StopReadings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "session.zarr"
     with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:

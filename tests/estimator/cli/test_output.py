@@ -7,12 +7,11 @@ import json
 import logging
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import click
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from estimator.calibration.calibrate import Stage
 from estimator.cli.main import main
@@ -21,6 +20,7 @@ from estimator.cli.progress import Reporter, TimeLeft
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference.ensemble import Progress
 from estimator.inference.laplace import OpenDirection
+from tests.estimator.cli.conftest import run
 
 
 class Terminal(io.StringIO):
@@ -131,7 +131,7 @@ def test_the_time_left_follows_from_what_was_done_since_the_beginning(
     assert left.words(99.9, 100.0) == ""
 
 
-def test_quiet_keeps_progress_back_and_verbose_logs(run: Callable[..., Result], tmp_path: Path) -> None:
+def test_quiet_keeps_progress_back_and_verbose_logs(tmp_path: Path) -> None:
     @click.command(cls=CoilcalCommand)
     def long_command() -> None:
         with Reporter() as reporter:
