@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import re
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -104,6 +106,16 @@ def contents(folder: Path) -> dict[str, bytes | None]:
 def simulate(workspace: Path) -> Callable[..., Result]:
     """`coilcal simulate` with the rig and plan of the workspace."""
     return partial(run, "simulate", "--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml")
+
+
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """A wide terminal in place of standard error; not a fixture, for pytest sets its own before the test begins."""
+    made = io.StringIO()
+    monkeypatch.setattr(made, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stderr", made)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "150")
+    return made
 
 
 def refused(result: Result, exit_code: int = 2) -> str:

@@ -9,6 +9,7 @@ import socket
 import subprocess
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -58,14 +59,12 @@ devices:
 """
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[Path]:
-    """Rig, plan and the devices of a rig that runs, whose sensor shows part of y in x."""
-    path = tmp_path_factory.mktemp("acquire")
+@contextmanager
+def running(path: Path, rig_text: str, plan: str, *hidden: str) -> Iterator[Path]:
+    """A folder with rig, plan and the devices of a rig that runs."""
     (path / "rig.yaml").write_text(rig_text.replace("noise_uT: 5", NOISE), encoding="utf-8")
-    (path / "plan.yaml").write_text(PLAN, encoding="utf-8")
-    hidden = ("--hide", f"cross_axis[hall].xy={HIDDEN_XY}", "--set", "hall.noise_T=5e-6", "--seed", "1")
-    simulator = start(path / "rig.yaml", path / "devices.yaml", *hidden)
+    (path / "plan.yaml").write_text(plan, encoding="utf-8")
+    simulator = start(path / "rig.yaml", path / "devices.yaml", *hidden, "--seed", "1")
     devices = (path / "devices.yaml").read_text()
     (path / "devices.yaml").write_text(devices.replace("slew_A_per_s: 20", "slew_A_per_s: 100"))
     yield path
@@ -73,6 +72,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[
     simulator.terminate()
     said = simulator.communicate()
     assert ended is None, said[1]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[Path]:
+    """A rig that runs, whose sensor shows part of y in x."""
+    hidden = ("--hide", f"cross_axis[hall].xy={HIDDEN_XY}", "--set", "hall.noise_T=5e-6")
+    with running(tmp_path_factory.mktemp("acquire"), rig_text, PLAN, *hidden) as path:
+        yield path
 
 
 def call(folder: Path, out: Path, *more: object) -> list[str]:
@@ -112,10 +119,10 @@ def bring_home(folder: Path) -> None:
         )
 
 
-def gone_on(folder: Path, out: Path) -> Result:
+def gone_on(folder: Path, out: Path, *more: object) -> Result:
     """The same command again, and again where the computer was too busy for the arm."""
     for _ in range(4):
-        result = run(*call(folder, out, "--json"))
+        result = run(*call(folder, out, "--json", *more))
         if BUSY not in result.stderr:
             break
     return result
@@ -243,19 +250,10 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(folder: Path,
 
 @pytest.mark.slow
 def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(tmp_path: Path, rig_text: str) -> None:
-    rig = tmp_path / "rig.yaml"
-    rig.write_text(rig_text.replace("noise_uT: 5", NOISE) + WARM_DEVICES, encoding="utf-8")
-    (tmp_path / "plan.yaml").write_text(
-        PLAN.replace("settle_s: 0.02", "settle_s: 0.02\nrepeats: 2"), encoding="utf-8"
-    )
-    hidden = ("--hide", "coil_heating.loss_per_K=0.004", "--set", "hall.noise_T=5e-6", "--seed", "1")
-    simulator = start(rig, tmp_path / "devices.yaml", *hidden)
-    try:
-        out = tmp_path / "session.zarr"
+    out, plan = tmp_path / "session.zarr", PLAN.replace("settle_s: 0.02", "settle_s: 0.02\nrepeats: 2")
+    hidden = ("--hide", "coil_heating.loss_per_K=0.004", "--set", "hall.noise_T=5e-6")
+    with running(tmp_path, rig_text + WARM_DEVICES, plan, *hidden):
         result = gone_on(tmp_path, out)
-    finally:
-        simulator.terminate()
-        simulator.communicate()
     assert result.exit_code == 0, result.stderr
     warmth_C = load_session(out).observations.temperature_C
     assert sorted(warmth_C) == ["coil1", "hall"]
@@ -279,10 +277,7 @@ def test_readings_wait_for_a_service_that_does_not_answer_and_the_same_command_s
         port = listener.getsockname()[1]
     out, url = tmp_path / "session.zarr", f"http://127.0.0.1:{port}"
     bring_home(folder)
-    for _ in range(4):
-        result = run(*call(folder, out, "--to", url, "--json"))
-        if BUSY not in result.stderr:
-            break
+    result = gone_on(folder, out, "--to", url)
     assert result.exit_code == 7, result.stderr
     assert "must answer" in result.stderr
     assert "the same command sends the rest" in result.stderr

@@ -7,7 +7,8 @@ import os
 import re
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
 from estimator.cli.simulated_devices import default_devices
-from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.journal import JOURNAL
 from estimator.store.session import is_growing, load_session
 from tests.drivers.fields import along_z
@@ -37,32 +38,45 @@ repeats: 4
 N_STOPS = 24
 
 
-@pytest.fixture
-def running(tmp_path: Path, small_rig: Rig, rig_text: str) -> Iterator[SimulatedRig]:
-    section = default_devices(small_rig)
-    home = FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
-    circuits = [CoilCircuit(2.0, 0.01, kelvin_per_W=2.0, thermal_time_constant_s=5.0)]
+@contextmanager
+def simulated(folder: Path, text: str, plan: str, circuit: CoilCircuit) -> Iterator[SimulatedRig]:
+    """A rig that runs in this process, and its files."""
+    section, home = default_devices(rig_from_text(text)), FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
     with SimulatedRig(
-        section, {"hall": along_z}, circuits=circuits, homes=[home], first_host=free_host()
+        section, {"hall": along_z}, circuits=[circuit], homes=[home], first_host=free_host()
     ) as rig:
-        (tmp_path / "rig.yaml").write_text(rig_text, encoding="utf-8")
-        (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
-        (tmp_path / "devices.yaml").write_text(yaml.safe_dump({"devices": rig.section}), encoding="utf-8")
+        (folder / "rig.yaml").write_text(text, encoding="utf-8")
+        (folder / "plan.yaml").write_text(plan, encoding="utf-8")
+        (folder / "devices.yaml").write_text(yaml.safe_dump({"devices": rig.section}), encoding="utf-8")
         yield rig
 
 
-def fails_after(rig: SimulatedRig, out: Path, n_stops: int, device: str, fault: Fault) -> threading.Thread:
-    def wait_and_fail() -> None:
+@pytest.fixture
+def running(tmp_path: Path, rig_text: str) -> Iterator[SimulatedRig]:
+    circuit = CoilCircuit(2.0, 0.01, kelvin_per_W=2.0, thermal_time_constant_s=5.0)
+    with simulated(tmp_path, rig_text, PLAN, circuit) as rig:
+        yield rig
+
+
+def after_stops(out: Path, n_stops: int, act: Callable[[], None]) -> threading.Thread:
+    """Do something once so many stops are in the journal."""
+
+    def wait_and_act() -> None:
         deadline_s = time.monotonic() + 30.0
         while time.monotonic() < deadline_s:
             if (out / JOURNAL).exists() and (out / JOURNAL).read_bytes().count(b"\n") > n_stops:
-                rig.simulators[device].faults.fault = fault
+                act()
                 return
             time.sleep(0.01)
 
-    thread = threading.Thread(target=wait_and_fail)
+    thread = threading.Thread(target=wait_and_act)
     thread.start()
     return thread
+
+
+def fails_after(rig: SimulatedRig, out: Path, n_stops: int, device: str, fault: Fault) -> threading.Thread:
+    faults = rig.simulators[device].faults
+    return after_stops(out, n_stops, lambda: setattr(faults, "fault", fault))
 
 
 def acquire(folder: Path) -> Result:
@@ -126,15 +140,7 @@ def test_an_instrument_that_is_killed_ends_the_run_in_one_sentence_and_every_sto
 ) -> None:
     """Its line hangs up, as where somebody pulls its cable."""
     out = tmp_path / "session.zarr"
-    stops = (out / JOURNAL).exists
-
-    def kill() -> None:
-        while not (stops() and (out / JOURNAL).read_bytes().count(b"\n") > 4):
-            time.sleep(0.01)
-        running.simulators["hall"].close()
-
-    killing = threading.Thread(target=kill)
-    killing.start()
+    killing = after_stops(out, 4, running.simulators["hall"].close)
     result = acquire(tmp_path)
     killing.join()
     assert result.exit_code == 5, result.stderr

@@ -13,19 +13,14 @@ import pytest
 import yaml
 
 import drivers.guarded
-from drivers.protocols import FlangePose
 from drivers.safety import CoilLoad, CurrentLimits, check_current
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from estimator.cli.simulated_devices import default_devices
-from estimator.rig.rig import Rig
 from estimator.store.journal import read_journal
 from estimator.store.session import is_growing, load_session
-from tests.drivers.fields import along_z
-from tests.drivers.rig import free_host
 from tests.estimator.cli.conftest import run
-from tests.estimator.cli.test_acquire_faults import acquire, fails_after
+from tests.estimator.cli.test_acquire_faults import acquire, fails_after, simulated
 
 CURRENT_A = 3.0
 N_STOPS = 15
@@ -44,18 +39,9 @@ CIRCUIT = CoilCircuit(2.0, 0.01, kelvin_per_W=2.0, thermal_time_constant_s=TIME_
 
 
 @pytest.fixture
-def interrupted(tmp_path: Path, small_rig: Rig, rig_text: str) -> Iterator[SimulatedRig]:
+def interrupted(tmp_path: Path, rig_text: str) -> Iterator[SimulatedRig]:
     """A rig whose measurement, in `session.zarr`, has ended a moment ago because its sensor failed; the sensor is well again."""
-    home = FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
-    with SimulatedRig(
-        default_devices(small_rig),
-        {"hall": along_z},
-        circuits=[CIRCUIT],
-        homes=[home],
-        first_host=free_host(),
-    ) as rig:
-        (tmp_path / "rig.yaml").write_text(rig_text, encoding="utf-8")
-        (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
+    with simulated(tmp_path, rig_text, PLAN, CIRCUIT) as rig:
         write_devices(tmp_path, rig, continuous_A=5.0)
         failing = fails_after(rig, tmp_path / "session.zarr", 7, "hall", Fault.GARBAGE)
         result = acquire(tmp_path)
