@@ -13,7 +13,7 @@ import pytest
 from estimator.store.journal import JOURNAL, read_journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.conftest import refused, run
-from tests.estimator.cli.test_acquire import bring_home, call, gone_on, is_off, running
+from tests.estimator.cli.test_acquire import bring_home, call, gone_on, is_off, quicker, running
 from tests.estimator.cli.test_rig_simulator import START_S
 from tests.program import PROGRAM, ROOT
 
@@ -34,6 +34,7 @@ currents_A: [{coil1: 3}, {coil1: -3}, {}]
 def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[Path]:
     """Rig, places and the devices of a rig that runs."""
     with running(tmp_path_factory.mktemp("until"), rig_text, PLAN, "--set", "hall.noise_T=2e-5") as path:
+        quicker(path)
         yield path
 
 
