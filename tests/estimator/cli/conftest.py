@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import io
 import re
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -15,10 +18,9 @@ from estimator.cli.main import main
 from tests.once import once
 
 CONTROL_CHARACTERS = re.compile(r"[\x00-\x09\x0b-\x1f\x7f]")  # all but line feeds
-Run = Callable[..., Result]
 
 
-def invoke(*arguments: object) -> Result:
+def run(*arguments: object) -> Result:
     """Run a command; whatever it prints has no control characters, and nothing escapes as a traceback."""
     n_threads = torch.get_num_threads()
     try:
@@ -29,11 +31,6 @@ def invoke(*arguments: object) -> Result:
         raise result.exception
     assert not CONTROL_CHARACTERS.search(result.stdout + result.stderr)
     return result
-
-
-@pytest.fixture(scope="session")
-def run() -> Run:
-    return invoke
 
 
 @dataclass(frozen=True)
@@ -70,7 +67,7 @@ def made(
                 *("--current", "coil1=2", "--out", folder / "field.csv"),
             ],
         }
-        results = {command: invoke(command, *call) for command, call in calls.items()}
+        results = {command: run(command, *call) for command, call in calls.items()}
         return folder, {c: Printed(r.exit_code, r.stdout, r.stderr) for c, r in results.items()}
 
     return once(tmp_path_factory, "workspace", make)
@@ -106,14 +103,25 @@ def contents(folder: Path) -> dict[str, bytes | None]:
 
 
 @pytest.fixture(scope="session")
-def refused() -> Callable[[Result, int], str]:
+def simulate(workspace: Path) -> Callable[..., Result]:
+    """`coilcal simulate` with the rig and plan of the workspace."""
+    return partial(run, "simulate", "--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml")
+
+
+def terminal(monkeypatch: pytest.MonkeyPatch) -> io.StringIO:
+    """A wide terminal in place of standard error; not a fixture, for pytest sets its own before the test begins."""
+    made = io.StringIO()
+    monkeypatch.setattr(made, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(sys, "stderr", made)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "150")
+    return made
+
+
+def refused(result: Result, exit_code: int = 2) -> str:
     """The one sentence that a refused command prints."""
-
-    def sentence(result: Result, exit_code: int = 2) -> str:
-        assert (result.exit_code, result.stdout) == (exit_code, "")
-        assert result.stderr.count("\n") == 1
-        assert result.stderr.startswith("coilcal: ")
-        assert "Errno" not in result.stderr
-        return result.stderr.removeprefix("coilcal: ").strip()
-
-    return sentence
+    assert (result.exit_code, result.stdout) == (exit_code, "")
+    assert result.stderr.count("\n") == 1
+    assert result.stderr.startswith("coilcal: ")
+    assert "Errno" not in result.stderr
+    return result.stderr.removeprefix("coilcal: ").strip()

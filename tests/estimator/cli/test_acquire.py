@@ -8,7 +8,8 @@ import signal
 import socket
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -22,8 +23,10 @@ from estimator.rig_files.read import load_rig
 from estimator.store.growing import new_header
 from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session
-from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, START_S, start
+from tests.estimator.cli.conftest import run
+from tests.estimator.cli.test_rig_simulator import START_S, start
 from tests.estimator.service.conftest import Served
+from tests.program import PROGRAM, ROOT
 
 HIDDEN_XY = 0.04
 BUSY = "arm1 failed: "  # by its watchdog, where a busy computer does not kick it five times a second; the same command goes on
@@ -55,24 +58,35 @@ devices:
   warmth: {thermometer: lakeshore_224, serial: /dev/ttyUSB2, inputs: {coil1: A}}
 """
 
-Run = Callable[..., Result]
+
+@contextmanager
+def running(path: Path, rig_text: str, plan: str, *hidden: str) -> Iterator[Path]:
+    """A folder with rig, plan and the devices of a rig that runs."""
+    (path / "rig.yaml").write_text(rig_text.replace("noise_uT: 5", NOISE), encoding="utf-8")
+    (path / "plan.yaml").write_text(plan, encoding="utf-8")
+    simulator = start(path / "rig.yaml", path / "devices.yaml", *hidden, "--seed", "1")
+    try:
+        yield path
+        ended = simulator.poll()
+    finally:
+        simulator.terminate()
+        said = simulator.communicate()
+    assert ended is None, said[1]
+
+
+def quicker(path: Path) -> None:
+    """Let currents change five times as fast as the simulator's own limits."""
+    devices = (path / "devices.yaml").read_text()
+    (path / "devices.yaml").write_text(devices.replace("slew_A_per_s: 20", "slew_A_per_s: 100"))
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[Path]:
-    """Rig, plan and the devices of a rig that runs, whose sensor shows part of y in x."""
-    path = tmp_path_factory.mktemp("acquire")
-    (path / "rig.yaml").write_text(rig_text.replace("noise_uT: 5", NOISE), encoding="utf-8")
-    (path / "plan.yaml").write_text(PLAN, encoding="utf-8")
-    hidden = ("--hide", f"cross_axis[hall].xy={HIDDEN_XY}", "--set", "hall.noise_T=5e-6", "--seed", "1")
-    simulator = start(path / "rig.yaml", path / "devices.yaml", *hidden)
-    devices = (path / "devices.yaml").read_text()
-    (path / "devices.yaml").write_text(devices.replace("slew_A_per_s: 20", "slew_A_per_s: 100"))
-    yield path
-    ended = simulator.poll()
-    simulator.terminate()
-    said = simulator.communicate()
-    assert ended is None, said[1]
+    """A rig that runs, whose sensor shows part of y in x."""
+    hidden = ("--hide", f"cross_axis[hall].xy={HIDDEN_XY}", "--set", "hall.noise_T=5e-6")
+    with running(tmp_path_factory.mktemp("acquire"), rig_text, PLAN, *hidden) as path:
+        quicker(path)
+        yield path
 
 
 def call(folder: Path, out: Path, *more: object) -> list[str]:
@@ -112,10 +126,10 @@ def bring_home(folder: Path) -> None:
         )
 
 
-def gone_on(run: Run, folder: Path, out: Path) -> Result:
+def gone_on(folder: Path, out: Path, *more: object) -> Result:
     """The same command again, and again where the computer was too busy for the arm."""
     for _ in range(4):
-        result = run(*call(folder, out, "--json"))
+        result = run(*call(folder, out, "--json", *more))
         if BUSY not in result.stderr:
             break
     return result
@@ -136,9 +150,7 @@ def copy_without_devices(folder: Path, to: Path) -> None:
         (to / name).write_text((folder / name).read_text(), encoding="utf-8")
 
 
-def test_the_plan_and_its_times_are_shown_without_touching_anything(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
+def test_the_plan_and_its_times_are_shown_without_touching_anything(folder: Path, tmp_path: Path) -> None:
     copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
     result = run(*call(tmp_path, out, "--dry-run"))
@@ -164,7 +176,7 @@ def test_the_plan_and_its_times_are_shown_without_touching_anything(
     ],
 )
 def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
-    run: Run, folder: Path, tmp_path: Path, change: tuple[str, str], message: str
+    folder: Path, tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     plan = tmp_path / "plan.yaml"
     plan.write_text(PLAN.replace(*change), encoding="utf-8")
@@ -178,7 +190,7 @@ def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
 
 
 def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_are_not_opened(
-    run: Run, folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path
 ) -> None:
     copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
@@ -195,7 +207,7 @@ def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_
     ("how", "code"), [pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow), (signal.SIGKILL, -9)]
 )
 def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only(
-    run: Run, folder: Path, tmp_path: Path, how: signal.Signals, code: int
+    folder: Path, tmp_path: Path, how: signal.Signals, code: int
 ) -> None:
     out = tmp_path / "session.zarr"
     program = started(folder, out, 2)
@@ -216,9 +228,7 @@ def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only
 
 
 @pytest.mark.slow
-def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
-    run: Run, folder: Path, tmp_path: Path
-) -> None:
+def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "session.zarr"
     program = started(folder, out, 3)
     os.kill(program.pid, signal.SIGINT)
@@ -226,7 +236,7 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
     assert program.returncode == 130, said
     assert "the same command goes on" in said[1]
     before = (out / JOURNAL).read_bytes()
-    result = gone_on(run, folder, out)
+    result = gone_on(folder, out)
     assert result.exit_code == 0, result.stderr
     said_json = json.loads(result.stdout)
     assert 3 <= said_json["stops_of_earlier_runs"] < 24
@@ -246,22 +256,11 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(
 
 
 @pytest.mark.slow
-def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
-    run: Run, tmp_path: Path, rig_text: str
-) -> None:
-    rig = tmp_path / "rig.yaml"
-    rig.write_text(rig_text.replace("noise_uT: 5", NOISE) + WARM_DEVICES, encoding="utf-8")
-    (tmp_path / "plan.yaml").write_text(
-        PLAN.replace("settle_s: 0.02", "settle_s: 0.02\nrepeats: 2"), encoding="utf-8"
-    )
-    hidden = ("--hide", "coil_heating.loss_per_K=0.004", "--set", "hall.noise_T=5e-6", "--seed", "1")
-    simulator = start(rig, tmp_path / "devices.yaml", *hidden)
-    try:
-        out = tmp_path / "session.zarr"
-        result = gone_on(run, tmp_path, out)
-    finally:
-        simulator.terminate()
-        simulator.communicate()
+def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(tmp_path: Path, rig_text: str) -> None:
+    out, plan = tmp_path / "session.zarr", PLAN.replace("settle_s: 0.02", "settle_s: 0.02\nrepeats: 2")
+    hidden = ("--hide", "coil_heating.loss_per_K=0.004", "--set", "hall.noise_T=5e-6")
+    with running(tmp_path, rig_text + WARM_DEVICES, plan, *hidden):
+        result = gone_on(tmp_path, out)
     assert result.exit_code == 0, result.stderr
     warmth_C = load_session(out).observations.temperature_C
     assert sorted(warmth_C) == ["coil1", "hall"]
@@ -278,17 +277,14 @@ def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(
 
 @pytest.mark.slow  # service/test_delivery.py holds the same without a program
 def test_readings_wait_for_a_service_that_does_not_answer_and_the_same_command_sends_the_rest(
-    run: Run, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(acquire, "DELIVERY_S", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     out, url = tmp_path / "session.zarr", f"http://127.0.0.1:{port}"
     bring_home(folder)
-    for _ in range(4):
-        result = run(*call(folder, out, "--to", url, "--json"))
-        if BUSY not in result.stderr:
-            break
+    result = gone_on(folder, out, "--to", url)
     assert result.exit_code == 7, result.stderr
     assert "must answer" in result.stderr
     assert "the same command sends the rest" in result.stderr

@@ -8,6 +8,7 @@ import re
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,13 +20,13 @@ from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
 from estimator.cli.simulated_devices import default_devices
-from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
 from estimator.store.journal import JOURNAL
 from estimator.store.session import is_growing, load_session
 from tests.drivers.fields import along_z
 from tests.drivers.rig import free_host
+from tests.estimator.cli.conftest import run
 
-Run = Callable[..., Result]
 PLAN = """\
 schema_version: 1
 name: to and fro
@@ -37,35 +38,48 @@ repeats: 4
 N_STOPS = 24
 
 
-@pytest.fixture
-def running(tmp_path: Path, small_rig: Rig, rig_text: str) -> Iterator[SimulatedRig]:
-    section = default_devices(small_rig)
-    home = FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
-    circuits = [CoilCircuit(2.0, 0.01, kelvin_per_W=2.0, thermal_time_constant_s=5.0)]
+@contextmanager
+def simulated(folder: Path, text: str, plan: str, circuit: CoilCircuit) -> Iterator[SimulatedRig]:
+    """A rig that runs in this process, and its files."""
+    section, home = default_devices(rig_from_text(text)), FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
     with SimulatedRig(
-        section, {"hall": along_z}, circuits=circuits, homes=[home], first_host=free_host()
+        section, {"hall": along_z}, circuits=[circuit], homes=[home], first_host=free_host()
     ) as rig:
-        (tmp_path / "rig.yaml").write_text(rig_text, encoding="utf-8")
-        (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
-        (tmp_path / "devices.yaml").write_text(yaml.safe_dump({"devices": rig.section}), encoding="utf-8")
+        (folder / "rig.yaml").write_text(text, encoding="utf-8")
+        (folder / "plan.yaml").write_text(plan, encoding="utf-8")
+        (folder / "devices.yaml").write_text(yaml.safe_dump({"devices": rig.section}), encoding="utf-8")
         yield rig
 
 
-def fails_after(rig: SimulatedRig, out: Path, n_stops: int, device: str, fault: Fault) -> threading.Thread:
-    def wait_and_fail() -> None:
+@pytest.fixture
+def running(tmp_path: Path, rig_text: str) -> Iterator[SimulatedRig]:
+    circuit = CoilCircuit(2.0, 0.01, kelvin_per_W=2.0, thermal_time_constant_s=5.0)
+    with simulated(tmp_path, rig_text, PLAN, circuit) as rig:
+        yield rig
+
+
+def after_stops(out: Path, n_stops: int, act: Callable[[], None]) -> threading.Thread:
+    """Do something once so many stops are in the journal."""
+
+    def wait_and_act() -> None:
         deadline_s = time.monotonic() + 30.0
         while time.monotonic() < deadline_s:
             if (out / JOURNAL).exists() and (out / JOURNAL).read_bytes().count(b"\n") > n_stops:
-                rig.simulators[device].faults.fault = fault
+                act()
                 return
             time.sleep(0.01)
 
-    thread = threading.Thread(target=wait_and_fail)
+    thread = threading.Thread(target=wait_and_act)
     thread.start()
     return thread
 
 
-def acquire(run: Run, folder: Path) -> Result:
+def fails_after(rig: SimulatedRig, out: Path, n_stops: int, device: str, fault: Fault) -> threading.Thread:
+    faults = rig.simulators[device].faults
+    return after_stops(out, n_stops, lambda: setattr(faults, "fault", fault))
+
+
+def acquire(folder: Path) -> Result:
     files = (folder / "rig.yaml", folder / "plan.yaml", "--devices", folder / "devices.yaml")
     return run("acquire", *files, "--out", folder / "session.zarr")
 
@@ -88,11 +102,11 @@ def sentence_of(result: Result) -> str:
     ],
 )
 def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
-    run: Run, running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, word: str
+    running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, word: str
 ) -> None:
     out = tmp_path / "session.zarr"
     failing = fails_after(running, out, 3, device, fault)
-    result = acquire(run, tmp_path)
+    result = acquire(tmp_path)
     failing.join()
     assert result.exit_code == 5, result.stderr
     sentence = sentence_of(result)
@@ -105,18 +119,16 @@ def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
     assert 3 <= n_before < N_STOPS
     if device in {"hall", "warmth"}:  # whose cable is back
         running.simulators[device].faults.fault = Fault.NONE
-        result = acquire(run, tmp_path)
+        result = acquire(tmp_path)
         assert result.exit_code == 0, result.stderr
         assert f"{n_before} of {N_STOPS} stops were visited before" in result.stderr
         assert len(load_session(out).observations) == N_STOPS
 
 
 @pytest.mark.slow
-def test_answers_that_come_letter_by_letter_only_take_longer(
-    run: Run, running: SimulatedRig, tmp_path: Path
-) -> None:
+def test_answers_that_come_letter_by_letter_only_take_longer(running: SimulatedRig, tmp_path: Path) -> None:
     failing = fails_after(running, tmp_path / "session.zarr", 20, "warmth", Fault.SLOW)
-    result = acquire(run, tmp_path)
+    result = acquire(tmp_path)
     failing.join()
     assert result.exit_code == 0, result.stderr
     assert len(load_session(tmp_path / "session.zarr").observations) == N_STOPS
@@ -124,20 +136,12 @@ def test_answers_that_come_letter_by_letter_only_take_longer(
 
 @pytest.mark.slow
 def test_an_instrument_that_is_killed_ends_the_run_in_one_sentence_and_every_stop_before_is_there(
-    run: Run, running: SimulatedRig, tmp_path: Path
+    running: SimulatedRig, tmp_path: Path
 ) -> None:
     """Its line hangs up, as where somebody pulls its cable."""
     out = tmp_path / "session.zarr"
-    stops = (out / JOURNAL).exists
-
-    def kill() -> None:
-        while not (stops() and (out / JOURNAL).read_bytes().count(b"\n") > 4):
-            time.sleep(0.01)
-        running.simulators["hall"].close()
-
-    killing = threading.Thread(target=kill)
-    killing.start()
-    result = acquire(run, tmp_path)
+    killing = after_stops(out, 4, running.simulators["hall"].close)
+    result = acquire(tmp_path)
     killing.join()
     assert result.exit_code == 5, result.stderr
     assert sentence_of(result).startswith("coilcal: hall failed: ")
@@ -147,7 +151,7 @@ def test_an_instrument_that_is_killed_ends_the_run_in_one_sentence_and_every_sto
 
 @pytest.mark.slow
 def test_a_full_disk_ends_the_run_in_one_sentence_and_the_same_command_goes_on(
-    run: Run, running: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    running: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write, n_written = os.pwrite, 0
 
@@ -160,7 +164,7 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_the_same_command_goes_on(
 
     with monkeypatch.context() as patched:
         patched.setattr(os, "pwrite", full_after_six)
-        result = acquire(run, tmp_path)
+        result = acquire(tmp_path)
     assert result.exit_code == 2, result.stderr
     out = tmp_path / "session.zarr"
     (sentence,) = [line for line in result.stderr.splitlines() if "No space left" in line]
@@ -171,19 +175,19 @@ def test_a_full_disk_ends_the_run_in_one_sentence_and_the_same_command_goes_on(
     assert abs(running.world.snapshot().currents_A[0]) < 1e-3
     n_before = len(load_session(out).observations)
     assert n_before >= 4
-    assert acquire(run, tmp_path).exit_code == 0
+    assert acquire(tmp_path).exit_code == 0
     assert len(load_session(out).observations) == N_STOPS
 
 
 def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when_it_is_cool(
-    run: Run, running: SimulatedRig, tmp_path: Path
+    running: SimulatedRig, tmp_path: Path
 ) -> None:
     out = tmp_path / "session.zarr"
     section = {**running.section, "coil1": {**running.section["coil1"], "highest_temperature_C": 40}}
     (tmp_path / "devices.yaml").write_text(yaml.safe_dump({"devices": section}), encoding="utf-8")
     plan = tmp_path / "plan.yaml"
     plan.write_text(PLAN.replace("coil1: 1", "coil1: 3").replace("coil1: -1", "coil1: -3"), encoding="utf-8")
-    result = acquire(run, tmp_path)
+    result = acquire(tmp_path)
     assert result.exit_code == 5, result.stderr
     sentence = sentence_of(result)
     said = re.fullmatch(
@@ -201,7 +205,7 @@ def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when
     assert float(before.temperature_C["coil1"].diff().min()) > 0.0
     assert float(before.temperature_C["coil1"].max()) <= 40.0
     time.sleep(6.0)
-    assert acquire(run, tmp_path).exit_code in {
+    assert acquire(tmp_path).exit_code in {
         0,
         5,
     }  # where stops take long, it is too hot again before the last
@@ -219,10 +223,10 @@ def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when
     ],
 )
 def test_what_cannot_be_reached_is_not_known_to_be_at_rest(
-    run: Run, running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, is_off: bool
+    running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, is_off: bool
 ) -> None:
     failing = fails_after(running, tmp_path / "session.zarr", 3, device, fault)
-    result = acquire(run, tmp_path)
+    result = acquire(tmp_path)
     failing.join()
     assert result.exit_code == 5
     sentence = sentence_of(result)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -15,6 +14,7 @@ from estimator.model.simulate import perfect_readings
 from estimator.readings.plan import load_plan
 from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
+from tests.estimator.cli.conftest import run
 from tests.estimator.cli.test_rig_simulator import start
 
 RIG = """\
@@ -45,10 +45,8 @@ BUSY = re.compile(
     r"arm\d failed: "
 )  # by its watchdog, where a busy computer does not kick it five times a second
 
-Run = Callable[..., Result]
 
-
-def measured(run: Run, rig: Path, plan: Path, out: Path, *hidden: str) -> Result:
+def measured(rig: Path, plan: Path, out: Path, *hidden: str) -> Result:
     """The plan carried out with a rig that runs for it, again where the computer was too busy for an arm."""
     simulator = start(rig, devices := rig.with_name("devices.yaml"), *hidden, "--seed", "1")
     devices.write_text(devices.read_text().replace("slew_A_per_s: 20", "slew_A_per_s: 100"))
@@ -64,11 +62,11 @@ def measured(run: Run, rig: Path, plan: Path, out: Path, *hidden: str) -> Result
 
 
 @pytest.mark.slow  # a minute and a half on two busy cores
-def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(run: Run, tmp_path: Path) -> None:
+def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(tmp_path: Path) -> None:
     rig_path, plan_path, out = (tmp_path / name for name in ("rig.yaml", "plan.yaml", "session.zarr"))
     rig_path.write_text(RIG, encoding="utf-8")
     plan_path.write_text(PLAN, encoding="utf-8")
-    result = measured(run, rig_path, plan_path, out)
+    result = measured(rig_path, plan_path, out)
     assert result.exit_code == 0, result.stderr
     session = load_session(out)
     readings, rig = session.observations, load_rig(rig_path)
@@ -87,12 +85,12 @@ def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(run: 
 
 
 @pytest.mark.slow
-def test_a_plan_that_design_wrote_is_carried_out(run: Run, workspace: Path, tmp_path: Path) -> None:
+def test_a_plan_that_design_wrote_is_carried_out(workspace: Path, tmp_path: Path) -> None:
     plan_path, out, rig_path = tmp_path / "more.yaml", tmp_path / "more.zarr", tmp_path / "rig.yaml"
     rig_path.write_bytes((workspace / "rig.yaml").read_bytes())
     goal = ("--shrink", "coil1.radius_m", "--readings", 5)
     assert run("design", workspace / "session.zarr", *goal, "--out", plan_path).exit_code == 0
-    result = measured(run, rig_path, plan_path, out, "--set", "coil1.axial_loops=13")
+    result = measured(rig_path, plan_path, out, "--set", "coil1.axial_loops=13")
     assert result.exit_code == 0, result.stderr
     readings, rig = load_session(out).observations, load_rig(rig_path)
     asked = stops_of(load_plan(plan_path, rig), rig, 0)

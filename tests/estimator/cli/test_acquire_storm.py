@@ -17,7 +17,7 @@ import pytest
 from estimator.store.journal import JOURNAL, read_journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.test_acquire import bring_home, call, folder, is_off
-from tests.estimator.cli.test_rig_simulator import ROOT
+from tests.program import ROOT
 
 __all__ = ["folder"]  # the fixture of a rig that runs
 

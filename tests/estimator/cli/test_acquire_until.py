@@ -5,18 +5,20 @@ from __future__ import annotations
 import json
 import subprocess
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 from estimator.store.journal import JOURNAL, read_journal
 from estimator.store.session import is_growing, load_session
-from tests.estimator.cli.test_acquire import BUSY, NOISE, bring_home, is_off
-from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, START_S, start
+from tests.estimator.cli.conftest import refused, run
+from tests.estimator.cli.test_acquire import bring_home, call, gone_on, is_off, quicker, running
+from tests.estimator.cli.test_rig_simulator import START_S
+from tests.program import PROGRAM, ROOT
 
 GOAL = "field 0.5 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
+UNTIL = ("--until", GOAL, "--longest-settle", "0.5")
 PLAN = """\
 schema_version: 1
 name: places to choose from
@@ -26,43 +28,23 @@ poses:
     arm1: {x_mm: {from: -40, to: 40, count: 3}, y_mm: {from: -40, to: 40, count: 3}, z_mm: {from: -20, to: 20, count: 2}}
 currents_A: [{coil1: 3}, {coil1: -3}, {}]
 """
-Run = Callable[..., Result]
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[Path]:
     """Rig, places and the devices of a rig that runs."""
-    path = tmp_path_factory.mktemp("until")
-    (path / "rig.yaml").write_text(rig_text.replace("noise_uT: 5", NOISE), encoding="utf-8")
-    (path / "plan.yaml").write_text(PLAN, encoding="utf-8")
-    simulator = start(path / "rig.yaml", path / "devices.yaml", "--set", "hall.noise_T=2e-5", "--seed", "1")
-    devices = (path / "devices.yaml").read_text()
-    (path / "devices.yaml").write_text(devices.replace("slew_A_per_s: 20", "slew_A_per_s: 100"))
-    yield path
-    simulator.terminate()
-    simulator.communicate()
-
-
-def call(folder: Path, out: Path, *more: object) -> list[str]:
-    files = [folder / "rig.yaml", folder / "plan.yaml", "--devices", folder / "devices.yaml", "--out", out]
-    return [str(part) for part in ("acquire", *files, "--until", GOAL, "--longest-settle", "0.5", *more)]
-
-
-def gone_on(run: Run, folder: Path, out: Path, *more: object) -> Result:
-    for _ in range(4):
-        result = run(*call(folder, out, "--json", *more))
-        if BUSY not in result.stderr:
-            break
-    return result
+    with running(tmp_path_factory.mktemp("until"), rig_text, PLAN, "--set", "hall.noise_T=2e-5") as path:
+        quicker(path)
+        yield path
 
 
 @pytest.mark.flaky(reruns=2)
 def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
-    run: Run, folder: Path, tmp_path: Path
+    folder: Path, tmp_path: Path
 ) -> None:
     bring_home(folder)
     out = tmp_path / "session.zarr"
-    program = subprocess.Popen([*PROGRAM, *call(folder, out)], cwd=ROOT, stderr=subprocess.PIPE)
+    program = subprocess.Popen([*PROGRAM, *call(folder, out, *UNTIL)], cwd=ROOT, stderr=subprocess.PIPE)
     deadline_s = time.monotonic() + START_S
     while not (out / JOURNAL).exists() or (out / JOURNAL).read_bytes().count(b"\n") < 4:
         assert program.poll() is None, program.stderr and program.stderr.read()
@@ -72,7 +54,7 @@ def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
     program.communicate()
     assert is_growing(out)
     before = read_journal(out)[1]
-    result = gone_on(run, folder, out)
+    result = gone_on(folder, out, *UNTIL)
     assert result.exit_code == 0, result.stderr
     shown = json.loads(result.stdout)
     assert shown["ended"]["reason"].startswith("goal reached, also by")
@@ -87,27 +69,25 @@ def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
 
 
 @pytest.mark.flaky(reruns=2)
-def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(
-    run: Run, folder: Path, tmp_path: Path, refused: Callable[[Result], str]
-) -> None:
+def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(folder: Path, tmp_path: Path) -> None:
     bring_home(folder)
     out = tmp_path / "session.zarr"
-    result = gone_on(run, folder, out, "--most-stops", 3)
+    result = gone_on(folder, out, *UNTIL, "--most-stops", 3)
     assert json.loads(result.stdout)["ended"]["reason"].startswith("limit of 3 stops")
     assert len(json.loads(run("show", out, "--json").stdout)["decisions"]) == 3
     (out / "zarr.json").unlink()  # as if it were interrupted
-    other = [word.replace("0.5 %", "0.4 %") for word in call(folder, out)]
+    other = [word.replace("0.5 %", "0.4 %") for word in call(folder, out, *UNTIL)]
     assert "must go on with the goals" in refused(run(*other))
 
 
 @pytest.mark.flaky(reruns=2)
-def test_a_stop_that_the_arm_refuses_is_skipped_and_told(run: Run, folder: Path, tmp_path: Path) -> None:
+def test_a_stop_that_the_arm_refuses_is_skipped_and_told(folder: Path, tmp_path: Path) -> None:
     bring_home(folder)
     out, devices, narrow = tmp_path / "session.zarr", folder / "devices.yaml", tmp_path / "narrow.yaml"
     # The joints of the simulated arm are the numbers of its pose; its controller refuses the places on one side.
     limits = "    joint_low_rad: [-7, -7, -7, -7, -7, -7]\n    joint_high_rad: [7, 0.03, 7, 7, 7, 7]\n"
     narrow.write_text(devices.read_text().replace("    arm: ur3e\n", f"    arm: ur3e\n{limits}"))
-    result = gone_on(run, folder, out, "--most-stops", 8, "--devices", narrow)
+    result = gone_on(folder, out, *UNTIL, "--most-stops", 8, "--devices", narrow)
     assert result.exit_code == 0, result.stderr
     assert (
         "a stop was refused, another one is chosen: arm.joint_2_rad must be within -7 and 0.03"
@@ -122,14 +102,12 @@ def test_a_stop_that_the_arm_refuses_is_skipped_and_told(run: Run, folder: Path,
     assert is_off(folder)
 
 
-def test_the_dry_run_names_candidates_and_goals(run: Run, folder: Path, tmp_path: Path) -> None:
-    dry = run(*call(folder, tmp_path / "s.zarr", "--dry-run"))
+def test_the_dry_run_names_candidates_and_goals(folder: Path, tmp_path: Path) -> None:
+    dry = run(*call(folder, tmp_path / "s.zarr", *UNTIL, "--dry-run"))
     assert "54 stops to choose from" in dry.stdout
     assert GOAL in dry.stdout
 
 
-def test_neither_plan_nor_goal_is_refused(
-    run: Run, folder: Path, tmp_path: Path, refused: Callable[[Result], str]
-) -> None:
+def test_neither_plan_nor_goal_is_refused(folder: Path, tmp_path: Path) -> None:
     files = (folder / "rig.yaml", "--devices", folder / "devices.yaml", "--out", tmp_path / "s.zarr")
     assert "must be given a PLAN to carry out, or goals with --until" in refused(run("acquire", *files))

@@ -13,18 +13,14 @@ import pytest
 import yaml
 
 import drivers.guarded
-from drivers.protocols import FlangePose
 from drivers.safety import CoilLoad, CurrentLimits, check_current
 from drivers.simulated.faults import Fault
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from estimator.cli.simulated_devices import default_devices
-from estimator.rig.rig import Rig
 from estimator.store.journal import read_journal
 from estimator.store.session import is_growing, load_session
-from tests.drivers.fields import along_z
-from tests.drivers.rig import free_host
-from tests.estimator.cli.test_acquire_faults import Run, acquire, fails_after
+from tests.estimator.cli.conftest import run
+from tests.estimator.cli.test_acquire_faults import acquire, fails_after, simulated
 
 CURRENT_A = 3.0
 N_STOPS = 15
@@ -43,21 +39,12 @@ CIRCUIT = CoilCircuit(2.0, 0.01, kelvin_per_W=2.0, thermal_time_constant_s=TIME_
 
 
 @pytest.fixture
-def interrupted(run: Run, tmp_path: Path, small_rig: Rig, rig_text: str) -> Iterator[SimulatedRig]:
+def interrupted(tmp_path: Path, rig_text: str) -> Iterator[SimulatedRig]:
     """A rig whose measurement, in `session.zarr`, has ended a moment ago because its sensor failed; the sensor is well again."""
-    home = FlangePose((0.25, 0.0, 0.25), (0.0, 0.0, 0.0))
-    with SimulatedRig(
-        default_devices(small_rig),
-        {"hall": along_z},
-        circuits=[CIRCUIT],
-        homes=[home],
-        first_host=free_host(),
-    ) as rig:
-        (tmp_path / "rig.yaml").write_text(rig_text, encoding="utf-8")
-        (tmp_path / "plan.yaml").write_text(PLAN, encoding="utf-8")
+    with simulated(tmp_path, rig_text, PLAN, CIRCUIT) as rig:
         write_devices(tmp_path, rig, continuous_A=5.0)
         failing = fails_after(rig, tmp_path / "session.zarr", 7, "hall", Fault.GARBAGE)
-        result = acquire(run, tmp_path)
+        result = acquire(tmp_path)
         failing.join()
         assert result.exit_code == 5, result.stderr
         rig.simulators["hall"].faults.fault = Fault.NONE
@@ -79,7 +66,7 @@ def load_of_coil_A2(rig: SimulatedRig) -> float:
 
 
 def test_its_guard_begins_with_what_the_coil_still_carries(
-    run: Run, interrupted: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    interrupted: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looks: list[tuple[float, float]] = []
 
@@ -89,7 +76,7 @@ def test_its_guard_begins_with_what_the_coil_still_carries(
 
     monkeypatch.setattr(drivers.guarded, "check_current", look)
     records = read_journal(tmp_path / "session.zarr")[1]
-    result = acquire(run, tmp_path)
+    result = acquire(tmp_path)
     assert result.exit_code == 0, result.stderr
     assert len(load_session(tmp_path / "session.zarr").observations) == N_STOPS
     counted_A2, real_A2 = looks[0]
@@ -101,16 +88,16 @@ def test_its_guard_begins_with_what_the_coil_still_carries(
 
 
 def test_stops_that_are_left_are_refused_until_it_has_cooled(
-    run: Run, interrupted: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    interrupted: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "session.zarr"
     n_before = len(read_journal(out)[1])
-    left_s = duration_s(run, tmp_path) - duration_s(run, tmp_path, n_before)
+    left_s = duration_s(tmp_path) - duration_s(tmp_path, n_before)
     # With these limits a cold coil bears the stops that are left, with little to spare.
     continuous_A = CURRENT_A * math.sqrt(1.0 - math.exp(-1.02 * left_s / TIME_CONSTANT_S))
     write_devices(tmp_path, interrupted, continuous_A)
     before = interrupted.world.snapshot().base_from_flange
-    result = acquire(run, tmp_path)
+    result = acquire(tmp_path)
     assert result.exit_code == 2, result.stderr
     assert "of the plan, coil1: coil.current_A beyond" in result.stderr
     assert "must leave time to cool" in result.stderr
@@ -119,10 +106,10 @@ def test_stops_that_are_left_are_refused_until_it_has_cooled(
     assert len(read_journal(out)[1]) == n_before
     now = time.time
     monkeypatch.setattr(time, "time", lambda: now() + 3600.0)
-    assert planned(run, tmp_path)["stops"]
+    assert planned(tmp_path)["stops"]
 
 
-def planned(run: Run, folder: Path) -> Any:
+def planned(folder: Path) -> Any:
     """What a dry run shows."""
     files = (folder / "rig.yaml", folder / "plan.yaml", "--devices", folder / "devices.yaml")
     result = run("acquire", *files, "--out", folder / "session.zarr", "--dry-run", "--json")
@@ -130,7 +117,7 @@ def planned(run: Run, folder: Path) -> Any:
     return json.loads(result.stdout)
 
 
-def duration_s(run: Run, folder: Path, n_stops: int | None = None) -> float:
+def duration_s(folder: Path, n_stops: int | None = None) -> float:
     """Of the first stops of the plan, or of all."""
-    plan = planned(run, folder)
+    plan = planned(folder)
     return float(plan["duration_s"] if n_stops is None else plan["stops"][n_stops]["begin_s"])

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import Result
 
 from estimator.store.staging import only_writer, staged
+from tests.estimator.cli.conftest import refused, run
 
 SIMULATE = "simulate --rig rig.yaml --plan plan.yaml"
 IMPORT = "import readings.csv --rig rig.yaml"
@@ -91,6 +91,15 @@ REFUSALS = {
     f"{PREDICT} --grid x_mm=0 --level nan": "--level must be a number between -1e+12 and 1e+12; received nan",
     f"{PREDICT} --grid x_mm=0 --motion arm1=0,0,1": "--motion must look like NAME=1.0,1.0,1.0,1.0,1.0,1.0; received 'arm1=0,0,1'",
     f"{PREDICT} --grid x_mm=0 --motion arm2=0,0,0,0,0,0": "motion must name movers of the rig (arm1); received 'arm2'; the closest is arm1",
+    "diagnose session.zarr --out calibration": f"{EXISTS} calibration",
+    "diagnose session.zarr --out rig.yaml": f"{EXISTS} rig.yaml",
+    "diagnose no.zarr --out new": f"{NO_SESSION} no.zarr",
+    "diagnose readings.csv --out new": f"{NO_SESSION} readings.csv",
+    "diagnose calibration/chain.zarr --out new": "session must be of kind 'coilcal session'; received None (calibration/chain.zarr)",
+    "diagnose session.zarr --validation no.zarr --out new": f"{NO_SESSION} no.zarr",
+    "diagnose session.zarr --rig no.yaml --out new": "no.yaml must be readable as text: No such file or directory",
+    "diagnose session.zarr --device xpu:7 --out new": "device must be one that torch can compute on here, such as cpu; received 'xpu:7'",
+    "diagnose session.zarr --rig plan.yaml --out new": "coils must name at least one; received none (plan.yaml, line 1)",
     "report session.zarr": f"{NO_CALIBRATION} session.zarr",
     "report calibration --out rig.yaml": f"{EXISTS} rig.yaml",
     "report calibration --out rig.yaml/new.html": "output must be writable; rig.yaml/new.html is not: Not a directory",
@@ -130,22 +139,14 @@ def bad_files(workspace: Path) -> None:
 
 @pytest.mark.parametrize(("command", "message"), REFUSALS.items())
 def test_a_mistake_gives_one_sentence_and_exit_code_2_and_leaves_nothing(
-    run: Callable[..., Result],
-    refused: Callable[[Result], str],
-    in_workspace: Path,
-    command: str,
-    message: str,
+    in_workspace: Path, command: str, message: str
 ) -> None:
     assert refused(run(*command.split())) == message.format(here=in_workspace)
 
 
 @pytest.mark.parametrize(("command", "writer"), [("calibrate", only_writer), ("diagnose", staged)])
 def test_two_programs_do_not_write_one_output(
-    run: Callable[..., Result],
-    refused: Callable[[Result], str],
-    in_workspace: Path,
-    command: str,
-    writer: Callable[[Path], AbstractContextManager[Any]],
+    in_workspace: Path, command: str, writer: Callable[[Path], AbstractContextManager[Any]]
 ) -> None:
     with writer(in_workspace / "out"):
         words = refused(run(command, "session.zarr", "--out", "out"))
@@ -160,11 +161,14 @@ def test_two_programs_do_not_write_one_output(
         "simulate --rig rig.yaml --plan plan.yaml --out new.zarr --seed 4294967296",
         "calibrate session.zarr --out new --counts whole",
         "import --rig rig.yaml --out new.zarr",
+        "diagnose",
+        "diagnose session.zarr",
+        "diagnose session.zarr --out new --seed -1",
         "unknown",
     ],
 )
 @pytest.mark.usefixtures("in_workspace")
-def test_a_wrong_call_gets_the_usage_of_the_command(run: Callable[..., Result], command: str) -> None:
+def test_a_wrong_call_gets_the_usage_of_the_command(command: str) -> None:
     result = run(*command.split())
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith("Usage: ")

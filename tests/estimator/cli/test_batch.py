@@ -27,23 +27,8 @@ def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, t
         n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
     ) as local:
         arguments = [str(tmp_path / name) for name in ("good.zarr", "bad.zarr")]
-        options = [
-            "--out",
-            str(out),
-            "--posterior",
-            "none",
-            "--json",
-            "--ess",
-            "123",
-            "--seed",
-            "4",
-            "--hypothesis",
-            "plain",
-            "--hypothesis",
-            "axis_gain",
-            "--scheduler",
-            local.scheduler_address,
-        ]
+        words = "--posterior none --json --ess 123 --seed 4 --hypothesis plain --hypothesis axis_gain"
+        options = ["--out", str(out), *words.split(), "--scheduler", local.scheduler_address]
         result = CliRunner().invoke(main, ["batch", *arguments, *options])
         options.remove("--json")
         again = CliRunner().invoke(main, ["batch", *arguments, *options])

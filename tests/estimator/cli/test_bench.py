@@ -5,28 +5,26 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from click.testing import Result
 
 from estimator.benchmarks import fields, machine
 from estimator.benchmarks.rows import Row, by_turns, timed, with_ratios
 from estimator.benchmarks.sessions import RIG
 from estimator.cli.bench import PARTS, line_of
+from tests.estimator.cli.conftest import run
 
-Run = Callable[..., Result]
 CONFIGS = Path(__file__).parents[3] / "configs"
 needs_magpylib = pytest.mark.skipif(find_spec("magpylib") is None, reason="magpylib is not installed")
 
 
 @pytest.mark.slow  # `test_only_takes_some_parts_in_words` runs two
 @pytest.mark.whole
-def test_every_part_has_rows_beside_their_peers(run: Run) -> None:
+def test_every_part_has_rows_beside_their_peers() -> None:
     printed = run("bench", "--tiny", "--repeats", 1, "--seed", 150000, "--json")
     assert printed.exit_code == 0
     result = json.loads(printed.stdout)
@@ -45,7 +43,7 @@ def test_every_part_has_rows_beside_their_peers(run: Run) -> None:
     assert len(result["parts"]["diagnosis"]) == 2
 
 
-def test_only_takes_some_parts_in_words(run: Run) -> None:
+def test_only_takes_some_parts_in_words() -> None:
     printed = run("bench", "--tiny", "--repeats", 3, "--only", "live,fields")
     assert printed.exit_code == 0
     lines = printed.stdout.splitlines()
@@ -56,14 +54,14 @@ def test_only_takes_some_parts_in_words(run: Run) -> None:
     assert "measuring live" in printed.stderr
 
 
-def test_repeats_are_printed_with_median_and_range(run: Run) -> None:
+def test_repeats_are_printed_with_median_and_range() -> None:
     printed = run("bench", "--tiny", "--repeats", 3, "--only", "fields", "--json")
     for row in json.loads(printed.stdout)["parts"]["fields"]:
         assert len(row["values"]) == 3
         assert [row["smallest"], row["median"], row["largest"]] == sorted(row["values"])
 
 
-def test_an_unknown_part_is_refused_in_one_sentence(run: Run) -> None:
+def test_an_unknown_part_is_refused_in_one_sentence() -> None:
     printed = run("bench", "--only", "fields,filds")
     assert (printed.exit_code, printed.stdout) == (2, "")
     assert (
@@ -74,7 +72,7 @@ def test_an_unknown_part_is_refused_in_one_sentence(run: Run) -> None:
 
 
 def test_without_magpylib_fields_have_no_peer_and_the_command_says_so(
-    run: Run, monkeypatch: pytest.MonkeyPatch
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(fields, "has_magpylib", lambda: False)
     monkeypatch.setattr(machine, "_version", lambda name: None if name == "magpylib" else "1")
@@ -86,7 +84,7 @@ def test_without_magpylib_fields_have_no_peer_and_the_command_says_so(
     assert all(row["ratio"] is None and row["name"].startswith("coilcal") for row in rows)
 
 
-def test_a_load_above_half_of_the_cores_is_warned_of(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_load_above_half_of_the_cores_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machine, "usable_cores", lambda: 4)
     for load, is_warned in ((1.9, False), (2.1, True)):
         monkeypatch.setattr(os, "getloadavg", lambda load=load: (load, 0.0, 0.0))

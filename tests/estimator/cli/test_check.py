@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 from drivers import entries
-
-Run = Callable[..., Result]
+from tests.estimator.cli.conftest import run
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_what_is_right_is_told_in_a_few_lines(run: Run) -> None:
+def test_what_is_right_is_told_in_a_few_lines() -> None:
     result = run("check", "rig.yaml", "readings.csv")
     assert (result.exit_code, result.stderr) == (0, "")
     lines = [re.sub(r"(?<=\S) +", " ", line) for line in result.stdout.splitlines()]
@@ -32,7 +29,7 @@ def test_what_is_right_is_told_in_a_few_lines(run: Run) -> None:
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_a_plan_is_told_too(run: Run) -> None:
+def test_a_plan_is_told_too() -> None:
     told = json.loads(run("check", "rig.yaml", "plan.yaml", "--json").stdout)
     assert told["faults"] == []
     assert told["plan"]["readings"] == 36
@@ -40,7 +37,7 @@ def test_a_plan_is_told_too(run: Run) -> None:
     assert "plan.yaml: plan 'small grid'" in run("check", "rig.yaml", "plan.yaml").stdout
 
 
-def test_mistakes_of_both_files_are_told_at_once(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_mistakes_of_both_files_are_told_at_once(workspace: Path, tmp_path: Path) -> None:
     rig, readings = tmp_path / "rig.yaml", tmp_path / "readings.csv"
     text = (workspace / "rig.yaml").read_text(encoding="utf-8")
     for old, new in (("radial_loops: 3", "radial_lops: 3"), ("noise_uT: 5", "noise_uT: -5\n    gian: 1")):
@@ -74,7 +71,7 @@ def test_mistakes_of_both_files_are_told_at_once(workspace: Path, run: Run, tmp_
     assert "nothing is wrong" not in told.stdout
 
 
-def test_how_a_file_of_other_headers_is_read_is_told(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_how_a_file_of_other_headers_is_read_is_told(workspace: Path, tmp_path: Path) -> None:
     rows = (workspace / "readings.csv").read_text(encoding="utf-8")
     rows = rows.replace("arm1_x_m", "X / m").replace("Bx_T", "Hall Bx [T]")
     (tmp_path / "readings.csv").write_text(rows, encoding="utf-8")
@@ -114,9 +111,9 @@ OF_DEVICES = [
 
 @pytest.mark.parametrize("is_own_file", [True, False])
 def test_mistakes_in_settings_of_instruments_are_told_at_once_and_none_is_opened(
-    workspace: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_own_file: bool
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_own_file: bool
 ) -> None:
-    monkeypatch.setattr(entries, "_open_port", lambda *_: pytest.fail("a port was opened"))
+    monkeypatch.setattr(entries.PortSettings, "open", lambda *_: pytest.fail("a port was opened"))
     rig = (workspace / "rig.yaml").read_text(encoding="utf-8")
     before = 0 if is_own_file else len(rig.splitlines())
     paths = [tmp_path / "rig.yaml", *([tmp_path / "devices.yaml"] if is_own_file else [])]
@@ -131,7 +128,7 @@ def test_mistakes_in_settings_of_instruments_are_told_at_once_and_none_is_opened
         assert fault["file"] == str(paths[-1])
 
 
-def test_instruments_that_are_described_right_are_listed(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_instruments_that_are_described_right_are_listed(workspace: Path, tmp_path: Path) -> None:
     (tmp_path / "devices.yaml").write_text(
         "devices:\n  hall: {sensor: lakeshore_f71, tcp: 192.168.0.2}\n", encoding="utf-8"
     )
@@ -142,9 +139,7 @@ def test_instruments_that_are_described_right_are_listed(workspace: Path, run: R
     )
 
 
-def test_readings_wait_where_nobody_can_say_what_columns_there_are(
-    workspace: Path, run: Run, tmp_path: Path
-) -> None:
+def test_readings_wait_where_nobody_can_say_what_columns_there_are(workspace: Path, tmp_path: Path) -> None:
     text = (workspace / "rig.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(
         text.replace("motion: displacement", "motion: shift"), encoding="utf-8"
@@ -163,7 +158,7 @@ def test_readings_wait_where_nobody_can_say_what_columns_there_are(
     ],
 )
 def test_readings_that_an_import_would_refuse_are_named(
-    workspace: Path, run: Run, tmp_path: Path, column: str, value: str, words: list[str]
+    workspace: Path, tmp_path: Path, column: str, value: str, words: list[str]
 ) -> None:
     header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     index = header.split(",").index(column)
@@ -178,7 +173,7 @@ def test_readings_that_an_import_would_refuse_are_named(
     assert imported.stderr == f"coilcal: {faults[0]['message']}\n"
 
 
-def test_many_mistakes_are_counted(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_many_mistakes_are_counted(workspace: Path, tmp_path: Path) -> None:
     further = "".join(f"\n    key{i}: 1" for i in range(72))
     text = (
         (workspace / "rig.yaml").read_text(encoding="utf-8").replace("noise_uT: 5", f"noise_uT: 5{further}")
@@ -189,7 +184,7 @@ def test_many_mistakes_are_counted(workspace: Path, run: Run, tmp_path: Path) ->
     assert len(json.loads(run("check", tmp_path / "rig.yaml", "--json").stdout)["faults"]) == 72
 
 
-def test_one_cause_in_many_rows_is_one_mistake(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_one_cause_in_many_rows_is_one_mistake(workspace: Path, tmp_path: Path) -> None:
     header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     (tmp_path / "readings.csv").write_text(
         "\n".join([header, *[f"x{row}" for row in rows]]), encoding="utf-8"
@@ -200,7 +195,7 @@ def test_one_cause_in_many_rows_is_one_mistake(workspace: Path, run: Run, tmp_pa
     assert f"and {len(rows) - 3} more" in told
 
 
-def test_a_file_that_is_not_there_is_one_mistake(run: Run, tmp_path: Path) -> None:
+def test_a_file_that_is_not_there_is_one_mistake(tmp_path: Path) -> None:
     result = run("check", tmp_path / "no.yaml")
     assert result.exit_code == 2
     assert result.stdout.splitlines()[0].endswith(
@@ -209,7 +204,7 @@ def test_a_file_that_is_not_there_is_one_mistake(run: Run, tmp_path: Path) -> No
 
 
 def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(
-    workspace: Path, run: Run, tmp_path: Path
+    workspace: Path, tmp_path: Path
 ) -> None:
     header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     fields = [header.split(",").index(f"B{axis}_T") for axis in "xyz"]
@@ -230,9 +225,7 @@ def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(
     assert words in run("import", path, "--rig", rig, "--out", tmp_path / "copied.zarr").stdout
 
 
-def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(
-    workspace: Path, run: Run, tmp_path: Path
-) -> None:
+def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(workspace: Path, tmp_path: Path) -> None:
     rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     header = rows[0].split(",")
     fields = [header.index(f"B{axis}_T") for axis in "xyz"]

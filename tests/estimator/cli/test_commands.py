@@ -17,9 +17,8 @@ from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.store.session import load_session
-from tests.estimator.cli.conftest import Printed
+from tests.estimator.cli.conftest import Printed, refused, run
 
-Run = Callable[..., Result]
 COMMANDS = ["simulate", "import", "calibrate", "predict", "report"]
 
 
@@ -29,15 +28,15 @@ def rows(path: Path) -> list[dict[str, str]]:
 
 
 def test_simulate_warns_of_a_hidden_cause_that_changes_no_reading(
-    run: Run, workspace: Path, tmp_path: Path
+    simulate: Callable[..., Result], tmp_path: Path
 ) -> None:
-    files = ("--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml", "--truth", "nominal")
-    result = run("simulate", *files, "--hide", "coil_heating=0.02", "--out", tmp_path / "hidden.zarr")
+    call = ("--truth", "nominal", "--out")
+    result = simulate("--hide", "coil_heating=0.02", *call, tmp_path / "hidden.zarr")
     assert (result.exit_code, result.stderr) == (
         0,
         "coilcal: warning: coil_heating[coil1].loss_per_K = 0.02 changes no reading of this session\n",
     )
-    result = run("simulate", *files, "--hide", "axis_gain=0.02", "--out", tmp_path / "seen.zarr")
+    result = simulate("--hide", "axis_gain=0.02", *call, tmp_path / "seen.zarr")
     assert (result.exit_code, result.stderr) == (0, "")
 
 
@@ -65,7 +64,7 @@ def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dic
     )
 
 
-def test_every_cause_is_explained(run: Run) -> None:
+def test_every_cause_is_explained() -> None:
     """From its declaration, so that a new one is explained as well."""
     listed = run("explain")
     assert [line.split()[0] for line in listed.stdout.splitlines()] == list(EFFECTS)
@@ -82,15 +81,9 @@ def test_every_cause_is_explained(run: Run) -> None:
     assert "received 'nosuch'; 'coilcal explain' lists them" in run("explain", "nosuch").stderr
 
 
-def test_import_says_when_the_readings_were_taken(workspace: Path, run: Run, tmp_path: Path) -> None:
-    call = [
-        "import",
-        workspace / "readings.csv",
-        "--rig",
-        workspace / "rig.yaml",
-        "--out",
-        tmp_path / "old.zarr",
-    ]
+def test_import_says_when_the_readings_were_taken(workspace: Path, tmp_path: Path) -> None:
+    files = ("--rig", workspace / "rig.yaml", "--out", tmp_path / "old.zarr")
+    call = ("import", workspace / "readings.csv", *files)
     assert run(*call, "--recorded-at", "2025-03-01T09:30+01:00").exit_code == 0
     assert load_session(tmp_path / "old.zarr").created == "2025-03-01T08:30:00+00:00"
     wrong = run(*call, "--overwrite", "--recorded-at", "yesterday")
@@ -99,21 +92,15 @@ def test_import_says_when_the_readings_were_taken(workspace: Path, run: Run, tmp
     assert load_session(tmp_path / "old.zarr").created.startswith("2025-03-01")
 
 
-def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, tmp_path: Path) -> None:
     header, *lines = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     whole = tmp_path / "whole.csv"
     whole.write_text("\n".join(line.rpartition(",")[0] for line in (header, *lines)), encoding="utf-8")
     masks = []
-    for i, options in enumerate(
-        (
-            ["--validation", 0.4],
-            ["--validation", 0.4],
-            ["--validation", 0.4, "--seed", 1],
-            ["--validation", 0],
-        )
-    ):
+    for i, options in enumerate(("0.4", "0.4", "0.4 --seed 1", "0")):
         out = tmp_path / f"{i}.zarr"
-        result = run("import", whole, "--rig", workspace / "rig.yaml", "--out", out, *options, "--json")
+        files = ("--rig", workspace / "rig.yaml", "--out", out)
+        result = run("import", whole, *files, "--json", "--validation", *options.split())
         masks.append(load_session(out).observations.is_validation)
         printed = json.loads(result.stdout)
         assert printed == {
@@ -168,26 +155,16 @@ def test_predict_writes_field_and_intervals_of_the_calibration(
     assert written == f"5 points written to {workspace / 'field.csv'}"
     assert grid == "x -20 to 20 mm in 5 points, 10 mm apart; y 0 mm; z 10 mm"
     table = rows(workspace / "field.csv")
-    assert list(table[0]) == [
-        *("x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T"),
-        *(
-            "Bx_lower_T",
-            "Bx_upper_T",
-            "By_lower_T",
-            "By_upper_T",
-            "Bz_lower_T",
-            "Bz_upper_T",
-            "inside_winding",
-        ),
-    ]
-    points_m = torch.tensor(
-        [[float(row[f"{axis}_m"]) for axis in "xyz"] for row in table], dtype=torch.float64
-    )
+    intervals = [f"B{axis}_{end}_T" for axis in "xyz" for end in ("lower", "upper")]
+    assert list(table[0]) == ["x_m", "y_m", "z_m", "Bx_T", "By_T", "Bz_T", *intervals, "inside_winding"]
+
+    def columns(name: str) -> torch.Tensor:
+        rows = [[float(row[name.format(axis)]) for axis in "xyz"] for row in table]
+        return torch.tensor(rows, dtype=torch.float64)
+
+    points_m, field_T = columns("{}_m"), columns("B{}_T")
     assert points_m.tolist() == [[x, 0.0, 0.01] for x in (-0.02, -0.01, 0.0, 0.01, 0.02)]
     calibration = Calibration.load(workspace / "calibration")
-    field_T = torch.tensor(
-        [[float(row[f"B{axis}_T"]) for axis in "xyz"] for row in table], dtype=torch.float64
-    )
     torch.testing.assert_close(field_T, calibration.field(points_m, {"coil1": 2.0}), rtol=1e-6, atol=1e-15)
     lower, upper = calibration.field_interval(points_m, {"coil1": 2.0})
     for row, low, high in zip(table, lower, upper, strict=True):
@@ -195,7 +172,7 @@ def test_predict_writes_field_and_intervals_of_the_calibration(
         assert float(row["Bz_upper_T"]) == pytest.approx(high[2].item(), rel=1e-6)
 
 
-def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, tmp_path: Path) -> None:
     best = Calibration.load(workspace / "calibration").best
     inside = [
         f"--grid=x_m={best['coil1.radius_m'] - 0.003}:0.08:2",
@@ -211,21 +188,11 @@ def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, run: Run
     assert second["inside_winding"] == "0"
 
 
-def test_predict_takes_motion_and_level(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_predict_takes_motion_and_level(workspace: Path, tmp_path: Path) -> None:
     folder, widths = workspace / "calibration", []
     for level in (0.5, 0.95):
-        call = [
-            "--grid",
-            "x_mm=0",
-            "--current",
-            "coil1=3",
-            "--motion",
-            "arm1=0,0,0.01,0,0,0",
-            "--level",
-            level,
-            "--overwrite",
-        ]
-        result = run("predict", folder, *call, "--out", tmp_path / "f.csv", "--json")
+        call = f"--grid x_mm=0 --current coil1=3 --motion arm1=0,0,0.01,0,0,0 --level {level} --overwrite"
+        result = run("predict", folder, *call.split(), "--out", tmp_path / "f.csv", "--json")
         assert json.loads(result.stdout) == {
             "file": str(tmp_path / "f.csv"),
             "points": 1,
@@ -240,15 +207,10 @@ def test_predict_takes_motion_and_level(workspace: Path, run: Run, tmp_path: Pat
 
 
 def test_predict_in_single_precision_and_on_a_device_that_is_not_there(
-    workspace: Path, run: Run, tmp_path: Path
+    workspace: Path, tmp_path: Path
 ) -> None:
-    call = [
-        "predict",
-        workspace / "calibration",
-        "--grid=x_mm=-20:20:5",
-        "--grid=z_mm=10",
-        "--current=coil1=2",
-    ]
+    points = ("--grid=x_mm=-20:20:5", "--grid=z_mm=10", "--current=coil1=2")
+    call = ("predict", workspace / "calibration", *points)
     run(*call, "--precision", "single", "--out", tmp_path / "f.csv")
     for single, double in zip(rows(tmp_path / "f.csv"), rows(workspace / "field.csv"), strict=True):
         assert single["x_m"] == double["x_m"]
@@ -260,14 +222,14 @@ def test_predict_in_single_precision_and_on_a_device_that_is_not_there(
     assert "device must be one that torch can compute on here" in refused.stderr
 
 
-def test_report_writes_the_page_again(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_report_writes_the_page_again(workspace: Path, tmp_path: Path) -> None:
     result = run("report", workspace / "calibration", "--out", tmp_path / "page.html", "--json")
     assert json.loads(result.stdout) == {"report": str(tmp_path / "page.html")}
     assert "<html" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])
-def test_every_command_has_help(run: Run, command: str) -> None:
+def test_every_command_has_help(command: str) -> None:
     for option in ("--help", "-h"):
         result = run(*command.split(), option)
         assert result.exit_code == 0
@@ -283,23 +245,14 @@ def test_every_command_has_help(run: Run, command: str) -> None:
         assert all(name in result.stdout for name in COMMANDS)
 
 
-def test_the_version_is_that_of_the_package(run: Run) -> None:
+def test_the_version_is_that_of_the_package() -> None:
     assert version("coilcal") in run("--version").stdout
 
 
-def test_without_json_the_summary_is_a_table(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_without_json_the_summary_is_a_table(workspace: Path, tmp_path: Path) -> None:
     """And a run that did not converge says so on standard error, with exit code 4 and the way on."""
-    call = [
-        "calibrate",
-        workspace / "session.zarr",
-        "--walkers",
-        16,
-        "--max-steps",
-        20,
-        "--out",
-        tmp_path / "c",
-    ]
-    result = run(*call)
+    limits = ("--walkers", 16, "--max-steps", 20)
+    result = run("calibrate", workspace / "session.zarr", *limits, "--out", tmp_path / "c")
     assert result.exit_code == 4
     *_, last = result.stderr.splitlines()
     assert last == (
@@ -321,28 +274,15 @@ def test_without_json_the_summary_is_a_table(workspace: Path, run: Run, tmp_path
     assert json.loads((tmp_path / "c" / "summary.json").read_text(encoding="utf-8"))["is_converged"] is False
 
 
-def test_damaged_files_give_exit_code_3(
-    workspace: Path, run: Run, refused: Callable[..., str], tmp_path: Path
-) -> None:
+def test_damaged_files_give_exit_code_3(workspace: Path, tmp_path: Path) -> None:
     shutil.copytree(workspace / "session.zarr", tmp_path / "session.zarr")
     shutil.copytree(workspace / "calibration", tmp_path / "calibration")
     before = sorted(tmp_path.rglob("*"))
+    predict = ["predict", tmp_path / "calibration", "--grid", "x_m=0", "--current", "coil1=1"]
     for store, command in (
         ("session.zarr/field_sensor_T", ["calibrate", tmp_path / "session.zarr", "--out", tmp_path / "new"]),
         ("calibration/posterior.zarr/posterior/coil1.radius_m", ["report", tmp_path / "calibration"]),
-        (
-            "calibration/posterior.zarr/posterior/coil1.radius_m",
-            [
-                "predict",
-                tmp_path / "calibration",
-                "--grid",
-                "x_m=0",
-                "--current",
-                "coil1=1",
-                "--out",
-                tmp_path / "new.csv",
-            ],
-        ),
+        ("calibration/posterior.zarr/posterior/coil1.radius_m", [*predict, "--out", tmp_path / "new.csv"]),
     ):
         chunk = next(path for path in (tmp_path / store / "c").rglob("*") if path.is_file())
         content = chunk.read_bytes()
@@ -357,7 +297,7 @@ def test_damaged_files_give_exit_code_3(
 
 
 def test_json_is_printed_alone_even_where_colours_are_forced(
-    workspace: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TTY_COMPATIBLE", "1")

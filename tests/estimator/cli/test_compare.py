@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from tests.estimator.cli.conftest import Run
+from tests.estimator.cli.conftest import refused, run
 
 GRID = ["--grid", "x_mm=-60:60:25", "--grid", "y_mm=-60:60:25", "--grid", "z_mm=-35:50:18"]
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_a_map_of_the_calibrated_coil_explains_its_readings(
-    run: Run, tmp_path: Path, refused: Callable[..., str]
-) -> None:
+def test_a_map_of_the_calibrated_coil_explains_its_readings(tmp_path: Path) -> None:
     """The world frame of the small rig is that of the coil, 40 mm further on; the fit of the pose finds what is left."""
     fem, out = tmp_path / "fem.csv", tmp_path / "comparison"
     run("export", "calibration", "--to", "csv", *GRID, "--current", "coil1=2", "--out", fem)

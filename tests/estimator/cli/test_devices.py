@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
-from click.testing import Result
 
 from drivers.deadline import Deadline
 from drivers.open import open_devices
@@ -21,8 +20,8 @@ from drivers.transport.serial_port import SerialPort, SerialSettings
 from tests.drivers.fields import along_z
 from tests.drivers.rig import free_host
 from tests.drivers.test_open import ARM, SENSOR, SUPPLY
+from tests.estimator.cli.conftest import run
 
-Run = Callable[..., Result]
 HOME = FlangePose((0.3, 0.0, 0.2), (0.0, 3.0, 0.0))
 
 
@@ -48,9 +47,7 @@ def rig_path(tmp_path: Path, rig_text: str, simulated: SimulatedRig) -> Path:
     return path
 
 
-def test_every_device_says_what_it_is_and_reads_a_value(
-    run: Run, rig_path: Path, simulated: SimulatedRig
-) -> None:
+def test_every_device_says_what_it_is_and_reads_a_value(rig_path: Path, simulated: SimulatedRig) -> None:
     before = simulated.world.snapshot()
     result = run("devices", "check", rig_path)
     assert result.exit_code == 0, result.stderr
@@ -66,7 +63,7 @@ def test_every_device_says_what_it_is_and_reads_a_value(
     assert (after.currents_A, after.base_from_flange) == (before.currents_A, before.base_from_flange)
 
 
-def test_a_supply_that_is_found_on_is_left_on(run: Run, rig_path: Path, simulated: SimulatedRig) -> None:
+def test_a_supply_that_is_found_on_is_left_on(rig_path: Path, simulated: SimulatedRig) -> None:
     port = SerialPort(simulated.section["coil1"]["serial"], SerialSettings(9600))
     supply = ScpiSupply(
         port, dialect=KEPCO_BOP, lowest_A=-5.0, highest_A=5.0, compliance_V=20.0, resolution_A=1e-3
@@ -89,7 +86,7 @@ def test_a_supply_that_is_found_on_is_left_on(run: Run, rig_path: Path, simulate
 
 
 def test_faults_are_one_sentence_each_and_the_others_still_answer(
-    run: Run, rig_path: Path, simulated: SimulatedRig
+    rig_path: Path, simulated: SimulatedRig
 ) -> None:
     simulated.simulators["hall"].faults.fault = Fault.MUTE
     try:
@@ -105,9 +102,7 @@ def test_faults_are_one_sentence_each_and_the_others_still_answer(
     assert faults[0].startswith("coilcal: devices.hall: ")
 
 
-def test_setting_that_the_instrument_refuses_comes_with_file_and_line(
-    run: Run, tmp_path: Path, rig_text: str
-) -> None:
+def test_setting_that_the_instrument_refuses_comes_with_file_and_line(tmp_path: Path, rig_text: str) -> None:
     path = tmp_path / "rig.yaml"
     text = "devices:\n  hall:\n    sensor: lakeshore_460\n    range: 30\n    serial: /dev/none\n"
     path.write_text(rig_text + text, encoding="utf-8")
@@ -120,7 +115,7 @@ def test_setting_that_the_instrument_refuses_comes_with_file_and_line(
     )
 
 
-def test_rig_without_devices_is_refused(run: Run, tmp_path: Path, rig_text: str) -> None:
+def test_rig_without_devices_is_refused(tmp_path: Path, rig_text: str) -> None:
     path = tmp_path / "rig.yaml"
     path.write_text(rig_text, encoding="utf-8")
     result = run("devices", "check", path)

@@ -11,7 +11,8 @@ from pathlib import Path
 import pytest
 import yaml
 
-from tests.estimator.cli.test_rig_simulator import PROGRAM, ROOT, start
+from tests.estimator.cli.test_rig_simulator import start
+from tests.program import PROGRAM, ROOT
 
 N_BUSY = 6
 RIG = """\

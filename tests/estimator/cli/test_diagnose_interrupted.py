@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -15,16 +14,15 @@ from typing import Any
 import pytest
 
 from estimator.diagnosis.fit_journal import FITS
-from tests.estimator.cli.conftest import Run
+from tests.estimator.cli.conftest import run
+from tests.program import PROGRAM, ROOT
 
 pytestmark = pytest.mark.whole
-ROOT = Path(__file__).parents[3]
-PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 PATIENCE_S = 300.0
 
 
 @pytest.fixture(scope="module")
-def session(workspace: Path, run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def session(workspace: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("flawed") / "session.zarr"
     plan = ["simulate", "--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml", "--seed", 1]
     hidden = ["--set", "coil1.axial_loops=13", "--hide", "sensor_offset.x_T=3e-5"]
@@ -88,7 +86,7 @@ def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbe
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
 def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
-    session: Path, run: Run, number: signal.Signals
+    session: Path, number: signal.Signals
 ) -> None:
     """That what goes on ends as one that was let alone is asked above and of the API (test_fit_journal)."""
     out = session.parent / number.name

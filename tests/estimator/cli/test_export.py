@@ -6,22 +6,20 @@ import json
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import jsonschema
 import pytest
 import torch
-from click.testing import Result
 
 from estimator.calibration.result import Calibration
-from tests.estimator.cli.conftest import Run
+from tests.estimator.cli.conftest import refused, run
 
 PAGE = Path(__file__).parents[3] / "docs/how-to/use-a-calibration-elsewhere.md"
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_json_follows_the_schema_that_is_printed(run: Run, tmp_path: Path) -> None:
+def test_json_follows_the_schema_that_is_printed(tmp_path: Path) -> None:
     out = tmp_path / "new" / "magnet.json"
     result = run("export", "calibration", "--to", "json", "--out", out, "--json")
     assert json.loads(result.stdout) == {"file": str(out), "format": "json"}
@@ -29,7 +27,7 @@ def test_json_follows_the_schema_that_is_printed(run: Run, tmp_path: Path) -> No
 
 
 def test_file_is_named_after_the_rig_and_not_replaced(
-    workspace: Path, run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., str]
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     result = run("export", workspace / "calibration", "--to", "cpp")
@@ -47,7 +45,7 @@ def block(language: str) -> str:
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
-def test_example_in_cpp_compiles_and_prints_the_field(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_example_in_cpp_compiles_and_prints_the_field(workspace: Path, tmp_path: Path) -> None:
     run("export", workspace / "calibration", "--to", "cpp", "--out", tmp_path / "magnet.hpp")
     (tmp_path / "main.cpp").write_text(block("cpp"), encoding="utf-8")
     strict = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "main.cpp", "-o", "main"]
@@ -60,7 +58,7 @@ def test_example_in_cpp_compiles_and_prints_the_field(workspace: Path, run: Run,
 
 
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
-def test_example_for_matlab_runs(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_example_for_matlab_runs(workspace: Path, tmp_path: Path) -> None:
     run("export", workspace / "calibration", "--to", "matlab", "--out", tmp_path / "magnet.m")
     (tmp_path / "main.m").write_text(
         block("matlab") + "\nprintf('%.10g\\n', field_T(1, 3));", encoding="utf-8"
@@ -74,7 +72,7 @@ def test_example_for_matlab_runs(workspace: Path, run: Run, tmp_path: Path) -> N
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_bad_grid_is_refused(run: Run, refused: Callable[[Result], str]) -> None:
+def test_bad_grid_is_refused() -> None:
     bad = run("export", "calibration", "--to", "json", "--grid", "x_mm=1:2")
     assert refused(bad).startswith("--grid must look like x_mm=-50:50:11")
     unused = run("export", "calibration", "--to", "json", "--grid", "x_mm=1")

@@ -14,7 +14,7 @@ from click.testing import Result
 from estimator.calibration.result import Calibration
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
-from tests.estimator.cli.conftest import invoke
+from tests.estimator.cli.conftest import refused, run
 
 EXTREMES = ["1e300", "-1e300", "1e13", "inf", "-inf", "nan", "1e999", "9" * 400, "9" * 5000]
 ALLOWED = ["1e12", "-1e12", "1e-300", "5e-324", "-0.0"]
@@ -63,9 +63,9 @@ def test_every_option_of_a_number_refuses_what_no_calculation_takes(
         for argument in given(each)
     ]
     result = (
-        invoke(*(name or ("show", "none")), *others, option.opts[0], value)
+        run(*(name or ("show", "none")), *others, option.opts[0], value)
         if name
-        else invoke(option.opts[0], value, "show", "none")
+        else run(option.opts[0], value, "show", "none")
     )
     assert_one_sentence(result)
     assert option.opts[0] in result.stderr
@@ -101,7 +101,7 @@ def test_no_number_of_a_prediction_ends_in_a_traceback(
     workspace: Path, tmp_path: Path, call: tuple[str, ...], value: str
 ) -> None:
     out = tmp_path / "field.csv"
-    result = invoke(
+    result = run(
         "predict", workspace / "calibration", "--out", out, *(word.replace("{}", value) for word in call)
     )
     assert_one_sentence(result)
@@ -121,7 +121,7 @@ def test_the_largest_and_smallest_numbers_that_are_taken_give_a_field_or_a_sente
         "current": (*GRID, *MOTION, "--current", f"coil1={value}"),
         "grid": (*CURRENT, *MOTION, "--grid", f"x_mm={value}"),
     }
-    result = invoke("predict", workspace / "calibration", "--out", tmp_path / "field.csv", *words[where])
+    result = run("predict", workspace / "calibration", "--out", tmp_path / "field.csv", *words[where])
     assert result.exit_code in (0, 2), result.output
     assert result.exception is None or isinstance(result.exception, SystemExit)
 
@@ -140,16 +140,8 @@ def test_the_python_api_refuses_them_as_well(small_calibration: Calibration, val
 @pytest.mark.parametrize("option", ["--set", "--hide"])
 @pytest.mark.parametrize("value", EXTREMES)
 def test_no_number_of_a_truth_ends_in_a_traceback(
-    workspace: Path, tmp_path: Path, option: str, value: str, refused: Callable[..., str]
+    simulate: Callable[..., Result], tmp_path: Path, option: str, value: str
 ) -> None:
     name = "coil1.radius_m" if option == "--set" else "sensor_offset[hall].x"
-    call = (
-        "simulate",
-        "--rig",
-        workspace / "rig.yaml",
-        "--plan",
-        workspace / "plan.yaml",
-        "--out",
-        tmp_path / "new.zarr",
-    )
-    assert len(refused(invoke(*call, option, f"{name}={value}"))) < 300
+    result = simulate("--out", tmp_path / "new.zarr", option, f"{name}={value}")
+    assert len(refused(result)) < 300

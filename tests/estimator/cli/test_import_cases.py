@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from estimator.store.session import load_session
-from tests.estimator.cli.conftest import Run
+from tests.estimator.cli.conftest import run
 
 CASES = Path(__file__).parents[2] / "fixtures/unit_gate_and_frozen"
 
@@ -22,9 +22,7 @@ CASES = Path(__file__).parents[2] / "fixtures/unit_gate_and_frozen"
         ("base_frame", "coilcal diagnose looks for the cause"),
     ],
 )
-def test_correct_units_are_accepted_whatever_else_is_wrong(
-    name: str, words: str, run: Run, tmp_path: Path
-) -> None:
+def test_correct_units_are_accepted_whatever_else_is_wrong(name: str, words: str, tmp_path: Path) -> None:
     result = run(
         *("import", CASES / f"{name}.csv", "--rig", CASES / "rig_pose.yaml"),
         *("--out", tmp_path / "session.zarr", "--json"),
@@ -43,7 +41,7 @@ def test_correct_units_are_accepted_whatever_else_is_wrong(
     ],
 )
 def test_a_sensor_that_stood_still_is_told_by_the_lines_of_the_file(
-    name: str, lines: range, run: Run, tmp_path: Path
+    name: str, lines: range, tmp_path: Path
 ) -> None:
     path, rig = tmp_path / "readings.csv", CASES / "rig.yaml"
     header, *rows = (CASES / f"{name}.csv").read_text(encoding="utf-8").splitlines()
@@ -64,7 +62,7 @@ def test_a_sensor_that_stood_still_is_told_by_the_lines_of_the_file(
     assert session.observations.validation.line is not None
 
 
-def test_where_a_reading_stood_is_no_part_of_what_it_is(run: Run, tmp_path: Path) -> None:
+def test_where_a_reading_stood_is_no_part_of_what_it_is(tmp_path: Path) -> None:
     text = (CASES / "holder_20mm.csv").read_text(encoding="utf-8")
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     (tmp_path / "b.csv").write_text("# Monday\n" + text, encoding="utf-8")

@@ -13,7 +13,7 @@ import pytest
 from estimator.errors import InvalidInput
 from estimator.readings.clock import Clock
 from estimator.store.importers.forms.recipe import Recipe, named_constants, read_recipe
-from tests.estimator.cli.conftest import Run
+from tests.estimator.cli.conftest import run
 from tests.estimator.store.importers.forms.written import RIG, TABLE, columns, shown, text, workbook
 
 HEADER = [
@@ -42,7 +42,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 CALL = ("import", "mine.csv", "--rig", "rig.yaml", "--out", "session.zarr")
 
 
-def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder: Path, run: Run) -> None:
+def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder: Path) -> None:
     refused = run(*CALL)
     assert refused.exit_code == 2
     lines = refused.stderr.splitlines()
@@ -63,7 +63,7 @@ def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder: Path, run: Run
     assert sorted(path.name for path in folder.iterdir()) == ["mine.csv", "plain.csv", "rig.yaml"]
 
 
-def test_a_recipe_reads_the_next_file_without_a_question(folder: Path, run: Run) -> None:
+def test_a_recipe_reads_the_next_file_without_a_question(folder: Path) -> None:
     first = json.loads(run(*CALL, "--yes", "--json").stdout)
     assert first["columns"] == "columns.yaml"
     again = json.loads(run(*CALL[:-1], "again.zarr", "--map", "columns.yaml", "--json").stdout)
@@ -78,7 +78,7 @@ def test_a_recipe_reads_the_next_file_without_a_question(folder: Path, run: Run)
     assert (folder / "session.columns.yaml").exists()
 
 
-def test_on_a_terminal_it_is_asked_once(folder: Path, run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     answers = iter((False, True))
 
@@ -96,7 +96,7 @@ def test_on_a_terminal_it_is_asked_once(folder: Path, run: Run, monkeypatch: pyt
     assert (folder / "columns.yaml").exists()
 
 
-def test_check_takes_the_same_options(folder: Path, run: Run) -> None:
+def test_check_takes_the_same_options(folder: Path) -> None:
     rows = text([*HEADER[:7], "Probe 3"]).encode()
     (folder / "mine.csv").write_bytes(rows)
     told = run("check", "rig.yaml", "mine.csv", "--column", "Probe 3=Bz_uT").stdout
@@ -104,7 +104,7 @@ def test_check_takes_the_same_options(folder: Path, run: Run) -> None:
     assert "Not measured: Bz." in run("check", "rig.yaml", "mine.csv").stdout
 
 
-def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path, run: Run) -> None:
+def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path) -> None:
     rows = TABLE.copy()
     rows[40:, 0] -= 15.25
     rows[13, 5:] = [266000.5, -31000.25, 77000.125]
@@ -115,7 +115,7 @@ def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path, run: Ru
 
 
 def test_a_package_that_is_missing_is_named_with_the_command(
-    folder: Path, run: Run, monkeypatch: pytest.MonkeyPatch
+    folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     book = workbook({"Data": [HEADER[:8], *TABLE.tolist()]}) or b"PK"
     if book == b"PK":
@@ -157,9 +157,7 @@ def test_a_recipe_is_read_as_it_was_written(tmp_path: Path) -> None:
         (("schema_version: 1", "schema_version: 2"), "schema_version must be 1; received 2"),
     ],
 )
-def test_a_recipe_with_a_mistake_is_refused(
-    folder: Path, run: Run, change: tuple[str, str], words: str
-) -> None:
+def test_a_recipe_with_a_mistake_is_refused(folder: Path, change: tuple[str, str], words: str) -> None:
     run(*CALL, "--yes")
     recipe = (folder / "columns.yaml").read_text(encoding="utf-8").replace("utf-8", "cp1252")
     assert change[0] in recipe

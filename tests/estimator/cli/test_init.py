@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from estimator.cli import init
 from estimator.cli.init import ASKED, KINDS, QUESTIONS
@@ -29,8 +28,7 @@ from estimator.rig_files.starter import (
     starter_plan_text,
     starter_rig_text,
 )
-
-Run = Callable[..., Result]
+from tests.estimator.cli.conftest import run
 
 
 @pytest.mark.parametrize("kind", Kind)
@@ -88,22 +86,8 @@ def test_an_answer_that_is_refused_is_asked_again_and_the_others_stay(
 ) -> None:
     monkeypatch.setattr(init, "can_ask", lambda: True)
     # The wire is refused at once; that the radius leaves no bore and that the stage goes too far shows at the end.
-    answers = [
-        "helmholtz",
-        "our pair",
-        "20",
-        "-1",
-        "0.4",
-        "12",
-        "9",
-        "100",
-        "",
-        "",
-        "subtracted",
-        "120",
-        "30",
-    ]
-    result = CliRunner().invoke(main, ["init", str(tmp_path)], input="\n".join(answers) + "\n")
+    answers = "helmholtz,our pair,20,-1,0.4,12,9,100,,,subtracted,120,30,"
+    result = CliRunner().invoke(main, ["init", str(tmp_path)], input=answers.replace(",", "\n"))
     assert result.exit_code == 0, result.stderr
     assert "wire_radius_mm must be > 0 and below 1000000; received -1" in result.stderr
     assert "radius_mm must leave a bore in which a sensor can be moved" in result.stderr
@@ -113,7 +97,7 @@ def test_an_answer_that_is_refused_is_asked_again_and_the_others_stay(
     assert (rig.name, values["coil1.axial_loops"], values["coil2.radial_loops"]) == ("our pair", 12.0, 9.0)
 
 
-def test_an_option_of_another_set_up_is_refused(run: Run, tmp_path: Path) -> None:
+def test_an_option_of_another_set_up_is_refused(tmp_path: Path) -> None:
     result = run("init", tmp_path / "new", "--kind", "cage", "--radius-mm", 30)
     assert (result.exit_code, "--radius-mm is no answer for --kind cage" in result.stderr) == (2, True)
     made = run("init", tmp_path / "new", "--kind", "array", "--n-sensors", 5, "--json")
@@ -135,20 +119,9 @@ def test_whatever_is_moved_no_draw_of_the_truth_puts_a_sensor_into_the_winding(
         assert float(readings.field_sensor_T.abs().max()) > 1e-3
 
 
-def test_a_script_is_not_asked_and_gets_what_it_gave(run: Run, tmp_path: Path) -> None:
-    given = [
-        "--radius-mm",
-        20,
-        "--radial-loops",
-        8,
-        "--name",
-        "small coil",
-        "--largest-a",
-        1.5,
-        "--noise-ut",
-        3,
-    ]
-    result = run("init", tmp_path / "new", *given, "--json")
+def test_a_script_is_not_asked_and_gets_what_it_gave(tmp_path: Path) -> None:
+    given = "--radius-mm 20 --radial-loops 8 --largest-a 1.5 --noise-ut 3 --json"
+    result = run("init", tmp_path / "new", *given.split(), "--name", "small coil")
     told = json.loads(result.stdout)
     assert (result.exit_code, result.stderr, told["readings"]) == (0, "", 280)
     rig = load_rig(told["rig"])
@@ -167,14 +140,8 @@ def test_whoever_sits_at_a_terminal_is_asked_for_the_rest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(init, "can_ask", lambda: True)
-    answers = [
-        "",
-        "bench",
-        "sensor",
-        "shift",
-        "pose",
-        *[""] * (len(ASKED["stage"]) - 4),
-    ]  # "shift" is asked again
+    of_rest = [""] * (len(ASKED["stage"]) - 4)
+    answers = ["", "bench", "sensor", "shift", "pose", *of_rest]  # "shift" is asked again
     arguments = ["init", str(tmp_path), "--radius-mm", "30"]
     result = CliRunner().invoke(main, arguments, input="\n".join(answers) + "\n")
     assert result.exit_code == 0
@@ -202,9 +169,7 @@ def test_whoever_sits_at_a_terminal_is_asked_for_the_rest(
         (["--axial-loops", "0"], "axial_loops must be at least 1 and below 10000; received 0"),
     ],
 )
-def test_answers_that_make_no_sense_leave_no_file(
-    run: Run, tmp_path: Path, options: list[str], words: str
-) -> None:
+def test_answers_that_make_no_sense_leave_no_file(tmp_path: Path, options: list[str], words: str) -> None:
     result = run("init", tmp_path / "new", *options)
     assert result.exit_code == 2
     assert words in result.stderr
@@ -222,7 +187,7 @@ def test_a_starter_without_room_is_refused() -> None:
 
 
 @pytest.mark.slow
-def test_what_it_writes_can_be_calibrated_at_once(run: Run, tmp_path: Path) -> None:
+def test_what_it_writes_can_be_calibrated_at_once(tmp_path: Path) -> None:
     assert run("init", tmp_path).exit_code == 0
     rig, plan, session = tmp_path / "rig.yaml", tmp_path / "plan.yaml", tmp_path / "trial.zarr"
     assert run("simulate", "--rig", rig, "--plan", plan, "--out", session).exit_code == 0

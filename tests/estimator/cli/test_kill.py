@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -13,10 +12,9 @@ import pytest
 
 from estimator.calibration.result import Calibration
 from estimator.store.emcee_backend import ZarrBackend
-from tests.estimator.cli.conftest import Run
+from tests.estimator.cli.conftest import run
+from tests.program import PROGRAM, ROOT
 
-ROOT = Path(__file__).parents[3]
-PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 STEPS = 300
 
 
@@ -37,9 +35,7 @@ def committed_steps(out: Path) -> int:
 
 
 @pytest.mark.slow  # store/test_emcee_backend kills a chain, test_outputs interrupts this command
-def test_a_killed_calibration_continues_to_the_same_posterior(
-    run: Run, workspace: Path, tmp_path: Path
-) -> None:
+def test_a_killed_calibration_continues_to_the_same_posterior(workspace: Path, tmp_path: Path) -> None:
     session = workspace / "session.zarr"
     killed = subprocess.Popen(
         [*PROGRAM, *command(session, tmp_path / "killed")],

@@ -6,16 +6,14 @@ import io
 import json
 import math
 import re
-import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from click.testing import Result
 from rich.console import Console
 
 from estimator.cli import live_session
@@ -31,30 +29,21 @@ from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
+from tests.estimator.cli.conftest import run, terminal
 
-Run = Callable[..., Result]
 N_STOPS = 108
 
 
 def records(readings: Observations, from_row: int, gain: float) -> list[StopReadings]:
     """Stops that a measurement would write; from some row on, the field is weaker."""
-    found = []
+    stops = []
     for row in range(len(readings)):
         field_T = readings.field_sensor_T[row] * (gain if row >= from_row else 1.0)
         motion = {"arm1": readings.motion["arm1"][row].tolist()}
-        found.append(
-            StopReadings(
-                float(row),
-                readings.current_A[row].tolist(),
-                motion,
-                {"hall": field_T.tolist()},
-                False,
-                0,
-                {"coil1": 2.998},
-                {"hall": [1e-6, 2e-6, 3e-6]},
-            )
-        )
-    return found
+        set_to = (float(row), readings.current_A[row].tolist(), motion)
+        shown = ({"coil1": 2.998}, {"hall": [1e-6, 2e-6, 3e-6]})
+        stops.append(StopReadings(*set_to, {"hall": field_T.tolist()}, False, 0, *shown))
+    return stops
 
 
 @pytest.fixture
@@ -63,26 +52,36 @@ def stops(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]) -> li
     return records(readings, 80, 0.97)
 
 
-@pytest.fixture
-def growing(tmp_path: Path, small_rig: Rig, stops: list[StopReadings]) -> Iterator[Path]:
-    """A session that begins late, grows in another thread, and ends."""
-    path = tmp_path / "session.zarr"
+def write(path: Path, rig: Rig, stops: Sequence[StopReadings], pause_s: float = 0.0) -> None:
+    """The journal of a measurement."""
+    with Journal.create(path, new_header(rig, "a test", "plan", {}, N_STOPS)) as journal:
+        for stop in stops:
+            journal.append(stop.entry())
+            time.sleep(pause_s)
 
-    def write() -> None:
+
+def written_in_a_thread(path: Path, rig: Rig, stops: Sequence[StopReadings]) -> threading.Thread:
+    """A session that begins late, grows, and ends."""
+
+    def grow() -> None:
         time.sleep(0.3)
-        with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
-            for one in stops:
-                journal.append(one.entry())
-                time.sleep(0.02)
+        write(path, rig, stops, 0.02)
         seal(path)
 
-    writer = threading.Thread(target=write)
+    writer = threading.Thread(target=grow)
     writer.start()
+    return writer
+
+
+@pytest.fixture
+def growing(tmp_path: Path, small_rig: Rig, stops: list[StopReadings]) -> Iterator[Path]:
+    path = tmp_path / "session.zarr"
+    writer = written_in_a_thread(path, small_rig, stops)
     yield path
     writer.join()
 
 
-def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growing: Path) -> None:
+def test_it_follows_a_session_to_its_end_and_dates_what_changed(growing: Path) -> None:
     result = run("live", growing, "--no-refresh", "--json", "--wait", "20")
     assert result.exit_code == 0, result.stderr
     said = json.loads(result.stdout)
@@ -95,15 +94,13 @@ def test_it_follows_a_session_to_its_end_and_dates_what_changed(run: Run, growin
 
 
 def test_what_is_not_fitted_and_what_was_lost_is_said(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
+    tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
 ) -> None:
     path = tmp_path / "session.zarr"
     stops[3] = replace(stops[3], is_validation=True)
     stops[4] = replace(stops[4], field_T={"hall": [math.nan] * 3})
     stops[5] = replace(stops[5], n_gaps={"hall": 2})
-    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
-        for one in stops[:9]:
-            journal.append(one.entry())
+    write(path, small_rig, stops[:9])
     seal(path)
     said = json.loads(run("live", path, "--no-refresh", "--json").stdout)
     assert (said["stops"], said["readings"], said["skipped"], said["gaps"]) == (9, 7, 2, 2)
@@ -114,13 +111,11 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
 
 
 def test_a_session_that_was_measured_before_has_alarms_too(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
+    tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
 ) -> None:
     """Its readings are taken in growing parts, each of which is compared with its prediction by those before."""
     path = tmp_path / "session.zarr"
-    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
-        for one in stops:
-            journal.append(one.entry())
+    write(path, small_rig, stops)
     seal(path)
     said = json.loads(run("live", path, "--no-refresh", "--json").stdout)
     assert said["readings"] == N_STOPS
@@ -129,7 +124,7 @@ def test_a_session_that_was_measured_before_has_alarms_too(
 
 @pytest.mark.slow
 def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
-    run: Run, tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
+    tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
 ) -> None:
     """The coil is cold for half the session, then warms up by 12 K, and its current sags by 0.4 % per kelvin."""
     path = tmp_path / "session.zarr"
@@ -145,16 +140,7 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
         )
         for row, one in enumerate(records(readings.rows(order).alone, N_STOPS, 1.0))
     ]
-
-    def write() -> None:
-        with Journal.create(path, new_header(small_rig, "a test", "plan", {}, N_STOPS)) as journal:
-            for one in warm:
-                journal.append(one.entry())
-                time.sleep(0.02)
-        seal(path)
-
-    writer = threading.Thread(target=write)
-    writer.start()
+    writer = written_in_a_thread(path, small_rig, warm)
     result = run("live", path, "--json", "--wait", "60")
     writer.join()
     assert result.exit_code == 0, result.stderr
@@ -173,10 +159,14 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     assert low < high
 
 
-def test_what_is_no_session_is_one_sentence(run: Run, tmp_path: Path) -> None:
+def test_what_is_no_session_is_one_sentence(tmp_path: Path) -> None:
     result = run("live", tmp_path / "none", "--wait", "0")
     assert result.exit_code == 2
     assert "must be one that coilcal acquire writes or wrote" in result.stderr
+
+
+def empty_state(rig: Rig) -> LiveState:
+    return LiveState("session.zarr", rig.movers, 0, (), 0, 0.0, None, (), None, False)
 
 
 def shown(state: LiveState) -> str:
@@ -211,7 +201,7 @@ class Failing(Background):
 
 
 def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_are(
-    run: Run, growing: Path, monkeypatch: pytest.MonkeyPatch
+    growing: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(refresh, "Background", Failing)
     result = run("live", growing, "--json", "--wait", "20")
@@ -243,26 +233,22 @@ def test_an_estimate_that_a_diagnosis_has_moved_is_not_called_polished(
     tmp_path: Path, small_rig: Rig, small_truth: dict[str, float], stops: list[StopReadings]
 ) -> None:
     path = tmp_path / "session.zarr"
-    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
-        for one in stops[:9]:
-            journal.append(one.entry())
-        session = live_session.LiveSession(path)
+    write(path, small_rig, stops[:9])
+    session = live_session.LiveSession(path)
+    session.step(None)
+    deadline_s = time.monotonic() + 60.0
+    while "same as a fit" not in session.state(None).standing and time.monotonic() < deadline_s:
         session.step(None)
-        deadline_s = time.monotonic() + 60.0
-        while "same as a fit" not in session.state(None).standing and time.monotonic() < deadline_s:
-            session.step(None)
-        assert session.state(None).standing.startswith("polished")
-        session.step(Telling(small_rig.nominal_values() | small_truth))
+    assert session.state(None).standing.startswith("polished")
+    session.step(Telling(small_rig.nominal_values() | small_truth))
     assert session.state(None).standing.startswith("not polished yet")
 
 
 def test_nothing_is_made_of_the_readings_while_none_is_new(
-    run: Run, tmp_path: Path, small_rig: Rig, stops: list[StopReadings], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, small_rig: Rig, stops: list[StopReadings], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "session.zarr"
-    with Journal.create(path, new_header(small_rig, "a test", "plan", {})) as journal:
-        for one in stops[:5]:
-            journal.append(one.entry())
+    write(path, small_rig, stops[:5])
     calls = []
     real = engine.observations_of
     monkeypatch.setattr(engine, "observations_of", lambda *given: calls.append(1) or real(*given))
@@ -287,7 +273,7 @@ def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(
         Alarm("probe2", "x, y and z together", 5, 5, 9.0),
     )
     known = Refreshed(60, {}, {}, "named", ("a cause",), 1.0, places)
-    state = LiveState("session.zarr", small_rig.movers, 0, (), 0, 0.0, None, alarms, known, False)
+    state = replace(empty_state(small_rig), alarms=alarms, refreshed=known)
     assert state.since == since
     assert state.verdict.endswith(f"; residuals are off since reading {since}")
 
@@ -295,24 +281,17 @@ def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(
 def test_on_a_terminal_the_screen_is_drawn_and_taken_away(
     small_rig: Rig, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Terminal(io.StringIO):
-        def isatty(self) -> bool:
-            return True
-
-    terminal = Terminal()
-    monkeypatch.setattr(sys, "stderr", terminal)
+    shown_on = terminal(monkeypatch)
     with LiveView() as view:
-        view(
-            LiveState("session.zarr", small_rig.movers, 7, (), 0, 0.0, None, (), None, False, "it was killed")
-        )
-    assert "stop 0 of 7" in terminal.getvalue()
-    assert "it was killed" in terminal.getvalue()
+        view(replace(empty_state(small_rig), n_stops=7, trouble="it was killed"))
+    assert "stop 0 of 7" in shown_on.getvalue()
+    assert "it was killed" in shown_on.getvalue()
 
 
 def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
     small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], stops: list[StopReadings]
 ) -> None:
-    empty = LiveState("session.zarr", small_rig.movers, 0, (), 0, 0.0, None, (), None, False)
+    empty = empty_state(small_rig)
     assert "stop 0" in shown(empty)
     assert "diagnosis: not yet" in shown(empty)
     stream = Stream(small_rig)
@@ -330,19 +309,17 @@ def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
         temperature_C={"coil1": 31.26, "hall": float("nan")},
     ).entry()
     text = shown(
-        LiveState(
-            "session.zarr",
-            small_rig.movers,
-            108,
-            [record] * 27,
-            3,
-            42.0,
-            estimate,
-            (alarm,),
-            known,
-            True,
-            None,
-            4,
+        replace(
+            empty,
+            n_stops=108,
+            entries=[record] * 27,
+            n_new=3,
+            silent_s=42.0,
+            estimate=estimate,
+            alarms=(alarm,),
+            refreshed=known,
+            is_refreshing=True,
+            n_skipped=4,
         )
     )
     for words in (

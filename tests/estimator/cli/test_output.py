@@ -1,71 +1,21 @@
-"""Progress on a terminal and in a pipe, and faults as sentences."""
+"""Faults as sentences, and options of every command."""
 
 from __future__ import annotations
 
-import io
 import json
 import logging
-import sys
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import click
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from estimator.calibration.calibrate import Stage
 from estimator.cli.main import main
 from estimator.cli.output import CoilcalCommand, explained_errors, named_number, named_numbers
-from estimator.cli.progress import Reporter, TimeLeft
+from estimator.cli.progress import Reporter
 from estimator.errors import CorruptStore, InvalidInput
-from estimator.inference.ensemble import Progress
-from estimator.inference.laplace import OpenDirection
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-STAGES = (
-    Stage("point estimate"),
-    Stage("Laplace", open_directions=(OpenDirection("coil1 thickness", 3.0, {"coil1 thickness": 1.0}),)),
-    Stage("sampling", Progress(50, 1000, 120.0, 2000.0, 1.0123)),
-    Stage("sampling", Progress(100, 1000, 250.0, 2000.0, 1.0071)),
-)
-WORDS = (
-    "point estimate",
-    "not determined by the data: coil1 thickness",
-    "step 100, effective samples 250 of 2000, R-hat 1.0071",
-)
-
-
-def report(monkeypatch: pytest.MonkeyPatch, stream: io.StringIO) -> str:
-    monkeypatch.setattr(sys, "stderr", stream)
-    with Reporter() as reporter:
-        for stage in STAGES:
-            reporter.calibration(stage)
-    return stream.getvalue()
-
-
-def test_a_pipe_gets_every_line_once_and_plainly(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert report(monkeypatch, io.StringIO()).splitlines() == [
-        "point estimate",
-        "Laplace",
-        "  not determined by the data: coil1 thickness",
-        "sampling",
-        "  step 50, effective samples 120 of 2000, R-hat 1.0123",
-        "  step 100, effective samples 250 of 2000, R-hat 1.0071",
-    ]
-
-
-def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "xterm")
-    monkeypatch.setenv("COLUMNS", "120")
-    shown = report(monkeypatch, Terminal())
-    assert "\x1b[" in shown
-    assert all(word in shown for word in WORDS[:2])
+from tests.estimator.cli.conftest import run
 
 
 @pytest.mark.parametrize(
@@ -115,28 +65,11 @@ def test_what_is_no_named_number_is_refused(text: str) -> None:
         named_number([text], "--current")
 
 
-def test_the_time_left_follows_from_what_was_done_since_the_beginning(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    now_s = [100.0]
-    monkeypatch.setattr(time, "monotonic", lambda: now_s[0])
-    left = TimeLeft()
-    assert left.words(50.0, 250.0) == ""
-    now_s[0] += 10.0
-    assert left.words(100.0, 250.0) == ", about 30 s left"
-    assert left.words(250.0, 250.0) == ""
-    assert left.words(0.0, 100.0) == ""  # something new
-    now_s[0] += 1.0
-    assert left.words(1.0, 100.0) == ", about 1 min 39 s left"
-    assert left.words(99.9, 100.0) == ""
-
-
-def test_quiet_keeps_progress_back_and_verbose_logs(run: Callable[..., Result], tmp_path: Path) -> None:
+def test_quiet_keeps_progress_back_and_verbose_logs(tmp_path: Path) -> None:
     @click.command(cls=CoilcalCommand)
     def long_command() -> None:
         with Reporter() as reporter:
-            for stage in STAGES:
-                reporter.calibration(stage)
+            reporter.calibration(Stage("point estimate"))
         click.echo("done")
 
     loud, quiet = (CliRunner().invoke(long_command, options) for options in ([], ["--quiet"]))

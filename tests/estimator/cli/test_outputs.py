@@ -8,7 +8,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +15,7 @@ from typing import Any
 
 import click
 import pytest
+from click.testing import CliRunner, Result
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -25,11 +25,10 @@ from estimator.cli.options import OutputPath
 from estimator.cli.output import CoilcalCommand, explained_errors
 from estimator.store.session import SESSION, load_session
 from estimator.store.staging import only_writer, staged, write_output
-from tests.estimator.cli.conftest import Run
+from tests.estimator.cli.conftest import run
 from tests.estimator.store.interrupted import full_disk
+from tests.program import PROGRAM, ROOT
 
-ROOT = Path(__file__).parents[3]
-PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 Tree = dict[str, tuple[Any, ...]]
 
 
@@ -51,32 +50,21 @@ def tree(folder: Path) -> Tree:
     return found
 
 
-def simulated(run: Run, workspace: Path, out: Path, *more: object) -> Any:
-    return run(
-        "simulate", "--rig", workspace / "rig.yaml", "--plan", workspace / "plan.yaml", "--out", out, *more
-    )
-
-
-def test_neighbours_of_an_output_are_left_alone(run: Run, workspace: Path, tmp_path: Path) -> None:
+def test_neighbours_of_an_output_are_left_alone(simulate: Callable[..., Result], tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("precious")
     for name in ("s.zarr.old", "s.zarr.partial", "s.zarr.begun"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "file").write_text("precious")
     (tmp_path / "f.csv.partial").symlink_to("precious")
     before = tree(tmp_path)
-    assert simulated(run, workspace, tmp_path / "s.zarr", "--csv", tmp_path / "f.csv").exit_code == 0
-    assert (
-        simulated(run, workspace, tmp_path / "s.zarr", "--csv", tmp_path / "f.csv", "--overwrite").exit_code
-        == 0
-    )
+    call = ("--out", tmp_path / "s.zarr", "--csv", tmp_path / "f.csv")
+    assert simulate(*call).exit_code == simulate(*call, "--overwrite").exit_code == 0
     after = tree(tmp_path)
     assert {name: after[name] for name in before} == before
     assert {name.partition("/")[0] for name in set(after) - set(before)} == {"s.zarr", "f.csv"}
 
 
-def test_a_diagnosis_does_not_replace_the_folder_of_its_session(
-    run: Run, workspace: Path, tmp_path: Path
-) -> None:
+def test_a_diagnosis_does_not_replace_the_folder_of_its_session(workspace: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     shutil.copytree(workspace / "session.zarr", mine / "s.zarr")
     (mine / "diagnosis.json").write_text('{"verdict": "named"}')
@@ -114,7 +102,7 @@ def test_a_diagnosis_does_not_replace_the_folder_of_its_session(
     ],
 )  # fmt: skip
 def test_what_is_not_the_programs_own_is_not_written_over(
-    run: Run, workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, message: str
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, message: str
 ) -> None:
     shutil.copytree(workspace / "session.zarr", tmp_path / "s.zarr")
     shutil.copytree(workspace / "session.zarr", tmp_path / "other.zarr")
@@ -205,8 +193,6 @@ def test_among_any_files_only_the_output_itself_changes(
     overwrite: bool,
     source: str,
 ) -> None:
-    from click.testing import CliRunner
-
     place = tmp_path_factory.mktemp("any")
     (place / "precious").write_text("precious")
     here = place / "here"
@@ -258,8 +244,6 @@ def test_among_any_files_only_the_output_itself_changes(
 def raced(calls: list[list[str]], folder: Path) -> list[tuple[str, str, int]]:
     """What commands printed and returned that ran at once, each in a fork of this process, which has loaded all they need."""
     told = [folder / f"told{number}.json" for number in range(len(calls))]
-    from click.testing import CliRunner
-
     children = []
     for call, path in zip(calls, told, strict=True):
         children.append(os.fork())
@@ -281,15 +265,8 @@ def test_of_commands_that_race_for_one_session_one_wins_and_each_says_so(
     workspace: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "s.zarr"
-    call = [
-        "simulate",
-        "--rig",
-        str(workspace / "rig.yaml"),
-        "--plan",
-        str(workspace / "plan.yaml"),
-        "--out",
-        str(out),
-    ]
+    rig, plan = str(workspace / "rig.yaml"), str(workspace / "plan.yaml")
+    call = ["simulate", "--rig", rig, "--plan", plan, "--out", str(out)]
     for more in ([], ["--overwrite"]):
         ended = raced([[*call, "--json", *more, "--seed", str(seed)] for seed in range(3)], tmp_path)
         won = [json.loads(said)["truth"] for said, _, code in ended if code == 0]
@@ -327,32 +304,22 @@ def interrupted(call: list[str], cwd: Path, is_time: Callable[[], bool], n: int 
 
 @pytest.mark.parametrize("n", [pytest.param(1, marks=pytest.mark.slow), 8])  # eight begin with one
 def test_ctrl_c_ends_a_calibration_in_one_line_and_the_same_command_goes_on(
-    run: Run, workspace: Path, tmp_path: Path, n: int
+    workspace: Path, tmp_path: Path, n: int
 ) -> None:
-    call = [
-        "calibrate",
-        str(workspace / "session.zarr"),
-        "--out",
-        "out",
-        "--walkers",
-        "16",
-        "--ess",
-        "1e9",
-        "--max-steps",
-        "60",
-    ]
+    limits = ["--walkers", "16", "--ess", "1e9", "--max-steps", "60"]
+    call = ["calibrate", str(workspace / "session.zarr"), *limits, "--out"]
     chain = tmp_path / "out" / "chain.zarr" / "zarr.json"
 
     def steps() -> int:
         return int(json.loads(chain.read_bytes())["attributes"]["n_steps"]) if chain.exists() else 0
 
-    said, faults, code = interrupted([*call, "--quiet"], tmp_path, lambda: steps() > 0, n)
+    said, faults, code = interrupted([*call, "out", "--quiet"], tmp_path, lambda: steps() > 0, n)
     assert (said, code) == ("", 130)
     assert faults.splitlines()[-1] == "coilcal: interrupted; the same command goes on"
     assert "Traceback" not in faults
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["chain.zarr"]
     before = steps()
-    again = run(*call[:2], "--out", tmp_path / "out", *call[4:])
+    again = run(*call, tmp_path / "out")
     assert again.exit_code == 4
     assert steps() >= before
     Calibration.load(tmp_path / "out")
@@ -378,9 +345,7 @@ def test_ctrl_c_eight_times_at_any_instant_is_one_line(
             assert faults.splitlines()[-1].startswith("coilcal: interrupted")
 
 
-def test_a_disk_that_is_full_is_one_sentence_that_names_the_file(
-    run: Run, workspace: Path, tmp_path: Path
-) -> None:
+def test_a_disk_that_is_full_is_one_sentence_that_names_the_file(workspace: Path, tmp_path: Path) -> None:
     predict = ["predict", workspace / "calibration", "--grid", "x_mm=0", "--current", "coil1=1"]
     calls: list[tuple[Path, list[object]]] = [
         (tmp_path / "s.zarr", ["import", workspace / "readings.csv", "--rig", workspace / "rig.yaml", "--out", tmp_path / "s.zarr"]),

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import yaml
-from click.testing import Result
 
 from estimator.cli.simulated_devices import default_devices
 from estimator.readings.plan import load_plan
 from estimator.rig_files.read import load_rig
+from tests.estimator.cli.conftest import refused, run
 
-Run = Callable[..., Result]
 GOAL = "field 1 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
 
 
@@ -31,9 +29,7 @@ def devices(workspace: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_plan_is_acquired_and_simulated_as_it_is(
-    workspace: Path, run: Run, devices: Path, tmp_path: Path
-) -> None:
+def test_a_plan_is_acquired_and_simulated_as_it_is(workspace: Path, devices: Path, tmp_path: Path) -> None:
     out = tmp_path / "plan.yaml"
     rig = workspace / "rig.yaml"
     result = run("plan", rig, "--devices", devices, "--goal", GOAL, "--stops", 20, "--out", out)
@@ -50,9 +46,7 @@ def test_a_plan_is_acquired_and_simulated_as_it_is(
     assert "informs" in out.read_text()
 
 
-def test_places_of_a_plan_are_those_within_the_limits(
-    workspace: Path, run: Run, devices: Path, tmp_path: Path, refused: Callable[[Result], str]
-) -> None:
+def test_places_of_a_plan_are_those_within_the_limits(workspace: Path, devices: Path, tmp_path: Path) -> None:
     rig, out = workspace / "rig.yaml", tmp_path / "chosen.yaml"
     places = tmp_path / "places.yaml"
     text = (workspace / "plan.yaml").read_text()
@@ -64,7 +58,7 @@ def test_places_of_a_plan_are_those_within_the_limits(
     assert "must be within the limits of the instruments" in refused(run(*call[:-1], "--overwrite"))
 
 
-def test_what_is_missing_is_said(workspace: Path, run: Run, refused: Callable[[Result], str]) -> None:
+def test_what_is_missing_is_said(workspace: Path) -> None:
     rig = workspace / "rig.yaml"
     assert "coil1 has no limits" in refused(run("plan", rig, "--stops", 10))
     assert "a number of stops or a goal" in refused(run("plan", rig, workspace / "plan.yaml"))

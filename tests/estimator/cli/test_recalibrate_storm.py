@@ -7,7 +7,6 @@ import logging
 import random
 import shutil
 import subprocess
-import sys
 import time
 from contextlib import suppress
 from pathlib import Path
@@ -20,9 +19,8 @@ from estimator.readings.plan import Plan
 from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
+from tests.program import PROGRAM, ROOT
 
-ROOT = Path(__file__).parents[3]
-PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 N_KILLS = 20
 logger = logging.getLogger(__name__)
 PATIENCE_S = 300.0

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import click
 import pytest
-from click.testing import Result
 
 from estimator.cli import calibrate
 from estimator.diagnosis import report
+from tests.estimator.cli.conftest import run
 
-Run = Callable[..., Result]
 DRAWN = "pages are drawn now"
 FEW = ("--ess", 100, "--walkers", 16)
 
@@ -28,7 +26,7 @@ def _drawing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "write_reports", drawn)
 
 
-def test_calibrate_prints_its_numbers_before_the_report(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_calibrate_prints_its_numbers_before_the_report(workspace: Path, tmp_path: Path) -> None:
     result = run("calibrate", workspace / "session.zarr", "--out", tmp_path / "c", *FEW)
     words, drawn, report = result.stdout.partition(DRAWN)
     assert drawn
@@ -37,14 +35,14 @@ def test_calibrate_prints_its_numbers_before_the_report(workspace: Path, run: Ru
     assert report == f"\nreport: {tmp_path / 'c' / 'report.html'}\n"
 
 
-def test_calibrate_prints_json_when_all_is_written(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_calibrate_prints_json_when_all_is_written(workspace: Path, tmp_path: Path) -> None:
     result = run("calibrate", workspace / "session.zarr", "--out", tmp_path / "c", *FEW, "--json")
     words, _, record = result.stdout.partition(DRAWN)
     assert words == ""
     assert json.loads(record) == json.loads((tmp_path / "c" / "summary.json").read_text())
 
 
-def test_diagnose_prints_its_verdict_before_the_report(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_diagnose_prints_its_verdict_before_the_report(workspace: Path, tmp_path: Path) -> None:
     limits = ("--most-causes", 0, "--no-posterior")
     result = run("diagnose", workspace / "session.zarr", "--out", tmp_path / "d", *limits)
     words, drawn, written = result.stdout.partition(DRAWN)

@@ -5,22 +5,18 @@ from __future__ import annotations
 import os
 import signal
 import subprocess
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import yaml
-from click.testing import Result
 
 from drivers.open import check_device, open_devices
+from tests.estimator.cli.conftest import run
+from tests.program import PROGRAM, ROOT
 
-ROOT = Path(__file__).parents[3]
-PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 START_S, END_S = 180.0, 20.0
-
-Run = Callable[..., Result]
 
 
 def start(rig: Path, out: Path, *more: str) -> subprocess.Popen[str]:
@@ -83,7 +79,7 @@ def test_its_instruments_end_with_it(
     assert yaml.safe_load(said[0])["devices"] == section
 
 
-def test_what_cannot_be_hidden_is_refused_before_anything_runs(run: Run, rig_path: Path) -> None:
+def test_what_cannot_be_hidden_is_refused_before_anything_runs(rig_path: Path) -> None:
     result = run("rig-simulator", rig_path, "--hide", "position_lag[arm1]=1e-3")
     assert result.exit_code == 2
     assert "position_lag[arm1].lag_m depends on where the mover came from" in result.stderr

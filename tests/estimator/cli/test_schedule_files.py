@@ -15,8 +15,8 @@ import yaml
 
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED
 from estimator.cli.recalibrate import recalibrate_command
+from tests.program import ROOT
 
-ROOT = Path(__file__).parents[3]
 CONFIGS = ROOT / "configs"
 UNIT = CONFIGS / "systemd/coilcal-recalibrate.service"
 DOCKERFILE = CONFIGS / "kubernetes/Dockerfile"

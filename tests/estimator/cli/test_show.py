@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from click.testing import Result
 
 from estimator.batching.work import RESULT_FILE
 from estimator.calibration import files
@@ -23,11 +22,10 @@ from estimator.service.core import DATABASE
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.importers.readings_csv import FIELD
 from estimator.store.journal import Journal
+from tests.estimator.cli.conftest import run
 
-Run = Callable[..., Result]
 
-
-def told(run: Run, path: Path) -> tuple[dict[str, object], list[str]]:
+def told(path: Path) -> tuple[dict[str, object], list[str]]:
     """Record and lines of a path; neither may be long."""
     words, record = run("show", path), run("show", path, "--json")
     assert (words.exit_code, record.exit_code, words.stderr) == (0, 0, "")
@@ -37,17 +35,17 @@ def told(run: Run, path: Path) -> tuple[dict[str, object], list[str]]:
     return json.loads(record.stdout), [line.strip() for line in lines[1:]]
 
 
-def test_a_session(workspace: Path, run: Run) -> None:
-    record, lines = told(run, workspace / "simulated.zarr")
+def test_a_session(workspace: Path) -> None:
+    record, lines = told(workspace / "simulated.zarr")
     assert (record["kind"], record["readings"], record["validation"]) == ("session", 36, 9)
     assert record["is_simulated"] is True
     assert "36 readings, 9 of them for validation, over 35 s" in lines
     assert "current of coil1: 3 to 3 A" in lines
-    assert told(run, workspace / "session.zarr")[0]["is_simulated"] is False
+    assert told(workspace / "session.zarr")[0]["is_simulated"] is False
 
 
-def test_a_calibration(workspace: Path, run: Run) -> None:
-    record, lines = told(run, workspace / "calibration")
+def test_a_calibration(workspace: Path) -> None:
+    record, lines = told(workspace / "calibration")
     assert record["kind"] == "calibration"
     assert (
         record["parameters"]
@@ -57,67 +55,67 @@ def test_a_calibration(workspace: Path, run: Run) -> None:
     assert any("radius" in line and " 90 %: " in line and line.endswith(" mm") for line in lines)
 
 
-def test_a_damaged_calibration_ends_as_damage_does(workspace: Path, run: Run, tmp_path: Path) -> None:
+def test_a_damaged_calibration_ends_as_damage_does(workspace: Path, tmp_path: Path) -> None:
     shutil.copytree(workspace / "calibration", tmp_path / "calibration")
     summary = tmp_path / "calibration" / "summary.json"
     summary.write_text(summary.read_text().replace("0.0", "0.1", 1))
     assert run("show", tmp_path / "calibration").exit_code == 3
     summary.unlink()
-    assert told(run, tmp_path / "calibration")[0]["kind"] == "unfinished calibration"
+    assert told(tmp_path / "calibration")[0]["kind"] == "unfinished calibration"
 
 
-def test_files(workspace: Path, run: Run) -> None:
-    assert told(run, workspace / "rig.yaml")[0]["kind"] == "rig file"
-    assert told(run, workspace / "plan.yaml")[1][0] == "plan 'small grid' with poses, currents_A"
-    record, _ = told(run, workspace / "readings.csv")
+def test_files(workspace: Path) -> None:
+    assert told(workspace / "rig.yaml")[0]["kind"] == "rig file"
+    assert told(workspace / "plan.yaml")[1][0] == "plan 'small grid' with poses, currents_A"
+    record, _ = told(workspace / "readings.csv")
     assert (record["kind"], record["rows"]) == ("readings CSV", 36)
-    record, _ = told(run, workspace / "field.csv")
+    record, _ = told(workspace / "field.csv")
     assert (record["kind"], record["points"]) == ("field CSV", 5)
 
 
-def test_a_folder_of_all_sorts(workspace: Path, run: Run) -> None:
-    record, lines = told(run, workspace)
+def test_a_folder_of_all_sorts(workspace: Path) -> None:
+    record, lines = told(workspace)
     held = {entry["name"]: entry["kind"] for entry in record["holds"]}  # type: ignore[attr-defined]
     expected = {"calibration": "calibration", "session.zarr": "session", "rig.yaml": "rig file"}
     assert held.items() >= expected.items()
     assert "session.zarr: session" in lines or lines[-1].startswith("and more")
 
 
-def test_a_session_that_grows(run: Run, small_rig: Rig, tmp_path: Path) -> None:
+def test_a_session_that_grows(small_rig: Rig, tmp_path: Path) -> None:
     with Journal.create(tmp_path / "new.zarr", new_header(small_rig, "bench", "plan", {})) as journal:
         stop = StopReadings(0.0, [3.0], {"arm1": [0.0] * 6}, {"hall": [1e-3, 0.0, 0.0]}, False, 0)
         journal.append(stop.entry())
-    record, lines = told(run, tmp_path / "new.zarr")
+    record, lines = told(tmp_path / "new.zarr")
     assert (record["kind"], record["readings"]) == ("session that grows", 1)
     assert lines[-1].startswith("coilcal acquire writes it")
 
 
-def test_a_registry(run: Run, tmp_path: Path) -> None:
+def test_a_registry(tmp_path: Path) -> None:
     (tmp_path / "versions" / "0001").mkdir(parents=True)
     entries = [Entry("updated", "first", taken="2026-01-01", version=1, made=1), Entry("rejected", "bad")]
     (tmp_path / "log.jsonl").write_text("".join(f"{entry.line()}\n" for entry in entries))
-    record, lines = told(run, tmp_path)
+    record, lines = told(tmp_path)
     assert (record["kind"], record["versions"], record["last"]) == ("registry", [1], "bad")
     assert lines[:2] == ["1 versions; in use is none", "log: 1 updated, 1 rejected"]
     assert Registry(tmp_path).versions == (1,)
 
 
-def test_a_diagnosis_and_a_broken_one(run: Run, tmp_path: Path) -> None:
+def test_a_diagnosis_and_a_broken_one(tmp_path: Path) -> None:
     quantity = {"median": 0.01, "sd": 0.001, "ci90": [0.008, 0.012], "unit": "1"}
     cause = {"name": "axis_gain", "place": "hall", "probability": 0.88, "parameters": {"x": quantity}}
     told_so = {"verdict": "named", "causes": [cause], "next_measurement": [], "ended_early": ""}
     (tmp_path / "diagnosis.json").write_text(json.dumps(told_so))
-    assert told(run, tmp_path)[1][:3] == [
+    assert told(tmp_path)[1][:3] == [
         "verdict: named",
         "axis_gain[hall] (88 %)",
         "x                1.0 % (0.8 to 1.2 %)",
     ]
     difference = {"difference": {"plus": "x", "minus": "z_at_x", **quantity}}
     (tmp_path / "diagnosis.json").write_text(json.dumps(told_so | {"causes": [cause | difference]}))
-    assert "known best: x − z at x 1.0 % (0.8 to 1.2 %)" in told(run, tmp_path)[1]
+    assert "known best: x − z at x 1.0 % (0.8 to 1.2 %)" in told(tmp_path)[1]
     others = {"alternatives": [{"name": "backlash"}], "may_be_unknown": True}
     (tmp_path / "diagnosis.json").write_text(json.dumps(told_so | {"causes": [cause | others]}))
-    assert "axis_gain[hall] (88 %), or backlash, or something not in the library" in told(run, tmp_path)[1]
+    assert "axis_gain[hall] (88 %), or backlash, or something not in the library" in told(tmp_path)[1]
     (tmp_path / "diagnosis.json").write_text('{"verdict": "named"}')
     broken = run("show", tmp_path)
     assert broken.exit_code == 3
@@ -133,12 +131,12 @@ def test_names_that_mark_a_folder_are_those_of_what_writes_it() -> None:
     assert (kinds.UNKNOWN, kinds.FIELD) == (UNKNOWN, FIELD)
 
 
-def test_a_batch_and_the_data_of_the_service(run: Run, tmp_path: Path) -> None:
+def test_a_batch_and_the_data_of_the_service(tmp_path: Path) -> None:
     (tmp_path / "jobs" / "a").mkdir(parents=True)
     (tmp_path / "jobs" / "a" / RESULT_FILE).touch()
-    assert told(run, tmp_path)[0] == {"kind": "batch", "fits": 1, "sampled": 0}
+    assert told(tmp_path)[0] == {"kind": "batch", "fits": 1, "sampled": 0}
     (tmp_path / DATABASE).touch()
-    assert told(run, tmp_path)[0] == {"kind": "data of the service", "sessions": 0, "jobs": 1}
+    assert told(tmp_path)[0] == {"kind": "data of the service", "sessions": 0, "jobs": 1}
 
 
 @pytest.mark.parametrize(
@@ -150,7 +148,7 @@ def test_a_batch_and_the_data_of_the_service(run: Run, tmp_path: Path) -> None:
     ],
 )
 def test_what_is_nothing_of_coilcal_is_refused(
-    run: Run, tmp_path: Path, make: Callable[[Path], object], words: str
+    tmp_path: Path, make: Callable[[Path], object], words: str
 ) -> None:
     make(tmp_path / "thing")
     result = run("show", tmp_path / "thing")

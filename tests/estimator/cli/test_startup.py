@@ -21,8 +21,8 @@ from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
 from tests.once import once
+from tests.program import ROOT
 
-ROOT = Path(__file__).parents[3]
 LARGE = (
     *("apscheduler", "arviz", "dask", "distributed", "emcee", "jaxtyping", "jinja2", "matplotlib", "numba"),
     *("numpy", "pandas", "rich", "scipy", "scipy.stats", "sympy", "torch", "xarray", "yaml", "zarr"),
@@ -108,10 +108,7 @@ for number, call in enumerate(json.load(sys.stdin)):
 
 @pytest.fixture(scope="module")
 def ended(
-    workspace: Path,
-    small_rig: Rig,
-    small_session: Session,
-    tmp_path_factory: pytest.TempPathFactory,
+    workspace: Path, small_rig: Rig, small_session: Session, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, Ended]:
     """Commands that need what `MODEL` names: exit code, standard output, and large libraries that are loaded at the end."""
 

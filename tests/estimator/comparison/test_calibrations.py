@@ -12,7 +12,7 @@ import pytest
 from estimator.calibration.result import Calibration
 from estimator.comparison.calibrations import sentences, side_by_side, side_by_side_report
 from estimator.errors import InvalidInput
-from tests.estimator.cli.conftest import invoke
+from tests.estimator.cli.conftest import run
 
 Z = "coil1.world_from_coil0.z_m"
 
@@ -70,10 +70,10 @@ def test_calibrations_without_a_common_coil_are_refused(small_calibration: Calib
 def test_the_command_takes_two_folders(small_calibration: Calibration, tmp_path: Path) -> None:
     small_calibration.save(tmp_path / "a")
     moved(small_calibration, 2e-3).save(tmp_path / "b")
-    printed = invoke("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--json")
+    printed = run("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--json")
     record = json.loads(printed.stdout)
     assert record == json.loads((tmp_path / "out/comparison.json").read_text())
     assert record["fields"][0]["coil"] == "coil1"
     assert (tmp_path / "out/comparison.html").exists()
-    refused = invoke("compare", tmp_path / "a", "--out", tmp_path / "other")
+    refused = run("compare", tmp_path / "a", "--out", tmp_path / "other")
     assert "two calibrations are compared, or a session with the --map" in refused.stderr

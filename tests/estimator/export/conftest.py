@@ -13,6 +13,7 @@ from estimator.calibration.result import Calibration
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from tests.estimator.export.compared import Question
 
 MAGNET = """
 schema_version: 1
@@ -101,6 +102,11 @@ def motion() -> dict[str, Tensor]:
 @pytest.fixture(scope="session")
 def currents_A() -> dict[str, float]:
     return {"carried": 3.0, "standing": -2.0, "shifted": 5.0}
+
+
+@pytest.fixture(scope="session")
+def question(points_m: Tensor, currents_A: dict[str, float], motion: dict[str, Tensor]) -> Question:
+    return Question(points_m, currents_A, motion)
 
 
 @pytest.fixture(scope="session")

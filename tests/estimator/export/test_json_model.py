@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipe, ellipk
-from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.export.json_model import calibration_schema
+from tests.estimator.export.compared import Question
 
 Pose = tuple[np.ndarray, np.ndarray]
 
@@ -36,19 +36,13 @@ def test_file_follows_its_schema(document: dict[str, Any]) -> None:
 
 
 def test_another_reader_finds_the_field_of_predict(
-    document: dict[str, Any],
-    magnet: Calibration,
-    motion: dict[str, Tensor],
-    currents_A: dict[str, float],
-    points_m: Tensor,
+    document: dict[str, Any], magnet: Calibration, question: Question
 ) -> None:
     """The textbook formula loses digits far away; elsewhere it agrees to rounding."""
-    near_m = points_m[:18]
-    expected_T = magnet.field(near_m, currents_A, motion).numpy()
-    motions = {name: numbers.numpy() for name, numbers in motion.items()}
-    received_T = np.stack(
-        [field(document, motions, list(currents_A.values()), point_m) for point_m in near_m.numpy()]
-    )
+    near_m, currents_A = question.points_m[:18], list(question.currents_A.values())
+    expected_T = magnet.field(near_m, question.currents_A, question.motion).numpy()
+    motions = {name: numbers.numpy() for name, numbers in question.motion.items()}
+    received_T = np.stack([field(document, motions, currents_A, point_m) for point_m in near_m.numpy()])
     assert (np.linalg.norm(received_T - expected_T, axis=1) / np.linalg.norm(expected_T, axis=1)).max() < 1e-9
 
 

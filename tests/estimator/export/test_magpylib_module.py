@@ -12,23 +12,18 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import Question, assert_close
 
 
 def test_collection_has_the_field_of_all_loops(
-    magnet: Calibration,
-    motion: dict[str, Tensor],
-    currents_A: dict[str, float],
-    points_m: Tensor,
-    tmp_path: Path,
+    magnet: Calibration, question: Question, tmp_path: Path
 ) -> None:
-    outside_m = points_m[:-1]
-    path = magnet.export("magpylib", tmp_path / "magnet.py", motion=motion)
-    collection = runpy.run_path(str(path))["magnet"](list(currents_A.values()))
-    whole = RoomField(magnet.rig, magnet.best_values(), outside_m, motion, tolerance=0.0)
-    assert_close(
-        collection.getB(outside_m.numpy()), whole.field_T(magnet.best_values(), magnet.currents(currents_A))
-    )
+    outside_m, best = question.points_m[:-1], magnet.best_values()
+    path = magnet.export("magpylib", tmp_path / "magnet.py", motion=question.motion)
+    collection = runpy.run_path(str(path))["magnet"](list(question.currents_A.values()))
+    whole = RoomField(magnet.rig, best, outside_m, question.motion, tolerance=0.0)
+    expected_T = whole.field_T(best, magnet.currents(question.currents_A))
+    assert_close(collection.getB(outside_m.numpy()), expected_T)
 
 
 def test_mover_without_a_pose_and_loops_that_are_not_whole_are_refused(

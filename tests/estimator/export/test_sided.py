@@ -21,12 +21,10 @@ from estimator.export.json_model import calibration_schema
 from estimator.export.magnet import Magnet
 from estimator.export.torch_program import MagnetProgram
 from estimator.model.room_field import RoomField
-from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.system.system import System
-from tests.estimator.export.compared import assert_close, by_gcc, by_octave, needs_gcc, needs_octave
-from tests.estimator.export.test_cpp_header import PROGRAM
+from tests.estimator.export.compared import Question, needs_gcc, needs_octave
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS, outline
 
 TEXT = """
@@ -121,59 +119,36 @@ def around_m() -> Tensor:
     return torch.from_numpy(np.concatenate((spread_m, beside_m, [[0.0395, 0.0, -0.052]])))
 
 
-def compared(rows: np.ndarray, magnet: Calibration, points_m: Tensor) -> None:
-    """Field and gradient are those of predict; the last point is inside."""
-    expected_T = magnet.field(points_m, CURRENTS_A, MOTION)
-    assert torch.isnan(expected_T).any(1).tolist() == [False] * (len(points_m) - 1) + [True]
-    assert_close(rows[:, :3], expected_T)
-    assert_close(rows[:, 3:12], magnet.gradient(points_m, CURRENTS_A, MOTION))
+@pytest.fixture
+def question(around_m: Tensor) -> Question:
+    return Question(around_m, CURRENTS_A, MOTION)
 
 
 @needs_gcc
 def test_cpp_has_field_gradient_and_standard_deviation(
-    magnet: Calibration, around_m: Tensor, tmp_path: Path
+    magnet: Calibration, question: Question, tmp_path: Path
 ) -> None:
-    magnet.export("cpp", tmp_path / "magnet.hpp")
-    program = PROGRAM.replace("coilcal_three_coils_two_movers", "coilcal_three_shapes")
-    numbers = [*MOTION["stage"].tolist(), *CURRENTS_A.values(), *around_m.flatten().tolist()]
-    rows = by_gcc(tmp_path, program, numbers)
-    compared(rows, magnet, around_m)
-    coordinates = Coordinates(magnet.rig)
-    draws = {name: torch.from_numpy(array.ravel()) for name, array in magnet.draws.items()}
-    drawn_T = magnet.room(around_m, MOTION).field_T(
-        coordinates.values(coordinates.vector(draws)), magnet.currents(CURRENTS_A)
-    )
-    ratio = rows[:11, -3:] / drawn_T.std(0).numpy()[:11]
-    assert np.abs(ratio - 1.0).max() < 0.02  # to first order, of draws of a narrow posterior
+    rows = question.by_gcc(magnet, "three_shapes", tmp_path)
+    question.check(rows, magnet)
+    question.check_deviation(rows, magnet, 11)
 
 
 @needs_octave
-def test_octave_has_field_and_gradient(magnet: Calibration, around_m: Tensor, tmp_path: Path) -> None:
-    magnet.export("matlab", tmp_path / "magnet.m")
-    main = """
-        points_m = dlmread("points.txt");
-        [b, g] = magnet(points_m, dlmread("currents.txt"), dlmread("motion.txt"));
-        printf([repmat("%.17g ", 1, 12), "\\n"], [b, reshape(permute(g, [1 3 2]), [], 9)]');
-    """
-    files = {
-        "points": around_m.numpy(),
-        "currents": np.array([list(CURRENTS_A.values())]),
-        "motion": MOTION["stage"].numpy()[None],
-    }
-    compared(by_octave(tmp_path, main, files), magnet, around_m)
+def test_octave_has_field_and_gradient(magnet: Calibration, question: Question, tmp_path: Path) -> None:
+    question.check(question.by_octave(magnet, tmp_path), magnet)
 
 
 @pytest.mark.parametrize("is_exported", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_the_program_of_torch_has_field_and_gradient(
-    magnet: Calibration, around_m: Tensor, tmp_path: Path, is_exported: bool
+    magnet: Calibration, question: Question, tmp_path: Path, is_exported: bool
 ) -> None:
     """As the module that is exported, and as the file; `test_torch_program` runs one without coilcal."""
     program = MagnetProgram(Magnet.of(magnet).model("torch"))
     if is_exported:
         program = torch.export.load(magnet.export("torch", tmp_path / "magnet.pt2")).module()
     currents_A = torch.tensor(list(CURRENTS_A.values()), dtype=torch.float64)
-    field_T, gradient = program(around_m, currents_A, MOTION["stage"][None])
-    compared(torch.cat((field_T, gradient.flatten(1)), dim=1).numpy(), magnet, around_m)
+    field_T, gradient = program(question.points_m, currents_A, MOTION["stage"][None])
+    question.check(torch.cat((field_T, gradient.flatten(1)), dim=1).numpy(), magnet)
 
 
 def test_a_system_has_their_field_but_not_in_machine_code(magnet: Calibration, points_m: Tensor) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +19,7 @@ from estimator.export.request import Grid
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.system.system import System
-from tests.estimator.export.compared import assert_close, by_gcc, by_octave, needs_gcc, needs_octave
+from tests.estimator.export.compared import Question, assert_close, needs_gcc, needs_octave
 
 ONE = """
 schema_version: 1
@@ -64,45 +64,13 @@ effects:
   background_field[room]: {x_T: 9e-5, y_T: 0, z_T: 0}
   current_offset[right]: {offset_A: 0.02}
 """
-CURRENTS_A = {"left": 2.0, "right": -3.0, "far": 1.5}
+CURRENTS_A = {"left": 2.0, "far": 1.5, "right": -3.0}
 MOTION = {
     "stage": torch.tensor([0.01, -0.005, 0.003, 0.05, 0.02, -0.1]).double(),
     "arm": torch.tensor(np.deg2rad([0.0, -90.0, -90.0, 0.0, 90.0, 10.0])),
 }
 POINTS_M = torch.from_numpy(np.random.default_rng(8).uniform(-0.04, 0.04, (9, 3)))
-PROGRAM = """
-#include "magnet.hpp"
-#include <cstdio>
-using namespace coilcal_one_and_two;
-int main() {
-  Magnet magnet;
-  Motion motion;
-  for (int mover = 0; mover < n_movers; ++mover) {
-    for (double& number : motion)
-      if (std::scanf("%lf", &number) != 1) return 1;
-    magnet.move(mover, motion);
-  }
-  const Currents currents_A = {2.0, 1.5, -3.0};
-  Vector p;
-  while (std::scanf("%lf %lf %lf", &p[0], &p[1], &p[2]) == 3) {
-    const FieldAndGradient at = magnet.field_and_gradient(p, currents_A);
-    for (double number : at.field_T) std::printf("%.17g ", number);
-    for (const Vector& row : at.gradient_T_per_m)
-      for (double number : row) std::printf("%.17g ", number);
-    for (const auto& row : magnet.actuation(p))
-      for (double number : row) std::printf("%.17g ", number);
-    for (double number : magnet.standard_deviation_T(p, currents_A)) std::printf("%.17g ", number);
-    std::printf("\\n");
-  }
-}
-"""
-OCTAVE_PROGRAM = """
-points_m = dlmread("points.txt");
-[b, g, a] = magnet(points_m, [2 1.5 -3], dlmread("motion.txt"));
-n = size(points_m, 1);
-printed = [b, reshape(permute(g, [1 3 2]), n, 9), reshape(permute(a, [1 3 2]), n, 24)];
-printf([repmat("%.17g ", 1, size(printed, 2)), "\\n"], printed');
-"""
+QUESTION = Question(POINTS_M, CURRENTS_A, MOTION)
 
 
 @pytest.fixture(scope="module")
@@ -133,9 +101,7 @@ def test_header_is_the_system(
     system: System, expected: tuple[Tensor, Tensor, Tensor], tmp_path: Path
 ) -> None:
     assert system.coils == ("left", "far", "right")
-    system.export("cpp", tmp_path / "magnet.hpp")
-    numbers = [*MOTION["stage"].tolist(), *MOTION["arm"].tolist(), *POINTS_M.flatten().tolist()]
-    rows = by_gcc(tmp_path, PROGRAM, numbers)
+    rows = QUESTION.by_gcc(system, "one_and_two", tmp_path)
     check(rows, expected)
     lower_T, upper_T = system.at(POINTS_M, MOTION).field_interval_T(system.currents(CURRENTS_A), 0.6827)
     ratio = rows[:, 36:] / (0.5 * (upper_T - lower_T)).numpy()  # of 400 draws
@@ -147,20 +113,15 @@ def test_header_is_the_system(
 def test_octave_finds_the_system(
     system: System, expected: tuple[Tensor, Tensor, Tensor], tmp_path: Path
 ) -> None:
-    system.export("matlab", tmp_path / "magnet.m")
-    motion = torch.stack((MOTION["stage"], MOTION["arm"])).numpy()
-    check(by_octave(tmp_path, OCTAVE_PROGRAM, {"points": POINTS_M.numpy(), "motion": motion}), expected)
+    check(QUESTION.by_octave(system, tmp_path), expected)
 
 
 def test_magpylib_makes_the_same_field(system: System, tmp_path: Path) -> None:
     """It sums every loop; `coilcal predict` sums them to 1e-6 of the field."""
     path = system.export("magpylib", tmp_path / "both.py", motion=MOTION)
-    spec = importlib.util.spec_from_file_location("both", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    field_T = module.magnet([CURRENTS_A[name] for name in system.coils]).getB(POINTS_M.numpy())
+    field_T = runpy.run_path(str(path))["magnet"]([CURRENTS_A[name] for name in system.coils]).getB(
+        POINTS_M.numpy()
+    )
     expected_T = system.at(POINTS_M, MOTION).field_T(system.currents(CURRENTS_A)).numpy()
     size_T = np.linalg.norm(expected_T, axis=1)
     assert (np.linalg.norm(field_T - expected_T, axis=1) < 3e-6 * size_T).all()

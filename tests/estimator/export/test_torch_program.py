@@ -14,7 +14,7 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.export.magnet import Magnet
 from estimator.export.torch_program import DESCRIPTION, MagnetProgram
-from tests.estimator.export.compared import assert_close
+from tests.estimator.export.compared import Question
 
 pytestmark = pytest.mark.whole  # checks of shapes would be traced, too
 PROGRAM = f"""
@@ -37,24 +37,15 @@ print(texts["{DESCRIPTION}"])
 
 
 @pytest.fixture(scope="module")
-def found(
-    magnet: Calibration,
-    motion: dict[str, Tensor],
-    currents_A: dict[str, float],
-    points_m: Tensor,
-    tmp_path_factory: pytest.TempPathFactory,
+def answers(
+    magnet: Calibration, question: Question, tmp_path_factory: pytest.TempPathFactory
 ) -> dict[str, np.ndarray]:
     """What the other process finds, and what the program says of itself."""
     folder: Path = tmp_path_factory.mktemp("torch")
     path = magnet.export("torch", folder / "magnet.pt2")
     assert str(Path(__file__).parents[3]).encode() not in path.read_bytes()  # no paths of this computer
-    rows = torch.stack((motion["arm"], motion["stage"]))
-    np.savez(
-        folder / "given.npz",
-        points_m=points_m,
-        currents_A=np.array(list(currents_A.values())),
-        motion=rows,
-    )
+    currents_A, motion = list(question.currents_A.values()), torch.stack(list(question.motion.values()))
+    np.savez(folder / "given.npz", points_m=question.points_m, currents_A=currents_A, motion=motion)
     command = [sys.executable, "-W", "error", "-c", PROGRAM]
     ran = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env={})
     assert ran.returncode == 0, ran.stderr
@@ -63,20 +54,14 @@ def found(
 
 
 def test_field_and_gradient_are_those_of_predict(
-    found: dict[str, np.ndarray],
-    magnet: Calibration,
-    motion: dict[str, Tensor],
-    currents_A: dict[str, float],
-    points_m: Tensor,
+    answers: dict[str, np.ndarray], magnet: Calibration, question: Question
 ) -> None:
-    assert_close(found["field_T"], magnet.field(points_m, currents_A, motion))
-    gradient = magnet.gradient(points_m, currents_A, motion)
-    assert_close(found["gradient"].reshape(-1, 9), gradient)
+    question.check(np.concatenate((answers["field_T"], answers["gradient"].reshape(-1, 9)), axis=1), magnet)
 
 
-def test_one_point_will_do_and_it_can_be_differentiated(found: dict[str, np.ndarray]) -> None:
-    np.testing.assert_allclose(found["one_T"], found["field_T"][:1], rtol=1e-13)
-    np.testing.assert_allclose(found["slope"], found["gradient"][:3].sum(1), rtol=1e-8)
+def test_one_point_will_do_and_it_can_be_differentiated(answers: dict[str, np.ndarray]) -> None:
+    np.testing.assert_allclose(answers["one_T"], answers["field_T"][:1], rtol=1e-13)
+    np.testing.assert_allclose(answers["slope"], answers["gradient"][:3].sum(1), rtol=1e-8)
 
 
 def test_derivatives_in_poses_are_those_of_finite_steps(

@@ -199,71 +199,41 @@ def test_units_of_a_session_with_zero_current_readings_are_judged_by_the_others(
 
 
 REFUSALS: dict[str, tuple[Change, str]] = {
-    "no readings": (
-        lambda o: o.rows(torch.arange(0)),
-        "session must hold calibration readings; it holds none",
-    ),
-    "validation only": (
-        lambda o: o.with_validation(torch.ones_like(o.is_validation)),
-        "session must hold calibration readings; it holds none",
-    ),
-    "one reading": (
-        lambda o: o.rows(torch.arange(1)),
-        "a calibration needs readings at several poses; received a single reading",
-    ),
-    "one reading beside validation": (
-        lambda o: o.with_validation(torch.arange(len(o)) > 0),
-        "a calibration needs readings at several poses; received a single reading",
-    ),
+    "no readings": (lambda o: o.rows(torch.arange(0)),
+        "session must hold calibration readings; it holds none"),
+    "validation only": (lambda o: o.with_validation(torch.ones_like(o.is_validation)),
+        "session must hold calibration readings; it holds none"),
+    "one reading": (lambda o: o.rows(torch.arange(1)),
+        "a calibration needs readings at several poses; received a single reading"),
+    "one reading beside validation": (lambda o: o.with_validation(torch.arange(len(o)) > 0),
+        "a calibration needs readings at several poses; received a single reading"),
     "fewer components than parameters": (
         lambda o: o.rows(torch.arange(2)).with_field(torch.tensor([[math.nan, math.nan, 1e-3]] * 2).double()),
-        "readings must hold at least as many components as there are free parameters (3); received 2",
-    ),
-    "one pose": (
-        lambda o: o.rows(torch.zeros(8, dtype=torch.int64)),
-        "readings must be taken at several poses; all 8 share one",
-    ),
-    "no current": (
-        lambda o: replace(o, current_A=0.0 * o.current_A),
-        "at least one coil must carry current; all currents are 0 A",
-    ),
-    "dead sensor": (
-        lambda o: o.with_field(0.0 * o.field_sensor_T),
-        "sensors must show a field; every component is 0 T",
-    ),
-    "NaN current": (
-        lambda o: replace(o, current_A=with_entry(o.current_A, 4, math.nan)),
-        "current must be finite; received nan at reading 4",
-    ),
-    "infinite current": (
-        lambda o: replace(o, current_A=with_entry(o.current_A, 4, math.inf)),
-        "current must be finite; received inf at reading 4",
-    ),
-    "NaN time": (
-        lambda o: replace(o, time_s=with_entry(o.time_s, 2, math.nan)),
-        "time must be finite; received nan at reading 2",
-    ),
-    "infinite motion": (
-        lambda o: replace(o, motion={"arm1": with_entry(o.motion["arm1"], 3, -math.inf)}),
-        "motion of arm1 must be finite; received -inf at reading 3",
-    ),
+        "readings must hold at least as many components as there are free parameters (3); received 2"),
+    "one pose": (lambda o: o.rows(torch.zeros(8, dtype=torch.int64)),
+        "readings must be taken at several poses; all 8 share one"),
+    "no current": (lambda o: replace(o, current_A=0.0 * o.current_A),
+        "at least one coil must carry current; all currents are 0 A"),
+    "dead sensor": (lambda o: o.with_field(0.0 * o.field_sensor_T),
+        "sensors must show a field; every component is 0 T"),
+    "NaN current": (lambda o: replace(o, current_A=with_entry(o.current_A, 4, math.nan)),
+        "current must be finite; received nan at reading 4"),
+    "infinite current": (lambda o: replace(o, current_A=with_entry(o.current_A, 4, math.inf)),
+        "current must be finite; received inf at reading 4"),
+    "NaN time": (lambda o: replace(o, time_s=with_entry(o.time_s, 2, math.nan)),
+        "time must be finite; received nan at reading 2"),
+    "infinite motion": (lambda o: replace(o, motion={"arm1": with_entry(o.motion["arm1"], 3, -math.inf)}),
+        "motion of arm1 must be finite; received -inf at reading 3"),
     "NaN motion of a validation reading": (
         lambda o: replace(o, motion={"arm1": with_entry(o.motion["arm1"], 30, math.nan)}),
-        "motion of arm1 must be finite; received nan at reading 30",
-    ),
-    "infinite field": (
-        lambda o: o.with_field(with_entry(o.field_sensor_T, 5, math.inf)),
-        "field must be finite or empty; reading 5 is infinite",
-    ),
-    "reading without components": (
-        lambda o: o.with_field(with_entry(o.field_sensor_T, 6, math.nan)),
-        "every reading must hold at least one component; reading 6 holds none",
-    ),
-    "no components at all": (
-        lambda o: o.with_field(o.field_sensor_T * math.nan),
-        "every reading must hold at least one component; reading 0 holds none",
-    ),
-}
+        "motion of arm1 must be finite; received nan at reading 30"),
+    "infinite field": (lambda o: o.with_field(with_entry(o.field_sensor_T, 5, math.inf)),
+        "field must be finite or empty; reading 5 is infinite"),
+    "reading without components": (lambda o: o.with_field(with_entry(o.field_sensor_T, 6, math.nan)),
+        "every reading must hold at least one component; reading 6 holds none"),
+    "no components at all": (lambda o: o.with_field(o.field_sensor_T * math.nan),
+        "every reading must hold at least one component; reading 0 holds none"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize(("change", "message"), REFUSALS.values(), ids=REFUSALS)

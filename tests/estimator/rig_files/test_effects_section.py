@@ -33,156 +33,74 @@ def refusal(effects: str) -> str:
 
 
 REFUSALS = {
-    "nothing": ("effects:", "effects must hold keys and values; received None", 8),
-    "list": (
-        "effects: [axis_gain]",
-        "effects must hold keys and values; received ['axis_gain']",
-        8,
-    ),
-    "word": (
-        "effects: axis_gain",
-        "effects must hold keys and values; received 'axis_gain'",
-        8,
-    ),
-    "unknown cause": (
-        "effects:\n  axis_gian[probe]: {x: 0, y: 0, z: 0}",
-        "effects.axis_gian[probe] must be a cause that coilcal knows; received 'axis_gian'; the closest is axis_gain",
-        9,
-    ),
-    "cause in other words": (
-        "effects:\n  earth_field[room]: {x_T: 0, y_T: 0, z_T: 0}",
-        "effects.earth_field[room] must be a cause that coilcal knows; received 'earth_field'; 'coilcal explain' lists them",
-        9,
-    ),
-    "no place": (
-        "effects:\n  axis_gain: {x: 0, y: 0, z: 0}",
-        "effects.axis_gain must be written as cause[place], such as axis_gain[hall]; received 'axis_gain'",
-        9,
-    ),
-    "empty place": (
-        "effects:\n  axis_gain[]: {x: 0, y: 0, z: 0}",
-        "effects.axis_gain[] must be written as cause[place], such as axis_gain[hall]; received 'axis_gain[]'",
-        9,
-    ),
-    "space before the place": (
-        "effects:\n  axis_gain [probe]: {x: 0, y: 0, z: 0}",
-        "effects.axis_gain [probe] must be written as cause[place], such as axis_gain[hall]; received 'axis_gain [probe]'",
-        9,
-    ),
-    "unknown place": (
-        "effects:\n  axis_gain[hall]: {x: 0, y: 0, z: 0}",
-        "effects.axis_gain[hall] must name one of probe; received 'hall'",
-        9,
-    ),
-    "place of another kind": (
-        "effects:\n  axis_gain[coil]: {x: 0, y: 0, z: 0}",
-        "effects.axis_gain[coil] must name one of probe; received 'coil'",
-        9,
-    ),
-    "room at a coil": (
-        "effects:\n  background_field[coil]: {x_T: 0, y_T: 0, z_T: 0}",
-        "effects.background_field[coil] must name one of room; received 'coil'",
-        9,
-    ),
-    "displacements of joint angles": (
-        "effects:\n  displacement_frame[ur]: {rx_rad: 0, ry_rad: 0, rz_rad: 0}",
-        "effects.displacement_frame[ur] must name one of arm; received 'ur'",
-        9,
-    ),
-    "unknown quantity": (
-        "effects:\n  axis_gain[probe]: {x: 0, y: 0, z: 0, w: 1}",
-        "effects.axis_gain[probe].w is not a known key",
-        9,
-    ),
-    "missing quantity": (
-        "effects:\n  axis_gain[probe]: {x: 0, y: 0}",
-        "effects.axis_gain[probe].z is missing",
-        9,
-    ),
-    "word for a number": (
-        "effects:\n  axis_gain[probe]: {x: big, y: 0, z: 0}",
-        "effects.axis_gain[probe].x must be a finite number; received 'big'",
-        9,
-    ),
-    "comma in a number": (
-        "effects:\n  axis_gain[probe]:\n    x: 0,1\n    y: 0\n    z: 0",
-        "effects.axis_gain[probe].x must be a finite number; received '0,1'",
-        10,
-    ),
-    "NaN": (
-        "effects:\n  axis_gain[probe]: {x: .nan, y: 0, z: 0}",
-        "effects.axis_gain[probe].x must be a finite number; received nan",
-        9,
-    ),
-    "infinite": (
-        "effects:\n  axis_gain[probe]: {x: 0, y: .inf, z: 0}",
-        "effects.axis_gain[probe].y must be a finite number; received inf",
-        9,
-    ),
-    "list for a number": (
-        "effects:\n  axis_gain[probe]: {x: [1], y: 0, z: 0}",
-        "effects.axis_gain[probe].x must be a finite number; received [1]",
-        9,
-    ),
-    "yes for a number": (
-        "effects:\n  axis_gain[probe]: {x: yes, y: 0, z: 0}",
-        "effects.axis_gain[probe].x must be a finite number; received True",
-        9,
-    ),
-    "number for quantities": (
-        "effects:\n  axis_gain[probe]: 0.01",
-        "effects.axis_gain[probe] must hold keys and values; received 0.01",
-        9,
-    ),
-    "nothing for quantities": (
-        "effects:\n  axis_gain[probe]:",
-        "effects.axis_gain[probe] must hold keys and values; received None",
-        9,
-    ),
+    "nothing": ("effects:", 8, "effects must hold keys and values; received None"),
+    "list": ("effects: [axis_gain]", 8, "effects must hold keys and values; received ['axis_gain']"),
+    "word": ("effects: axis_gain", 8, "effects must hold keys and values; received 'axis_gain'"),
+    "unknown cause": ("effects:\n  axis_gian[probe]: {x: 0, y: 0, z: 0}", 9,
+        "effects.axis_gian[probe] must be a cause that coilcal knows; received 'axis_gian'; the closest "
+        "is axis_gain"),
+    "cause in other words": ("effects:\n  earth_field[room]: {x_T: 0, y_T: 0, z_T: 0}", 9,
+        "effects.earth_field[room] must be a cause that coilcal knows; received 'earth_field'; 'coilcal "
+        "explain' lists them"),
+    "no place": ("effects:\n  axis_gain: {x: 0, y: 0, z: 0}", 9,
+        "effects.axis_gain must be written as cause[place], such as axis_gain[hall]; received 'axis_gain'"),
+    "empty place": ("effects:\n  axis_gain[]: {x: 0, y: 0, z: 0}", 9,
+        "effects.axis_gain[] must be written as cause[place], such as axis_gain[hall]; received "
+        "'axis_gain[]'"),
+    "space before the place": ("effects:\n  axis_gain [probe]: {x: 0, y: 0, z: 0}", 9,
+        "effects.axis_gain [probe] must be written as cause[place], such as axis_gain[hall]; received "
+        "'axis_gain [probe]'"),
+    "unknown place": ("effects:\n  axis_gain[hall]: {x: 0, y: 0, z: 0}", 9,
+        "effects.axis_gain[hall] must name one of probe; received 'hall'"),
+    "place of another kind": ("effects:\n  axis_gain[coil]: {x: 0, y: 0, z: 0}", 9,
+        "effects.axis_gain[coil] must name one of probe; received 'coil'"),
+    "room at a coil": ("effects:\n  background_field[coil]: {x_T: 0, y_T: 0, z_T: 0}", 9,
+        "effects.background_field[coil] must name one of room; received 'coil'"),
+    "displacements of joint angles": ("effects:\n  displacement_frame[ur]: {rx_rad: 0, ry_rad: 0, rz_rad: 0}",
+        9, "effects.displacement_frame[ur] must name one of arm; received 'ur'"),
+    "unknown quantity": ("effects:\n  axis_gain[probe]: {x: 0, y: 0, z: 0, w: 1}", 9,
+        "effects.axis_gain[probe].w is not a known key"),
+    "missing quantity": ("effects:\n  axis_gain[probe]: {x: 0, y: 0}", 9,
+        "effects.axis_gain[probe].z is missing"),
+    "word for a number": ("effects:\n  axis_gain[probe]: {x: big, y: 0, z: 0}", 9,
+        "effects.axis_gain[probe].x must be a finite number; received 'big'"),
+    "comma in a number": ("effects:\n  axis_gain[probe]:\n    x: 0,1\n    y: 0\n    z: 0", 10,
+        "effects.axis_gain[probe].x must be a finite number; received '0,1'"),
+    "NaN": ("effects:\n  axis_gain[probe]: {x: .nan, y: 0, z: 0}", 9,
+        "effects.axis_gain[probe].x must be a finite number; received nan"),
+    "infinite": ("effects:\n  axis_gain[probe]: {x: 0, y: .inf, z: 0}", 9,
+        "effects.axis_gain[probe].y must be a finite number; received inf"),
+    "list for a number": ("effects:\n  axis_gain[probe]: {x: [1], y: 0, z: 0}", 9,
+        "effects.axis_gain[probe].x must be a finite number; received [1]"),
+    "yes for a number": ("effects:\n  axis_gain[probe]: {x: yes, y: 0, z: 0}", 9,
+        "effects.axis_gain[probe].x must be a finite number; received True"),
+    "number for quantities": ("effects:\n  axis_gain[probe]: 0.01", 9,
+        "effects.axis_gain[probe] must hold keys and values; received 0.01"),
+    "nothing for quantities": ("effects:\n  axis_gain[probe]:", 9,
+        "effects.axis_gain[probe] must hold keys and values; received None"),
     "same cause twice": (
-        "effects:\n  axis_gain[probe]: {x: 0, y: 0, z: 0}\n  axis_gain[probe]: {x: 1, y: 0, z: 0}",
-        "effects.axis_gain[probe] must be given once; received it in lines 9 and 10",
-        None,
-    ),
-    "same quantity twice": (
-        "effects:\n  axis_gain[probe]:\n    x: 0\n    x: 1",
-        "effects.axis_gain[probe].x must be given once; received it in lines 10 and 11",
-        None,
-    ),
-    "same section twice": (
-        "effects: {}\neffects: {}",
-        "effects must be given once; received it in lines 8 and 9",
-        None,
-    ),
-    "scatter of no size": (
-        "effects:\n  position_jitter[arm]: {sd_m: 0}",
-        "effects.position_jitter[arm].sd_m must be > 0; received 0",
-        9,
-    ),
+        "effects:\n  axis_gain[probe]: {x: 0, y: 0, z: 0}\n  axis_gain[probe]: {x: 1, y: 0, z: 0}", None,
+        "effects.axis_gain[probe] must be given once; received it in lines 9 and 10"),
+    "same quantity twice": ("effects:\n  axis_gain[probe]:\n    x: 0\n    x: 1", None,
+        "effects.axis_gain[probe].x must be given once; received it in lines 10 and 11"),
+    "same section twice": ("effects: {}\neffects: {}", None,
+        "effects must be given once; received it in lines 8 and 9"),
+    "scatter of no size": ("effects:\n  position_jitter[arm]: {sd_m: 0}", 9,
+        "effects.position_jitter[arm].sd_m must be > 0; received 0"),
     "time before the beginning": (
-        "effects:\n  coil_heating[coil]: {loss_per_K: 0, loss_per_A2: 0.1, tau_h: -1}",
-        "effects.coil_heating[coil].tau_h must be > 0; received -1",
-        9,
-    ),
+        "effects:\n  coil_heating[coil]: {loss_per_K: 0, loss_per_A2: 0.1, tau_h: -1}", 9,
+        "effects.coil_heating[coil].tau_h must be > 0; received -1"),
     "value outside its prior": (
-        "effects:\n  range_clipping[probe]: {limit_T: {value: 5, prior: {uniform: {lower: 0, upper: 1}}}}",
-        "effects.range_clipping[probe].limit_T must lie within its prior (0 to 1); received 5",
-        9,
-    ),
-    "unknown prior": (
-        "effects:\n  axis_gain[probe]: {x: {prior: {gauss: {mean: 0, sd: 1}}}, y: 0, z: 0}",
-        "effects.axis_gain[probe].x.prior must be one of normal, log_normal, uniform; received gauss",
-        9,
-    ),
-    "tie to another unit": (
-        "effects:\n  axis_gain[probe]: {x: {tied_to: coil.radius_m}, y: 0, z: 0}",
-        "effects.axis_gain[probe].x must be tied to a parameter in 1; received coil.radius_m in m",
-        9,
-    ),
-}
+        "effects:\n  range_clipping[probe]: {limit_T: {value: 5, prior: {uniform: {lower: 0, upper: 1}}}}", 9,
+        "effects.range_clipping[probe].limit_T must lie within its prior (0 to 1); received 5"),
+    "unknown prior": ("effects:\n  axis_gain[probe]: {x: {prior: {gauss: {mean: 0, sd: 1}}}, y: 0, z: 0}", 9,
+        "effects.axis_gain[probe].x.prior must be one of normal, log_normal, uniform; received gauss"),
+    "tie to another unit": ("effects:\n  axis_gain[probe]: {x: {tied_to: coil.radius_m}, y: 0, z: 0}", 9,
+        "effects.axis_gain[probe].x must be tied to a parameter in 1; received coil.radius_m in m"),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("effects", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+@pytest.mark.parametrize(("effects", "line", "message"), REFUSALS.values(), ids=REFUSALS)
 def test_a_mistake_is_named_by_place_rule_value_file_and_line(effects, message, line):
     assert refusal(effects) == f"{message} (rig.yaml{f', line {line}' if line else ''})"
 

@@ -96,55 +96,29 @@ def test_the_places_of_multipoles_are_part_of_what_identifies_a_rig_and_none_lea
 
 
 REFUSALS = {
-    "a place of two numbers": (
-        "spacing_mm: 6",
-        "spacing_mm: 6\n    multipoles_mm: [[0, 12]]",
-        "coils.c1.multipoles_mm must be a list of places, each of three numbers; received [[0, 12]]",
-        12,
-    ),
-    "a multipole among the readings": (
-        "spacing_mm: 6",
-        "spacing_mm: 6\n    multipoles_mm: [[0, 0, 9]]",
-        "coils.c1.multipoles_mm must lie outside the box that holds the readings of c1; received [0, 0, 9]",
-        12,
-    ),
-    "a multipole twice": (
-        "spacing_mm: 6",
-        "spacing_mm: 6\n    multipoles_mm: [[0, 0, 12], [0, 0, 12]]",
-        "coils.c1.multipoles_mm must be places that differ; received [0, 0, 12] twice",
-        12,
-    ),
-    "no box": ("    half_y_mm: 5\n", "", "coils.c1.half_y_m is missing", 6),
-    "no unit": ("margin_mm: 4", "margin: 4", "coils.c1.margin must carry its unit", 10),
-    "no margin": ("margin_mm: 4", "margin_mm: 0", "coils.c1.margin_mm must be > 0; received 0", 10),
-    "a prior of the box": (
-        "margin_mm: 4",
-        "margin_mm: {prior: {normal: {mean: 4, sd: 1}}}",
-        "coils.c1.margin_mm must be a finite number",
-        10,
-    ),
-    "far too many": (
-        "spacing_mm: 6",
-        "spacing_mm: 0.5",
-        "coils.c1.spacing_mm must leave at most 3000 charges on the box; received 10658 charges",
-        11,
-    ),
-    "no width": ("{sd_T_per_A: 8e-3}", "{}", "coils.c1.amplitudes must state the width of its priors", 12),
-    "degrees": (
-        "{sd_T_per_A: 8e-3}",
-        "{sd_T_per_A: 8e-3, falloff: 0.5}",
-        "coils.c1.amplitudes.falloff is not a known key",
-        12,
-    ),
-    "a number of windings": (
-        "spacing_mm: 6",
-        "spacing_mm: 6\n    axial_loops: 12",
-        "coils.c1.axial_loops must not be given for a coil of model equivalent_sources, which has no winding",
-        12,
-    ),
-}
+    "a place of two numbers": ("spacing_mm: 6", "spacing_mm: 6\n    multipoles_mm: [[0, 12]]", 12,
+        "coils.c1.multipoles_mm must be a list of places, each of three numbers; received [[0, 12]]"),
+    "a multipole among the readings": ("spacing_mm: 6", "spacing_mm: 6\n    multipoles_mm: [[0, 0, 9]]", 12,
+        "coils.c1.multipoles_mm must lie outside the box that holds the readings of c1; received [0, 0, "
+        "9]"),
+    "a multipole twice": ("spacing_mm: 6", "spacing_mm: 6\n    multipoles_mm: [[0, 0, 12], [0, 0, 12]]", 12,
+        "coils.c1.multipoles_mm must be places that differ; received [0, 0, 12] twice"),
+    "no box": ("    half_y_mm: 5\n", "", 6, "coils.c1.half_y_m is missing"),
+    "no unit": ("margin_mm: 4", "margin: 4", 10, "coils.c1.margin must carry its unit"),
+    "no margin": ("margin_mm: 4", "margin_mm: 0", 10, "coils.c1.margin_mm must be > 0; received 0"),
+    "a prior of the box": ("margin_mm: 4", "margin_mm: {prior: {normal: {mean: 4, sd: 1}}}", 10,
+        "coils.c1.margin_mm must be a finite number"),
+    "far too many": ("spacing_mm: 6", "spacing_mm: 0.5", 11,
+        "coils.c1.spacing_mm must leave at most 3000 charges on the box; received 10658 charges"),
+    "no width": ("{sd_T_per_A: 8e-3}", "{}", 12, "coils.c1.amplitudes must state the width of its priors"),
+    "degrees": ("{sd_T_per_A: 8e-3}", "{sd_T_per_A: 8e-3, falloff: 0.5}", 12,
+        "coils.c1.amplitudes.falloff is not a known key"),
+    "a number of windings": ("spacing_mm: 6", "spacing_mm: 6\n    axial_loops: 12", 12,
+        "coils.c1.axial_loops must not be given for a coil of model equivalent_sources, which has no "
+        "winding"),
+}  # fmt: skip
 
 
-@pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+@pytest.mark.parametrize(("old", "new", "line", "message"), REFUSALS.values(), ids=REFUSALS)
 def test_a_mistake_is_named_by_key_rule_value_and_line(old: str, new: str, message: str, line: int) -> None:
     assert_refused(TEXT, old, new, message, line)

@@ -76,82 +76,36 @@ def test_without_a_common_width_every_amplitude_is_written() -> None:
 
 
 REFUSALS = {
-    "no width": (
-        AMPLITUDES,
-        "{falloff: 0.5}",
-        "coils.c1.amplitudes must state the width of its priors, sd_T_per_A",
-        10,
-    ),
-    "no amplitudes": (f"    amplitudes: {AMPLITUDES}\n", "", "coils.c1.amplitudes is missing", 6),
-    "width of zero": (
-        AMPLITUDES,
-        "{sd_T_per_A: 0}",
-        "coils.c1.amplitudes.sd_T_per_A must be > 0; received 0",
-        10,
-    ),
-    "width in another unit": (
-        AMPLITUDES,
-        "{sd_mT_per_A: 8}",
-        "sd_mT_per_A must be written as sd_T_per_A, in SI",
-        10,
-    ),
-    "growing": (
-        AMPLITUDES,
-        "{sd_T_per_A: 1, falloff: 1.5}",
-        "falloff must be above 0 and at most 1; received 1.5",
-        10,
-    ),
-    "degree of zero": (
-        "degree: 3",
-        "degree: 0",
-        "coils.c1.degree must be a whole number from 1 to 20; received 0",
-        8,
-    ),
-    "half a degree": ("degree: 3", "degree: 2.5", "must be a whole number from 1 to 20; received 2.5", 8),
-    "far too many": ("degree: 3", "degree: 21", "must be a whole number from 1 to 20; received 21", 8),
-    "another region": (
-        "exterior",
-        "outside",
-        "coils.c1.region must be one of interior, exterior; received 'outside'",
-        7,
-    ),
-    "another model": (
-        "model: harmonic",
-        "model: dipole",
-        "coils.c1.model must be one of winding, rectangular, racetrack, harmonic, equivalent_sources",
-        6,
-    ),
-    "no size": (
-        "reference_radius_mm: 50",
-        "reference_radius_mm: 0",
-        "reference_radius_mm must be > 0; received 0",
-        9,
-    ),
-    "a prior of the sphere": (
-        "reference_radius_mm: 50",
-        "reference_radius_mm: {prior: {normal: {mean: 50, sd: 1}}}",
-        "reference_radius_mm must be a plain number",
-        9,
-    ),
-    "a number of windings": (
-        "degree: 3",
-        "degree: 3\n    axial_loops: 12",
-        "coils.c1.axial_loops must not be given for a coil of model harmonic, which has no winding",
-        9,
-    ),
-    "an amplitude beyond the degree": (
-        AMPLITUDES,
-        "{sd_T_per_A: 1, degree4_cos0_T_per_A: 1}",
-        "coils.c1.amplitudes.degree4_cos0_T_per_A is not a known key",
-        10,
-    ),
-    "a bounded amplitude": (
-        AMPLITUDES,
-        "{sd_T_per_A: 1, degree1_cos0_T_per_A: {prior: {uniform: {lower: 0, upper: 1}}}}",
-        "degree1_cos0_T_per_A must have a normal prior without bounds, or none",
-        10,
-    ),
-}
+    "no width": (AMPLITUDES, "{falloff: 0.5}", 10,
+        "coils.c1.amplitudes must state the width of its priors, sd_T_per_A"),
+    "no amplitudes": (f"    amplitudes: {AMPLITUDES}\n", "", 6, "coils.c1.amplitudes is missing"),
+    "width of zero": (AMPLITUDES, "{sd_T_per_A: 0}", 10,
+        "coils.c1.amplitudes.sd_T_per_A must be > 0; received 0"),
+    "width in another unit": (AMPLITUDES, "{sd_mT_per_A: 8}", 10,
+        "sd_mT_per_A must be written as sd_T_per_A, in SI"),
+    "growing": (AMPLITUDES, "{sd_T_per_A: 1, falloff: 1.5}", 10,
+        "falloff must be above 0 and at most 1; received 1.5"),
+    "degree of zero": ("degree: 3", "degree: 0", 8,
+        "coils.c1.degree must be a whole number from 1 to 20; received 0"),
+    "half a degree": ("degree: 3", "degree: 2.5", 8, "must be a whole number from 1 to 20; received 2.5"),
+    "far too many": ("degree: 3", "degree: 21", 8, "must be a whole number from 1 to 20; received 21"),
+    "another region": ("exterior", "outside", 7,
+        "coils.c1.region must be one of interior, exterior; received 'outside'"),
+    "another model": ("model: harmonic", "model: dipole", 6,
+        "coils.c1.model must be one of winding, rectangular, racetrack, harmonic, equivalent_sources"),
+    "no size": ("reference_radius_mm: 50", "reference_radius_mm: 0", 9,
+        "reference_radius_mm must be > 0; received 0"),
+    "a prior of the sphere": ("reference_radius_mm: 50",
+        "reference_radius_mm: {prior: {normal: {mean: 50, sd: 1}}}", 9,
+        "reference_radius_mm must be a plain number"),
+    "a number of windings": ("degree: 3", "degree: 3\n    axial_loops: 12", 9,
+        "coils.c1.axial_loops must not be given for a coil of model harmonic, which has no winding"),
+    "an amplitude beyond the degree": (AMPLITUDES, "{sd_T_per_A: 1, degree4_cos0_T_per_A: 1}", 10,
+        "coils.c1.amplitudes.degree4_cos0_T_per_A is not a known key"),
+    "a bounded amplitude": (AMPLITUDES,
+        "{sd_T_per_A: 1, degree1_cos0_T_per_A: {prior: {uniform: {lower: 0, upper: 1}}}}", 10,
+        "degree1_cos0_T_per_A must have a normal prior without bounds, or none"),
+}  # fmt: skip
 
 
 def assert_refused(text: str, old: str, new: str, message: str, line: int) -> None:
@@ -163,7 +117,7 @@ def assert_refused(text: str, old: str, new: str, message: str, line: int) -> No
     assert f"box.yaml, line {line}" in str(caught.value)
 
 
-@pytest.mark.parametrize(("old", "new", "message", "line"), REFUSALS.values(), ids=REFUSALS)
+@pytest.mark.parametrize(("old", "new", "line", "message"), REFUSALS.values(), ids=REFUSALS)
 def test_a_mistake_is_named_by_key_rule_value_and_line(old: str, new: str, message: str, line: int) -> None:
     assert_refused(TEXT, old, new, message, line)
 

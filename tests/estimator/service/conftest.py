@@ -10,7 +10,6 @@ import shutil
 import signal
 import socket
 import subprocess
-import sys
 import threading
 import time
 import zipfile
@@ -33,9 +32,8 @@ from estimator.service.settings import Settings
 from estimator.service.tokens import Scope, create_token
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import Session
+from tests.program import PROGRAM, ROOT
 
-ROOT = Path(__file__).parents[3]
-PROGRAM = [sys.executable, "-c", "from estimator.cli.main import main; main(prog_name='coilcal')"]
 QUICK = {"n_walkers": 16, "target_ess": 200.0, "largest_rhat": 1.05}
 PATIENCE_S = 240
 CHROMIUM = shutil.which("chromium")

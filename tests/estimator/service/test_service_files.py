@@ -22,8 +22,9 @@ from estimator.service.dispatcher import END_S
 from estimator.service.guard import PUBLIC
 from estimator.service.settings import ENVIRONMENT, KEYS, Settings, load_settings
 from estimator.service.tokens import Scope, create_token
-from tests.estimator.cli.test_schedule_files import CONFIGS, ROOT, settings
+from tests.estimator.cli.test_schedule_files import CONFIGS, settings
 from tests.estimator.service.conftest import refusal
+from tests.program import ROOT
 
 SERVE, BACKUP = (CONFIGS / f"systemd/coilcal-{name}.service" for name in ("serve", "backup"))
 OPTIONS = {option for parameter in serve_group.params for option in parameter.opts}
