@@ -126,7 +126,7 @@ def _quotient(x: Any, y: Any) -> Any:
     return np.true_divide(x, y)
 
 
-def _size(x: np.ndarray) -> np.ndarray:
+def _size(x: np.ndarray) -> Any:
     """|x|, which a complex step goes through (`jacobian_by_complex_steps`)."""
     return np.where(x.real < 0.0, -x, x) if x.dtype.kind == "c" else np.abs(x)
 
@@ -429,7 +429,7 @@ class Tensor:
     __sub__, __rsub__, __isub__ = _forward(np.subtract), _backward(np.subtract), _in_place(np.subtract)
     __mul__, __rmul__, __imul__ = _forward(np.multiply), _backward(np.multiply), _in_place(np.multiply)
     __truediv__, __rtruediv__, __itruediv__ = _forward(_quotient), _backward(_quotient), _in_place(_quotient)
-    __pow__ = _forward(operator.pow)
+    __pow__, __rpow__ = _forward(operator.pow), _backward(operator.pow)
     __mod__, __floordiv__ = _forward(np.remainder), _forward(np.floor_divide)
     __matmul__, __rmatmul__ = _forward(np.matmul), _backward(np.matmul)
     __and__, __rand__, __iand__ = (

