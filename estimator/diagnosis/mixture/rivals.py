@@ -1,7 +1,8 @@
 """Listed causes that explain what a stated one explains nearly as well, once they are fitted in full.
 
 Linear models about a fit that has one piece of iron know little of another kind of it: its best place is somewhere else. So the likeliest
-others are fitted in its place, and their evidence counts as that of full fits.
+others with a place or another free shape are fitted instead, and their evidence counts as that of full fits. Of causes without a shape
+linear models know all that there is.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import NamedTuple
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.comparison import Comparison
+from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
 MOST_RIVALS = 2  # of one cause, by their evidence in the linear model
@@ -46,7 +48,7 @@ class Contender(NamedTuple):
 
 
 def contenders(comparison: Comparison, stated: Cause, others: Sequence[Cause]) -> list[Contender]:
-    """Causes whose evidence in the place of a stated one is not far below its own.
+    """Causes with free shapes whose evidence in the place of a stated one is not far below its own.
 
     Args:
         comparison: All hypotheses in its place.
@@ -55,7 +57,14 @@ def contenders(comparison: Comparison, stated: Cause, others: Sequence[Cause]) -
     """
     factors = {h.cause: h.log_bayes_factor for h in comparison.hypotheses if h.cause is not None}
     least = LEAST_EVIDENCE * factors[stated]
-    able = [cause for cause, value in factors.items() if value > least and cause not in (stated, *others)]
+    extent = comparison.asked.expansion.fit.posterior.model.circumstances.extent
+    able = [
+        cause
+        for cause, value in factors.items()
+        if value > least
+        and cause not in (stated, *others)
+        and any(q.is_shape and not q.is_fixed for q in EFFECTS[cause.name].quantities(extent))
+    ]
     able.sort(key=lambda cause: -factors[cause])
     return [Contender(cause, comparison.best_item(cause)) for cause in able[:MOST_RIVALS]]
 

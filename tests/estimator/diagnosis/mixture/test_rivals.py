@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import pytest
 
+from estimator.diagnosis.mixture import answer as answer_module
+from estimator.diagnosis.mixture import rivals as rivals_module
 from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
@@ -55,9 +57,13 @@ def test_contenders_have_half_of_the_evidence_and_are_not_in_the_set(answer):
     assert not {each.cause for each in able} & {each.cause for each in without}
 
 
-def test_odds_of_rivals_are_those_of_full_fits(answer):
-    assert answer.rivals
-    for first, rivals in answer.rivals.items():
+def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
+    """Of causes with far less evidence too, so that there are some."""
+    monkeypatch.setattr(rivals_module, "LEAST_EVIDENCE", -10.0)
+    monkeypatch.setattr(answer_module, "ALTERNATIVE", 0.0)
+    compared = answer.with_rivals()
+    assert compared.rivals
+    for first, rivals in compared.rivals.items():
         for rival in rivals:
-            own, other = (answer.fit_with([cause]) for cause in (first, rival.cause))
-            assert rival.log_odds == pytest.approx(other.log_evidence - own.log_evidence, abs=0.1)
+            own, other = (compared.fit_with([cause]) for cause in (first, rival.cause))
+            assert rival.log_odds == pytest.approx(other.log_evidence - own.log_evidence, abs=0.2)
