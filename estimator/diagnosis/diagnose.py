@@ -46,6 +46,7 @@ from estimator.errors import InvalidInput
 from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.observations import Observations
 from estimator.readings.split import thinned
+from estimator.reporting.numbers import probability
 from estimator.rig.rig import Cause, Rig
 from estimator.side_by_side import meanwhile, one_thread_for_an_operation
 from estimator.store.made import check_folder
@@ -129,7 +130,9 @@ def diagnose(
     seen = session.observations.calibration
     is_changed = bool(result.fits.final.rig.effects) or result.verdict.leaves_something
     if has_posterior and is_changed and bool((seen.current_A != 0.0).any()) and not limits.stopped.is_set():
-        names = [f"{result.label(each.cause)} {each.probability:.0%}" for each in result.findings.causes]
+        names = [
+            f"{result.label(each.cause)} {probability(each.probability)}" for each in result.findings.causes
+        ]
         tell(f"{', '.join([str(result.verdict), *names])}; sampling the posterior of the extended rig")
         inside = None if folder is None else folder / CALIBRATION_FOLDER
         result = with_posterior(result, session, limits, inside, device, precision)
