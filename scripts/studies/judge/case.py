@@ -12,11 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.readings.observations import Observations
+from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 from scripts.studies.judge.handed_out import HandedOut
 from scripts.studies.judge.truth import Truth
 
+INSTANTS = (f".{SINCE}", f".{UNTIL}")
 SESSION, CALIBRATION, DIAGNOSIS = "session.zarr", "calibration", "diagnosis"
 CALIBRATE_TEXT, DIAGNOSE_TEXT = "calibrate.txt", "diagnose.txt"
 
@@ -76,6 +79,12 @@ class Case:
     def lines(self, name: str) -> list[str]:
         """Lines of a printed text."""
         return (self.folder / name).read_text(encoding="utf-8").splitlines()
+
+    @cached_property
+    def has_open_instant(self) -> bool:
+        """Whether something begins or ends at an instant: held-out readings about it, whose side is not known, judge nothing."""
+        rig = load_rig(self.folder / DIAGNOSIS / "rig_extended.yaml")
+        return any(name.endswith(INSTANTS) for name in rig.parameters)
 
     @cached_property
     def held_out(self) -> Observations:

@@ -190,6 +190,8 @@ def gain(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
 
     What only these readings have may stand beside it; then the sentence tells both errors.
     """
+    if case.has_open_instant:
+        return
     before, after = _before_and_after(match["rest"])
     unseen = int(case.held_out.is_measured.any(dim=1).sum())
     if unseen <= policy.MOST_READINGS_FITTED:
@@ -231,7 +233,7 @@ def unseen(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """The last line: error and coverage of what was handed out."""
     errors = [model.errors(case.held_out) for model in case.by_diagnosis]
     values = [one.vector_T for one in errors]
-    if not values:
+    if not values or case.has_open_instant:
         return
     yield _error_statement(case, text, 1e-6 * float(match["after"]), values, 4)
     if case.extended is not None and (coverage := case.extended.coverage90(case.held_out)) is not None:
