@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+MOST_COUNTED = 2  # other names: sessions with more were not counted, and a large rig may have ten things wrong that are all there
 LEAST_LOG_BAYES_FACTOR = 1.0  # below it a name is as doubtful as at it
 WEIGHTS = (-0.6, -0.95, -1.7, 0.95)  # of the `features` of a name, in its log odds
 
@@ -37,6 +38,8 @@ class Standing(NamedTuple):
             True
             >>> Standing(30.0).p_imitation < Standing(30.0, n_others=1).p_imitation < 0.2
             True
+            >>> Standing(30.0, n_others=2).p_imitation == Standing(30.0, n_others=9).p_imitation
+            True
             >>> Standing(30.0, has_instant=True).p_imitation > 0.2
             True
         """
@@ -47,4 +50,4 @@ class Standing(NamedTuple):
     def features(self) -> tuple[float, float, float, float]:
         """What the log odds of a name are linear in: a constant, other names, an instant, and the logarithm of its evidence."""
         evidence = math.log(max(self.log_bayes_factor, LEAST_LOG_BAYES_FACTOR))
-        return 1.0, float(self.n_others), float(self.has_instant), evidence
+        return 1.0, float(min(self.n_others, MOST_COUNTED)), float(self.has_instant), evidence
