@@ -1,8 +1,8 @@
 """Listed causes that explain what a stated one explains nearly as well, once they are fitted in full.
 
 Linear models about a fit that has one piece of iron know little of another kind of it: its best place is somewhere else. So the likeliest
-others with a place or another free shape are fitted instead, and their evidence counts as that of full fits. Of causes without a shape
-linear models know all that there is.
+others are fitted instead, and their evidence counts as that of full fits. Both have a place or another free shape: of causes without one
+linear models know all that there is, and with sizes beyond the stated prior, which full fits have not.
 """
 
 from __future__ import annotations
@@ -58,12 +58,16 @@ def contenders(comparison: Comparison, stated: Cause, others: Sequence[Cause]) -
     factors = {h.cause: h.log_bayes_factor for h in comparison.hypotheses if h.cause is not None}
     least = LEAST_EVIDENCE * factors[stated]
     extent = comparison.asked.expansion.fit.posterior.model.circumstances.extent
+
+    def has_shape(cause: Cause) -> bool:
+        return any(q.is_shape and not q.is_fixed for q in EFFECTS[cause.name].quantities(extent))
+
+    if not has_shape(stated):
+        return []
     able = [
         cause
         for cause, value in factors.items()
-        if value > least
-        and cause not in (stated, *others)
-        and any(q.is_shape and not q.is_fixed for q in EFFECTS[cause.name].quantities(extent))
+        if value > least and cause not in (stated, *others) and has_shape(cause)
     ]
     able.sort(key=lambda cause: -factors[cause])
     return [Contender(cause, comparison.best_item(cause)) for cause in able[:MOST_RIVALS]]
