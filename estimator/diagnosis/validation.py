@@ -23,8 +23,6 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 
 SAME_ERROR = 0.02  # relative difference of two errors that are told as one
-
-
 N_DRAWS = 200  # of the posterior, for predictive densities
 DRAWS_AT_ONCE = 20  # so that maps of thousands of readings fit the memory
 N_SHOWN = 40  # of them, whose predicted field is computed: each takes a hundredth of a second

@@ -226,14 +226,12 @@ class Answer:
         return replace(self, rivals=rivals)
 
     def _able(self, entry: Found) -> list[Contender]:
-        """Causes that may be rivals of a stated one."""
+        """Causes that may be rivals of a stated one: neither there beside it, nor possible only beside others."""
         listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
         comparison = self.beside_item(self.item_of(entry.first_listed), listed)
-        others = [*listed, *(each.first_listed for each in self.stated)]
-        beside_more = {item.cause for item in self.asked.pool}.difference(
-            item.cause for item in self.first.pool
-        )
-        return contenders(comparison, entry.first_listed, [*others, *beside_more])
+        leading = self.asked.causes_of(self.asked.leading)
+        only_beside = {c.cause for c in self.asked.pool}.difference(c.cause for c in self.first.pool)
+        return contenders(comparison, entry.first_listed, leading.union(listed, only_beside))
 
     @cached_property
     def _by_rival(self) -> dict[Cause, Rival]:
@@ -420,7 +418,8 @@ def confirmed(
         if expected
     }
     ended_early = limits.words if limits.is_over else ""
-    return Answer(first, asked, tuple(of_halves), mean, ended_early, refused).with_rivals()
+    result = Answer(first, asked, tuple(of_halves), mean, ended_early, refused)
+    return result if ended_early else result.with_rivals()
 
 
 def _borne_out(first: Asked, asked: Asked, seed: int) -> tuple[Asked, frozenset[Cause]]:

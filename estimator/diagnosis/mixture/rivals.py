@@ -8,7 +8,7 @@ linear models know all that there is, and with sizes beyond the stated prior, wh
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection
 from typing import NamedTuple
 
 from estimator.diagnosis.fitting import Fit
@@ -47,13 +47,13 @@ class Contender(NamedTuple):
     item: int
 
 
-def contenders(comparison: Comparison, stated: Cause, others: Sequence[Cause]) -> list[Contender]:
+def contenders(comparison: Comparison, stated: Cause, others: Collection[Cause]) -> list[Contender]:
     """Causes with free shapes whose evidence in the place of a stated one is not far below its own.
 
     Args:
         comparison: All hypotheses in its place.
         stated: The cause.
-        others: Causes that are no rivals: those of the same set, and the other stated ones.
+        others: Causes that are no rivals.
     """
     factors = {h.cause: h.log_bayes_factor for h in comparison.hypotheses if h.cause is not None}
     least = LEAST_EVIDENCE * factors[stated]
