@@ -17,7 +17,9 @@ import numpy as np
 
 from estimator.calibration import policy
 from estimator.calibration.halves import disagreements
+from estimator.calibration.linear_fit import Disagreement, LinearFit
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
+from estimator.calibration.patterns import clearest_pattern
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
 from estimator.readings.observations import Observations
@@ -89,9 +91,10 @@ def assessment(
             "Do not use it. Run coilcal diagnose, which asks for wrong signs, units and frames first, and then for what else is wrong.",
         )
     medians = {name: float(np.median(draws)) for name, draws in calibration.draws.items()}
+    fit = LinearFit.of(calibration.rig, calibration.observations.calibration, calibration.best)
     reasons = [
         *_misfit(error["vector_T"], expected_T),
-        *_disagreement(calibration),
+        *_disagreement(fit),
         *tensions((p for p in rig.free if not p.name.endswith(".noise_T")), medians),
     ]
     if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
@@ -107,6 +110,7 @@ def assessment(
                 "calibrate again."
             )
             return Assessment(Quality.SUSPECT, tuple(reasons), words)
+    reasons = reasons or _pattern(fit)
     if reasons:
         words = (
             "With the causes that this rig has, something may still be wrong in it: do not rely on what lies far off."
@@ -119,7 +123,7 @@ def assessment(
         Quality.GOOD,
         (
             f"it misses {_share(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves {_size(expected_T)}, "
-            "halves of the session agree, and no number is far from what is expected.",
+            "halves of the session agree, no cause of the library shows, and no number is far from what is expected.",
         ),
         "Run coilcal diagnose to look closer for what a fit may have followed.",
     )
@@ -191,14 +195,23 @@ def _misfit(error_T: float, expected_T: float) -> list[str]:
     ]
 
 
-def _disagreement(calibration: Calibration) -> list[str]:
+def _disagreement(fit: LinearFit) -> list[str]:
     """The half of the session that disagrees most with the rest."""
-    by_half = disagreements(calibration.rig, calibration.observations.calibration, calibration.best)
-    return [
-        f"{each.words} (probability {each.p_value:.1g} by noise alone)."
-        for each in by_half[:1]
-        if each.p_value < policy.LEAST_AGREEMENT
-    ]
+    return list(map(_told, filter(_is_clear, disagreements(fit)[:1])))
+
+
+def _pattern(fit: LinearFit) -> list[str]:
+    """What a cause of the library would leave."""
+    pattern = clearest_pattern(fit)
+    return [] if pattern is None or not _is_clear(pattern) else [_told(pattern)]
+
+
+def _is_clear(disagreement: Disagreement) -> bool:
+    return disagreement.p_value < policy.LEAST_AGREEMENT
+
+
+def _told(disagreement: Disagreement) -> str:
+    return f"{disagreement.words} (probability {disagreement.p_value:.1g} by noise alone)."
 
 
 def _size(field_T: float) -> str:

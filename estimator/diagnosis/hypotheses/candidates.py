@@ -13,17 +13,15 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS
-from estimator.effects.attach import with_effect
-from estimator.effects.base import Quantity
 from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.effects.segments import split_key
-from estimator.effects.stages import MountEffect, NoiseEffect, ReadingEffect
+from estimator.effects.stages import MountEffect
+from estimator.model.cause_columns import cause_columns, causes_beside
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.side_by_side import each
 
 MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
-STEP = 1e-3  # of the prior's width: central differences of smooth effects
 NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of what changes no reading, on any device
 
 
@@ -91,16 +89,8 @@ class Candidate:
 
 def causes_of(rig: Rig, fit: Fit, limits: Limits | None = None) -> list[Cause]:
     """Continuous causes that the rig does not have yet, that concern the session, and that the limits allow, where there are any."""
-    circumstances = fit.posterior.model.circumstances
-    present = set(rig.effects)
-    return [
-        cause
-        for name, effect in EFFECTS.items()
-        if not (effect.is_record_mistake or effect.is_correction or isinstance(effect, NoiseEffect))
-        and (limits is None or limits.allows(effect))
-        for place in effect.places(rig)
-        if (cause := Cause(name, place)) not in present and effect.concerns(circumstances, place)
-    ]
+    beside = causes_beside(rig, fit.posterior.model.circumstances)
+    return [cause for cause in beside if limits is None or limits.allows(EFFECTS[cause.name])]
 
 
 def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
@@ -172,44 +162,18 @@ def _steps(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candi
 
 def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
     """Candidates of one cause from starts of the same shapes: one prediction for all of them."""
-    observations = fit.observations
-    circumstances = fit.posterior.model.circumstances
-    rig = with_effect(fit.rig, cause, observations, starts[0], is_free=False, circumstances=circumstances)
-    model = fit.posterior.model.with_effects_of(rig)
-    quantities = [q for q in _quantities(fit, cause) if not q.is_shape]
-    steps = fit.vector.new_tensor([STEP * q.prior.sd for q in quantities])
-    ends = torch.cat((torch.diag(steps), -torch.diag(steps), steps.new_zeros(1, len(steps))))
-    values = dict(fit.values)
-    for name in (name for name in rig.parameters if name.startswith(f"{cause.label}.")):
-        key = name.removeprefix(f"{cause.label}.")
-        at_starts = [shapes.get(key, rig.parameters[name].value) for shapes in starts]
-        values[name] = steps.new_tensor(at_starts)[:, None]
-    for i, quantity in enumerate(quantities):
-        name = f"{cause.label}.{quantity.key}"
-        values[name] = values[name] + ends[:, i]
-    with torch.no_grad():
-        is_late = isinstance(EFFECTS[cause.name], ReadingEffect)  # the field at the sensor is that of the fit
-        reading_T = model.shown_T(values, fit.at_sensor_T) if is_late else model.predict(values)
-        reading_T = reading_T.expand(len(starts), len(ends), len(observations), 3)
-        components_T = fit.posterior.measured_components(reading_T)
-        shifts = (components_T[:, -1] - fit.predicted_T) * fit.whitening_per_T
-    up, down = components_T[:, :-1].chunk(2, dim=1)
-    whitened = ((up - down) / (2.0 * steps[:, None]) * fit.whitening_per_T).mT
-    keys, units = tuple(q.key for q in quantities), tuple(q.unit for q in quantities)
-    prior_sd = steps.new_tensor([q.prior.sd for q in quantities])
-    first = [starts[0].get(key, rig.parameters[f"{cause.label}.{key}"].value) for key in keys]
+    measured, per_T = fit.posterior.measured_components, fit.whitening_per_T
+    made = cause_columns(fit.posterior.model, fit.values, cause, starts, fit.at_sensor_T)
+    shifts = (measured(made.started_T) - fit.predicted_T) * per_T
+    whitened = (measured(made.slope_T) * per_T).mT
+    keys, units = tuple(q.key for q in made.quantities), tuple(q.unit for q in made.quantities)
+    prior_sd = per_T.new_tensor([q.prior.sd for q in made.quantities])
+    first = [starts[0].get(key, made.rig.parameters[f"{cause.label}.{key}"].value) for key in keys]
     one_sided = tuple(
-        i for i, q in enumerate(quantities) if isinstance(q.prior, Normal) and first[i] <= q.prior.lower
+        i for i, q in enumerate(made.quantities) if isinstance(q.prior, Normal) and first[i] <= q.prior.lower
     )
     return [
         Candidate(cause, shapes, keys, units, shift, columns, prior_sd, one_sided)
         for shapes, shift, columns in zip(starts, shifts, whitened, strict=True)
         if bool(torch.isfinite(columns).all() and torch.isfinite(shift).all())
     ]
-
-
-def _quantities(fit: Fit, cause: Cause) -> tuple[Quantity, ...]:
-    """Quantities that the session can show."""
-    circumstances, effect = fit.posterior.model.circumstances, EFFECTS[cause.name]
-    unseen = effect.unseen(circumstances, cause.place)
-    return tuple(q for q in effect.quantities(circumstances.extent) if q.key not in unseen)

@@ -10,6 +10,7 @@ import torch
 from scipy import stats
 
 from estimator.calibration.halves import disagreements
+from estimator.calibration.linear_fit import LinearFit
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_from_text
@@ -32,7 +33,7 @@ def readings(seed: int) -> Observations:
 
 
 def found(observations: Observations) -> list[tuple[str, float]]:
-    told = disagreements(RIG, observations, {**RIG.nominal_values(), **TRUTH})
+    told = disagreements(LinearFit.of(RIG, observations, {**RIG.nominal_values(), **TRUTH}))
     return [(each.words, each.p_value) for each in told]
 
 

@@ -89,9 +89,7 @@ def test_noise_that_swallows_the_error_is_suspect_itself(
     assert "times what the expected noise leaves" in str(verdict["reasons"])
 
 
-def test_a_number_far_from_its_prior_is_suspect_first(
-    small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+def test_a_number_far_from_its_prior_is_suspect(small_plan: Plan, small_truth: dict[str, float]) -> None:
     rig = rig_from_text(RIG)
     truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.054}
     verdict = quality(Session(rig, simulate(rig, small_plan, truth, seed=1), "far"))
@@ -99,5 +97,5 @@ def test_a_number_far_from_its_prior_is_suspect_first(
     assert "hold only if nothing is" in str(verdict["next"])
     assert condition(verdict) == " if nothing is wrong"
     assert condition({"verdict": "good"}) == ""
-    assert str(verdict["reasons"][0]).startswith("z is -5")  # type: ignore[index]
+    assert "z is -5" in str(verdict["reasons"])
     assert "widths of its prior" in str(verdict["reasons"])
