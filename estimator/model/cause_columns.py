@@ -83,10 +83,8 @@ def cause_columns(
         name = f"{cause.label}.{quantity.key}"
         at[name] = at[name] + ends[:, i]
     with torch.no_grad():
-        if at_sensor_T is not None and isinstance(effect, ReadingEffect):
-            reading_T = beside.shown_T(at, at_sensor_T)
-        else:
-            reading_T = beside.predict(at)
+        field_T = at_sensor_T if isinstance(effect, ReadingEffect) else None
+        reading_T = beside.predict(at) if field_T is None else beside.shown_T(at, field_T)
         reading_T = reading_T.expand(len(starts), len(ends), len(observations), 3)
     up_T, down_T = reading_T[:, :-1].chunk(2, dim=1)
     return CauseColumns(rig, quantities, reading_T[:, -1], (up_T - down_T) / (2.0 * steps[:, None, None]))
