@@ -78,25 +78,28 @@ def gained(diagnosis: Diagnosis) -> Iterator[str]:
         gain = f"does not fall ({before} before, {after} after), but how far they miss is told better: {told}"
     else:
         gain = f"falls from {before} to {after}"
-    yield f"{unseen} {gain}.{_of_session(diagnosis, improvement)}{_beside_the_field(diagnosis, improvement)}"
+    yield f"{unseen} {gain}.{_not_of_the_field(diagnosis, improvement)}"
 
 
-def _of_session(diagnosis: Diagnosis, improvement: Improvement) -> str:
-    """How far the predicted field misses, where readings have something of their own; empty where they have nothing."""
-    after = improvement.after
-    if after.is_of_field:
-        return ""
-    names = _first_few(diagnosis, improvement.not_predicted)
-    error = size_with_unit(after.predicted.vector_T, "T", 3)
-    if not names:
-        return f" The field that predict gives misses them by {error}."
-    return f" That is with {names}, which these readings have and the field that predict gives has not: it misses them by {error}."
+def _not_of_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
+    """What readings have beside the predicted field, and how far it misses them without what they alone have; empty where it is all."""
+    of_all = _first_few(diagnosis, _in_every_session(diagnosis, improvement))
+    field = "the field that predict gives"
+    if improvement.after.is_of_field:
+        return f" That is with {of_all}, which acts on readings and not on {field}." if of_all else ""
+    of_these = _first_few(diagnosis, improvement.not_predicted)
+    error = size_with_unit(improvement.after.predicted.vector_T, "T", 3)
+    included = f" ({of_all}, which acts on all readings, included)" if of_all else ""
+    if not of_these:
+        return f" The field that predict gives misses them by {error}{included}."
+    beside = f" That is with {of_these}, which these readings have and {field} has not:"
+    return f"{beside} it misses them by {error}{included}."
 
 
-def _beside_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
-    """Causes that change what sensors show, and where, in every session; empty where there are none."""
+def _in_every_session(diagnosis: Diagnosis, improvement: Improvement) -> list[Cause]:
+    """Causes that change what sensors show, and where, in every session."""
     rig = diagnosis.fits.final.rig
-    lacking = [
+    return [
         cause
         for cause in rig.effects
         if cause not in improvement.not_predicted
@@ -104,12 +107,6 @@ def _beside_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
         and not EFFECTS[cause.name].is_record_mistake
         and not isinstance(EFFECTS[cause.name], NoiseEffect)
     ]
-    names = _first_few(diagnosis, lacking)
-    return (
-        f" That is with {names}, which acts on readings and not on the field that predict gives."
-        if names
-        else ""
-    )
 
 
 def _first_few(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
 from estimator.calibration.quality import tensions
+from estimator.diagnosis import policy
 from estimator.diagnosis.result import Diagnosis
+from estimator.diagnosis.sizes import Interval
 from estimator.reporting.numbers import quantity_words, size_with_unit
 from estimator.rig.parameters import Normal
 
@@ -28,22 +31,34 @@ def tension(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def held_back(diagnosis: Diagnosis) -> Iterator[str]:
-    """Sizes that would be larger without their priors, by more than their own standard deviation, one sentence each.
-
-    For normal densities the readings alone would say `centre + (median - centre) / (1 - (sd / prior sd)^2)`.
-    """
+    """Sizes that contradict their priors and would be larger without them by more than their own standard deviation, by cause."""
     for sized in diagnosis.sized_causes:
+        held = []
         for key, interval in sized.quantities.items():
             parameter = diagnosis.extended_rig.parameters.get(f"{sized.cause.label}.{key}")
             prior = parameter.prior if parameter is not None else None
-            if not isinstance(prior, Normal) or not 0.0 < interval.sd < MOST_OF_PRIOR * prior.sd:
-                continue
-            alone = prior.mean + (interval.median - prior.mean) / (1.0 - (interval.sd / prior.sd) ** 2)
-            if abs(alone - interval.median) > interval.sd:
+            if isinstance(prior, Normal) and (alone := _alone(interval, prior)) is not None:
                 size, width, without = (
                     size_with_unit(value, interval.unit) for value in (interval.median, prior.sd, alone)
                 )
-                yield (
-                    f"The prior of {sized.name} holds its {quantity_words(key)} back: {size} with a prior of ± {width}, about {without} "
-                    "without. If such a size is possible, state a wider prior in the rig file."
+                held.append(
+                    f"its {quantity_words(key)}, {size} with a prior of ± {width}, about {without} without"
                 )
+        if held:
+            yield (
+                f"The prior of {sized.name} holds back {'; '.join(held)}. If that is possible, state a wider prior in the rig file."
+            )
+
+
+def _alone(interval: Interval, prior: Normal) -> float | None:
+    """The size by the readings alone, where they contradict the prior; None where they do not, or know it no better than the prior.
+
+    For normal densities they say `mean + (median - mean) / (1 - r^2)` with `r = sd / prior sd`, which lies
+    `(median - mean) / (prior sd sqrt(1 - r^2))` standard deviations from the prior.
+    """
+    if not 0.0 < interval.sd < MOST_OF_PRIOR * prior.sd:
+        return None
+    rest, off = 1.0 - (interval.sd / prior.sd) ** 2, interval.median - prior.mean
+    alone = prior.mean + off / rest
+    is_contradicted = abs(off) > policy.PLAUSIBLE_SD * prior.sd * math.sqrt(rest)
+    return alone if is_contradicted and abs(alone - interval.median) > interval.sd else None

@@ -364,7 +364,7 @@ for pattern in (
     r"^Size, with 90 %|known best:|\(.+ to .+\)$|^[\w −]+ {2,}[−\d]\S*( \S+)?$",
     r"\([a-z]\w*(\[[\w, ]+\])?, [<>\d ]+ %\)",
     r"^this session cannot tell apart|^To tell them apart, measure|The readings leave room",
-    r"^The prior of .* holds its|^Check .* in the rig file",
+    r"^The prior of .* holds back|^Check .* in the rig file",
     r"rig_extended.yaml also has|^Use rig_extended|^Put the record|^Measure again",
     r"^Predictions are corrected|^Nothing is corrected|^What is left looks like|^Intervals are widened",
     r"^The model of the source itself|^Look first at what depends on|that how far readings miss depends on",

@@ -234,7 +234,7 @@ def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_s
     rig = diagnosis.extended_rig.with_parameters([replace(parameter, prior=prior)])
     held = SimpleNamespace(sized_causes=(replace(sized, quantities={"x_T": half}),), extended_rig=rig)
     (sentence,) = held_back(cast("Diagnosis", held))
-    assert "holds its x back: 100 µT with a prior of ± 7.1 µT, about 200 µT without" in sentence
+    assert "holds back its x, 100 µT with a prior of ± 7.1 µT, about 200 µT without" in sentence
 
 
 def test_numbers_far_from_what_the_rig_file_expects_are_said(diagnosis: Diagnosis) -> None:
