@@ -221,7 +221,9 @@ def _judged(
             stand_ins=tuple(_stand_ins(plain.rig, mistakes, named, extended.rig)),
             flags=first.flags,
             judging_flags=tuple(judging_flags),
-            outliers=tuple(outliers_of(outcome.after, first.session.observations)),
+            outliers=tuple(
+                outliers_of(outcome.after, first.session.observations, outcome.verdict.leaves_something)
+            ),
         ),
         fits=Fits(
             plain=plain,

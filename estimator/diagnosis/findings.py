@@ -54,7 +54,7 @@ class Findings:
         stand_ins: Further causes of the extended rig, which are not sure enough to be stated.
         flags: Readings that cannot have been measured as they were recorded. What they hold was left out.
         judging_flags: The same of another session, which judges the fits.
-        outliers: Components that are probably wrong, where the extended rig has outliers, those that miss most first.
+        outliers: Components that are probably wrong, those that miss most first.
     """
 
     answer: Answer

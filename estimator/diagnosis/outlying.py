@@ -19,6 +19,7 @@ from estimator.readings.flags import COMPONENTS
 from estimator.readings.observations import Observations
 
 PROBABLY = 0.5
+WIDTH_OF_ONE = 20.0  # standard deviations of the noise, of the errors of a single component
 
 
 @dataclass(frozen=True)
@@ -50,24 +51,28 @@ class Outlier:
         return asdict(self) | {"reading": self.reading + 1, "component": COMPONENTS[self.component]}
 
 
-def outliers_of(fit: Fit, observations: Observations) -> list[Outlier]:
-    """Components that are probably outliers, those that miss most first; none where the rig of the fit has no outliers.
+def outliers_of(fit: Fit, observations: Observations, leaves_something: bool) -> list[Outlier]:
+    """Components that are probably outliers, those that miss most first.
 
-    Each is wrong with the probability of the fit's mixture: the share that is wrong, and how wide its errors are.
+    Each is wrong with the probability of the fit's mixture: the share that is wrong, and how wide its errors are. Where the rig of the
+    fit has no outliers, one component of the session is expected to be wrong, by many times the noise.
 
     Args:
         fit: Of the rig.
         observations: The readings, a whole session.
+        leaves_something: The rig does not explain all readings, so that no component is known to be wrong unless it has outliers.
     References: Bayes' rule for a mixture of two normals, as in Hogg, Bovy and Lang, arXiv:1008.4686 (2010), section 3.
     """
-    if not any(use.effect.is_contaminating for use in uses_of(fit.rig, NoiseEffect)):
+    has_outliers = any(use.effect.is_contaminating for use in uses_of(fit.rig, NoiseEffect))
+    if leaves_something and not has_outliers:
         return []
     observations = as_meant(fit.rig, observations)
     posterior = LogPosterior(fit.posterior.coordinates, fit.model_of(observations), observations)
     with torch.no_grad():
         miss_T = posterior.measured_T - posterior.predicted(fit.vector)
         miss_sd = miss_T / posterior.component_sigma_T(fit.vector)
-        share, ratio = posterior.contamination(fit.values)
+        one_of_all = miss_sd.new_tensor(1.0 / len(miss_sd)), miss_sd.new_tensor(WIDTH_OF_ONE)
+        share, ratio = posterior.contamination(fit.values) if has_outliers else one_of_all
         good = torch.log1p(-share) - 0.5 * miss_sd**2
         bad = torch.log(share / ratio) - 0.5 * (miss_sd / ratio) ** 2
         probability = torch.sigmoid(bad - good)

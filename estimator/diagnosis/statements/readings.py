@@ -56,10 +56,12 @@ def outliers(diagnosis: Diagnosis) -> Iterator[str]:
         row = f"reading {far.reading + 1}" if far.line is None else f"line {far.line}"
         where = f"{COMPONENTS[far.component]} of {far.sensor} in {row}"
         few = (
-            "One component is probably an outlier"
+            "one component is probably an outlier"
             if len(probable) == 1
             else f"{len(probable)} components are probably outliers, the farthest"
         )
+        is_all = not diagnosis.causes and not diagnosis.record_mistakes
+        few = f"But {few}" if is_all else few[0].upper() + few[1:]
         slip = f"; it {far.words}" if far.words else ""
         yield f"{few}: {where}, {size_with_unit(abs(far.miss_T), 'T')} off{slip}."
 

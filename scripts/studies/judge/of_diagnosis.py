@@ -77,18 +77,22 @@ def nothing_wrong(case: Case, text: str, match: re.Match[str]) -> Iterator[State
 
 
 def mistakes_left(case: Case) -> int:
-    """Rows with mistakes of no cause that were not flagged and are clearly off; what a cause does to rows counts as that cause."""
-    truth = case.truth
+    """Rows with mistakes of no cause that are clearly off and were neither flagged nor told as outliers.
+
+    What a cause does to rows counts as that cause.
+    """
+    truth, told = case.truth, case.flagged.copy()
+    told[[outlier["reading"] - 1 for outlier in case.diagnosis["outliers"]]] = True
     if truth is None or truth.causes:
         return 0
     if truth.noise_T is None:
-        return int((truth.wrong & ~case.flagged).any(axis=1).sum())
+        return int((truth.wrong & ~told).any(axis=1).sum())
     rig = load_rig(case.folder / "rig.yaml")
     true = rig.with_values({name: value for name, value in truth.values.items() if name in rig.parameters})
     expected_T = HandedOut(true, nominal_tensors(true)).readings_T(case.observations).numpy()
     off_T = np.abs(case.observations.field_sensor_T.numpy() - expected_T)
     is_clear = truth.wrong & (off_T > CLEARLY_WRONG * truth.noise_T[:, None])
-    return int((is_clear & ~case.flagged).any(axis=1).sum())
+    return int((is_clear & ~told).any(axis=1).sum())
 
 
 @sentence(r"would have shown, for example, (?P<what>.+)\.$")

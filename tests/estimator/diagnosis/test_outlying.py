@@ -38,7 +38,7 @@ def fit(small_rig: Rig, session: Session):
 
 
 def test_the_wrong_components_are_listed_the_farthest_first(fit, session):
-    outliers = outliers_of(fit, session.observations)
+    outliers = outliers_of(fit, session.observations, True)
     assert [(o.reading, o.component) for o in outliers] == list(WRONG)
     assert {o.sensor for o in outliers} == {"hall"}
     for outlier, error_T in zip(outliers, WRONG.values(), strict=True):
@@ -55,18 +55,28 @@ def test_a_decimal_point_beside_its_place_is_told_with_the_line_of_the_file(fit,
     field_T[8, 1] *= -1.0
     smallest = int(field_T[12:, 2].abs().argmin()) + 12
     field_T[smallest, 2] += 1e-4  # far off, but of nearly nothing: no factor says so
-    written = {(o.reading, o.component): o for o in outliers_of(fit, readings.with_field(field_T))}
+    written = {(o.reading, o.component): o for o in outliers_of(fit, readings.with_field(field_T), True)}
     assert (written[7, 0].words, written[7, 0].line) == ("is a hundred times too large", 9)
     assert written[8, 1].words == "is reversed"
     assert {written[place].words for place in (*WRONG, (smallest, 2))} == {""}
 
 
 def test_its_probability_is_that_of_a_mixture_of_two_normals(fit, session):
-    for outlier in outliers_of(fit, session.observations):
+    for outlier in outliers_of(fit, session.observations, True):
         good = (1.0 - SHARE) * stats.norm.pdf(outlier.miss_sd)
         bad = SHARE * stats.norm.pdf(outlier.miss_sd, scale=RATIO)
         assert outlier.probability == pytest.approx(bad / (good + bad), rel=1e-6)
 
 
-def test_without_that_cause_none_is_listed(small_rig, session):
-    assert outliers_of(fit_of(small_rig, session.observations.calibration), session.observations) == []
+def test_without_that_cause_a_single_component_is_listed_where_nothing_else_is_left(
+    small_rig, small_session: Session
+):
+    readings = small_session.observations
+    fit = fit_of(small_rig, readings.calibration)
+    sigma_T = float(fit.posterior.sigma_T(fit.vector)[0])
+    assert outliers_of(fit, readings, leaves_something=False) == []
+    field_T = readings.field_sensor_T.clone()
+    field_T[7, 1] += 8.0 * sigma_T
+    (outlier,) = outliers_of(fit, readings.with_field(field_T), leaves_something=False)
+    assert (outlier.reading, outlier.component) == (7, 1)
+    assert outliers_of(fit, readings.with_field(field_T), leaves_something=True) == []
