@@ -218,6 +218,15 @@ class Fit:
         own = [(coordinates.parameters[i], nulls[coordinates.names[i]]) for i in rows]
         return rows, self.vector.new_tensor([float(v.log() if p.is_positive else v) for p, v in own])
 
+    def has_nothing_of(self, cause: Cause) -> bool:
+        """Whether one of the rig's causes is no farther from changing nothing than noise puts it: what it did, others do."""
+        rows, null = self.at_null(cause)
+        off = self.vector[rows] - null
+        if not rows or not bool(torch.isfinite(off).all()):
+            return False
+        covariance = self.covariance[rows][:, rows]
+        return float(off @ torch.linalg.solve(covariance, off)) < len(rows)
+
     def still_has(self, cause: Cause) -> bool:
         """Whether one of the rig's causes is still itself at the fitted values, as its effect defines it."""
         effect = EFFECTS[cause.name]

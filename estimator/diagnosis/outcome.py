@@ -97,7 +97,7 @@ class Outcome:
         return replace(self, before=before, after=after)
 
     def checked_by(self, unseen: Observations, seed: int) -> Outcome:
-        """The outcome with the error budget, and without causes that account for next to nothing of it.
+        """The outcome with the error budget, and without causes that account for next to nothing of it or that the corrections replace.
 
         Where other things move the readings a hundred times as much, what is as small as that may be any of many things. A rig that
         predicts these readings worse than the one described does not replace it.
@@ -108,7 +108,13 @@ class Outcome:
         """
         scored = self if self.improvement is not None else self._scored_by(unseen)
         shares = budget(self.answer.plain, self.extended, on_known_sides(self.extended, unseen), seed)
-        named = [each for each in self.named if shares is None or not shares.is_negligible(each.cause)]
+        is_corrected = self.correction is not None and self.correction.is_taken
+        named = [
+            each
+            for each in self.named
+            if not (shares is not None and shares.is_negligible(each.cause))
+            and not (is_corrected and self.after.has_nothing_of(each.cause))
+        ]
         result = replace(scored._naming(named), budget=shares)
         if result.improvement is not None and result.improvement.is_loss:
             return result._by_names_alone(named if len(named) < len(self.named) else ()).checked_by(

@@ -77,8 +77,18 @@ def _unseen(diagnosis: Diagnosis) -> str:
     """Says why sets are withdrawn; empty where none is."""
     shares, withdrawn = diagnosis.fits.budget, _withdrawn(diagnosis)
     small = [e for e in withdrawn if shares is not None and shares.is_negligible(e.first_listed)]
-    refuted = [entry for entry in withdrawn if entry not in small]
+    final = diagnosis.fits.final
+    replaced = [
+        e
+        for e in withdrawn
+        if e not in small and e.first_listed in final.rig.effects and final.has_nothing_of(e.first_listed)
+    ]
+    refuted = [entry for entry in withdrawn if entry not in small and entry not in replaced]
     words = []
+    if replaced:
+        words.append(
+            f"Clear until the rest was corrected, which does the same: {_told(diagnosis, replaced)}."
+        )
     if small:
         words.append(f"Clear, but less than 1 % of the misfit of unseen readings: {_told(diagnosis, small)}.")
     if refuted:

@@ -124,3 +124,14 @@ def test_another_start_is_taken_where_the_density_is_higher(small_rig, small_ses
     )
     for fit in (there, back):
         assert float(fit.values["coil1.radius_m"]) == pytest.approx(float(own["coil1.radius_m"]), rel=1e-12)
+
+
+def test_a_fit_has_nothing_of_a_cause_that_is_not_there(small_rig, small_session):
+    zero = Cause("sensor_offset", "hall")
+    readings = small_session.observations.calibration
+    without = fit_of(small_rig, readings, zero)
+    off = without.vector[without.at_null(zero)[0]]
+    assert without.has_nothing_of(zero), off
+    shift_T = 5.0 * without.posterior.sigma_T(without.vector)[0]
+    moved = fit_of(small_rig, readings.with_field(readings.field_sensor_T + shift_T), zero)
+    assert not moved.has_nothing_of(zero)

@@ -7,6 +7,8 @@ from dataclasses import replace
 import pytest
 import torch
 
+from estimator.diagnosis.corrections.result import Correction
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import imitation
 from estimator.diagnosis.mixture.answer import Answer
@@ -92,6 +94,20 @@ def test_a_cause_that_accounts_for_next_to_nothing_loses_its_name(
     moved_T = unseen.field_sensor_T + torch.tensor([0.0, 3e-3, 0.0], dtype=torch.float64)
     nothing = said.checked_by(unseen.with_field(moved_T), seed=1)
     assert (nothing.verdict, nothing.named) == (Verdict.UNEXPLAINED, [])
+
+
+def test_a_cause_of_which_the_corrections_leave_nothing_loses_its_name(
+    of_two_causes: Answer, two_causes: Observations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = Outcome.of(of_two_causes.plain, BesideScatter(of_two_causes, ()), (), is_record_wrong=False)
+    (replaced,) = (each.cause for each in said.named if each.cause == GAIN)
+    monkeypatch.setattr(Fit, "has_nothing_of", lambda self, cause: cause == replaced)
+    with_it = said.checked_by(two_causes.validation, seed=1)
+    assert with_it.named == said.named, "nothing was corrected"
+    corrected = replace(said, correction=Correction(said.after, (), {}, "", said.after))
+    without = corrected.checked_by(two_causes.validation, seed=1)
+    assert [each.cause for each in without.named] == [c.cause for c in said.named if c.cause != replaced]
+    assert without.verdict is Verdict.PARTLY_EXPLAINED
 
 
 def test_a_rig_that_predicts_worse_does_not_replace_the_one_described(
