@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -107,6 +108,8 @@ class Outcome:
             seed: Of the choice of readings for the intervals of the shares.
         """
         scored = self if self.improvement is not None else self._scored_by(unseen)
+        if scored.improvement is not None and scored.improvement.is_loss:
+            return scored._refuted_by(unseen).checked_by(unseen, seed)
         shares = budget(self.answer.plain, self.extended, on_known_sides(self.extended, unseen), seed)
         is_corrected = self.correction is not None and self.correction.is_taken
         named = [
@@ -117,9 +120,10 @@ class Outcome:
         ]
         result = replace(scored._naming(named), budget=shares)
         if result.improvement is not None and result.improvement.is_loss:
-            return result._by_names_alone(named if len(named) < len(self.named) else ()).checked_by(
-                unseen, seed
+            less = (
+                result._by_names_alone(named) if len(named) < len(self.named) else result._refuted_by(unseen)
             )
+            return less.checked_by(unseen, seed)
         is_open = result.verdict.leaves_something and result.widening is None
         return result.widened(unseen) if is_open else result
 
@@ -131,6 +135,46 @@ class Outcome:
         after = extended if readings is base.observations else _fitted_to(readings, extended)
         verdict = _leaving_something(named)
         return Outcome(self.answer, self.scatter, self.pull, verdict, named, extended, self.before, after)
+
+    def _refuted_by(self, unseen: Observations) -> Outcome:
+        """This outcome, which predicts unseen readings worse, with an alternative in the place of a name, else without the worst name.
+
+        Readings that were taken when a spell was over tell it from a step, which those that were asked may not.
+        """
+        asked_alone = {candidate.cause for candidate in self.answer.first.pool}
+        names = [
+            (i, named.as_if(other.cause))
+            for i, named in enumerate(self.named)
+            for other in named.alternatives
+            if other.cause in asked_alone  # a second piece of iron is none without a first
+        ]
+        own = self._by_names_alone(self.named)._scored_by(unseen)
+        others = [self._with_name(i, named)._scored_by(unseen) for i, named in names]
+        best = max(range(len(names)), key=lambda n: others[n]._elpd(own), default=None)
+        if best is not None and not others[best]._is_worse:
+            i = names[best][0]
+            elpd = {self.named[i].cause: own._elpd(own)}
+            elpd |= {n.cause: o._elpd(own) for (j, n), o in zip(names, others, strict=True) if j == i}
+            return self._with_name(i, self.named[i].weighed_by(elpd))
+        fewer = [self._with_name(i)._scored_by(unseen) for i in range(len(self.named))]
+        less = max(fewer, key=lambda each: each._elpd(own), default=self._by_names_alone(()))
+        return less._refuted_by(unseen) if less._is_worse and less.named else less
+
+    def _with_name(self, i: int, *instead: NamedCause) -> Outcome:
+        """This outcome with its names alone, and another or none in the place of one of them."""
+        return self._by_names_alone([*self.named[:i], *instead, *self.named[i + 1 :]])
+
+    @property
+    def _is_worse(self) -> bool:
+        """Whether it predicts unseen readings worse than the rig as described, as far as they tell."""
+        return self.improvement is not None and self.improvement.elpd_difference < 0.0
+
+    def _elpd(self, own: Outcome) -> float:
+        """Log density of the unseen readings; that of the rig as described where none tells whether this outcome is right."""
+        scored = self.improvement or own.improvement
+        if scored is None:
+            return -math.inf
+        return (scored.before if self.improvement is None else scored.after).elpd
 
     def _naming(self, named: Sequence[NamedCause]) -> Outcome:
         """This outcome with some of its named causes; what the others stood for is unexplained."""
@@ -184,9 +228,9 @@ class Outcome:
 
     def _scored_by(self, unseen: Observations) -> Outcome:
         """This outcome with the improvement on unseen readings, as sure as its widened intervals are; the same where there are none."""
-        if not len(unseen):
-            return self
-        told = on_known_sides(self.after, unseen)
+        told = on_known_sides(self.after, unseen) if len(unseen) else unseen
+        if not len(told):
+            return replace(self, improvement=None)
         covariance = None if self.widening is None else self.widening.covariance
         return replace(self, improvement=improvement_of(self.before, self.after, told, covariance))
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 from estimator.diagnosis import policy
 from estimator.rig.rig import Cause
 
 UNKNOWN = "something not in the library"
+ALTERNATIVE = 0.05  # share of a set from which on something is an alternative to what is there
 
 
 class Verdict(StrEnum):
@@ -58,6 +61,26 @@ class NamedCause:
     alternatives: tuple[Alternative, ...]
     log_bayes_factor: float
     p_not_in_library: float = 0.0
+
+    def as_if(self, cause: Cause) -> NamedCause:
+        """This with one of its alternatives in its place."""
+        return replace(self, cause=cause)
+
+    def weighed_by(self, log_density: Mapping[Cause, float]) -> NamedCause:
+        """This set with the probabilities of its causes weighed by log densities of more readings, the most probable one first."""
+        known = {self.cause: self.probability} | {
+            other.cause: other.probability for other in self.alternatives
+        }
+        highest = max(log_density.values())
+        weighed = {cause: p * math.exp(log_density[cause] - highest) for cause, p in known.items()}
+        scale = sum(known.values()) / sum(weighed.values())
+        first, *others = sorted(weighed, key=lambda cause: -weighed[cause])
+        alternatives = tuple(
+            Alternative(cause, scale * weighed[cause], None)
+            for cause in others
+            if scale * weighed[cause] > ALTERNATIVE
+        )
+        return replace(self, cause=first, probability=scale * weighed[first], alternatives=alternatives)
 
     @property
     def may_be_unknown(self) -> bool:

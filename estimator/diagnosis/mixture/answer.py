@@ -25,6 +25,7 @@ from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
+from estimator.diagnosis.verdict import ALTERNATIVE
 from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
@@ -34,7 +35,6 @@ from estimator.side_by_side import each
 N_PAIRS = 3  # of complementary halves
 IN_HALVES = Sweeps(16, 4)
 STATED = 0.9  # probability from which on a cause is stated
-ALTERNATIVE = 0.05  # share of a slot from which on something is an alternative to what is there
 OUTWEIGHS = (
     2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
 )

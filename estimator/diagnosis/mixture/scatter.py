@@ -13,11 +13,11 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
-from estimator.diagnosis.mixture.answer import ALTERNATIVE, STATED, Answer, confirmed
+from estimator.diagnosis.mixture.answer import STATED, Answer, confirmed
 from estimator.diagnosis.mixture.climb import climbed
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
-from estimator.diagnosis.verdict import Alternative, NamedCause
+from estimator.diagnosis.verdict import ALTERNATIVE, Alternative, NamedCause
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 

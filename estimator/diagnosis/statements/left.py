@@ -70,7 +70,8 @@ def beside(diagnosis: Diagnosis) -> Iterator[str]:
 def _withdrawn(diagnosis: Diagnosis) -> list[Found]:
     """Sets that the readings hold for sure and that have no name because of unseen readings."""
     named = {each.cause for each in diagnosis.causes}
-    return [entry for entry in diagnosis.findings.answer.stated if entry.first_listed not in named]
+    stated = diagnosis.findings.answer.stated
+    return [entry for entry in stated if not any(p.cause in named for p in entry.possibilities)]
 
 
 def _unseen(diagnosis: Diagnosis) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -14,7 +15,7 @@ from estimator.diagnosis.mixture.naming import named_by
 from estimator.diagnosis.mixture.scatter import BesideScatter
 from estimator.diagnosis.mixture.slots import Slots
 from estimator.diagnosis.outcome import Outcome
-from estimator.diagnosis.verdict import NamedCause, Verdict
+from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
@@ -182,3 +183,13 @@ def test_a_number_that_is_pulled_far_from_its_prior_is_unexplained(small_rig: Ri
     outcome = outcome_of(said(answered(fit, n_pairs=0).first, {(): 100}))
     assert outcome.pull.name == "coil1.radius_m"
     assert outcome.verdict is Verdict.UNEXPLAINED
+
+
+def test_more_readings_weigh_the_causes_of_a_set() -> None:
+    named = NamedCause(GAIN, 0.6, (Alternative(CROSS, 0.2, 1.0), Alternative(ROOM, 0.1, 1.0)), 30.0, 0.1)
+    weighed = named.weighed_by({GAIN: -12.0, CROSS: -10.0, ROOM: -10.0})
+    total = 0.6 * math.exp(-2.0) + 0.2 + 0.1
+    assert (weighed.cause, weighed.p_not_in_library) == (CROSS, 0.1)
+    assert weighed.probability == pytest.approx(0.9 * 0.2 / total)
+    assert [each.cause for each in weighed.alternatives] == [ROOM, GAIN]
+    assert named.weighed_by({GAIN: 0.0, CROSS: -20.0, ROOM: -20.0}).alternatives == ()
