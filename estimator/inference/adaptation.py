@@ -18,10 +18,11 @@ from estimator.inference.proposal import DEGREES_OF_FREEDOM, MixtureProposal, Wh
 from estimator.inference.straightening import Straightening, n_coefficients
 
 ROUNDS = 9
-FEWEST_DRAWS, MOST_DRAWS = 1000, 2000  # of a round; between them as many as a map has coefficients
+FEWEST_DRAWS, DRAWS_PER_COEFFICIENT = 1000, 2  # of a round, and for each coefficient of a map
 # Efficiency at which a proposal is left as it is: at once, and where straightening brings no more. To fit on costs more than it brings.
 ENOUGH, FAIR = 0.9, 0.75
-WORTH = 1.1  # a round of straightening is followed by another where it gained as many times the efficiency
+WORTH = 1.1  # a round of straightening gains where it multiplies the efficiency by as much
+PATIENCE = 2  # rounds of straightening without a gain: while few draws weigh, the efficiency of one round says little
 LATE_ROUNDS = 2  # whose draws are straightened; those of earlier rounds lie farther off
 WIDENED, WIDE_SHARE = 2.0, 0.3  # share of draws from a wider law, which sees tails that the proposal misses
 LARGEST = 1e30  # coordinate of a draw that counts: squares of squares must stay numbers
@@ -48,9 +49,9 @@ def adapted(
         Stat. 17, 295 (2008), truncated weights.
     """
     best, best_efficiency = proposal, 0.0
-    size = int(np.clip(n_coefficients(proposal.n), FEWEST_DRAWS, MOST_DRAWS))
+    size = max(FEWEST_DRAWS, DRAWS_PER_COEFFICIENT * n_coefficients(proposal.n))
     vectors, log_targets, log_weight = np.empty((0, proposal.n + proposal.counts.shape[1])), *np.empty((2, 0))
-    is_straightened, straightening = True, None
+    n_without_gain, straightening = 0, None
     for _ in range(ROUNDS):
         fresh, log_drawn = _draws(proposal, size, random)
         log_target = log_prob(fresh)
@@ -63,15 +64,16 @@ def adapted(
         log_own = np.zeros(len(fresh))
         log_own[is_there] = proposal.log_density(fresh[is_there])
         efficiency = efficiency_of(log_own, log_target, log_drawn)
-        is_straightened = is_straightened and efficiency > WORTH * best_efficiency
+        if n_without_gain < PATIENCE:
+            n_without_gain = 0 if efficiency > WORTH * best_efficiency else n_without_gain + 1
         if efficiency > best_efficiency:
             best, best_efficiency = proposal, efficiency
-        if best_efficiency >= (ENOUGH if is_straightened else FAIR):
+        if best_efficiency >= (FAIR if n_without_gain else ENOUGH):
             break
         vectors = np.concatenate((vectors, fresh))
         log_targets = np.concatenate((log_targets, log_target))
         log_weight = np.concatenate((log_weight, log_target - log_drawn))
-        if is_straightened:
+        if n_without_gain < PATIENCE:
             late = slice(-LATE_ROUNDS * size, None)
             fresh, weight = vectors[late], _truncated(log_weight[late])
             straightening = _straightening(proposal, fresh, log_targets[late], weight, straightening)
