@@ -176,8 +176,11 @@ def _everywhere(made: Sequence[Departure], n_places: Mapping[str, int]) -> list[
 
 
 def _without_listed(made: Sequence[Departure], listed: Sequence[Candidate]) -> list[Departure]:
-    """Departures that change the readings otherwise than a listed cause can, with all of its quantities."""
-    bases = [_basis(candidate) for candidate in listed]
+    """Departures that change the readings otherwise than a listed cause can, or those of one place together.
+
+    Gains and crosstalk of the axes make any response that is linear.
+    """
+    bases = [*(_basis(candidate) for candidate in listed), *_bases_together(listed)]
     most = max((basis.shape[1] for basis in bases), default=0)
     some = [departure for departure in made if len(departure.keys) <= most]
     if not some:
@@ -190,13 +193,27 @@ def _without_listed(made: Sequence[Departure], listed: Sequence[Candidate]) -> l
     return [departure for departure in made if id(departure) not in gone]
 
 
-def _basis(candidate: Candidate) -> Float[Tensor, "component column"]:
-    """Orthonormal basis of what a listed cause changes in the readings, to first order about its start."""
-    columns = candidate.columns
-    if not candidate.is_at_null:
-        columns = torch.cat((columns, candidate.shift[:, None]), dim=1)
-    basis: Tensor = torch.linalg.qr(columns / columns.square().sum(0).sqrt().clamp(min=1e-300)).Q
-    return basis
+def _bases_together(listed: Sequence[Candidate]) -> list[Float[Tensor, "component column"]]:
+    """What the listed causes of one place change together, those whose shapes are known."""
+    of_cause: dict[Cause, list[Candidate]] = {}
+    for candidate in listed:
+        of_cause.setdefault(candidate.cause, []).append(candidate)
+    alike: dict[str, list[Candidate]] = {}
+    for cause, starts in of_cause.items():
+        if len(starts) == 1 and starts[0].is_at_null:
+            alike.setdefault(cause.place, []).append(starts[0])
+    return [_basis(*some) for some in alike.values() if len(some) > 1]
+
+
+def _basis(*candidates: Candidate) -> Float[Tensor, "component column"]:
+    """Orthonormal basis of what listed causes change in the readings, to first order about their starts."""
+    columns = torch.cat([candidate.columns for candidate in candidates], dim=1)
+    shifts = [candidate.shift[:, None] for candidate in candidates if not candidate.is_at_null]
+    columns = torch.cat((columns, *shifts), dim=1)
+    unit = columns / columns.square().sum(0).sqrt().clamp(min=1e-300)
+    basis, singular, _ = torch.linalg.svd(unit, full_matrices=False)
+    told: Tensor = basis[:, singular > SAME * singular[:1]]
+    return told
 
 
 def _summed(rows: Float[Tensor, "row column"], blocks: Sequence[Tensor]) -> Float[Tensor, "block column"]:
