@@ -12,9 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from scipy.interpolate import RegularGridInterpolator
 
 from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
+from estimator.frames import Transform
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
@@ -271,12 +273,21 @@ def _coil_plane(
         low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
         high = max(0.5 * radius_m, min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
     x_m, z_m = np.linspace(-reach, reach, n_points), np.linspace(low, high, n_points)
-    grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
-    field, half_width = _field_in_coil_frame(calibration, coil, best, torch.from_numpy(grid.reshape(-1, 3)))
-    shape = (n_points, n_points)
+    field = _field_per_A(calibration, coil, best, _grid(x_m, z_m))
+    # Half as fine, for it is smooth: draws of an effect that sums over all loops would take minutes.
+    coarse_x_m, coarse_z_m = (np.linspace(at[0], at[-1], n_points // 2 + 1) for at in (x_m, z_m))
+    coarse = _relative_half_width(calibration, coil, best, _grid(coarse_x_m, coarse_z_m))
+    between = RegularGridInterpolator((coarse_z_m, coarse_x_m), coarse.reshape(len(coarse_z_m), -1))
+    half_width = between(np.stack(np.meshgrid(z_m, x_m, indexing="ij"), axis=-1))
     return CoilPlane(
-        coil.name, x_m, z_m, field.reshape(*shape, 3), half_width.reshape(shape), positions_m, winding
+        coil.name, x_m, z_m, field.reshape(n_points, n_points, 3), half_width, positions_m, winding
     )
+
+
+def _grid(x_m: np.ndarray, z_m: np.ndarray) -> torch.Tensor:
+    """Points of the plane y = 0, row by row of z."""
+    z, x = np.meshgrid(z_m, x_m, indexing="ij")
+    return torch.from_numpy(np.stack((x, np.zeros_like(x), z), axis=-1).reshape(-1, 3))
 
 
 def _plane(plane: CoilPlane, title: str) -> Picture:
@@ -297,21 +308,36 @@ def _plane(plane: CoilPlane, title: str) -> Picture:
     )
 
 
-def _field_in_coil_frame(
+def _field_per_A(
     calibration: Calibration, coil: AnyCoil, best: Mapping[str, torch.Tensor], points_m: torch.Tensor
-) -> tuple[np.ndarray, np.ndarray]:
-    """Field per ampere around the coil, in its frame, and the relative half-width of the 90 % interval of its magnitude."""
+) -> np.ndarray:
+    """Field per ampere around the coil, in its frame."""
+    world_from_coil, room, current_A = _around(calibration, coil, best, points_m)
+    return world_from_coil.unrotate(room.field_T(best, current_A)).numpy()
+
+
+def _relative_half_width(
+    calibration: Calibration, coil: AnyCoil, best: Mapping[str, torch.Tensor], points_m: torch.Tensor
+) -> np.ndarray:
+    """Half-width of the 90 % interval of the magnitude of that field, relative to it."""
+    _, room, current_A = _around(calibration, coil, best, points_m)
+    strength = some_at_a_time(
+        lambda values: room.field_T(values, current_A).norm(dim=-1),
+        calibration.draw_values(PLANE_DRAWS),
+        len(points_m),
+        1,
+    )
+    ends = torch.tensor([0.05, 0.95], dtype=torch.float64)
+    lower, upper = torch.quantile(torch.atleast_2d(strength), ends, dim=0)
+    half_width: np.ndarray = (0.5 * (upper - lower) / room.field_T(best, current_A).norm(dim=-1)).numpy()
+    return half_width
+
+
+def _around(
+    calibration: Calibration, coil: AnyCoil, best: Mapping[str, torch.Tensor], points_m: torch.Tensor
+) -> tuple[Transform, RoomField, torch.Tensor]:
+    """The frame of a coil, the field at points in it, and one ampere in that coil alone."""
     rig = calibration.rig
     world_from_coil = at_one_moment(rig).world_from_body(coil, "coil", torch.arange(1), best)
-    room = RoomField(rig, best, world_from_coil.apply(points_m))
     current_A = torch.tensor([float(powered is coil) for powered in rig.coils], dtype=torch.float64)
-    field = room.field_T(best, current_A)
-    draws = calibration.draw_values(PLANE_DRAWS)
-    strength = some_at_a_time(
-        lambda values: room.field_T(values, current_A).norm(dim=-1), draws, len(points_m), 1
-    )
-    lower, upper = torch.quantile(
-        torch.atleast_2d(strength), torch.tensor([0.05, 0.95], dtype=torch.float64), dim=0
-    )
-    half_width = 0.5 * (upper - lower) / field.norm(dim=-1)
-    return world_from_coil.unrotate(field).numpy(), half_width.numpy()
+    return world_from_coil, RoomField(rig, best, world_from_coil.apply(points_m)), current_A
