@@ -186,6 +186,7 @@ class Effect(ABC):
             up is none of its losses. A fit with a negative one is something else.
         depends_on: What of a session its quantities depend on, so that the field of a single moment cannot show them; None where it can.
         is_everywhere: No laboratory is without it, so a calibration fits it where the rig file does not mention it.
+        is_in_every_device: Every device has it, of a size that makers state: what a measurement promises must hold beside it.
         is_correction: It names no cause. It is never asked as one, and corrects predictions where something is left that no cause explains.
     """
 
@@ -203,6 +204,7 @@ class Effect(ABC):
     never_negative: ClassVar[tuple[str, ...]] = ()
     depends_on: ClassVar[str | None] = None
     is_everywhere: ClassVar[bool] = False
+    is_in_every_device: ClassVar[bool] = False
     is_correction: ClassVar[bool] = False
 
     @classmethod

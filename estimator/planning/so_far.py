@@ -13,6 +13,7 @@ from typing import Any
 
 from jaxtyping import Bool, Float
 
+from estimator.effects import EFFECTS
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
 from estimator.inference.running import RunningFit
 from estimator.model.measurement_model import MeasurementModel
@@ -39,13 +40,11 @@ class Model:
     Attributes:
         every: With all ordinary causes.
         alone: With the parameters of the fit only.
-        asked: With those quantities of causes that the stops of a session can exclude, too.
-        is_asked: Which of the quantities these are.
+        is_asked: Which quantities of causes the stops of a session can exclude.
     """
 
     every: Expected
     alone: Expected
-    asked: Expected
     is_asked: Bool[Tensor, " cause"]
 
 
@@ -95,6 +94,7 @@ class SoFar:
         settings: One row for each candidate.
         coordinates: Of the rig with ordinary causes.
         own: Which of them, noise apart, are parameters of the fit.
+        is_usual: Which of the others every device has.
         fit: Of all usable stops that are not held out.
         entries: Of the stops.
         rows: Number of the candidate of each.
@@ -111,6 +111,8 @@ class SoFar:
         self._place = torch.tensor([self.coordinates.names.index(name) for name in Coordinates(rig).names])
         self.known = known_coordinates(self.coordinates)
         self.own = torch.isin(self.known, self._place)
+        causes = [self.coordinates.names[i].partition("[")[0] for i in self.known[~self.own].tolist()]
+        self.is_usual = torch.tensor([EFFECTS[name].is_in_every_device for name in causes], dtype=torch.bool)
         self.restart()
 
     def restart(self) -> None:
@@ -204,9 +206,7 @@ class SoFar:
             wanted = [rows[0] for rows in every.wanted]
             at_last = Unseen.of(all_stops, torch.zeros_like(prior[0]), prior, wanted, own)
             is_asked = (at_last.variances(at_last.sd.square(), every.widest) <= 1.0).all(0)
-            asked = own.clone()
-            asked[~own] = is_asked
-            self._model = Model(every, every.only(own), every.only(asked), is_asked)
+            self._model = Model(every, every.only(own), is_asked)
         return self._model
 
     def wanted(self) -> list[Float[Tensor, "number all"]]:

@@ -29,7 +29,7 @@ def cross_axis(field_sensor_T: Components, theta: Theta) -> Components:
     return field_sensor_T + (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
 
 
-@ReadingEffect.cause(quantities=triple("xyz", "", "1", 0.01))
+@ReadingEffect.cause(quantities=triple("xyz", "", "1", 0.01), is_in_every_device=True)
 def axis_gain(field_sensor_T: Components, theta: Theta) -> Components:
     """The sensor's axes have wrong gains.
 

@@ -42,7 +42,7 @@ class Linear:
         wanted[:, N_OWN:] = 0.0  # causes of the sensor, which the field does not have
         return cls(columns, prior, wanted, rng)
 
-    def judged(self, truth: Tensor) -> tuple[Unseen, Tensor, Tensor]:
+    def judged(self, truth: Tensor, is_usual: Tensor | None = None) -> tuple[Unseen, Tensor, Tensor]:
         """What is unseen, the error of the fit's numbers, and their mean variance by the fit alone."""
         measured = self.columns @ truth + torch.from_numpy(self.rng.normal(size=len(self.columns)))
         own = self.columns[:, OWN]
@@ -50,7 +50,7 @@ class Linear:
         estimate = torch.linalg.solve(precision, own.T @ measured)
         score = self.columns.T @ (measured - own @ estimate)
         score[OWN] -= self.prior[OWN][:, OWN] @ estimate
-        unseen = Unseen.of(self.columns.T @ self.columns, score, self.prior, [self.wanted], OWN)
+        unseen = Unseen.of(self.columns.T @ self.columns, score, self.prior, [self.wanted], OWN, is_usual)
         rows = self.wanted[:, OWN]
         variance = ((rows @ torch.linalg.inv(precision)) * rows).sum(-1).mean()
         return unseen, rows @ (estimate - truth[OWN]) - self.wanted[:, ~OWN] @ truth[~OWN], variance
@@ -113,6 +113,27 @@ def test_goals_are_kept_beside_a_hidden_quantity_which_the_fit_alone_does_not_ke
     assert shares[True, True] > 0.8
     assert shares[True, False] < 0.6
     assert len(kept[False, True]) > 0.9 * N_SESSIONS
+
+
+def test_promises_beside_what_every_device_has_are_kept_more_often() -> None:
+    broken, ends = {False: 0, True: 0}, {False: 0, True: 0}
+    for seed in range(60):
+        whole = Linear.drawn(seed, 240)
+        truth = torch.from_numpy(whole.rng.normal(size=N_OWN + N_CAUSES))
+        truth[~OWN] = 0.0
+        truth[3] = whole.rng.choice([-1.0, 1.0]) * whole.rng.uniform(0.3, 0.8)  # a small one, easily unseen
+        for is_usual in (False, True):
+            usual = torch.tensor([is_usual, False, False, False])
+            for n in range(8, 241, 8):
+                some = Linear(whole.columns[:n], whole.prior, whole.wanted, np.random.default_rng(seed))
+                unseen, error, variance = some.judged(truth, usual)
+                if float(variance + unseen.variances(unseen.mean_square(), [False]).amax()) <= 4.0 * TARGET:
+                    broken[is_usual] += float(error.square().mean()) > 1.645**2 * 4.0 * TARGET
+                    ends[is_usual] += 1
+                    break
+    assert broken[True] <= 0.1 * ends[True]
+    assert broken[False] > 2 * broken[True]
+    assert ends[True] > 0.5 * ends[False]
 
 
 @pytest.mark.parametrize("widest", [False, True])
