@@ -5,14 +5,13 @@ from __future__ import annotations
 import os
 import sys
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from estimator.cli.options import PATH, OutputPath, devices_option, flag, option, result_options, seed_option
-from estimator.cli.output import EXIT_INTERRUPTED, EXIT_UNDELIVERED, CoilcalCommand, show
+from estimator.cli.output import EXIT_UNDELIVERED, CoilcalCommand, show
 from estimator.errors import CorruptStore, InvalidInput
 
 if TYPE_CHECKING:
@@ -93,10 +92,11 @@ def acquire_command(
     Each stop is on the disk before the next begins. Repeat the command to continue an interrupted measurement. However it ends, the
     currents are ramped to zero. Displacements count from where the arms stand at the start; a finished measurement returns them there.
     """
-    from drivers.interlock import sigterm_as_exception
-    from estimator.cli.acquire_task import Until, check_plan, measure, plan_record, plan_text, read_task
+    from estimator.cli.acquire_task import check_plan, measured, read_task
     from estimator.cli.contents import ending
     from estimator.cli.instruments import Bench
+    from estimator.cli.pilots import Until
+    from estimator.cli.plan_shown import plan_record, plan_text
     from estimator.planning.decision import Limits
     from estimator.store.journal import read_journal
     from estimator.store.made import JOURNAL
@@ -112,22 +112,14 @@ def acquire_command(
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
     until = Until(goals, Limits(most_stops, None if minutes is None else 60.0 * minutes))
-    task = read_task(bench, plan_path, until=until, **pace)
+    task = read_task(bench, plan_path, question=until if goals else None, **pace)
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)
         return
     delivery = None if url is None else _delivery(out, url, is_new=not is_resumed)
-    try:
-        with sigterm_as_exception(), ExitStack() as stack:
-            begin = (lambda: None) if delivery is None else delivery.start
-            n_before = measure(task, out, is_resumed, loads, stack, begin)
-    except (KeyboardInterrupt, SystemExit) as end:
-        click.echo(
-            "coilcal: interrupted; the currents are off, the arms stay where they are, and the same command goes on",
-            err=True,
-        )
-        sys.exit(end.code if isinstance(end, SystemExit) else EXIT_INTERRUPTED)
+    begin = (lambda: None) if delivery is None else delivery.start
+    n_before = measured(task, out, is_resumed, loads, begin)
     session = seal(out)
     n_readings_taken = len(session.observations)
     n_validation = int(session.observations.is_validation.sum())

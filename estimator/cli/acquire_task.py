@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import json
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,21 +14,21 @@ import click
 import torch
 
 from drivers.errors import Refused
+from drivers.interlock import sigterm_as_exception
 from drivers.limits_section import RigLimits, limits_of
 from drivers.open import DeviceSet
 from drivers.safety import CoilLoad
 from estimator.acquisition.acquire import acquire, references_of
 from estimator.acquisition.pace import ANSWER_S, Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.cli.instruments import Bench
+from estimator.cli.output import EXIT_INTERRUPTED
+from estimator.cli.pilots import Pilot, Question
 from estimator.cli.places import places_of
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
 from estimator.cli.progress import Reporter
-from estimator.cli.words import duration_words, motion_words
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
-from estimator.planning.autopilot import Autopilot, pilot_of
 from estimator.planning.candidates import clear_candidates, one_row_each
-from estimator.planning.decision import Limits
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, load_plan
 from estimator.store.files import write_text
@@ -37,7 +37,6 @@ from estimator.store.journal import Journal, unwritten
 from estimator.store.made import END
 from estimator.store.session import remove_session
 
-MOST_SHOWN = 10
 LINE_EVERY_S = 5.0  # in a pipe
 
 
@@ -63,25 +62,12 @@ class Task:
     limits: RigLimits
     pace: Pace
     times_s: list[float]
-    pilot: Autopilot | None = None
+    pilot: Pilot | None = None
 
     @property
     def n_stops(self) -> int:
         """Number of stops of the session, or the most that it may have."""
         return len(self.stops) if self.pilot is None else self.pilot.limits.most_stops
-
-
-@dataclass(frozen=True)
-class Until:
-    """Goals of a session whose stops are chosen while it is measured.
-
-    Attributes:
-        goals: As the user wrote them; none for a plan that is carried out.
-        ends: Limits of stops and time.
-    """
-
-    goals: tuple[str, ...]
-    ends: Limits
 
 
 def read_task(
@@ -91,12 +77,12 @@ def read_task(
     longest_settle_s: float,
     speed_mm_per_s: float | None,
     seed: int,
-    until: Until,
+    question: Question | None,
 ) -> Task:
     """Read plan and goals, and refuse whatever can be refused without an instrument."""
     with bench.located():
         limits = limits_of(bench.devices)
-    if until.goals:
+    if question is not None:
         plan = places_of(bench.rig, plan_path, limits, is_any_order=True)
         candidates = clear_candidates(plan, bench.rig, seed)
         stops = one_row_each(candidates, bench.rig)
@@ -117,7 +103,7 @@ def read_task(
     pace = Pace(plan.settle_s, n_readings, longest_settle_s, speeds, limits.slews_A_per_s)
     check_ways(stops, bench.rig, limits, pace, {})
     times_s = durations_s(stops, bench.rig, pace)
-    pilot = pilot_of(bench.rig, candidates, until.goals, pace, until.ends, seed) if until.goals else None
+    pilot = question.pilot(bench.rig, candidates, pace, seed) if question is not None else None
     return Task(bench, plan, seed, stops, limits, pace, times_s, pilot)
 
 
@@ -134,6 +120,21 @@ def check_plan(task: Task, records: Sequence[Mapping[str, Any]], now_s: float) -
     if task.pilot is None:  # which chooses among currents that a coil bears for ever
         check_currents(task.stops, task.bench.rig, task.limits, task.times_s, len(records), loads)
     return loads
+
+
+def measured(
+    task: Task, out: Path, is_resumed: bool, loads: Mapping[str, CoilLoad], on_begin: Callable[[], None]
+) -> int:
+    """Measure; an interruption ends the program with the currents off. Arguments and result as of `measure`."""
+    try:
+        with sigterm_as_exception(), ExitStack() as stack:
+            return measure(task, out, is_resumed, loads, stack, on_begin)
+    except (KeyboardInterrupt, SystemExit) as end:
+        click.echo(
+            "coilcal: interrupted; the currents are off, the arms stay where they are, and the same command goes on",
+            err=True,
+        )
+        sys.exit(end.code if isinstance(end, SystemExit) else EXIT_INTERRUPTED)
 
 
 def measure(
@@ -188,12 +189,13 @@ def _tell(refusal: Refused) -> None:
 
 def _check_same(journal: Journal, task: Task, out: Path) -> None:
     """Refuse to continue a session with another rig, plan or seed."""
-    for subject, recorded, given in (
+    given = {} if task.pilot is None else task.pilot.header
+    for subject, recorded, now in (
         ("rig", journal.header["rig_hash"], task.bench.rig.hash),
         ("plan and seed", journal.header["plan"], digest_of(task.stops)),
-        ("goals", journal.header.get("goals"), None if task.pilot is None else task.pilot.header["goals"]),
+        *((key, journal.header.get(key), given.get(key)) for key in ("goals", "test")),
     ):
-        if recorded != given:
+        if recorded != now:
             raise InvalidInput(
                 f"an interrupted session must go on with the {subject} that it began with; {out} began with another "
                 "(--overwrite begins anew)"
@@ -203,51 +205,3 @@ def _check_same(journal: Journal, task: Task, out: Path) -> None:
 def _source(task: Task, devices: DeviceSet) -> str:
     identities = [f"{name} {device.identify(timeout_s=ANSWER_S)}" for name, device in devices.devices.items()]
     return f"acquired with plan {task.plan.name!r}, seed {task.seed}, from {'; '.join(identities)}"
-
-
-def plan_record(task: Task) -> dict[str, Any]:
-    """The planned stops, for programs."""
-    rig, stops = task.bench.rig, task.stops
-    if task.pilot is not None:
-        return {"candidates": len(stops), **task.pilot.header, "first": task.pilot.decide([]).to_json()}
-    begins_s = list(itertools.accumulate(task.times_s, initial=0.0))
-    return {
-        "plan": task.plan.name,
-        "readings_per_stop": task.pace.n_readings,
-        "duration_s": sum(task.times_s),
-        "stops": [
-            {
-                "begin_s": begins_s[row],
-                "current_A": {coil.name: float(stops.current_A[row, i]) for i, coil in enumerate(rig.coils)},
-                **{mover.name: stops.motion[mover.name][row].tolist() for mover in rig.movers},
-                "is_validation": bool(stops.is_validation[row]),
-            }
-            for row in range(len(stops))
-        ],
-    }
-
-
-def plan_text(task: Task) -> str:
-    """The first planned stops and the duration, for people."""
-    record = plan_record(task)
-    if task.pilot is not None:
-        return "\n".join(
-            [
-                f"{record['candidates']} stops to choose from, at most {task.n_stops} visits",
-                *(f"goal: {goal}" for goal in record["goals"]),
-            ]
-        )
-    n_validation = int(task.stops.is_validation.sum())
-    lines = [
-        f"plan {record['plan']!r}: {len(task.stops)} stops ({n_validation} for validation), {record['readings_per_stop']} readings each, "
-        f"about {duration_words(record['duration_s'])}"
-    ]
-    for number, stop in enumerate(record["stops"][:MOST_SHOWN], start=1):
-        currents = ", ".join(f"{name} {current_A:g} A" for name, current_A in stop["current_A"].items())
-        motions = "; ".join(
-            f"{mover.name} {motion_words(mover, stop[mover.name])}" for mover in task.bench.rig.movers
-        )
-        lines.append(f"  {number:4} after {duration_words(stop['begin_s']):>10}: {currents}; {motions}")
-    if len(task.stops) > MOST_SHOWN:
-        lines.append(f"  ... and {len(task.stops) - MOST_SHOWN} more (--json lists all)")
-    return "\n".join(lines)

@@ -94,17 +94,19 @@ def ending(path: Path) -> dict[str, Any]:
 def _chosen(path: Path) -> Contents:
     """Goals of a session whose stops were chosen while it was measured, and the decisions; nothing for any other one."""
     header, entries = read_journal(path) if (path / JOURNAL).is_file() else ({}, [])
-    if not header.get("goals"):
+    goals = header.get("goals") or (["a calibration holds or has changed"] if "test" in header else [])
+    if not goals:
         return {}, []
     decisions = [entry["decision"] for entry in entries]
-    lines = [f"measured until {goal}" for goal in header["goals"]]
+    lines = [f"measured until {goal}" for goal in goals]
     step = max(1, len(decisions) // MOST_LINES)
     for number, decision in list(enumerate(decisions, start=1))[::step]:
-        width = max(decision["widths"])
-        lines.append(f"  stop {number}, with {width:.3g} times the wanted half-width: {decision['reason']}")
+        widths = decision.get("widths")
+        beside = f", with {max(widths):.3g} times the wanted half-width" if widths else ""
+        lines.append(f"  stop {number}{beside}: {decision['reason']}")
     end = ending(path)
     lines += [end["reason"]] if end else []
-    return {"goals": header["goals"], "decisions": decisions, "ended": end}, lines
+    return {"goals": goals, "decisions": decisions, "ended": end}, lines
 
 
 def _current_lines(session: Session) -> list[str]:

@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from estimator.cli.options import PATH, OutputPath, ess_option, json_option, option, seed_option
+from estimator.cli.options import (
+    PATH,
+    OutputPath,
+    devices_option,
+    ess_option,
+    json_option,
+    option,
+    seed_option,
+)
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED, CoilcalCommand, show
 from estimator.errors import InvalidInput
 
@@ -54,6 +62,25 @@ PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
     "There is no shell: write \"sh -c 'cat >> alerts.jsonl'\" for pipes and redirections.",
     metavar="COMMAND",
 )
+@option(
+    "--measure measured",
+    "First measure this session, choosing each stop, until the current version holds or has changed; needs --devices or devices in RIG.",
+    OutputPath(),
+    metavar="SESSION",
+)
+@option(
+    "--places places_path", "With --measure: plan file with the places and currents to choose from.", PATH
+)
+@option(
+    "--change change_percent",
+    "With --measure: change to look for, in per cent of the field in the root mean square over the places.",
+    click.FloatRange(min=0.0, min_open=True),
+    default=0.5,
+)
+@option(
+    "--most-stops", "With --measure: stops after which to end in any case.", click.IntRange(min=1), default=60
+)
+@devices_option
 @option("--alert-webhook", "Address to which the same JSON is posted.", metavar="URL")
 @ess_option
 @seed_option
@@ -67,6 +94,11 @@ def recalibrate_command(
     again: tuple[str, ...],
     alert_command: str | None,
     alert_webhook: str | None,
+    measured: Path | None,
+    places_path: Path | None,
+    change_percent: float,
+    most_stops: int,
+    devices_path: Path | None,
     ess: float,
     seed: int,
     as_json: bool,
@@ -80,6 +112,10 @@ def recalibrate_command(
 
     Sessions in the log are skipped, so the command can be repeated at any time, even after it was killed. Sessions that are still being
     measured or copied wait for the next run. Examples for cron, systemd and Kubernetes are in configs/.
+
+    With --measure, the shortest session is measured that decides whether the current version still holds, and written to SESSION; put it
+    into the inbox to have it judged whole. It goes on after an interruption by the same command. Exit codes: 0 it holds; 10 it has
+    changed; 4 undecided.
 
     Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted; 4 neither, but a
     calibration did not converge.
@@ -98,6 +134,15 @@ def recalibrate_command(
             )
         entry = roll_back(registry, rollback)
         show(asdict(entry), entry.reason, as_json)
+        return
+    if measured is not None:
+        if rig_path is None:
+            raise InvalidInput("--rig must be given with --measure; received none")
+        from estimator.cli.instruments import Bench
+        from estimator.cli.recheck import recheck
+
+        bench = Bench.load(rig_path, devices_path)
+        recheck(bench, registry, measured, places_path, change_percent, most_stops, seed, as_json)
         return
     if rig_path is None or inbox is None:
         raise InvalidInput("--rig and --inbox must be given, unless --rollback is; received none")

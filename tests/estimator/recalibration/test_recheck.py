@@ -1,0 +1,164 @@
+"""The shortest session that decides whether a calibration holds: few stops, error rates kept, what changed is named."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from estimator.acquisition.acquire import Choice
+from estimator.acquisition.pace import default_pace
+from estimator.calibration.result import Calibration
+from estimator.errors import InvalidInput
+from estimator.model.hide import with_hidden
+from estimator.model.measurement_model import MeasurementModel
+from estimator.planning.candidates import clear_candidates
+from estimator.planning.decision import Limits
+from estimator.readings.observations import Observations
+from estimator.readings.plan import Plan
+from estimator.recalibration.recheck import CHANGED, HOLDS, UNDECIDED, Finding, Recheck
+from estimator.recalibration.sequential import Rates
+from estimator.rig.coordinates import nominal_tensors
+from estimator.rig.rig import Rig
+from estimator.store.growing import StopReadings
+
+NOISE_T = 5e-6
+SHARE = 0.02
+MOST_STOPS = 40
+N_SESSIONS = 12
+Entries = list[dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def stops(small_rig: Rig, small_plan: Plan) -> Observations:
+    places = replace(small_plan, currents_A=({"coil1": 3.0}, {"coil1": -3.0}, {}))
+    return clear_candidates(places, small_rig, 0)
+
+
+@pytest.fixture(scope="module")
+def asked(small_calibration: Calibration, stops: Observations) -> Recheck:
+    return recheck(small_calibration, stops)
+
+
+def recheck(
+    calibration: Calibration, stops: Observations, most_stops: int = MOST_STOPS, share: float = SHARE
+) -> Recheck:
+    pace = default_pace(calibration.rig, 0.1)
+    return Recheck(calibration, stops, share, pace, Limits(most_stops), Rates())
+
+
+class World:
+    """What each candidate of a recheck really shows."""
+
+    def __init__(
+        self,
+        pilot: Recheck,
+        stops: Observations,
+        truth: Mapping[str, float],
+        hidden: Mapping[str, float] | None = None,
+    ) -> None:
+        real = with_hidden(pilot.rig.with_values(truth), stops, hidden or {})
+        self.pilot = pilot
+        with torch.no_grad():
+            self.field_T = MeasurementModel.build(real, stops).predict(nominal_tensors(real))
+        self.field_T = self.field_T.expand(len(stops), 3)
+
+    def entry(self, choice: Choice, number: int, seed: int) -> dict[str, Any]:
+        """What a stop adds to the journal."""
+        settings, noise = self.pilot.settings, np.random.default_rng((seed, number)).normal(size=3)
+        readings = StopReadings(
+            number + 0.5,
+            settings.current_A[choice.row].tolist(),
+            {"arm1": settings.motion["arm1"][choice.row].tolist()},
+            {"hall": (self.field_T[choice.row].numpy() + noise * NOISE_T).tolist()},
+            choice.is_validation,
+            choice.repeat,
+        )
+        return {**readings.entry(), **choice.record}
+
+    def run(self, seed: int) -> tuple[Entries, Finding]:
+        """A whole session, and how it ended."""
+        entries: Entries = []
+        while (choice := self.pilot.choose(entries)) is not None:
+            entries.append(self.entry(choice, len(entries), seed))
+        return entries, self.pilot.decide(entries)
+
+
+@pytest.mark.whole
+def test_a_calibration_that_holds_is_called_changed_at_the_stated_rate_at_most(
+    asked: Recheck, small_calibration: Calibration, stops: Observations
+) -> None:
+    truths = small_calibration.draw_values(N_SESSIONS)
+    ends, lengths = [], []
+    for k in range(N_SESSIONS):
+        truth = {name: float(truths[name][k]) for name in small_calibration.draws}
+        entries, end = World(asked, stops, truth).run(seed=k)
+        ends.append(end.outcome)
+        lengths.append(len(entries))
+    assert ends.count(CHANGED) <= 1  # two have a probability of 1 % at the stated rate of 1 %
+    assert ends.count(HOLDS) >= 0.8 * N_SESSIONS
+    assert np.median(lengths) < 30  # a scatter of less than the noise needs most of them
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize(
+    ("moved", "hidden", "name"),
+    [
+        ({"coil1.world_from_coil0.z_m": 1e-3}, {}, "coil1.world_from_coil0.z_m"),
+        ({}, {"axis_gain[hall].x": 0.03}, "axis_gain[hall].x"),
+        ({}, {"background_field[room].x_T": 80e-6}, "background_field[room].x_T"),
+    ],
+)
+def test_what_changed_is_named_with_its_size(
+    asked: Recheck,
+    small_calibration: Calibration,
+    stops: Observations,
+    moved: Mapping[str, float],
+    hidden: Mapping[str, float],
+    name: str,
+) -> None:
+    names = list(small_calibration.draws)
+    truth = {n: small_calibration.best[n] + moved.get(n, 0.0) for n in names}
+    entries, end = World(asked, stops, truth, hidden).run(seed=5)
+    assert end.outcome == CHANGED
+    assert len(entries) < 15
+    (size,) = [words.split(" by ")[1] for words in end.leading if words.startswith(f"{name} by ")]
+    assert float(size.split()[0]) == pytest.approx({**moved, **hidden}[name], rel=0.5)
+
+
+@pytest.mark.whole
+def test_stops_are_the_same_after_a_restart(
+    asked: Recheck, small_calibration: Calibration, stops: Observations
+) -> None:
+    truth = {name: small_calibration.best[name] for name in small_calibration.draws}
+    entries, end = World(asked, stops, truth).run(seed=6)
+    again = recheck(small_calibration, stops)
+    assert again.decide(entries) == end
+    for n in (0, len(entries) // 2):
+        choice = again.choose(entries[:n])
+        assert choice is not None
+        assert choice.record == {"decision": entries[n]["decision"]}
+    refused = again.choose(entries[:1], [entries[1]["decision"]["row"]])
+    assert refused is not None
+    assert refused.row != entries[1]["decision"]["row"]
+
+
+@pytest.mark.whole
+def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(
+    small_calibration: Calibration, stops: Observations
+) -> None:
+    short = recheck(small_calibration, stops, most_stops=3)
+    truth = {name: small_calibration.best[name] for name in small_calibration.draws}
+    entries, end = World(short, stops, truth).run(seed=7)
+    assert (len(entries), end.outcome) == (3, UNDECIDED)
+    assert set(short.changes.left_out) > set(recheck(small_calibration, stops).changes.left_out)
+
+
+@pytest.mark.whole
+def test_changes_that_no_stop_shows_are_refused(small_calibration: Calibration, stops: Observations) -> None:
+    with pytest.raises(InvalidInput, match="must be large enough to show at the candidate stops"):
+        recheck(small_calibration, stops, share=1e-5)
