@@ -151,10 +151,10 @@ def test_stops_are_the_same_after_a_restart(
 def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(
     small_calibration: Calibration, stops: Observations
 ) -> None:
-    short = recheck(small_calibration, stops, most_stops=3)
+    short = recheck(small_calibration, stops, most_stops=4)
     truth = {name: small_calibration.best[name] for name in small_calibration.draws}
     entries, end = World(short, stops, truth).run(seed=7)
-    assert (len(entries), end.outcome) == (3, UNDECIDED)
+    assert (len(entries), end.outcome) == (4, UNDECIDED)
     assert set(short.changes.left_out) > set(recheck(small_calibration, stops).changes.left_out)
 
 
