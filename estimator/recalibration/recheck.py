@@ -99,13 +99,13 @@ class Recheck:
             entries: Of the journal.
             refused: Candidates that instruments have refused since the last stop.
         """
-        found = self.decide(entries, refused)
-        if found.row is None:
+        finding = self.decide(entries, refused)
+        if finding.row is None:
             return None
         rows = [int(entry["decision"]["row"]) for entry in entries]
-        this_s = float(self.chooser.next_s(rows)[found.row])
-        record = {"decision": found.to_json()}
-        return Choice(found.row, False, rows.count(found.row), this_s, 0.0, record)
+        this_s = float(self.chooser.next_s(rows)[finding.row])
+        record = {"decision": finding.to_json()}
+        return Choice(finding.row, False, rows.count(finding.row), this_s, 0.0, record)
 
     def decide(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Finding:
         """What the stops of a journal say; the same entries always say the same.
