@@ -80,7 +80,8 @@ def test_a_killed_recheck_goes_on_and_names_what_changed(folder: Path, tmp_path:
 
 def test_without_a_calibration_nothing_moves(folder: Path, tmp_path: Path) -> None:
     words = [
-        word.replace(str(folder / "registry"), str(tmp_path)) for word in call(folder, tmp_path / "s.zarr")
+        word.replace(str(folder / "registry"), str(tmp_path / "registry"))
+        for word in call(folder, tmp_path / "s.zarr")
     ]
     assert "registry must have a calibration to measure against" in refused(run(*words))
     assert "--rig must be given with --measure" in refused(
