@@ -225,5 +225,6 @@ def refuse(
             reading = int(torch.isin(pose_row, rows[refused]).nonzero().flatten()[0])
             raise InvalidInput(
                 f"sensors must lie {rule}; at the rig's nominal values {len(refused)} of "
-                f"{len(rows)} poses do not, the first at reading {reading} (rig {rig!r})"
+                f"{len(rows)} poses do not, the first at reading {reading}: "
+                f"correct where the rig file puts the sensor or the coil (rig {rig!r})"
             )

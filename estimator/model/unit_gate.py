@@ -16,6 +16,7 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
+from estimator.units import split_unit
 
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0
@@ -112,7 +113,7 @@ def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, wh
     for kind, factor, unit, is_possible in (
         ("positions", 1e-3, "mm", is_wrong_size),
         ("positions", 1e-2, "cm", is_wrong_size),
-        ("rotations", np.pi / 180.0, "degrees", is_turned_beyond),
+        ("rotations", np.pi / 180.0, "deg", is_turned_beyond),
     ):
         agreement = _agreement(rig, _scaled(rig, observations, kind, factor)) if is_possible else None
         if (
@@ -121,18 +122,24 @@ def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, wh
             and agreement.correlation > SAME_PATTERN
         ):
             raise InvalidInput(
-                f"{kind} of the movers must be in {'metres' if kind == 'positions' else 'radians'}; they look like {unit}: "
-                f"divided by {1.0 / factor:.4g} they fit the rig's nominal model ({where})"
+                f"{kind} of the movers must be in {'metres' if kind == 'positions' else 'radians'}; they look like "
+                f"{'degrees' if unit == 'deg' else unit}: divided by {1.0 / factor:.4g} they fit the rig's nominal model; "
+                f"{_cure(rig.movers[0].columns[0 if kind == 'positions' else -1], unit)} ({where})"
             )
 
 
 def _likely(ratio: float) -> str:
     unit, factor = min(FIELD_UNITS.items(), key=lambda item: abs(np.log(ratio / item[1])))
     if 1.0 / 3.0 < ratio / factor < 3.0:
-        return f"fields look like {unit} (or currents are too small by {factor:g})"
+        return f"fields look like {unit} (or currents are too small by {factor:g}); {_cure('Bx', unit)}"
     if 1.0 / 3.0 < ratio * 1e3 < 3.0:
-        return "currents look like mA (or fields are too small by 1000)"
+        return f"currents look like mA (or fields are too small by 1000); {_cure('COIL_current', 'mA')}"
     return "check units, currents and the nominal pose"
+
+
+def _cure(column: str, unit: str) -> str:
+    name = f"{split_unit(column)[0]}_{unit}"
+    return f"if so, name them so in the file, or with --column 'HEADER={name}' when they are imported"
 
 
 def _warnings(

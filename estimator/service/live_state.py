@@ -61,6 +61,7 @@ class LiveState:
         intervals: Of every free parameter; empty before the first reading.
         is_polished: Whether they are those of a batch fit of these readings, to 1e-6 standard deviations.
         alarms: All alarms so far, in words.
+        alarm_readings: The first reading that each concerns, and that at which it was noticed.
         is_redrawn: Whether `places` and `history` are all there are; else they are those that are new.
         places: Where readings were taken, and what the estimate left of them when it was last computed.
         coils: Where the coils stood at the last reading.
@@ -78,6 +79,7 @@ class LiveState:
     intervals: dict[str, Interval] = field(default_factory=dict)
     is_polished: bool = False
     alarms: list[str] = field(default_factory=list)
+    alarm_readings: list[tuple[int, int]] = field(default_factory=list)
     is_redrawn: bool = False
     places: list[Place] = field(default_factory=list)
     coils: list[CoilOutline] = field(default_factory=list)
@@ -143,6 +145,7 @@ class Drawn:
         told = replace(
             state,
             alarms=[alarm.words for alarm in engine.stream.alarms],
+            alarm_readings=[(alarm.since, alarm.at) for alarm in engine.stream.alarms],
             is_redrawn=is_redrawn,
             places=[place for place in state.places if place.number > n_places],
             history=history,

@@ -1,9 +1,10 @@
 // A calibration as its report tells it: how good it is, fields and their uncertainty, what the data taught, residuals; and predictions.
 
 import { html } from "./vendor/lit-html.js";
-import { all, ask, download, post, Problem } from "./api.js";
+import { all, ask, download, Problem } from "./api.js";
 import { heat, intervals, lines } from "./chart.js";
 import { figure } from "./figure.js";
+import { Prediction } from "./prediction.js";
 import { intervalTable } from "./rigs.js";
 import { age, minus, percent, short, size } from "./words.js";
 
@@ -12,10 +13,10 @@ const STRONG_SIGMA = 3;
 
 export class Calibration {
   plane = 0;
-  predicted = null;
 
   constructor(update, job, { calibration_id: id, result }, panels) {
     Object.assign(this, { update, job, id, summary: result, panels });
+    this.prediction = new Prediction(update, id, panels);
   }
 
   template() {
@@ -26,7 +27,7 @@ export class Calibration {
         ${this.tiles()} ${rest.map((words) => html`<p>${words}</p>`)} ${this.actions()}
       </section>
       ${this.warnings()}
-      ${this.fields()} ${this.numbers()} ${this.residuals()} ${this.predict()}`;
+      ${this.fields()} ${this.numbers()} ${this.residuals()} ${this.prediction.template()}`;
   }
 
   // Each by itself where they are few, else in one line that opens.
@@ -168,56 +169,6 @@ export class Calibration {
             <td class="num long">${one.mean_sigma.map(mean).join(", ")}</td></tr>`)}</tbody></table></div>
       </div>
     </section>`;
-  }
-
-  predict() {
-    const { coils, movers } = this.panels;
-    return html`<section aria-labelledby="predict">
-      <h2 id="predict">Predict a point</h2>
-      <form class="card form" @submit=${(event) => this.send(event)}>
-        <p class="fields">${["x", "y", "z"].map((axis) => html`<label>${axis} (mm) <input name="point" type="number" step="any" value="0" required /></label>`)}</p>
-        <p class="fields">${coils.map((coil, i) => html`<label>current of ${coil} (A) <input name="current" type="number" step="any" value=${i ? 0 : 1} required /></label>`)}</p>
-        ${Object.entries(movers).map(([mover, columns]) => html`<label>${mover} <input name="motion" class="wide" value="0 0 0 0 0 0"
-            aria-describedby="motion-${mover}" required /></label><p class="muted" id="motion-${mover}">${columns.join(", ")}; six numbers in SI.</p>`)}
-        ${this.predictFault ? html`<p class="fault" role="alert">${this.predictFault}</p>` : null}
-        <button class="main">Predict</button>
-        <div role="status">${this.predicted ? this.answer() : null}</div>
-      </form>
-    </section>`;
-  }
-
-  async send(event) {
-    event.preventDefault();
-    const form = new FormData(event.target);
-    const { coils, movers } = this.panels;
-    const currents = form.getAll("current").map(Number);
-    const motions = form.getAll("motion").map((text) => text.trim().split(/[\s,;]+/).map(Number));
-    const body = {
-      points_m: [form.getAll("point").map((v) => Number(v) / 1e3)],
-      currents_A: Object.fromEntries(coils.map((coil, i) => [coil, currents[i]])),
-      motion: Object.fromEntries(Object.keys(movers).map((mover, i) => [mover, motions[i]])),
-      has_gradient: true,
-    };
-    [this.predictFault, this.predicted] = [null, null];
-    try {
-      this.predicted = await post(`/v1/calibrations/${this.id}/predict`, body);
-    } catch (error) {
-      if (!(error instanceof Problem) || error.status === 401) throw error;
-      this.predictFault = error.message; // beside the form, so that what was filled in stays
-    }
-    this.update();
-  }
-
-  answer() {
-    const told = this.predicted;
-    if (told.field_T[0][0] === null) return html`<p>This point is inside a winding.</p>`;
-    const rows = ["x", "y", "z"].map((axis, i) => [`B${axis}`, told.field_T[0][i], told.field_lower_T[0][i], told.field_upper_T[0][i]]);
-    const total = Math.hypot(...told.field_T[0]);
-    return html`<div class="scroll" tabindex="0" role="region" aria-label="Prediction"><table>
-        <thead><tr><th>component</th><th class="num">field</th><th class="num">90 % interval</th></tr></thead>
-        <tbody>${rows.map(([name, value, low, high]) => html`<tr><th scope="row">${name}</th><td class="num">${size(value, "T", 5)}</td>
-          <td class="num">${size(low, "T", 5)} to ${size(high, "T", 5)}</td></tr>`)}
-          <tr><th scope="row">|B|</th><td class="num">${size(total, "T", 5)}</td><td class="num">–</td></tr></tbody></table></div>`;
   }
 }
 

@@ -152,6 +152,19 @@ export function heat(name, xs, ys, rows, { xLabel, yLabel, label, log = false, w
   </svg>`;
 }
 
+// A time line: spans of readings, each from where it begins to where it was noticed, and a mark there.
+export function strip(name, spans, n, words, width = fitting(900)) {
+  const [left, right, middle] = [10, 10, 12];
+  const x = scale([1, Math.max(n, 2)], [left, width - right]);
+  return svg`<svg class="chart" viewBox="0 0 ${width} 58" role="img" aria-label=${name}>
+    <path class="zero" d="M${left} ${middle}H${width - right}" />
+    ${spans.map(([since, at], i) => svg`<g><title>${words[i]}</title><path class="interval alarm" d="M${x(since)} ${middle}H${x(at)}" />
+      <circle class="dot alarm" cx=${x(at)} cy=${middle} r="4.5" /></g>`)}
+    ${ticks(1, Math.max(n, 2), 6).map((t) => svg`<text class="middle" x=${x(t)} y=${middle + 20}>${number(t)}</text>`)}
+    <text class="middle label" x=${(left + width - right) / 2} y=${middle + 38}>reading</text>
+  </svg>`;
+}
+
 // Lines over a common axis; series are {label, kind, points: [[x, y], ...]}; `log` makes the y axis logarithmic.
 export function lines(name, series, { xLabel, yLabel, log = false, mark = null, dots = false, width = fitting(540), height = 320 }) {
   const [left, right, top] = [58, dots ? 14 : 96, 10];

@@ -2,7 +2,7 @@
 
 import { html } from "./vendor/lit-html.js";
 import { get } from "./api.js";
-import { lines } from "./chart.js";
+import { lines, strip } from "./chart.js";
 import { figure } from "./figure.js";
 import { arrowScale, extentOf, ringsAround, space, Viewpoint } from "./space.js";
 import { breakable, fixed, minus, rounded, short, shownIn, size } from "./words.js";
@@ -73,7 +73,7 @@ export class LiveView {
         ${tile("Running diagnosis", ...verdict(state))}
         ${tile("Alarms", state.alarms.length || "none", state.alarms.at(-1) ?? "")}
       </dl>
-      <div role="status" class="alarms">${alarms(state.alarms)}</div>
+      <div role="status" class="alarms">${alarms(state)}</div>
       ${silence(state, this.heardAt)}
       ${this.places.length ? html`<div class="figures two even">${this.map()} ${this.widths()}</div>` : null}
       ${this.places.length ? html`<div class="figures two even">${this.residuals()} ${this.table(state)}</div>` : null}
@@ -163,11 +163,13 @@ export class LiveView {
   }
 }
 
-// Alarms in one line; all of them where somebody asks.
-function alarms(all) {
+// Alarms in one line and along the session; all of them where somebody asks.
+function alarms({ alarms: all, alarm_readings: readings, n_appended: n }) {
   if (!all.length) return null;
-  if (all.length === 1) return html`<p class="warn card">${all[0]}</p>`;
-  return html`<details class="warn card"><summary>${all.length} alarms; the last: ${all.at(-1)}</summary><ol>${all.map((words) => html`<li>${words}</li>`)}</ol></details>`;
+  const marks = strip("Alarms along the session", readings, n, all);
+  if (all.length === 1) return html`<div class="warn card"><p>${all[0]}</p>${marks}</div>`;
+  return html`<div class="warn card"><details><summary>${all.length} alarms; the last: ${all.at(-1)}</summary>
+    <ol>${all.map((words) => html`<li>${words}</li>`)}</ol></details>${marks}</div>`;
 }
 
 // That readings have stopped to come, where they came often before.

@@ -43,7 +43,7 @@ export class ColumnPicker {
     };
     return html`<div class="picker">
       <p>${remarks.join(" ")} ${this.isReadable ? html`<strong>${n_readings} readings.</strong> Are these numbers right?` : null}</p>
-      ${fault ? html`<p class="fault" role="alert">${fault}</p>` : null}
+      ${fault ? html`<div class="fault" role="alert">${fault.split("\n").map((words) => html`<p>${words}</p>`)}</div>` : null}
       <div class="scroll" tabindex="0" role="region" aria-label="Columns of the table">
         <table>
           <thead>

@@ -19,6 +19,8 @@ from estimator.store.importers.csv_lines import BadLine, Block, cells_of, csv_bl
 from estimator.store.importers.places import MOST_PLACES, fault_at, left_out
 from estimator.store.importers.table import SKIP, Cells, Column, HeaderCell, Table, number_of
 
+EXPORT = "no line has: where commas are decimal signs too, export it with semicolons between cells"
+
 
 def read_table(
     path: Path, known: Mapping[str, Column], faults: Faults | None = None, skips_bad: bool = False
@@ -85,15 +87,17 @@ def filled_table(
         for reader in read.values():
             reader.add(columns[reader.column])
         lines.append(np.array(numbers, dtype=np.int64))
-    notes = _tell_bad_lines(path, bad_lines, faults, skips_bad)
     line_of_row = np.concatenate(lines) if lines else np.zeros(0, dtype=np.int64)
+    notes = _tell_bad_lines(path, bad_lines, faults, skips_bad, SKIP if len(line_of_row) else EXPORT)
     if not len(line_of_row) and not faults.noted:
         raise InvalidInput(f"{path} must hold at least one reading; it holds none")
     cells = {quantity: reader.cells() for quantity, reader in read.items()}
     return Table(path, header, cells, line_of_row, faults, skips_bad, notes=notes)
 
 
-def _tell_bad_lines(path: Path, bad_lines: Sequence[BadLine], faults: Faults, skips_bad: bool) -> list[str]:
+def _tell_bad_lines(
+    path: Path, bad_lines: Sequence[BadLine], faults: Faults, skips_bad: bool, cure_of_all: str
+) -> list[str]:
     """Note each kind of bad line once; where they are left out, say so."""
     alike: dict[str, list[BadLine]] = {}
     for bad in bad_lines:
@@ -104,7 +108,7 @@ def _tell_bad_lines(path: Path, bad_lines: Sequence[BadLine], faults: Faults, sk
         if skips_bad:
             notes.append(f"{left_out(lines, 'line')}: {rule}.")
             continue
-        cure = ", or ".join(filter(None, (group[0].cure, SKIP)))
+        cure = ", or ".join(filter(None, (group[0].cure, cure_of_all)))
         faults.note(fault_at(path, lines, rule, received, cure, group[0].column))
     return notes
 

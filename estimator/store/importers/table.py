@@ -22,6 +22,7 @@ from estimator.tensors import Tensor, torch
 from estimator.units import LARGEST, UNITS
 
 SKIP = "leave such lines out with --skip-bad-lines"
+CONVERT = "convert the column, or name another one in its place with --column 'HEADER=NAME'"
 OVERLOAD = 9e36  # SCPI instruments send 9.9e37 for an overload and 9.91e37 for no number
 # Words of instruments and programs for a value that is missing, in lower case.
 _WORDS = "nan na n/a #n/a #num! #value! null none nil - -- --- ---- ovld ol o.l. ovl ovf ovrng over overload overflow overrange"
@@ -190,7 +191,8 @@ class Table:
             column = self.header[quantity].column + 1 or None
             words = [received(row) for row in rows[:MOST_PLACES]]
             lines = [int(self.lines[row]) for row in rows]
-            self.faults.note(fault_at(self.path, lines, rule, words, SKIP, column))
+            cure = SKIP if len(rows) < len(self.lines) else f"no row has: {CONVERT}"
+            self.faults.note(fault_at(self.path, lines, rule, words, cure, column))
 
     def word_counts(self, quantity: str) -> dict[str, int]:
         """How often each word stands in a column of words, in order of appearance."""

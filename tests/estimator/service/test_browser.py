@@ -115,7 +115,7 @@ def test_a_hidden_cause_is_diagnosed_read_and_accepted(
     archive.write_bytes(zipped(tmp_path / "session.zarr"))
     page.goto(service.url)
     page.get_by_role("link", name="Sessions").click()
-    page.get_by_label("Readings (CSV, or a zipped session)").set_input_files(archive)
+    page.get_by_label("Readings (CSV or another table, or a zipped session)").set_input_files(archive)
     page.get_by_role("button", name="Upload").click()
     page.get_by_role("button", name="Diagnose").wait_for()
     check(page, "sessions")

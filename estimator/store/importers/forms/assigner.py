@@ -14,6 +14,7 @@ from estimator.store.importers.forms.units import SYMBOLS, FileUnit, split_file_
 from estimator.units import UNITS
 
 MOST_LISTED = 6  # columns in a sentence
+NEEDED = frozenset(("current", "place", "joint", "turn"))  # roles of which a rig takes every column
 UNKNOWN_UNIT = FileUnit("?", "?", 0.0)  # of a column that was refused for it
 MOSTLY = 0.6  # of the cells that are not empty
 # Seconds since 1970 as programs count them, by the size of the number.
@@ -183,9 +184,12 @@ class Assigner:
             return heading.unit if target.dimension is not None else None
         if heading.unit_text:
             self.refused.add(target.quantity)
+            cure = "convert the column"
+            if target.role not in NEEDED:  # what is left out of these would count as zero
+                cure += f", or leave it out with --column '{self.text(index)}=-'"
             self.refuse(
                 f"the unit of column {quoted(self.text(index))} must be known; {quoted(heading.unit_text)} is none of "
-                f"{_symbols(target.dimension)}: convert the column, or leave it out with --column '{self.text(index)}=-'",
+                f"{_symbols(target.dimension)}: {cure}",
                 index,
             )
             return UNKNOWN_UNIT

@@ -17,6 +17,9 @@ POINT = re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){EXPONENT}$")
 POINT_GROUPED = re.compile(GROUPS % ",' " + rf"(?:\.\d*)?{EXPONENT}$")
 COMMA = re.compile(rf"[+-]?(?:\d+(?:,\d+)?|,\d+){EXPONENT}$")
 COMMA_GROUPED = re.compile(GROUPS % ".' " + rf"(?:,\d*)?{EXPONENT}$")
+UNCERTAINTY = re.compile(
+    r"(?<=\d)\s*(?:(?:±|\+/?-)\s*[\d.,]+(?:[eE][+-]?\d+)?|\(\d+\))$"
+)  # 1.5±0.1, 1.5 +/- 0.1, 1.52(3)
 # 1,000 may be a thousand or one; 0,500 and 12,5 may not.
 UNCLEAR = re.compile(r"[+-]?[1-9]\d{0,2}(?:,\d{3})+$")
 UNCLEAR_NUMBER = re.compile(r"[+-]?[1-9]\d{0,2},\d{3}$")
@@ -31,13 +34,15 @@ HALF_DAY_S, DAY_S = 43200.0, 86400.0
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Whether a cell is a number.
+    """Whether a cell is a number, with an uncertainty or without.
 
     Examples:
         >>> is_number("1,000.4", "."), is_number("1.000,4", ","), is_number("11,6", "."), is_number("1.5D-03", ".")
         (True, True, False, True)
+        >>> is_number("-3.5 +/- 0.1", "."), is_number("12,52(3)", ","), is_number("(3)", ".")
+        (True, True, False)
     """
-    text = cell.strip().translate(SIGNS)
+    text = _value(cell)
     patterns = (POINT, POINT_GROUPED) if decimal == "." else (COMMA, COMMA_GROUPED)
     return any(pattern.match(text) for pattern in patterns)
 
@@ -86,8 +91,13 @@ def _quickly(cells: Sequence[str], decimal: str) -> Sequence[str] | None:
     return cells
 
 
+def _value(cell: str) -> str:
+    """A cell without the uncertainty behind its number."""
+    return UNCERTAINTY.sub("", cell.strip()).translate(SIGNS)
+
+
 def _plain(cell: str, decimal: str) -> str:
-    text = cell.strip().translate(SIGNS)
+    text = _value(cell)
     if decimal == ".":
         if POINT_GROUPED.match(text):
             text = re.sub("[,' ]", "", text)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from estimator.store.importers.csv_lines import BadLine, row_of
 from estimator.store.importers.forms.cells import UNCLEAR, UNCLEAR_NUMBER, is_number, is_value
+from estimator.store.importers.forms.declared import declared, grouped
 from estimator.store.importers.forms.units import unit_named
 from estimator.store.importers.table import is_absent
 
@@ -132,15 +133,26 @@ def _header(
     """Names of the columns, their line, and their units, from the lines above the first row of numbers."""
     above = [line for line in lines if line.number < first]
     units: tuple[str, ...] = ()
-    for line in reversed(above):
+    for number, line in reversed(list(enumerate(above))):
         names = header_names(line.text, separator, width)
         if names is None:
             continue
         if not units and _are_units(names):
             units = names[:width]
             continue
+        if number and separator is not None and _has_doubles(names):
+            groups = next(iter(_splits(above[number - 1].text, separator)))
+            if len(groups) <= len(names) and any(groups):
+                names = grouped([*groups, *[""] * (len(names) - len(groups))], names)
         return names, line.number, units
+    if names := declared([line.text for line in above], width):
+        return names, above[-1].number, ()
     return None, 0, ()
+
+
+def _has_doubles(names: Sequence[str]) -> bool:
+    given = [name for name in names if name]
+    return len(set(given)) < len(given)
 
 
 def header_names(text: str, separator: str | None, width: int) -> tuple[str, ...] | None:

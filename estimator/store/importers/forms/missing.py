@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
-from estimator.errors import quoted
+import re
+
+from estimator.errors import listed, quoted
 from estimator.store.importers.forms.assigner import MOST_LISTED, Assigner
 from estimator.store.importers.forms.units import split_file_unit
 from estimator.units import UNITS
+
+ROUND = frozenset(
+    ["r", "rho", "radius", "phi", "theta", "azimuth", "br", "brho", "bphi", "btheta"]
+)  # headings of cylindrical coordinates
+LONG = frozenset(("axis", "component", "direction"))  # headings that say which component a row holds
 
 
 def check_missing(assigner: Assigner, quantities: set[str]) -> None:
@@ -18,6 +25,7 @@ def check_missing(assigner: Assigner, quantities: set[str]) -> None:
         assigner.rig,
         quantities | {split_file_unit(name)[0] for name in assigner.recipe.constants},
     )
+    _check_axes(assigner, quantities)
     for target in assigner.targets:
         if target.quantity in quantities or target.role not in {"current", "place", "joint"}:
             continue
@@ -56,6 +64,22 @@ def check_missing(assigner: Assigner, quantities: set[str]) -> None:
         assigner.refuse(
             f"the rig has {len(rig.sensors)} sensors, so columns must include sensor, or the fields of each, such as {example}: "
             f"name them with --column 'HEADER={example}'"
+        )
+
+
+def _check_axes(assigner: Assigner, quantities: set[str]) -> None:
+    """Refuse cylindrical coordinates, and tables that have a row for each component, which no name of a column mends."""
+    has_field = any(t.role == "field" and t.quantity in quantities for t in assigner.targets)
+    has_place = all(t.role != "place" or t.quantity in quantities for t in assigner.targets)
+    free = [(assigner.text(index), assigner.headings[index].what.lower()) for index in assigner.free()]
+    round_ones = [text for text, what in free if re.sub(r"[\W_]", "", what) in ROUND]
+    if len(round_ones) > 1 and not (has_field and has_place):
+        shown = listed(map(quoted, round_ones[:MOST_LISTED]), len(round_ones))
+        assigner.refuse(f"places and fields must be along x, y and z; {shown} look cylindrical: convert them")
+    if not has_field and (axes := [text for text, what in free if what in LONG]):
+        assigner.refuse(
+            f"a row must hold all components of a reading; {quoted(axes[0])} names one in each row: "
+            "write Bx, By and Bz into columns of one row, each with its unit"
         )
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from estimator.errors import Faults, InvalidInput, Place, cut
+from estimator.errors import Faults, InvalidInput, Place, cut, in_order
 from estimator.rig.rig import Rig
 from estimator.store.importers.csv_lines import BadLine, row_of
 from estimator.store.importers.forms.assigner import UNKNOWN_UNIT, Assigned, Assigner
@@ -19,6 +19,7 @@ from estimator.store.importers.table import Table
 from estimator.units import UNITS
 
 ROWS_SHOWN = 3
+MOST_FAULTS = 8
 LONGEST_CELL = 12
 LONGEST_AS_WRITTEN = 22
 MOST_SENSORS = 20  # whose rows one line of a file may hold
@@ -49,7 +50,7 @@ class Preview:
         remarks: Sentences on what was assumed.
         names: What a column may be.
         n_readings: How many readings it holds; None where it cannot be read so.
-        fault: Why it cannot; empty where it can.
+        fault: Why it cannot, a line for each fault; empty where it can.
     """
 
     columns: tuple[PreviewedColumn, ...]
@@ -73,12 +74,12 @@ def previewed(path: Path, rig: Rig, recipe: Recipe) -> Preview:
     names = names_of(rig)
     try:
         read = understood(path, rig, recipe)
-    except InvalidInput as error:
+    except InvalidInput:
         source = text_source(path, recipe)
         if source.layout.header is None:
             raise
         columns = _unread(source, recipe, _taken_for(source, rig, recipe))
-        return Preview(columns, _lines_of(source), source.remarks, names, None, str(error))
+        return Preview(columns, _lines_of(source), source.remarks, names, None, _faults_of(path, rig, recipe))
     lines = first_lines_of(read.table)
     n_readings = len(read.session.observations)
     if read.proposal is None:
@@ -95,6 +96,16 @@ def previewed(path: Path, rig: Rig, recipe: Recipe) -> Preview:
         for header in source.layout.header or ()
     )
     return Preview(columns, lines, read.proposal.remarks, names, n_readings)
+
+
+def _faults_of(path: Path, rig: Rig, recipe: Recipe) -> str:
+    """What is wrong with a table, a line for each fault, in their order."""
+    faults = Faults(is_collected=True)
+    with faults.noting():
+        understood(path, rig, recipe, faults)
+    sentences = [str(fault) for fault in in_order(faults.noted)]
+    more = [f"and {len(sentences) - MOST_FAULTS} more"] if len(sentences) > MOST_FAULTS else []
+    return "\n".join([*sentences[:MOST_FAULTS], *more])
 
 
 def names_of(rig: Rig) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from estimator.store.importers.forms.layout import (
     is_comment,
     layout_of,
 )
+from estimator.store.importers.forms.no_table import rule_broken
 from estimator.store.importers.forms.recipe import DECIMALS, SEPARATOR_OF, Recipe
 from estimator.store.importers.forms.sources import CELL_SEPARATOR, grid_of, renumbered
 
@@ -98,9 +99,12 @@ def text_source(path: Path, recipe: Recipe) -> Source:
     separators = SEPARATORS if recipe.separator is None else (SEPARATOR_OF[recipe.separator],)
     decimals = ".," if recipe.decimal is None else DECIMALS[recipe.decimal]
     layout = layout_of(lines, separators, decimals)
+    if (layout is None or layout.header is None) and (rule := rule_broken(lines)) is not None:
+        raise InvalidInput(f"{rule} ({path})")
     if layout is None:
+        words = f"{path} must hold a header and rows of numbers"
         raise InvalidInput(
-            f"{path} must hold a header and rows of numbers; no line holds two numbers between commas, semicolons, tabs or blanks"
+            f"{words}; no line holds two numbers between commas, semicolons, tabs or blanks: export it as CSV"
         )
     if layout.is_unclear:
         words = "commas must be decimal signs or part thousands; both fit all numbers"

@@ -1,8 +1,9 @@
-"""What kind of file it is, by its first bytes, and the rows of those that are no text: workbooks, HDF5, MATLAB, NumPy, Parquet."""
+"""What kind of file it is, by its first bytes, and the rows of those that are no text: workbooks, HDF5, MATLAB, NumPy, JSON, Parquet."""
 
 from __future__ import annotations
 
 import io
+import re
 import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,6 +17,8 @@ import numpy.typing as npt
 from estimator.errors import CoilcalError, InvalidInput, closest, quoted
 from estimator.given_files import MOST_TABLE_BYTES, open_given, read_given
 from estimator.store.importers.csv_lines import Block
+from estimator.store.importers.forms.records import columns_in
+from estimator.store.importers.forms.units import split_file_unit
 
 CELL_SEPARATOR = "\x1f"  # which no cell holds
 MOST_COLUMNS = 1000
@@ -38,7 +41,7 @@ class Grid:
 
 
 def kind_of(path: Path) -> str:
-    """The kind of a file: text, workbook, hdf5, matlab, npy, npz or parquet.
+    """The kind of a file: text, workbook, hdf5, matlab, npy, npz, json or parquet.
 
     Raises:
         InvalidInput: It cannot be read, or is of a kind that coilcal does not read; the sentence says what to do.
@@ -48,6 +51,8 @@ def kind_of(path: Path) -> str:
     for magic, kind in MAGIC.items():
         if first.startswith(magic):
             return kind
+    if JSON.match(first):
+        return "json"
     for magic, cure in OTHERS.items():
         if first.startswith(magic):
             raise InvalidInput(f"{path} must be a table of readings; it is {cure}")
@@ -69,6 +74,7 @@ def kind_of(path: Path) -> str:
     )
 
 
+JSON = re.compile(rb"(?:\xef\xbb\xbf)?\s*(?:\{\s*\"|\[\s*\{)")
 MAGIC = {b"\x89HDF\r\n\x1a\n": "hdf5", b"MATLAB 5.0": "matlab", b"\x93NUMPY": "npy", b"PAR1": "parquet"}
 OTHERS = {
     b"\xd0\xcf\x11\xe0": "an old workbook (.xls): save it as .xlsx or CSV",
@@ -179,7 +185,9 @@ def _flat(name: str, values: npt.NDArray[Any], unit: str = "") -> dict[str, npt.
     if values.shape[0] == 3 < values.shape[1]:
         values = values.T
     ends = "xyz" if values.shape[1] == 3 else [str(i) for i in range(min(values.shape[1], MOST_COLUMNS))]
-    return {f"{name}_{end}{after}": values[:, i] for i, end in enumerate(ends)}
+    quantity, suffix = split_file_unit(name)  # position_mm becomes position_x_mm
+    after = after if suffix is None else f"_{suffix.symbol}"
+    return {f"{quantity}_{end}{after}": values[:, i] for i, end in enumerate(ends)}
 
 
 def _hdf5(path: Path) -> dict[str, npt.NDArray[Any]]:
@@ -238,9 +246,18 @@ def _parquet(path: Path) -> dict[str, npt.NDArray[Any]]:
     return columns
 
 
+def _json(path: Path) -> dict[str, npt.NDArray[Any]]:
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for name, values in columns_in(read_given(path, MOST_TABLE_BYTES).decode("utf-8-sig")).items():
+        is_vector = all(isinstance(value, list) for value in values)
+        columns |= _flat(name, np.array(values, dtype=None if is_vector else object))
+    return columns
+
+
 READERS: Mapping[str, Callable[[Path], dict[str, npt.NDArray[Any]]]] = {
     "hdf5": _hdf5,
     "matlab": _matlab,
+    "json": _json,
     "npz": _numpy,
     "npy": _numpy,
     "parquet": _parquet,

@@ -156,9 +156,11 @@ def is_readings_csv(path: Path, rig: Rig) -> bool:
 
 
 def _no_header(path: Path, layout: Layout, rig: Rig) -> InvalidInput:
-    names = [column.si_header for column in columns_of(rig).values() if column.is_required]
+    names = [
+        column.si_header for column in columns_of(rig).values() if column.is_required and not column.group
+    ]
     rule = f"the {layout.width} columns must have names"
-    cure = f"put a line above that names each, such as {','.join(names[: layout.width])}"
+    cure = f"put a line above that names each with its unit, out of {', '.join(names)}, or - where coilcal has no use for it"
     place = Place(str(path), layout.first_line)
     return InvalidInput.at(place, f"{rule}; no line above the numbers has them: {cure}")
 

@@ -283,9 +283,11 @@ def test_one_cause_of_three_thousand_rows_is_one_sentence(tmp_path: Path, rig: R
     rows = [f"{i}{ROW[1:]}".replace("1e-3", "high") for i in range(3000)]
     (fault,) = faults_of(written(tmp_path, HEADER, *rows), rig)
     places = "received 'high' in line 2, 'high' in line 3, 'high' in line 4 and 2997 more"
-    assert f"Bx_T must be a finite number; {places}; leave such lines out with --skip-bad-lines" in str(fault)
+    assert f"Bx_T must be a finite number; {places}; no row has: convert the column" in str(fault)
     (fault,) = faults_of(written(tmp_path, HEADER, *[ROW + ",1"] * 9), rig)
-    assert "received 9 in line 2, 9 in line 3, 9 in line 4 and 6 more; leave such" in str(fault)
+    assert "received 9 in line 2, 9 in line 3, 9 in line 4 and 6 more; no line has: where commas" in str(
+        fault
+    )
 
 
 def test_words_for_no_reading_are_components_that_were_not_measured(tmp_path: Path, rig: Rig) -> None:

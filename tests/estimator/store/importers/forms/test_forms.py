@@ -18,6 +18,7 @@ from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.forms.understand import understood
 from estimator.store.session import Session, load_session
 from tests.estimator.store.importers.forms.forms import TEXTS, of_libraries
+from tests.estimator.store.importers.forms.fresh import FRESH
 from tests.estimator.store.importers.forms.written import RIG, TABLE, Form
 
 MOST_STEPS = 10  # sentences that one file may need
@@ -53,6 +54,8 @@ def followed(sentence: str, form: Form) -> list[str]:
     """The option that a sentence proposes; what only the user knows stands in the form. Empty where it asks for another file."""
     if "HEADER" in sentence and (match := re.search(r"--constant (\w+)=(\w+)", sentence)):
         return ["--constant", f"{match[1]}={form.units.get(match[2], match[2])}"]
+    if match := re.search(r"--column 'HEADER=Bx_(uT)'", sentence):
+        return [part for axis in "xyz" for part in ("--column", f"B{axis}_T=B{axis}_{match[1]}")]
     if match := re.search(r"--column '([^']+)=(\w+)_UNIT'", sentence):
         header, quantity = match[1], match[2]
         if header == "HEADER":  # the user knows the column
@@ -104,7 +107,10 @@ def check(form: Form, folder: Path) -> None:
     assert not o.motion["stage"][:, 3:].any()
 
 
-@pytest.mark.parametrize("form", TEXTS, ids=lambda form: form.name)
+ALL_TEXTS = [*TEXTS, *FRESH]
+
+
+@pytest.mark.parametrize("form", ALL_TEXTS, ids=lambda form: form.name)
 def test_a_text_is_read_or_refused_with_a_cure_that_works(form: Form, tmp_path: Path) -> None:
     check(form, tmp_path)
 
@@ -115,9 +121,9 @@ def test_files_of_libraries_are_read_or_refused_with_a_cure_that_works(tmp_path:
 
 
 def test_there_are_sixty_forms(tmp_path: Path) -> None:
-    assert len(TEXTS) + len(of_libraries(tmp_path)) >= 60
-    assert len({form.name for form in TEXTS}) == len(TEXTS)
-    assert sum(form.name.startswith("real_") for form in TEXTS) == 10
+    assert len(ALL_TEXTS) + len(of_libraries(tmp_path)) >= 60
+    assert len({form.name for form in ALL_TEXTS}) == len(ALL_TEXTS)
+    assert sum(form.name.startswith("real_") for form in ALL_TEXTS) >= 10
     assert len(TABLE) == 60
 
 
