@@ -102,9 +102,12 @@ class Picture:
 
 def _pixels(figure: Figure) -> UInt8[np.ndarray, "row column 4"]:
     """A figure as red, green, blue and opacity. `savefig` would draw it twice, the first time only to lay it out."""
+    dpi, before = figure.dpi, figure.canvas
     figure.set_dpi(OVERSAMPLING * PIXELS_PER_INCH)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
+    figure.set_canvas(before)
+    figure.set_dpi(dpi)
     return np.asarray(canvas.buffer_rgba())
 
 
