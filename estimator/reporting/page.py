@@ -15,8 +15,11 @@ from functools import cached_property
 from html import escape
 from pathlib import Path
 
+import numpy as np
+from jaxtyping import UInt8
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -90,14 +93,22 @@ class Picture:
     @property
     def png_base64(self) -> str:
         """The figure as a PNG file with a palette, base64-encoded: a quarter of the size, and no eye sees the difference."""
-        drawn, file = io.BytesIO(), io.BytesIO()
-        dpi = OVERSAMPLING * PIXELS_PER_INCH
-        self.figure.savefig(drawn, format="rgba", dpi=dpi)
-        width_px, height_px = (self.figure.get_size_inches() * dpi).astype(int).tolist()
-        image = Image.frombytes("RGBA", (width_px, height_px), drawn.getvalue()).convert("RGB")
+        file = io.BytesIO()
+        image = Image.fromarray(_pixels(self.figure)).convert("RGB")
         palette = image.quantize(COLOURS, method=Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)
         palette.save(file, format="png")
         return base64.b64encode(file.getvalue()).decode("ascii")
+
+
+def _pixels(figure: Figure) -> UInt8[np.ndarray, "row column 4"]:
+    """A figure as red, green, blue and opacity. `savefig` would draw it twice, the first time only to lay it out."""
+    dpi, before = figure.dpi, figure.canvas
+    figure.set_dpi(OVERSAMPLING * PIXELS_PER_INCH)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    figure.set_canvas(before)
+    figure.set_dpi(dpi)
+    return np.asarray(canvas.buffer_rgba())
 
 
 def picture_html(title: str, plot: Figure | Callable[[], Figure | Axes]) -> str:

@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from PIL import Image
 
@@ -111,6 +112,26 @@ def test_pictures_have_twice_the_pixels_they_are_shown_with_and_always_the_same_
     assert (width, height) == (2 * picture.width_px, 2 * 192)
     assert picture.png_base64 == page().figures[0].png_base64
     assert b"matplotlib" not in data.lower()
+
+
+class Counted(Figure):
+    """Counts how often it is drawn."""
+
+    n_draws = 0
+
+    def draw(self, renderer: RendererBase) -> None:
+        self.n_draws += 1
+        super().draw(renderer)
+
+
+@pytest.mark.usefixtures("every_picture_is_drawn")
+def test_a_picture_is_laid_out_and_drawn_in_one_go_and_leaves_its_figure_as_it_was() -> None:
+    figure = Counted(figsize=(3.0, 2.0), layout="constrained")
+    figure.add_subplot().set_ylabel("field (mT)")
+    before = figure.dpi, figure.canvas
+    assert Picture("", "", figure).png_base64
+    assert figure.n_draws == 1
+    assert (figure.dpi, figure.canvas) == before
 
 
 def test_pictures_have_a_palette_and_look_as_they_were_drawn() -> None:
