@@ -25,13 +25,7 @@ from scripts.studies.judge.sessions import KINDS, ended, hidden_case
 from scripts.studies.judge.statements import Statement
 from scripts.studies.judge.truth import TrueCause, Truth
 from scripts.studies.truthful import judged, line, run_case, show
-from tests.estimator.conftest import (
-    TRUTH,
-    small_calibration,
-    small_plan,
-    small_rig,
-    small_session,
-)
+from tests.estimator.conftest import TRUTH, small_calibration, small_plan, small_rig, small_session
 
 __all__ = ["small_calibration", "small_plan", "small_rig", "small_session"]  # fixtures
 

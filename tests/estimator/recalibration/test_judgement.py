@@ -128,10 +128,7 @@ def test_log_density_of_draws_is_that_of_the_readings_under_a_sharp_posterior(
 
 
 def test_a_fault_of_the_registry_is_no_verdict_on_the_session(
-    mounted_anew: Session,
-    small_rig: Rig,
-    small_calibration: Calibration,
-    monkeypatch: pytest.MonkeyPatch,
+    mounted_anew: Session, small_rig: Rig, small_calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> Rig:
         raise InvalidInput("the rig of version 1 cannot be widened")

@@ -202,14 +202,7 @@ def test_pierced_plate_beside_all_readings_is_a_field_of_the_room_and_no_plate(h
     if not is_between:
         field = added_T(
             readings(AROUND_M, (0.0, 0.0)),
-            {
-                "pierced_plate[room]": {
-                    **PIERCED,
-                    "z_m": 100.0 * height_m,
-                    "strength": 0.0,
-                    "step_T": 3e-4,
-                }
-            },
+            {"pierced_plate[room]": {**PIERCED, "z_m": 100.0 * height_m, "strength": 0.0, "step_T": 3e-4}},
         )
         assert_same_field(field, np.broadcast_to([0.0, 0.0, -np.sign(height_m) * 1.5e-4], field.shape), 1e-6)
 

@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    assert_same_field,
-    predicted_T,
-    readings,
-    winding,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, assert_same_field, predicted_T, readings, winding
 
 TURNS = Rotation.random(len(POINTS_M), rng=np.random.default_rng(5))
 # The paper's rig: the coil is displaced in the axes of its own mount, the sensor stands still.

@@ -14,14 +14,7 @@ from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
 from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    assert_same_field,
-    predicted_T,
-    readings,
-    winding,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, assert_same_field, predicted_T, readings, winding
 
 N = len(POINTS_M)
 

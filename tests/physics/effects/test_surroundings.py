@@ -11,13 +11,7 @@ from estimator.effects.circumstances import Circumstances
 from estimator.model.room_field import RoomField
 from estimator.rig.coordinates import nominal_tensors
 from estimator.rig_files.read import rig_from_text
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    added_T,
-    effects_text,
-    readings,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, added_T, effects_text, readings
 
 ONE = readings(POINTS_M, (1.0, 0.0))
 EARTH = {"x_T": 20e-6, "y_T": -1e-6, "z_T": 43e-6}
