@@ -105,10 +105,7 @@ class UniversalRobot(ClosesItself):
                 name = f"motion of {self._name}"
                 self._motion = Supervised(self._make, name, longest_start_s=self._longest_start_s)
             self._motion.call(
-                "move_to",
-                base_from_flange=base_from_flange,
-                speed_m_per_s=speed_m_per_s,
-                timeout_s=timeout_s,
+                "move_to", base_from_flange=base_from_flange, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s
             )
         except Refused:
             raise

@@ -12,7 +12,7 @@ from drivers.hall.lakeshore_f71 import SAMPLE_S
 from drivers.hall.senis_3mh6 import Packet, encode_packet
 from drivers.protocols import Vector
 from drivers.readings import ICE_POINT_K
-from drivers.simulated.scpi import ScpiError, ScpiInterpreter
+from drivers.simulated.scpi import ScpiError, ScpiInstrument
 from drivers.simulated.world import FieldFunction, Snapshot, World
 
 _BUFFER_POINTS = 1000
@@ -20,7 +20,7 @@ _CHIP_WARMTH_K = 3.0
 """Temperature rise of a probe above the room."""
 
 
-class SimulatedF71:
+class SimulatedF71(ScpiInstrument):
     """A Lake Shore F71, whose buffer fills on its own clock."""
 
     def __init__(self, world: World, field: FieldFunction, full_scale_T: float = 0.35) -> None:
@@ -31,7 +31,7 @@ class SimulatedF71:
         self._clock_offset_s = time.time() - self._next_s
         self._points: list[tuple[float, Snapshot]] = []
         self._latest = world.snapshot()
-        self._interpreter = ScpiInterpreter(
+        super().__init__(
             {
                 "*IDN?": lambda _: "LSCI,F71,LSA0001/LSA0002,1.6.2019101001",
                 "FETC:DC?": self._fetch,
@@ -47,10 +47,6 @@ class SimulatedF71:
             },
             "\r\n",
         )
-
-    def take(self, data: bytes) -> bytes:
-        """See `Instrument.take`."""
-        return self._interpreter.take(data)
 
     def stream(self) -> bytes:
         """See `Instrument.stream`; sends nothing but fills the buffer.

@@ -31,13 +31,13 @@ def _shorten(word: str) -> str:
     return word[:3] if word[3] in "AEIOU" else word[:4]
 
 
-class ScpiInterpreter:
-    """Answers lines by means of a table of handlers."""
+class ScpiInstrument:
+    """An instrument that answers lines by a table of handlers, and sends nothing unasked."""
 
     def __init__(self, handlers: dict[str, Handler], terminator: str) -> None:
         self._handlers: dict[str, Handler] = {
             **handlers,
-            "SYST:ERR?": lambda _: self._next_error(),
+            "SYST:ERR?": lambda _: self._errors.popleft() if self._errors else '0,"No error"',
             "SYST:ERR:ALL?": lambda _: self._all_errors(),
             "SYST:ERR:CLE": lambda _: self._errors.clear(),
             "*CLS": lambda _: self._errors.clear(),
@@ -46,15 +46,14 @@ class ScpiInterpreter:
         self._errors: deque[str] = deque()
         self._arrived = b""
 
-    @property
-    def has_errors(self) -> bool:
-        """Whether errors are queued."""
-        return bool(self._errors)
-
     def take(self, data: bytes) -> bytes:
-        """Answers to all complete lines."""
+        """See `Instrument.take`."""
         *lines, self._arrived = (self._arrived + data).split(b"\n")
         return b"".join(self._answer(line.decode("ascii", "replace").strip()) for line in lines)
+
+    def stream(self) -> bytes:
+        """See `Instrument.stream`."""
+        return b""
 
     def _answer(self, line: str) -> bytes:
         answers = [self._execute(command) for command in line.split(";") if command.strip()]
@@ -74,9 +73,6 @@ class ScpiInterpreter:
         except ValueError:
             self._errors.append('-104,"Data type error"')
         return None
-
-    def _next_error(self) -> str:
-        return self._errors.popleft() if self._errors else '0,"No error"'
 
     def _all_errors(self) -> str:
         errors = ",".join(self._errors) or '0,"No error"'

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import time
 
-from drivers.simulated.scpi import Handler, ScpiError, ScpiInterpreter
+from drivers.simulated.scpi import Handler, ScpiError, ScpiInstrument
 from drivers.simulated.world import World
 
 
@@ -45,7 +45,7 @@ class SupplyOutput:
         return self.is_on and needed_V > self.limit_V
 
 
-class SimulatedScpiSupply:
+class SimulatedScpiSupply(ScpiInstrument):
     """A SCPI supply; starts with its set-point far from zero and its output off, as some supplies do after `*RST`."""
 
     def __init__(
@@ -75,12 +75,12 @@ class SimulatedScpiSupply:
             "OUTP:PROT:CLE": self._clear_protection,
         }
         self._watchdog_s, self._has_watchdog, self._heard_s = 60.0, False, time.monotonic()
-        self._interpreter = ScpiInterpreter({**self._common(), **(kepco if is_kepco else plain)}, terminator)
+        super().__init__({**self._common(), **(kepco if is_kepco else plain)}, terminator)
 
     def take(self, data: bytes) -> bytes:
         """See `Instrument.take`."""
         self._heard_s = time.monotonic()
-        return self._interpreter.take(data)
+        return super().take(data)
 
     def stream(self) -> bytes:
         """See `Instrument.stream`; called often, so the watchdog looks at the clock here."""

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from drivers.simulated.scpi import Handler, ScpiInstrument
 from drivers.simulated.world import World
 
-_OPEN_INPUT = "+0.00000", 128
 
-
-class Simulated224:
+class Simulated224(ScpiInstrument):
     """A Lake Shore 224; an input without a sensor reads 0 K, and only its status marks that as invalid."""
 
     def __init__(self, world: World, inputs: Mapping[str, int | None]) -> None:
@@ -20,40 +19,17 @@ class Simulated224:
             inputs: Index of the coil that each input measures, by name of the input; None for the room.
         """
         self._world, self._inputs = world, dict(inputs)
-        self._arrived = b""
+        handlers: dict[str, Handler] = {
+            "*IDN?": lambda _: "LSCI,MODEL224,LSA224A/LSA224B,1.0",
+            "*ESR?": lambda _: "0",
+            "KRDG?": self._kelvin,
+            "RDGS?": lambda name: "000" if name in self._inputs else "128",
+        }
+        super().__init__(handlers, "\r\n")
 
-    def take(self, data: bytes) -> bytes:
-        """See `Instrument.take`."""
-        *lines, self._arrived = (self._arrived + data).split(b"\n")
-        return b"".join(self._answer(line.decode("ascii", "replace").strip()) for line in lines)
-
-    def stream(self) -> bytes:
-        """See `Instrument.stream`."""
-        return b""
-
-    def _answer(self, line: str) -> bytes:
-        answers = [
-            answer for question in line.split(";") if (answer := self._execute(question.strip())) is not None
-        ]
-        return f"{';'.join(answers)}\r\n".encode("ascii") if answers else b""
-
-    def _execute(self, question: str) -> str | None:
-        command, _, name = question.partition(" ")
-        match command.upper():
-            case "*IDN?":
-                return "LSCI,MODEL224,LSA224A/LSA224B,1.0"
-            case "*ESR?":
-                return "0"
-            case "KRDG?":
-                return self._read(name)[0]
-            case "RDGST?":
-                return f"{self._read(name)[1]:03d}"
-        return None
-
-    def _read(self, name: str) -> tuple[str, int]:
-        """Value and status of an input."""
+    def _kelvin(self, name: str) -> str:
         if name not in self._inputs:
-            return _OPEN_INPUT
+            return "+0.00000"
         coil, now = self._inputs[name], self._world.snapshot()
         kelvin = now.room_temperature_K if coil is None else now.coil_temperatures_K[coil]
-        return f"{kelvin:+.3f}", 0
+        return f"{kelvin:+.3f}"

@@ -5,14 +5,14 @@ from __future__ import annotations
 import time
 from functools import partial
 
-from drivers.simulated.scpi import ScpiError, ScpiInterpreter
+from drivers.simulated.scpi import ScpiError, ScpiInstrument
 from drivers.simulated.world import FieldFunction, World
 
 _SAMPLE_S = 50e-6
 """Time for one sample of one axis: 100 samples take 5 ms."""
 
 
-class SimulatedTHM1176:
+class SimulatedTHM1176(ScpiInstrument):
     """A THM1176, which measures the axes one after the other."""
 
     def __init__(self, world: World, field: FieldFunction) -> None:
@@ -20,10 +20,10 @@ class SimulatedTHM1176:
         self._range_T, self._n_averaged = 3.0, 1
         self._measured_T = [0.0, 0.0, 0.0]
         self._ended_s = self._start_s = time.monotonic()
-        self._interpreter = ScpiInterpreter(
+        super().__init__(
             {
                 "*IDN?": lambda _: "Metrolab Technology SA,THM1176-MF,0001,B:3.0-C:1.0",
-                "*STB?": lambda _: str(4 * self._interpreter.has_errors),
+                "*STB?": lambda _: str(4 * bool(self._errors)),
                 "ABOR": lambda _: None,
                 "SENS:FLUX:RANG": self._set_range,
                 "SENS:FLUX:RANG:AUTO": lambda _: None,
@@ -37,14 +37,6 @@ class SimulatedTHM1176:
             },
             "\n",
         )
-
-    def take(self, data: bytes) -> bytes:
-        """See `Instrument.take`."""
-        return self._interpreter.take(data)
-
-    def stream(self) -> bytes:
-        """See `Instrument.stream`."""
-        return b""
 
     def _set_range(self, argument: str) -> None:
         self._range_T = float(argument.upper().removesuffix("T"))

@@ -54,10 +54,7 @@ class Channel:
     """
 
     def __init__(
-        self,
-        port: Port,
-        quieten: bytes = b"",
-        find_step: Callable[[Channel, Deadline], None] | None = None,
+        self, port: Port, quieten: bytes = b"", find_step: Callable[[Channel, Deadline], None] | None = None
     ) -> None:
         """Own a port.
 

@@ -125,11 +125,7 @@ def durations_s(stops: Observations, rig: Rig, pace: Pace) -> list[float]:
 
 
 def ways_between_s(
-    stops: Observations,
-    rig: Rig,
-    pace: Pace,
-    before: Int[Tensor, "*#way"],
-    after: Int[Tensor, "*#way"],
+    stops: Observations, rig: Rig, pace: Pace, before: Int[Tensor, "*#way"], after: Int[Tensor, "*#way"]
 ) -> Float[Tensor, "*way"]:
     """Expected duration of travel and ramps from some stops to others.
 

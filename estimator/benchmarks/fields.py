@@ -32,10 +32,7 @@ def field_rows(n_points: int, repeats: int, seed: int) -> list[Row]:
     """Fields of the winding a second, on one core."""
     points_m, winding, near = points_of(n_points, seed), winding_of(), torch.from_numpy(points_of(500, seed))
     rule, full = choose_rule(winding, near), exact_rule(winding, near)
-    methods = {
-        "coilcal, usual rule": by_rule(winding, rule),
-        "coilcal, every loop": by_rule(winding, full),
-    }
+    methods = {"coilcal, usual rule": by_rule(winding, rule), "coilcal, every loop": by_rule(winding, full)}
     if has_magpylib():
         methods[MAGPYLIB] = over_loops(magpylib_loops, *loops_of_paper(N_AXIAL, N_RADIAL))
     return _rows(methods, points_m, "fields/s", repeats, MAGPYLIB)

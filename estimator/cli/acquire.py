@@ -33,10 +33,7 @@ DELIVERY_S = 60.0  # to deliver the rest of a session that is complete
     metavar="GOAL",
 )
 @option(
-    "--most-stops",
-    "With --until: stops after which to end in any case.",
-    click.IntRange(min=1),
-    default=200,
+    "--most-stops", "With --until: stops after which to end in any case.", click.IntRange(min=1), default=200
 )
 @option(
     "--minutes",

@@ -74,12 +74,7 @@ from estimator.errors import InvalidInput
 @seed_option
 @json_option
 def batch_command(
-    sessions: tuple[Path, ...],
-    out: Path,
-    posterior: str,
-    ess: float,
-    as_json: bool,
-    **options: Any,
+    sessions: tuple[Path, ...], out: Path, posterior: str, ess: float, as_json: bool, **options: Any
 ) -> None:
     """Calibrate many sessions in parallel.
 

@@ -39,12 +39,7 @@ MOST_STOPS = 500
 @other_rig_option
 @result_options
 def design_command(
-    session_path: Path,
-    out: Path | None,
-    rig_path: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    **aim: Any,
+    session_path: Path, out: Path | None, rig_path: Path | None, overwrite: bool, as_json: bool, **aim: Any
 ) -> None:
     """Propose which readings to take after SESSION.
 

@@ -30,9 +30,7 @@ MOST_UNKNOWN = 8  # parameters that are printed
     metavar="GOAL",
 )
 @option(
-    "--stops n_stops",
-    "Number of stops; by default as many as the goals need.",
-    click.IntRange(2, MOST_STOPS),
+    "--stops n_stops", "Number of stops; by default as many as the goals need.", click.IntRange(2, MOST_STOPS)
 )
 @option(
     "--order",

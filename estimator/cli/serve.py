@@ -65,13 +65,7 @@ class ServeGroup(CoilcalGroup):
 @json_option
 @click.pass_context
 def serve_group(
-    ctx: click.Context,
-    /,
-    config: Path | None,
-    opens: bool,
-    check: bool,
-    as_json: bool,
-    **options: Any,
+    ctx: click.Context, /, config: Path | None, opens: bool, check: bool, as_json: bool, **options: Any
 ) -> None:
     """Serve calibrations and diagnoses over HTTP.
 

@@ -125,10 +125,7 @@ def winding_field_per_ampere(
 
 
 def field_of_loops(
-    points_coil_m: Float[Tensor, "*#batch point 3"],
-    loops: Nodes,
-    steps: int,
-    mode: SumMode = SumMode.PLAIN,
+    points_coil_m: Float[Tensor, "*#batch point 3"], loops: Nodes, steps: int, mode: SumMode = SumMode.PLAIN
 ) -> Float[Tensor, "*batch point 3"]:
     """Field of weighted loops about the axis of a coil, in T per ampere.
 

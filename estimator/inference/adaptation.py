@@ -33,9 +33,7 @@ OLD_WEIGHT = 0.5  # share of the Laplace weights in those of the tuples of count
 
 
 def adapted(
-    proposal: MixtureProposal,
-    log_prob: Callable[[np.ndarray], np.ndarray],
-    random: np.random.RandomState,
+    proposal: MixtureProposal, log_prob: Callable[[np.ndarray], np.ndarray], random: np.random.RandomState
 ) -> tuple[MixtureProposal, float]:
     """The proposal, fitted to a density in at most `ROUNDS` rounds of draws; the best of all rounds, and its efficiency.
 

@@ -50,9 +50,7 @@ class Inside:
         return self.coordinates.slopes_of_values(self.vector)
 
     def step_of_the_free(
-        self,
-        precision: Float[Tensor, "continuous continuous"],
-        gradient: Float[Tensor, " continuous"],
+        self, precision: Float[Tensor, "continuous continuous"], gradient: Float[Tensor, " continuous"]
     ) -> Float[Tensor, " continuous"]:
         """Newton step that leaves values alone which lie at a bound and which it would push beyond.
 

@@ -9,12 +9,7 @@ from torch import Tensor
 
 from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.levenberg_marquardt import Optimum
-from estimator.inference.point_estimate import (
-    PointEstimate,
-    basins,
-    distinct,
-    thinned_posterior,
-)
+from estimator.inference.point_estimate import PointEstimate, basins, distinct, thinned_posterior
 from estimator.inference.positive_definite import solve
 from estimator.readings.observations import Observations
 

@@ -133,9 +133,7 @@ class Cores:
         return cls(members, _joined(drives, dim=-2), _joined(rows, dim=-2), lags_A)
 
     def polarisations_T(
-        self,
-        current_A: Float[Tensor, "*#batch #reading coil"],
-        pose_row: Int[Tensor, " reading"] | None,
+        self, current_A: Float[Tensor, "*#batch #reading coil"], pose_row: Int[Tensor, " reading"] | None
     ) -> list[Float[Tensor, "*batch #reading pattern"]]:
         """Polarisation of each core's patterns.
 

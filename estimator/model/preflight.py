@@ -37,11 +37,7 @@ def check_precision(rig: Rig, observations: Observations) -> None:
 
 
 def check_readings(
-    rig: Rig,
-    observations: Observations,
-    where: str,
-    needs_current: bool = True,
-    faults: Faults | None = None,
+    rig: Rig, observations: Observations, where: str, needs_current: bool = True, faults: Faults | None = None
 ) -> None:
     """Refuse readings that cannot support a fit.
 

@@ -136,11 +136,7 @@ class SimulatedField:
         return {name: torch.tensor(pair, dtype=torch.float64) for name, pair in pairs.items()}
 
 
-def simulated_rig(
-    rig: Rig,
-    truth: Mapping[str, float],
-    hidden: Mapping[str, float],
-) -> Rig:
+def simulated_rig(rig: Rig, truth: Mapping[str, float], hidden: Mapping[str, float]) -> Rig:
     """The rig that a simulated world is made of.
 
     Args:

@@ -109,10 +109,7 @@ class Sources:
         return current_A
 
     def field_T(
-        self,
-        values: Values,
-        delivered_A: Float[Tensor, "*#batch #reading coil"],
-        world_from_point: Transform,
+        self, values: Values, delivered_A: Float[Tensor, "*#batch #reading coil"], world_from_point: Transform
     ) -> Float[Tensor, "*batch reading 3"]:
         """Field at the points of some rows, in the frames of these points.
 
@@ -226,10 +223,7 @@ class Sources:
         return self._unrotated(world_from_point, self._rotated(world_from_coil, total))
 
     def _cores(
-        self,
-        values: Values,
-        world_from_point: Transform,
-        delivered_A: Float[Tensor, "*#batch #reading coil"],
+        self, values: Values, world_from_point: Transform, delivered_A: Float[Tensor, "*#batch #reading coil"]
     ) -> Float[Tensor, "*batch reading 3"]:
         """Field of all iron cores in the frames of the points."""
         poses = {

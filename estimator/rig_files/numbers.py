@@ -49,12 +49,7 @@ def read_pose(section: Section, prefix: str, numbers: Numbers) -> None:
 
 
 def read_scalar(
-    section: Section,
-    prefix: str,
-    quantity: str,
-    dimension: str,
-    numbers: Numbers,
-    positive: bool = False,
+    section: Section, prefix: str, quantity: str, dimension: str, numbers: Numbers, positive: bool = False
 ) -> None:
     """Read a quantity that has a dimension, whose key ends in a unit such as `radius_mm`; it must be given."""
     symbol = SI_SYMBOL[dimension]

@@ -12,7 +12,7 @@ from fastapi import Depends, Query, Request
 from pydantic import BaseModel
 from sqlalchemy import ColumnElement, select, tuple_
 from sqlalchemy.orm import Session
-from starlette.responses import Response
+from starlette.responses import HTMLResponse, Response
 
 from estimator.service.problems import Problem, not_found
 from estimator.service.requests import BINARY, CoreOf
@@ -127,3 +127,20 @@ def with_etag(request: Request, tag: str, answer: Callable[[], Response]) -> Res
     response = Response(status_code=304) if quoted in known or "*" in known else answer()
     response.headers["ETag"] = quoted
     return response
+
+
+def file_with_etag(
+    request: Request, tag: str, content: Callable[[], bytes], name: str, media_type: str
+) -> Response:
+    """A file that a browser saves under a name."""
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return with_etag(request, tag, lambda: Response(content(), headers=headers, media_type=media_type))
+
+
+def page_with_etag(request: Request, tag: str, page: Callable[[], str]) -> Response:
+    """A page of a report, in which nothing may run."""
+    answer = with_etag(request, tag, lambda: HTMLResponse(page()))
+    answer.headers["Content-Security-Policy"] = (
+        PAGE_POLICY  # on 304 too, whose headers replace those of the copy
+    )
+    return answer

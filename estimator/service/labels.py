@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field
 from sqlalchemy import ColumnElement, func, or_
 
 from estimator.service.answers import row_of
@@ -37,10 +37,8 @@ class Labelled(BaseModel):
     tags: Tags = []
 
 
-class Labels(BaseModel):
+class Labels(BaseModel, extra="forbid"):
     """What to call a session or a job from now on; what is left out stays."""
-
-    model_config = ConfigDict(extra="forbid")
 
     name: Annotated[str | None, Field(max_length=200)] = None
     note: Annotated[str | None, Field(max_length=5000)] = None

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from estimator.errors import InvalidInput
 from estimator.json_files import json_object
@@ -22,13 +22,11 @@ Triple = Annotated[list[Number | None], Field(min_length=3, max_length=3)]
 Six = Annotated[list[Number], Field(min_length=6, max_length=6)]
 
 
-class Reading(BaseModel):
+class Reading(BaseModel, extra="forbid", strict=True):
     """What the sensors of a rig show at one moment, with currents and poses.
 
     `sequence` counts the readings of a session from 0. A reading that is sent again is not written again.
     """
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     sequence: Annotated[
         int, Field(ge=0, le=MOST_REPEATS, description="Number of the reading, from 0, without gaps.")

@@ -82,12 +82,17 @@ STREAM = Depends(_streaming)
 once it runs, the answer has begun."""
 
 
-async def _importing(core: CoreOf) -> AsyncIterator[None]:
-    async with core.importing.taken():
-        yield
+def turn(limit: str) -> Any:
+    """A dependency by which a request waits for its turn at a limit of the core, such as `importing`."""
+
+    async def waits(core: CoreOf) -> AsyncIterator[None]:
+        async with getattr(core, limit).taken():
+            yield
+
+    return Depends(waits)
 
 
-Importing = Annotated[None, Depends(_importing)]
+Importing = Annotated[None, turn("importing")]
 """Dependency of routes that read a whole session, of which few run at once; stands after the body, so that a client that sends slowly is
 not among them."""
 

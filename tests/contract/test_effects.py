@@ -12,7 +12,6 @@ from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.base import Quantity
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import NoiseEffect
 from estimator.model.measurement_model import MeasurementModel
@@ -83,10 +82,6 @@ def model_with(plain: MeasurementModel, cause: Cause) -> tuple[MeasurementModel,
     rig_with_cause = with_effect(plain.rig, cause, readings, shapes)
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig_with_cause.nominal_values().items()}
     return MeasurementModel.unruled(rig_with_cause, readings).with_rules(plain.rules), values
-
-
-def free_quantities(name: str) -> list[Quantity]:
-    return [q for q in EFFECTS[name].quantities(Extent()) if not q.is_fixed and not q.is_shape]
 
 
 @pytest.mark.parametrize(("name", "place"), [c for c in CASES if not EFFECTS[c[0]].is_record_mistake])

@@ -57,13 +57,7 @@ def test_a_number_has_a_default_only_where_one_is_given() -> None:
 
 
 @pytest.mark.parametrize(
-    ("key", "si"),
-    [
-        ("radius_m", 0.25),
-        ("radius_cm", 0.0025),
-        ("radius_mm", 0.00025),
-        ("radius_um", 2.5e-7),
-    ],
+    ("key", "si"), [("radius_m", 0.25), ("radius_cm", 0.0025), ("radius_mm", 0.00025), ("radius_um", 2.5e-7)]
 )
 def test_a_length_is_converted_to_metres(key: str, si: float) -> None:
     name, value = section(f"{key}: 0.25").quantity("radius", "length")

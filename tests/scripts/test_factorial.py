@@ -112,8 +112,7 @@ def test_a_current_gain_beside_the_turns_is_a_direction_that_readings_know_worse
     small_rig: Rig, readings: Observations, rig_text: str
 ) -> None:
     text = rig_text.replace(
-        "radial_loops: 3",
-        "radial_loops: 3\n    current_gain: {prior: {normal: {mean: 1, sd: 0.05}}}",
+        "radial_loops: 3", "radial_loops: 3\n    current_gain: {prior: {normal: {mean: 1, sd: 0.05}}}"
     )
     names = ("coil1.radius_m", "coil1.axial_loops", "coil1.current_gain")
     without, beside = (

@@ -25,13 +25,7 @@ from scripts.studies.judge.sessions import KINDS, ended, hidden_case
 from scripts.studies.judge.statements import Statement
 from scripts.studies.judge.truth import TrueCause, Truth
 from scripts.studies.truthful import judged, line, run_case, show
-from tests.estimator.conftest import (
-    TRUTH,
-    small_calibration,
-    small_plan,
-    small_rig,
-    small_session,
-)
+from tests.estimator.conftest import TRUTH, small_calibration, small_plan, small_rig, small_session
 
 __all__ = ["small_calibration", "small_plan", "small_rig", "small_session"]  # fixtures
 
@@ -244,50 +238,66 @@ def hidden(*causes: TrueCause, wrong: tuple[int, ...] = ()) -> Truth:
     return Truth(dict(TRUTH), causes, rows)
 
 
-@pytest.mark.parametrize(("name", "is_true"), [("axis_gain", True), ("iron_plate", False)])
-def test_a_name_as_a_fact_is_that_of_what_is_hidden(told: Told, name: str, is_true: bool) -> None:
-    statements = told("", "verdict: named", hidden(GAIN), causes=[NAMED | {"name": name}])
-    assert are_true(statements, "name_as_fact") == [is_true]
+NOTHING = "These readings show nothing wrong"
+DOUBTS = "Nothing is sure enough to be named, but it is only < 1 % probable that nothing is wrong."
+UNKNOWN = "Something is wrong that no known cause explains: what it misses depends on time."
+BESIDE = "Something else is left that no listed cause explains, and the readings do not tell where it sits."
+LEFT = "odds 400 to 1 that something is left, 0.5 of the noise rms, which depends on time"
+MAYBE = "  {} (97 %), or something not in the library (3 %)"
+PLATE = NAMED | {"name": "iron_plate"}
+ONLY_GAIN, SMALL_GAIN, WITH_OUTSIDE = hidden(GAIN), hidden(replace(GAIN, sigma=3.0)), hidden(GAIN, OUTSIDE)
 
 
-@pytest.mark.parametrize(
-    ("name", "unknown", "truth", "is_true"),
-    [
-        ("axis_gain", 0.03, hidden(GAIN), True),
-        ("iron_plate", 0.03, hidden(GAIN), True),  # three per cent were left for anything else
-        ("iron_plate", 0.001, hidden(GAIN), False),
-        ("iron_plate", 0.001, hidden(OUTSIDE), True),  # a relative of a moved chair
-        ("axis_gain", 0.001, hidden(OUTSIDE), False),
-        ("axis_gain", 0.001, hidden(), False),
-    ],
-)
-def test_the_truth_has_a_probability(
-    told: Told, name: str, unknown: float, truth: Truth, is_true: bool
-) -> None:
-    entry = NAMED | {"name": name, "p_not_in_library": unknown}
-    words = f"  {name} (97 %), or something not in the library (3 %)"
-    assert are_true(told("", words, truth, causes=[entry]), "cause_probability") == [is_true]
+def maybe(name: str, unknown: float) -> dict[str, Any]:
+    """A cause, or with some probability something that is not in the library."""
+    return NAMED | {"name": name, "p_not_in_library": unknown}
 
 
-@pytest.mark.parametrize(("median", "is_true"), [(0.0101, True), (0.0201, False)])
-def test_a_size_holds_the_truth(told: Told, median: float, is_true: bool) -> None:
+def sized(median: float) -> dict[str, Any]:
     interval = {"median": median, "sd": 0.001, "ci90": [median - 0.0016, median + 0.0016]}
-    statements = told("", "", hidden(GAIN), causes=[NAMED | {"parameters": {"x": interval}}])
-    assert are_true(statements, "size") == [is_true]
+    return NAMED | {"parameters": {"x": interval}}
 
 
 @pytest.mark.parametrize(
-    ("truth", "is_true"),
+    ("kind", "words", "causes", "truth", "is_true"),
     [
-        (hidden(), True),
-        (hidden(GAIN), False),
-        (hidden(replace(GAIN, sigma=3.0)), True),
-        (hidden(wrong=(4,)), False),
+        ("name_as_fact", "verdict: named", [NAMED], ONLY_GAIN, True),
+        ("name_as_fact", "verdict: named", [PLATE], ONLY_GAIN, False),
+        ("name_as_fact", "verdict: partly_explained", [NAMED], hidden(OUTSIDE), False),
+        ("name_as_fact", "verdict: partly_explained", [NAMED], WITH_OUTSIDE, True),
+        ("name_as_fact", "verdict: partly_explained", [NAMED], hidden(), False),
+        ("cause_probability", MAYBE.format("axis_gain"), [maybe("axis_gain", 0.03)], ONLY_GAIN, True),
+        # Three per cent were left for anything else.
+        ("cause_probability", MAYBE.format("iron_plate"), [maybe("iron_plate", 0.03)], ONLY_GAIN, True),
+        ("cause_probability", MAYBE.format("iron_plate"), [maybe("iron_plate", 0.001)], ONLY_GAIN, False),
+        # A relative of a moved chair.
+        ("cause_probability", MAYBE.format("iron_plate"), [maybe("iron_plate", 0.001)], hidden(OUTSIDE), True),
+        ("cause_probability", MAYBE.format("axis_gain"), [maybe("axis_gain", 0.001)], hidden(OUTSIDE), False),
+        ("cause_probability", MAYBE.format("axis_gain"), [maybe("axis_gain", 0.001)], hidden(), False),
+        ("size", "", [sized(0.0101)], ONLY_GAIN, True),
+        ("size", "", [sized(0.0201)], ONLY_GAIN, False),
+        ("nothing_wrong", f"{NOTHING}.", [], hidden(), True),
+        ("nothing_wrong", f"{NOTHING}.", [], ONLY_GAIN, False),
+        ("nothing_wrong", f"{NOTHING}.", [], SMALL_GAIN, True),
+        ("nothing_wrong", f"{NOTHING}.", [], hidden(wrong=(4,)), False),
+        ("would_have_shown", f"{NOTHING}; they would have shown, for example, axis_gain x from 2 %.", [], SMALL_GAIN, True),
+        ("would_have_shown", f"{NOTHING}; they would have shown, for example, axis_gain x from 0.5 %.", [], SMALL_GAIN, False),
+        ("doubts", DOUBTS, [], hidden(), False),
+        ("doubts", DOUBTS, [], ONLY_GAIN, True),
+        ("no_known_cause", UNKNOWN, [], hidden(), False),
+        ("no_known_cause", UNKNOWN, [], ONLY_GAIN, False),
+        ("no_known_cause", UNKNOWN, [], hidden(OUTSIDE), True),
+        ("no_known_cause", UNKNOWN, [], hidden(wrong=(4,)), True),
+        ("no_known_cause", BESIDE, [], ONLY_GAIN, False),
+        ("no_known_cause", BESIDE, [], WITH_OUTSIDE, True),
+        ("something_left", LEFT, [NAMED], ONLY_GAIN, False),
+        ("something_left", LEFT, [NAMED], WITH_OUTSIDE, True),
     ],
-)
-def test_nothing_is_wrong_only_where_nothing_visible_is(told: Told, truth: Truth, is_true: bool) -> None:
-    statements = told("", "These readings show nothing wrong.", truth)
-    assert are_true(statements, "nothing_wrong") == [is_true]
+)  # fmt: skip
+def test_a_statement_is_judged_by_what_is_hidden(
+    told: Told, kind: str, words: str, causes: list[dict[str, Any]], truth: Truth, is_true: bool
+) -> None:
+    assert are_true(told("", words, truth, causes=causes), kind) == [is_true]
 
 
 def test_nothing_to_mend_is_false_where_the_rig_as_it_is_gives_false_intervals(
@@ -296,58 +306,6 @@ def test_nothing_to_mend_is_false_where_the_rig_as_it_is_gives_false_intervals(
     words = "There is nothing to mend: use the rig file as it is."
     assert are_true(told("", words), "nothing_wrong") == [True]
     assert are_true(told("", words, wrong_truth(small_calibration)), "nothing_wrong") == [False]
-
-
-@pytest.mark.parametrize(("least", "is_true"), [("2 %", True), ("0.5 %", False)])
-def test_what_would_have_shown_is_not_there(told: Told, least: str, is_true: bool) -> None:
-    words = (
-        f"These readings show nothing wrong; they would have shown, for example, axis_gain x from {least}."
-    )
-    statements = told("", words, hidden(replace(GAIN, sigma=3.0)))
-    assert are_true(statements, "would_have_shown") == [is_true]
-
-
-@pytest.mark.parametrize(("truth", "is_true"), [(hidden(), False), (hidden(GAIN), True)])
-def test_a_doubt_that_is_nearly_certain_is_false_of_a_clean_session(
-    told: Told, truth: Truth, is_true: bool
-) -> None:
-    words = "Nothing is sure enough to be named, but it is only < 1 % probable that nothing is wrong."
-    assert are_true(told("", words, truth), "doubts") == [is_true]
-
-
-@pytest.mark.parametrize(
-    ("truth", "is_true"),
-    [(hidden(), False), (hidden(GAIN), False), (hidden(OUTSIDE), True), (hidden(wrong=(4,)), True)],
-)
-def test_no_known_cause_is_false_where_a_known_one_is_hidden_or_none(
-    told: Told, truth: Truth, is_true: bool
-) -> None:
-    words = "Something is wrong that no known cause explains: what it misses depends on time."
-    assert are_true(told("", words, truth), "no_known_cause") == [is_true]
-
-
-@pytest.mark.parametrize(
-    ("truth", "is_true"), [(hidden(OUTSIDE), False), (hidden(GAIN, OUTSIDE), True), (hidden(), False)]
-)
-def test_a_cause_that_is_stated_beside_something_else_is_there(
-    told: Told, truth: Truth, is_true: bool
-) -> None:
-    statements = told("", "verdict: partly_explained", truth, causes=[NAMED])
-    assert are_true(statements, "name_as_fact") == [is_true]
-
-
-@pytest.mark.parametrize(("truth", "is_true"), [(hidden(GAIN), False), (hidden(GAIN, OUTSIDE), True)])
-def test_what_no_listed_cause_explains_is_not_listed(told: Told, truth: Truth, is_true: bool) -> None:
-    words = (
-        "Something else is left that no listed cause explains, and the readings do not tell where it sits."
-    )
-    assert are_true(told("", words, truth), "no_known_cause") == [is_true]
-
-
-@pytest.mark.parametrize(("truth", "is_true"), [(hidden(GAIN), False), (hidden(GAIN, OUTSIDE), True)])
-def test_nothing_is_left_beside_all_that_was_named(told: Told, truth: Truth, is_true: bool) -> None:
-    words = "odds 400 to 1 that something is left, 0.5 of the noise rms, which depends on time"
-    assert are_true(told("", words, truth, causes=[NAMED]), "something_left") == [is_true]
 
 
 @pytest.mark.parametrize(("readings", "is_true"), [([3, 4], True), ([3, 4, 5], False)])

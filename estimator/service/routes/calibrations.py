@@ -19,11 +19,12 @@ from estimator.code_version import code_version
 from estimator.comparison.calibrations import SideBySide, sentences, side_by_side, side_by_side_report
 from estimator.rig_files.write import rig_text
 from estimator.service.answers import (
-    PAGE_POLICY,
     UNCHANGED,
     ListingOf,
     Page,
     file_of,
+    file_with_etag,
+    page_with_etag,
     row_of,
     shown_as,
     with_etag,
@@ -131,15 +132,10 @@ def compare_calibrations(request: Request, core: CoreOf, calibration_id: Id, oth
 def get_comparison_report(request: Request, core: CoreOf, calibration_id: Id, other_id: Id) -> Response:
     """The page of two calibrations side by side, one file without scripts."""
 
-    def page() -> Response:
-        compared = _side_by_side(core, calibration_id, other_id)
-        return HTMLResponse(side_by_side_report(compared, request.url.path))
+    def page() -> str:
+        return side_by_side_report(_side_by_side(core, calibration_id, other_id), request.url.path)
 
-    answer = with_etag(request, f"{calibration_id}-{other_id}-page-{code_version()}", page)
-    answer.headers["Content-Security-Policy"] = (
-        PAGE_POLICY  # on 304 too, whose headers replace those of the copy
-    )
-    return answer
+    return page_with_etag(request, f"{calibration_id}-{other_id}-page-{code_version()}", page)
 
 
 def _side_by_side(core: Core, calibration_id: str, other_id: str) -> SideBySide:
@@ -161,10 +157,7 @@ def get_calibrated_rig(request: Request, core: CoreOf, calibration_id: Id) -> Re
 def download_calibration(request: Request, core: CoreOf, calibration_id: Id) -> Response:
     """The folder of a calibration as a zip, for `estimator.Calibration.load` and `coilcal predict`; its hashes seal it."""
     folder = calibration_of(core, calibration_id)[1]
-    headers = {"Content-Disposition": 'attachment; filename="calibration.zip"'}
-
-    def archive() -> Response:
-        content = zipped(folder, (POSTERIOR_STORE, SUMMARY_FILE))
-        return Response(content, headers=headers, media_type="application/zip")
-
-    return with_etag(request, calibration_id, archive)
+    parts = POSTERIOR_STORE, SUMMARY_FILE
+    return file_with_etag(
+        request, calibration_id, lambda: zipped(folder, parts), "calibration.zip", "application/zip"
+    )

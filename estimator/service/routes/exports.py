@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 import tempfile
-from collections.abc import AsyncIterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
 import torch
-from fastapi import Depends
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from starlette.responses import Response
 
 from estimator.export.formats import FORMATS, default_path
@@ -20,7 +18,7 @@ from estimator.export.request import Grid
 from estimator.service.core import Core
 from estimator.service.problems import Problem
 from estimator.service.readings import Number, Six
-from estimator.service.requests import CoreOf, Id, router_of
+from estimator.service.requests import CoreOf, Id, router_of, turn
 from estimator.service.routes.calibrations import calibration_of
 from estimator.service.routes.predictions import MOST_COORDINATES, OfCoilsAlone
 
@@ -36,20 +34,16 @@ WORDS = "; ".join(f"{name}: {chosen.words}" for name, chosen in FORMATS.items())
 Coordinates = Annotated[list[Number], Field(min_length=1, max_length=MOST_COORDINATES)]
 
 
-class ExportedGrid(BaseModel):
+class ExportedGrid(BaseModel, extra="forbid", strict=True):
     """Ascending coordinates along the axes of the world frame, as `estimator.export.request.Grid`."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     x_m: Coordinates
     y_m: Coordinates
     z_m: Coordinates
 
 
-class ExportQuestion(BaseModel):
+class ExportQuestion(BaseModel, extra="forbid", strict=True):
     """A format, and what it asks for beside the calibration."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     to: Annotated[str, Field(description=WORDS, json_schema_extra={"enum": list(FORMATS)})]
     grid: Annotated[ExportedGrid | None, Field(description="Points, for formats that hold a field.")] = None
@@ -62,18 +56,8 @@ class ExportQuestion(BaseModel):
     is_of_coils_alone: OfCoilsAlone = False
 
 
-async def _exporting(core: CoreOf) -> AsyncIterator[None]:
-    async with core.exporting.taken():
-        yield
-
-
-@router.post("/{calibration_id}/export", **FILE)
-def export_calibration(
-    core: CoreOf,
-    calibration_id: Id,
-    body: ExportQuestion,
-    turn: Annotated[None, Depends(_exporting)],  # noqa: ARG001
-) -> Response:
+@router.post("/{calibration_id}/export", **FILE, dependencies=[turn("exporting")])
+def export_calibration(core: CoreOf, calibration_id: Id, body: ExportQuestion) -> Response:
     """The calibrated model as a file for another program; the header Content-Disposition has its usual name."""
     if body.to not in FORMATS:
         raise Problem(422, "to", f"must be one of {', '.join(FORMATS)}", body.to, "body")

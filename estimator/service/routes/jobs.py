@@ -16,11 +16,11 @@ from estimator.diagnosis.result import EXTENDED_RIG
 from estimator.errors import CorruptStore
 from estimator.json_files import read_json
 from estimator.service.answers import (
-    PAGE_POLICY,
     UNCHANGED,
     ListingOf,
     Page,
     Search,
+    page_with_etag,
     row_of,
     shown_as,
     with_etag,
@@ -142,10 +142,7 @@ def get_report(request: Request, core: CoreOf, job_id: Id) -> Response:
     if report is None:
         raise Problem(404, "report", "must be of another kind of job; a design has none", place=job_id)
     path = core.jobs.folder(job_id) / report
-    answer = with_etag(request, job_id, lambda: HTMLResponse(path.read_text(encoding="utf-8")))
-    # On 304 too, whose headers replace those of the copy.
-    answer.headers["Content-Security-Policy"] = PAGE_POLICY
-    return answer
+    return page_with_etag(request, job_id, lambda: path.read_text(encoding="utf-8"))
 
 
 @router.get("/{job_id}/panels", response_model=Panels, responses=UNCHANGED)

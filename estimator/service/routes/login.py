@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated
 
 from fastapi import APIRouter, Request, Response
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from estimator.service.logins import begin_login, end_login
 from estimator.service.problems import Problem
@@ -15,10 +15,8 @@ from estimator.service.tokens import Scope, caller_of
 router = APIRouter(route_class=JsonRoute, prefix="/v1", tags=["page"])
 
 
-class Login(BaseModel):
+class Login(BaseModel, extra="forbid"):
     """A token."""
-
-    model_config = ConfigDict(extra="forbid")
 
     token: Annotated[str, Field(min_length=1, max_length=200)]
 

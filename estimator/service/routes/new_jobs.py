@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Annotated, Any
 
 from fastapi import Depends
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from starlette.responses import Response
 
 from estimator.inference.ensemble import SamplerSettings
@@ -35,10 +35,8 @@ AsDescribed = Annotated[
 Word = Annotated[str, Field(min_length=1, max_length=200)]
 
 
-class Sampling(BaseModel):
+class Sampling(BaseModel, extra="forbid"):
     """When to stop sampling; as `SamplerSettings`."""
-
-    model_config = ConfigDict(extra="forbid")
 
     n_walkers: Annotated[int, Field(ge=0, le=2000)] = 0
     target_ess: Annotated[float, Field(gt=0, le=1e6, allow_inf_nan=False)] = SamplerSettings.target_ess
@@ -47,10 +45,8 @@ class Sampling(BaseModel):
     check_every: Annotated[int, Field(ge=1, le=10_000)] = SamplerSettings.check_every
 
 
-class NewJob(BaseModel):
+class NewJob(BaseModel, extra="forbid"):
     """What every job has."""
-
-    model_config = ConfigDict(extra="forbid")
 
     rig_id: RigId = None
 

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import AsyncIterator
 from dataclasses import asdict
 from typing import Annotated
 
-from fastapi import Depends
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 
 from estimator.planning.goal_text import reads_file
 from estimator.service.next_stops import Question
 from estimator.service.problems import Problem
-from estimator.service.requests import CoreOf, Id, Seed, router_of
+from estimator.service.requests import CoreOf, Id, Seed, router_of, turn
 from estimator.service.routes.sessions import open_row_of
 
 router = router_of("/v1/sessions", "sessions")
 Goal = Annotated[str, Field(min_length=1, max_length=2000, description="As in `coilcal plan --goal`.")]
 
 
-class NewQuestion(BaseModel):
+class NewQuestion(BaseModel, extra="forbid"):
     """What shall be known, and the stops to choose from."""
-
-    model_config = ConfigDict(extra="forbid")
 
     goals: Annotated[list[Goal], Field(min_length=1, max_length=20)]
     places: Annotated[
@@ -59,18 +55,8 @@ class Next(BaseModel):
     left: int
 
 
-async def _planning(core: CoreOf) -> AsyncIterator[None]:
-    async with core.planning.taken():
-        yield
-
-
-@router.post("/{session_id}/next")
-def get_next_stop(
-    core: CoreOf,
-    session_id: Id,
-    body: NewQuestion,
-    turn: Annotated[None, Depends(_planning)],  # noqa: ARG001
-) -> Next:
+@router.post("/{session_id}/next", dependencies=[turn("planning")])
+def get_next_stop(core: CoreOf, session_id: Id, body: NewQuestion) -> Next:
     """The next stop of an open session, by its readings on disk and goals. The first call prepares candidates for seconds."""
     row = open_row_of(core, session_id)
     for goal in body.goals:

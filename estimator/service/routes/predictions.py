@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import torch
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from pydantic_core import to_json
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response, StreamingResponse
@@ -37,10 +37,8 @@ ARROW_RESPONSE: dict[str, Any] = {
 }
 
 
-class Wish(BaseModel):
+class Wish(BaseModel, extra="forbid", strict=True):
     """What is asked for, wherever the points lie."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     currents_A: Annotated[dict[str, Number], Field(description="By coil; coils that are not named are off.")]
     motion: Annotated[dict[str, Six], Field(description="The six numbers of movers, in SI.")] = {}
@@ -59,10 +57,8 @@ class PointsQuestion(Wish):
     points_m: Annotated[list[Point], Field(min_length=1, description="Points in the world frame.")]
 
 
-class Axis(BaseModel):
+class Axis(BaseModel, extra="forbid", strict=True):
     """Evenly spaced coordinates, both ends included."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     first_m: Number
     last_m: Number

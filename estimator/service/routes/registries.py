@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from sqlalchemy import select
 
 from estimator.recalibration.log import Entry
@@ -69,10 +69,8 @@ class VersionInfo(BaseModel):
     parameters: dict[str, Interval]
 
 
-class NewRollback(BaseModel):
+class NewRollback(BaseModel, extra="forbid"):
     """The version to return to."""
-
-    model_config = ConfigDict(extra="forbid")
 
     version: Annotated[int, Field(ge=1, le=10**6)]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from sqlalchemy import func, select
 
 from estimator.service.answers import ListingOf, Page, row_of, shown_as
@@ -21,10 +21,8 @@ router = router_of("/v1/schedules", "schedules")
 MOST_SCHEDULES, MOST_OF_USER = 100, 50
 
 
-class NewSchedule(BaseModel):
+class NewSchedule(BaseModel, extra="forbid", strict=True):
     """A schedule to make: either a cron expression or a number of seconds."""
-
-    model_config = ConfigDict(extra="forbid", strict=True)
 
     rig_id: Annotated[
         str, Field(pattern=ID, description="Any version of the rig; sessions of all are judged.")

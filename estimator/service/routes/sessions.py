@@ -11,13 +11,13 @@ from typing import Annotated, Literal
 
 from fastapi import Depends, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session as DatabaseSession
 from starlette.responses import Response
 
 from estimator.rig_files.read import rig_from_text
-from estimator.service.answers import ListingOf, Page, Search, file_of, row_of, shown_as, with_etag
+from estimator.service.answers import ListingOf, Page, Search, file_of, file_with_etag, row_of, shown_as
 from estimator.service.core import Core
 from estimator.service.database import new_id, now
 from estimator.service.labels import Labelled, SessionLabels, containing, relabelled
@@ -47,10 +47,8 @@ router = router_of("/v1/sessions", "sessions")
 Ndjson = Annotated[bytes, Depends(raw_body("application/x-ndjson", "application/jsonl"))]
 
 
-class NewSession(BaseModel):
+class NewSession(BaseModel, extra="forbid"):
     """A session to begin."""
-
-    model_config = ConfigDict(extra="forbid")
 
     rig_id: Annotated[str, Field(pattern=ID)]
     source: Annotated[
@@ -232,11 +230,8 @@ def close_session(change: ChangeOf, session_id: Id) -> SessionInfo:
 def download_zip(request: Request, core: CoreOf, session_id: Id) -> Response:
     """A closed session as a zipped session.zarr."""
     row = closed_row_of(core, session_id)
-    name = {"Content-Disposition": 'attachment; filename="session.zarr.zip"'}
     path = core.sessions.path(session_id)
-    return with_etag(
-        request, str(row.hash), lambda: Response(zipped(path), headers=name, media_type="application/zip")
-    )
+    return file_with_etag(request, str(row.hash), lambda: zipped(path), "session.zarr.zip", "application/zip")
 
 
 @router.get("/{session_id}/readings.csv", **file_of("text/csv"))
@@ -244,11 +239,10 @@ def download_csv(request: Request, core: CoreOf, session_id: Id) -> Response:
     """The readings of a closed session as CSV, in SI, with every digit."""
     row = closed_row_of(core, session_id)
 
-    def csv() -> Response:
+    def csv() -> bytes:
         with tempfile.TemporaryDirectory(dir=core.scratch()) as folder:
             path = Path(folder) / "readings.csv"
             write_readings_csv(load_session(core.sessions.path(session_id)), path)
-            name = {"Content-Disposition": 'attachment; filename="readings.csv"'}
-            return Response(path.read_bytes(), headers=name, media_type="text/csv")
+            return path.read_bytes()
 
-    return with_etag(request, f"{row.hash}-csv", csv)
+    return file_with_etag(request, f"{row.hash}-csv", csv, "readings.csv", "text/csv")

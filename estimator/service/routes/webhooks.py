@@ -8,7 +8,7 @@ import secrets
 from typing import Annotated, Literal
 
 from fastapi import Query
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, Field
 from sqlalchemy import delete, func, select
 
 from estimator.service.answers import ListingOf, Page, row_of, shown_as
@@ -24,10 +24,8 @@ router = router_of("/v1/webhooks", "webhooks", scope=Scope.ADMIN)
 MOST_WEBHOOKS = 20
 
 
-class NewWebhook(BaseModel):
+class NewWebhook(BaseModel, extra="forbid"):
     """A webhook to make."""
-
-    model_config = ConfigDict(extra="forbid")
 
     url: Annotated[str, Field(min_length=1, max_length=LONGEST_URL, description="Address that takes POST.")]
 

@@ -48,13 +48,7 @@ def test_it_is_set_up_once_and_read_from_its_buffer():
 
 
 def test_a_fresh_field_is_the_second_point_after_the_call():
-    sensor = f71(
-        SETUP,
-        CLEAR,
-        CLEAR,
-        (FETCH, buffer(point(20, "8"))),
-        (FETCH, buffer(point(30, "7"))),
-    )
+    sensor = f71(SETUP, CLEAR, CLEAR, (FETCH, buffer(point(20, "8"))), (FETCH, buffer(point(30, "7"))))
     reading = sensor.read_field_T(timeout_s=1.0)
     assert reading.value[2] == 7
     assert reading.flags == ReadingFlag.NONE

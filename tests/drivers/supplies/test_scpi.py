@@ -58,8 +58,7 @@ def test_a_watchdog_is_set_when_the_supply_is_prepared_and_stopped_when_it_is_le
 
 def test_a_supply_without_the_watchdog_that_its_settings_state_is_refused():
     port = conversation(
-        (b"VOLT 20;:SYST:ERR?\n", OK),
-        (b"OUTP:PROT:WDOG:DEL 10;:SYST:ERR?\n", b'-113,"Undefined header"\n'),
+        (b"VOLT 20;:SYST:ERR?\n", OK), (b"OUTP:PROT:WDOG:DEL 10;:SYST:ERR?\n", b'-113,"Undefined header"\n')
     )
     unwatched = ScpiSupply(
         port, lowest_A=0.0, highest_A=20.0, compliance_V=20.0, resolution_A=1e-3, watchdog_s=10.0

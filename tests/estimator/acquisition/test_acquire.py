@@ -330,9 +330,7 @@ def test_temperatures_are_recorded_with_every_reading(run: Run) -> None:
         assert readings.temperature_C["coil1"].tolist() == pytest.approx([21.0, math.nan, 23.0], nan_ok=True)
 
 
-def test_a_thermometer_added_while_a_session_is_interrupted_has_no_earlier_readings(
-    small_rig: Rig,
-) -> None:
+def test_a_thermometer_added_while_a_session_is_interrupted_has_no_earlier_readings(small_rig: Rig) -> None:
     entries = [
         StopReadings(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).entry()
         for i in range(2)

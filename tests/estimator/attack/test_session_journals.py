@@ -29,11 +29,7 @@ STOPS = {
     "a temperature in words": {"temperature_C": {"hall": "x"}},
     "a measured current in words": {"measured_A": {"coil1": "x"}},
 }
-HEADERS = {
-    "no rig": {"rig": None},
-    "a time in numbers": {"created": 5},
-    "no source": {"source": None},
-}
+HEADERS = {"no rig": {"rig": None}, "a time in numbers": {"created": 5}, "no source": {"source": None}}
 LINES = {"a list": b"[1]", "nothing": b"null", "a number": b"7", "depth": b'{"n": 1, "a": ' + b"[" * 100_000}
 
 

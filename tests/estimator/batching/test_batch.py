@@ -52,13 +52,7 @@ def fitted(sessions: list[Path], address: str, tmp_path_factory) -> BatchResult:
     out = tmp_path_factory.mktemp("batch")
     bad = out / "bad.zarr"
     bad.mkdir()
-    return batch(
-        [*sessions, bad],
-        out=out,
-        hypotheses=HYPOTHESES,
-        has_posterior=False,
-        scheduler=address,
-    )
+    return batch([*sessions, bad], out=out, hypotheses=HYPOTHESES, has_posterior=False, scheduler=address)
 
 
 def test_all_sessions_are_fitted_under_all_hypotheses_and_the_bad_one_is_told(fitted, sessions):

@@ -237,27 +237,6 @@ def test_a_run_that_ends_early_says_so_and_continues_when_more_steps_are_allowed
     assert fewer.summary()["sampling"]["steps"] == 60  # steps that exist are not thrown away
 
 
-class Killed(BaseException):
-    """Stands for kill -9 in the middle of sampling; tests/estimator/cli/test_kill.py does it in earnest."""
-
-
-def test_a_run_that_was_stopped_while_sampling_gives_the_same_result(
-    small_session: Session, tiny: Rig, uninterrupted: Path, tmp_path: Path
-) -> None:
-    def stop(stage: Stage) -> None:
-        if stage.sampling and stage.sampling.step >= 40:
-            raise Killed
-
-    settings = replace(QUICK, target_ess=1e9, max_steps=60)
-    with pytest.raises(Killed):
-        calibrate(small_session, tiny, out=tmp_path, settings=settings, on_stage=stop)
-    assert [path.name for path in tmp_path.iterdir()] == ["chain.zarr"]
-    assert len(chain_of(tmp_path)) == 40
-    calibrate(small_session, tiny, out=tmp_path, settings=settings)
-    assert np.array_equal(chain_of(tmp_path), chain_of(uninterrupted))
-    assert Calibration.load(tmp_path).summary() == Calibration.load(uninterrupted).summary()
-
-
 def test_an_unfinished_run_of_something_else_is_kept(
     small_session: Session, tiny: Rig, uninterrupted: Path
 ) -> None:

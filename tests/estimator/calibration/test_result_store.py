@@ -112,13 +112,6 @@ def test_any_lost_file_is_found(stored: Path) -> None:
             Calibration.load(stored)
 
 
-@pytest.mark.parametrize("text", ["", "{", '{"parameters": '])
-def test_a_truncated_summary_is_found(stored: Path, text: str) -> None:
-    (stored / "summary.json").write_text(text, encoding="utf-8")
-    with pytest.raises(CorruptStore, match=r"calibration/summary.json must be JSON; expecting"):
-        Calibration.load(stored)
-
-
 def test_another_schema_version_is_refused(stored: Path) -> None:
     group = stored / "posterior.zarr" / "zarr.json"
     group.write_text(

@@ -169,10 +169,7 @@ def test_the_plan_and_its_times_are_shown_without_touching_anything(folder: Path
             ("{coil1: 3}", "{coil1: 7}"),
             "stop 1 of the plan, coil1: coil.current_A must be within -5 and 5; received 7",
         ),
-        (
-            ("to: 40, count: 3}", "to: 400, count: 3}"),
-            "of the plan, arm1: arm.target.x_m must be within",
-        ),
+        (("to: 40, count: 3}", "to: 400, count: 3}"), "of the plan, arm1: arm.target.x_m must be within"),
     ],
 )
 def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(

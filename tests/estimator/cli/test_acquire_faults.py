@@ -205,10 +205,7 @@ def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when
     assert float(before.temperature_C["coil1"].diff().min()) > 0.0
     assert float(before.temperature_C["coil1"].max()) <= 40.0
     time.sleep(6.0)
-    assert acquire(tmp_path).exit_code in {
-        0,
-        5,
-    }  # where stops take long, it is too hot again before the last
+    assert acquire(tmp_path).exit_code in {0, 5}  # where stops take long, it is too hot again before the last
     after = load_session(out).observations
     assert len(after) > len(before)
     assert float(after.temperature_C["coil1"][len(before)]) < 35.0

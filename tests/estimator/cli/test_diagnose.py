@@ -143,9 +143,7 @@ def test_rig_without_anything_free_is_refused(tmp_path: Path):
 
 
 def test_overwriting_refuses_a_folder_that_is_no_diagnosis_before_it_searches(
-    workspace: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     def searched(*_: object, **__: object) -> None:
         raise InvalidInput("searched")

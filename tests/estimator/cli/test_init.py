@@ -20,14 +20,7 @@ from estimator.model.simulate import draw_truth, simulate
 from estimator.readings.plan import plan_from_text
 from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.set_ups import Kind, defaults_of, texts_of
-from estimator.rig_files.starter import (
-    Earth,
-    Motion,
-    Moved,
-    Starter,
-    starter_plan_text,
-    starter_rig_text,
-)
+from estimator.rig_files.starter import Earth, Motion, Moved, Starter, starter_plan_text, starter_rig_text
 from tests.estimator.cli.conftest import run
 
 

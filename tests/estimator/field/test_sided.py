@@ -12,12 +12,7 @@ from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.field.node_sum import SumMode
-from estimator.field.sided import (
-    SidedWinding,
-    distance_to_sided,
-    full_sided_rule,
-    sided_field_per_ampere,
-)
+from estimator.field.sided import SidedWinding, distance_to_sided, full_sided_rule, sided_field_per_ampere
 from estimator.field.straight import MU0_OVER_4PI
 from estimator.field.winding import Winding, exact_rule, winding_field_per_ampere
 from estimator.field.winding_shape import Rule, choose_rule

@@ -192,12 +192,7 @@ def screw_axes(robot: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         ]
     )
     flange = np.array(
-        [
-            [1, 0, 0, wrist_x],
-            [0, 0, -1, -offset_1 - offset_3],
-            [0, 1, 0, height - offset_2],
-            [0, 0, 0, 1],
-        ]
+        [[1, 0, 0, wrist_x], [0, 0, -1, -offset_1 - offset_3], [0, 1, 0, height - offset_2], [0, 0, 0, 1]]
     )
     return directions, points, flange
 

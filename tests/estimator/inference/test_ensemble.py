@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 import torch
 from emcee.backends import Backend
-from emcee.state import State
 
 from estimator.errors import InvalidInput
-from estimator.inference import ensemble
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, reported_parameters, sample
 from estimator.inference.lattice import CountMixture, count_mixture
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
-from estimator.inference.proposal import MixtureProposal
 from estimator.store.emcee_backend import ZarrBackend
 
 NEVER = 1e9  # an effective sample size that no chain reaches
@@ -105,26 +102,6 @@ def test_same_seed_gives_the_same_chain_and_another_seed_another(counts_problem,
     np.testing.assert_array_equal(first.chain, again.chain)
     np.testing.assert_array_equal(first.log_prob, again.log_prob)
     assert (first.chain[..., 0] != other_seed.chain[..., 0]).all()
-
-
-def test_the_seed_decides_where_walkers_start(counts_problem, mixture):
-    """And with which random numbers they go on; all of them inside the prior."""
-    proposal = MixtureProposal(mixture)
-
-    def log_prob(vectors: np.ndarray) -> np.ndarray:
-        return counts_problem.whole(torch.from_numpy(vectors)).numpy()
-
-    def start(seed: int) -> State:
-        backend = Backend()
-        backend.reset(12, 4)
-        return ensemble._initial_state(log_prob, proposal, SamplerSettings(n_walkers=12, seed=seed), backend)
-
-    first, again, other = (start(seed) for seed in (3, 3, 4))
-    np.testing.assert_array_equal(first.coords, again.coords)
-    assert (first.coords[:, 0] != other.coords[:, 0]).all()
-    assert (first.random_state[1] == again.random_state[1]).all()
-    assert (first.random_state[1] != other.random_state[1]).any()
-    assert np.isfinite(log_prob(first.coords)).all()
 
 
 def test_seed_is_all_that_decides(counts_problem, mixture):

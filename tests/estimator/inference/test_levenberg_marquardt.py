@@ -71,12 +71,6 @@ def test_every_start_climbs_to_the_same_maximum(winding_problem, starts, fits):
     assert apart.max() < 1e-3
 
 
-def test_gradient_vanishes_at_the_maximum(winding_problem, starts, fits):
-    far = gradient(winding_problem.real, starts[0]).norm()
-    for vector in fits.vector:
-        assert gradient(winding_problem.real, vector).norm() < 1e-4 * far
-
-
 def test_scipy_finds_no_higher_point_and_comes_back_to_the_maximum(winding_problem, fits):
     """SciPy sees nothing but values of the density, starts three of the posterior's standard deviations away and uses BFGS."""
     posterior = winding_problem.real
@@ -293,13 +287,6 @@ def test_what_the_readings_cannot_see_stays_put_and_keeps_the_width_of_its_prior
     assert fit.vector[0, column].item() == pytest.approx(0.0, abs=1e-3)
     sd = torch.linalg.inv(fit.precision[0])[column, column].sqrt() / posterior.coordinates.scale[column]
     assert 0.99 < sd.item() < 4.0
-
-
-def test_rows_and_together_are_inverse(fits):
-    joined = Optimum.concatenated([fits.rows(slice(0, 3)), fits.rows(slice(3, None))])
-    for name in ("vector", "log_posterior", "precision", "information", "is_converged"):
-        assert torch.equal(getattr(joined, name), getattr(fits, name))
-    assert joined.n_iterations == fits.n_iterations
 
 
 def test_a_start_that_cannot_win_any_more_ends_and_the_highest_maximum_stays(tmp_path):

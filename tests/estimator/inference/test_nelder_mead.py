@@ -155,19 +155,6 @@ def test_invariants_hold_at_every_step_of_every_start_and_restart(function):
     assert torch.equal(result.values, best[-1])
 
 
-def test_simplex_keeps_its_volume_on_a_quadratic():
-    flatness = []
-
-    def measure(state: SimplexState) -> None:
-        edges = state.vertices[:, 1:] - state.vertices[:, :1]
-        size = edges.norm(dim=-1).amax(dim=-1)
-        flatness.append((torch.linalg.det(edges).abs() / size**3).min())
-
-    result = tightly(ellipsoid, simplex_at(-2.0, 3.0, 0.0, scale=1.0), on_step=measure)
-    assert result.is_converged.all()
-    assert min(flatness) > 1e-2
-
-
 def test_batched_equals_looped():
     vertices = random_simplexes(4, 3)
     options = {"n_restarts": 2, "restart_scale": torch.full((3,), 0.1, dtype=torch.float64)}
@@ -235,16 +222,6 @@ def test_a_start_out_of_iterations_stays_so_while_another_restarts():
     assert result.is_converged.tolist() == [True, False]
     assert result.n_iterations[0] > 0
     assert result.n_iterations[1] == 40
-
-
-def test_restart_takes_the_extent_of_the_starting_simplexes_by_default():
-    objective = Recorder(ellipsoid)
-    vertices = torch.tensor([[[1, 1], [1.5, 3], [0, 1.5]]], dtype=torch.float64)
-    tightly(
-        objective, vertices, x_tolerance=10.0, f_tolerance=1e3, n_restarts=1
-    )  # converged from the beginning
-    _, restart = objective.calls
-    assert restart.tolist() == [[2, 1], [1, 3]]
 
 
 def test_convergence_holds_the_values_to_their_tolerance():

@@ -45,9 +45,7 @@ def rig(coils: str, sensors: str = "hall: {noise_uT: 20}", movers: str = "") -> 
 
 
 def readings(
-    current_A: object,
-    motion: Mapping[str, Tensor] | None = None,
-    sensor: list[int] | None = None,
+    current_A: object, motion: Mapping[str, Tensor] | None = None, sensor: list[int] | None = None
 ) -> Observations:
     current = tensor(current_A)
     n = len(current)

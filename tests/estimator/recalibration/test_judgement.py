@@ -65,15 +65,6 @@ def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
     assert not is_sampled
 
 
-def test_readings_that_are_too_old_to_replace_are_judged_and_lead_to_no_successor(
-    mounted_anew: Session, small_rig: Rig, small_calibration: Calibration, is_sampled: list[bool]
-) -> None:
-    judged = judge(mounted_anew, small_rig, small_calibration, may_replace=False, seed=1)
-    assert (judged.conclusion, judged.calibration, judged.agrees) == ("unchanged", None, False)
-    assert "coil1.world_from_coil0.z moved by" in judged.reason
-    assert not is_sampled
-
-
 def test_a_successor_that_did_not_converge_does_not_replace_and_it_is_said(
     mounted_anew: Session, small_rig: Rig, small_calibration: Calibration
 ) -> None:
@@ -128,10 +119,7 @@ def test_log_density_of_draws_is_that_of_the_readings_under_a_sharp_posterior(
 
 
 def test_a_fault_of_the_registry_is_no_verdict_on_the_session(
-    mounted_anew: Session,
-    small_rig: Rig,
-    small_calibration: Calibration,
-    monkeypatch: pytest.MonkeyPatch,
+    mounted_anew: Session, small_rig: Rig, small_calibration: Calibration, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> Rig:
         raise InvalidInput("the rig of version 1 cannot be widened")

@@ -177,13 +177,6 @@ def test_a_second_job_is_refused_while_one_is_at_work(registry: Registry) -> Non
         pass
 
 
-def test_a_damaged_line_of_the_log_is_refused(registry: Registry) -> None:
-    with (registry.folder / "log.jsonl").open("a", encoding="utf-8") as file:
-        file.write('{"conclusion": \n')
-    with pytest.raises(CorruptStore, match=r"log.jsonl, line 2 must be JSON; expecting value at column"):
-        registry.entries()
-
-
 DAMAGE = {
     "told is a word": ("told", "x\n", "registry must count who was told"),
     "told is negative": ("told", "-5\n", "registry must count who was told"),

@@ -34,10 +34,7 @@ from tests.estimator.service.conftest import CHROMIUM, Served, append, begin_ses
 
 pytest.importorskip("playwright.sync_api")
 axe = pytest.importorskip("axe_playwright_python.sync_playwright")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="needs chromium"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")]
 OFFSET, OFFSET_T = Cause("sensor_offset", "hall"), 2e-4
 PATIENCE_MS = 180_000
 BURST_MS = 1_100  # Chromium drops what a page downloads after ten files without a pause of a second

@@ -141,10 +141,7 @@ def samples(
 
 
 def test_requests_readings_sessions_and_jobs_are_counted(
-    idle: Callable[..., TestClient],
-    rig_text: str,
-    small_session: Session,
-    small_rig: Rig,
+    idle: Callable[..., TestClient], rig_text: str, small_session: Session, small_rig: Rig
 ) -> None:
     client = idle()
     rig_id = upload_rig(client, rig_text)

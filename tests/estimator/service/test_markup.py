@@ -37,10 +37,7 @@ from estimator.service.work import PROGRESS
 from tests.estimator.service.conftest import CHROMIUM, import_csv, listening, upload_rig
 
 pytest.importorskip("playwright.sync_api")
-pytestmark = [
-    pytest.mark.browser,
-    pytest.mark.skipif(CHROMIUM is None, reason="needs chromium"),
-]
+pytestmark = [pytest.mark.browser, pytest.mark.skipif(CHROMIUM is None, reason="needs chromium")]
 MARK = """'\"><img src=x onerror="window.ran=1"><script>window.ran=1</script><b id=bold>&lt;i&gt;${1}</b>"""
 FOUND = "document.querySelectorAll('img, script:not([src]), #bold, [onerror]').length"
 

@@ -18,14 +18,7 @@ from estimator.rig.rig import Rig
 from estimator.service.next_stops import NextStops
 from estimator.store.session import Session
 from tests.estimator.conftest import PLAN
-from tests.estimator.service.conftest import (
-    append,
-    begin_session,
-    import_csv,
-    lines_of,
-    refusal,
-    upload_rig,
-)
+from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, refusal, upload_rig
 
 GOAL = "field 1 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
 PLACES = PLAN.replace("[{coil1: 3}]", "[{coil1: 3}, {coil1: -3}, {}]")

@@ -128,11 +128,7 @@ def test_a_batch_fits_every_session_under_every_hypothesis(
     fewer = Session(small_session.rig, small_session.observations.rows(torch.arange(30)), "fewer")
     write_readings_csv(fewer, path)
     other = str(import_csv(api, rig_id, path.read_bytes())["id"])
-    body = {
-        "session_ids": [session_id, other],
-        "hypotheses": ["plain", "axis_gain"],
-        "has_posterior": False,
-    }
+    body = {"session_ids": [session_id, other], "hypotheses": ["plain", "axis_gain"], "has_posterior": False}
     job = wait_for(api, api.post("/v1/jobs/batch", json=body).json()["id"])
     assert (job["state"], job["fault"]) == ("done", None)
     found = api.get(f"/v1/jobs/{job['id']}/result").json()

@@ -116,9 +116,7 @@ def test_changes_need_more_than_read() -> None:
             assert scope.includes(Scope.WRITE), path
 
 
-def test_an_application_with_a_route_without_scope_is_not_made(
-    tmp_path: Path,
-) -> None:
+def test_an_application_with_a_route_without_scope_is_not_made(tmp_path: Path) -> None:
     forgotten = operation.router
     before = list(forgotten.routes)
 

@@ -191,9 +191,7 @@ def model_of(
 
 
 def predicted_T(
-    observations: Observations,
-    effects: Mapping[str, Mapping[str, float]] | None = None,
-    rig: str = RIG,
+    observations: Observations, effects: Mapping[str, Mapping[str, float]] | None = None, rig: str = RIG
 ) -> np.ndarray:
     """What the sensor reads."""
     model = model_of(observations, effects or {}, rig)

@@ -5,14 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    added_T,
-    assert_same_field,
-    dipole_T,
-    readings,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, added_T, assert_same_field, dipole_T, readings
 
 MOMENT_A_M2, AT_M = np.array([0.2, -0.1, 0.3]), np.array([0.03, 0.02, -0.09])
 LINK = {

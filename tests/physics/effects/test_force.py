@@ -51,8 +51,7 @@ def test_a_coil_goes_where_the_force_of_the_other_takes_it():
         shift_m = COMPLIANCE * force_on_coil_N(coil_A, other_A)
         assert 1e-5 < np.linalg.norm(shift_m) < 5e-3
         reading_T = predicted_T(
-            readings(POINTS_M, (coil_A, other_A)),
-            {"coil_pulled[coil]": {"compliance_m_per_N": COMPLIANCE}},
+            readings(POINTS_M, (coil_A, other_A)), {"coil_pulled[coil]": {"compliance_m_per_N": COMPLIANCE}}
         )
         assert_same_field(reading_T, both_T(shift_m, coil_A, other_A), rtol=1e-5)
 

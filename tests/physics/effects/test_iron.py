@@ -202,14 +202,7 @@ def test_pierced_plate_beside_all_readings_is_a_field_of_the_room_and_no_plate(h
     if not is_between:
         field = added_T(
             readings(AROUND_M, (0.0, 0.0)),
-            {
-                "pierced_plate[room]": {
-                    **PIERCED,
-                    "z_m": 100.0 * height_m,
-                    "strength": 0.0,
-                    "step_T": 3e-4,
-                }
-            },
+            {"pierced_plate[room]": {**PIERCED, "z_m": 100.0 * height_m, "strength": 0.0, "step_T": 3e-4}},
         )
         assert_same_field(field, np.broadcast_to([0.0, 0.0, -np.sign(height_m) * 1.5e-4], field.shape), 1e-6)
 
@@ -252,12 +245,6 @@ def test_opening_lets_through_the_field_of_a_tilted_coil():
 
 BODY_M, BALL_M = np.array([0.05, -0.06, 0.03]), 0.012
 BODY = {"volume_m3": BALL_M**3, "x_m": BODY_M[0], "y_m": BODY_M[1], "z_m": BODY_M[2]}
-
-
-def test_iron_body_answers_as_the_dipole_that_a_ball_of_iron_becomes():
-    """A ball of large permeability in a field B0 has the moment 4 pi a^3 B0 / mu0 (Jackson, section 5.11)."""
-    moment = 4.0 * np.pi * BALL_M**3 / MU0_T_M_PER_A * winding().field_T(BODY_M[None])[0]
-    assert_same_field(added_T(ONE, {"iron_body[room]": BODY}), dipole_T(moment, BODY_M, POINTS_M))
 
 
 def test_iron_body_answers_every_coil_by_its_current():

@@ -13,14 +13,7 @@ from scipy.spatial.transform import Rotation
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.rig_files.read import rig_from_text
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    assert_same_field,
-    predicted_T,
-    readings,
-    winding,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, assert_same_field, predicted_T, readings, winding
 
 FIELD_T = 2.0 * winding().field_T(POINTS_M)
 READINGS = readings(POINTS_M, (2.0, 0.0))

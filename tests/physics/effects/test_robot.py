@@ -6,14 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    assert_same_field,
-    predicted_T,
-    readings,
-    winding,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, assert_same_field, predicted_T, readings, winding
 
 TURNS = Rotation.random(len(POINTS_M), rng=np.random.default_rng(5))
 # The paper's rig: the coil is displaced in the axes of its own mount, the sensor stands still.
@@ -49,34 +42,8 @@ def test_displaced_coil_without_effects_stands_where_its_own_axes_take_it():
     assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(STEPS_M), COIL0))
 
 
-def test_robot_scale_multiplies_each_coordinate_and_leaves_rotations():
-    scaled_m = POINTS_M * np.array([1.004, 1.0, 0.99])
-    reading_T = predicted_T(
-        readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS.as_rotvec()),
-        {"robot_scale[mapper]": {"x": 0.004, "z": -0.01}},
-    )
-    assert_same_field(reading_T, at_poses_T(scaled_m))
-
-
-def test_robot_shear_leans_x_along_y_and_z_and_y_along_z():
-    x, y, z = POINTS_M.T
-    sheared_m = np.stack((x + 0.004 * y - 0.003 * z, y + 0.007 * z, z), axis=1)
-    reading_T = predicted_T(
-        readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS.as_rotvec()),
-        {"robot_shear[mapper]": {"xy": 0.004, "xz": -0.003, "yz": 0.007}},
-    )
-    assert_same_field(reading_T, at_poses_T(sheared_m))
-
-
 # Two readings at the first position, a move along x and y, one along y back and z, a rest, one along x back.
 PATH_M = 1e-3 * np.array([[0, 0, 40], [0, 0, 40], [3, 4, 40], [3, 1, 44], [3, 1, 44], [-2, 1, 44]])
-
-
-def test_position_lag_falls_short_along_the_last_move_and_nowhere_before_the_first():
-    lag_m = 2e-4
-    last = np.array([[0, 0, 0], [0, 0, 0], [0.6, 0.8, 0], [0, -0.6, 0.8], [0, -0.6, 0.8], [-1, 0, 0]])
-    reading_T = predicted_T(readings(PATH_M, (1.0, 0.0)), {"position_lag[mapper]": {"lag_m": lag_m}})
-    assert_same_field(reading_T, winding().field_T(PATH_M - lag_m * last))
 
 
 def test_backlash_keeps_each_axis_half_its_play_short_on_the_side_it_came_from():
@@ -96,20 +63,6 @@ def test_what_went_before_is_the_sessions_and_not_that_of_chosen_readings(effect
     rows = np.array([5, 2, 4])
     reading_T = predicted_T(whole.rows(whole.row[rows]), {f"{effect}[mapper]": given})
     assert_same_field(reading_T, predicted_T(whole, {f"{effect}[mapper]": given})[rows], 1e-12)
-
-
-def test_tilted_mount_turns_displacements_but_not_the_coil():
-    """Its reference pose is right, so the tilt shows in the directions of displacements alone: they are R^T t in its axes."""
-    tilt_rad = np.array([0.02, -0.03, 0.0])
-    tilt = Rotation.from_rotvec(tilt_rad)
-    reading_T = predicted_T(
-        readings(STEPS_M, (1.0, 0.0), mover="arm"),
-        {"mount_tilt[coil]": {"x_rad": tilt_rad[0], "y_rad": tilt_rad[1]}},
-        DISPLACED,
-    )
-    assert_same_field(reading_T, of_displaced_coil_T(COIL0_M + COIL0.apply(tilt.inv().apply(STEPS_M)), COIL0))
-    at_reference = predicted_T(readings(STEPS_M, (1.0, 0.0), mover="arm"), None, DISPLACED)[0]
-    np.testing.assert_allclose(reading_T[0], at_reference, rtol=1e-12)
 
 
 def test_tilted_mount_turns_rotations_of_the_arm_about_other_axes():

@@ -108,10 +108,7 @@ def test_thermal_lag_follows_the_equation_of_one_thermal_mass(tau_share):
 
     body = solve_ivp(slope, (0.0, duration_s), celsius[:1], t_eval=time_s, max_step=duration_s / n / 2).y[0]
     observations = readings(
-        np.repeat(POINTS_M[:1], n, axis=0),
-        (CURRENT_A, 0.0),
-        time_s=time_s,
-        temperature_C={"probe": celsius},
+        np.repeat(POINTS_M[:1], n, axis=0), (CURRENT_A, 0.0), time_s=time_s, temperature_C={"probe": celsius}
     )
     given = {"gain_per_K": 2e-3, "z_T_per_K": -3e-5, "tau_h": tau_s / 3600.0}
     kelvin = body - celsius.mean()

@@ -19,13 +19,8 @@ from tests.physics.effects.laboratory import (
     winding,
 )
 from tests.physics.effects.test_robot import (
-    COIL0,
-    COIL0_M,
-    DISPLACED,
-    STEPS_M,
     TURNS,
     at_poses_T,
-    of_displaced_coil_T,
 )
 
 SHIFT_M, TURN_RAD = np.array([2e-3, -1e-3, 3e-3]), np.array([0.02, -0.03, 0.01])
@@ -40,24 +35,10 @@ COIL_M = np.array([-0.3, -0.25, 0.3])
 JOINTS_RAD = np.array([[0.1, -1.2, -1.4, 0.3, 1.2, 0.2], [0.3, -1.4, -1.2, -0.2, 0.9, -0.5]])
 
 
-def test_misplaced_sensor_sits_elsewhere_in_its_own_axes_and_is_turned():
-    reading_T = predicted_T(AT_POSES, {"sensor_misplaced[probe]": ELSEWHERE})
-    assert_same_field(reading_T, at_poses_T(POINTS_M + TURNS.apply(SHIFT_M), TURNS * TURN))
-
-
 def test_misplaced_coil_that_stands_in_the_room_is_moved_and_turned_in_its_own_axes():
     reading_T = predicted_T(AT_POSES, {"coil_misplaced[coil]": ELSEWHERE})
     in_coil_m = TURN.inv().apply(POINTS_M - SHIFT_M)
     assert_same_field(reading_T, TURNS.inv().apply(TURN.apply(winding().field_T(in_coil_m))))
-
-
-def test_misplaced_coil_on_a_stage_moves_as_its_carrier_does():
-    """Unlike `mount_tilt`, which leaves the coil where it is at the reference: here displacements are right and the coil is not."""
-    reading_T = predicted_T(
-        readings(STEPS_M, (1.0, 0.0), mover="arm"), {"coil_misplaced[coil]": ELSEWHERE}, DISPLACED
-    )
-    positions_m = COIL0_M + COIL0.apply(STEPS_M + SHIFT_M)
-    assert_same_field(reading_T, of_displaced_coil_T(positions_m, COIL0 * TURN))
 
 
 def test_misplaced_base_takes_everything_along_that_its_mover_carries():

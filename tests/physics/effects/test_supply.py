@@ -14,14 +14,7 @@ from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances
 from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    assert_same_field,
-    predicted_T,
-    readings,
-    winding,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, assert_same_field, predicted_T, readings, winding
 
 N = len(POINTS_M)
 
@@ -37,23 +30,6 @@ def coils_T(coil_A: object, other_A: object) -> np.ndarray:
 
 def test_laboratory_without_effects_is_the_sum_of_magpylibs_loops():
     assert_same_field(predicted_T(readings(POINTS_M, (2.0, -3.0))), coils_T(2.0, -3.0))
-
-
-def test_current_gain_multiplies_the_current_of_its_coil_only():
-    reading_T = predicted_T(readings(POINTS_M, (2.0, -3.0)), {"current_gain[coil]": {"excess": 0.03}})
-    assert_same_field(reading_T, coils_T(2.0 * 1.03, -3.0))
-
-
-def test_current_offset_flows_at_every_current_and_at_none():
-    commanded = np.array([2.0, -2.0, 0.0, 1.0, 0.0, -0.5, 3.0])
-    current_A = np.stack((commanded, np.full(N, 0.5)), axis=1)
-    reading_T = predicted_T(readings(POINTS_M, current_A), {"current_offset[coil]": {"offset_A": 0.07}})
-    assert_same_field(reading_T, coils_T(commanded + 0.07, 0.5))
-
-
-def test_current_offset_flows_in_a_coil_that_is_never_switched_on():
-    reading_T = predicted_T(readings(POINTS_M, (0.0, 1.0)), {"current_offset[coil]": {"offset_A": 0.07}})
-    assert_same_field(reading_T, coils_T(0.07, 1.0))
 
 
 def test_gain_and_offset_act_in_that_order():
@@ -78,13 +54,6 @@ TURNING = (  # each current, and the one from which it last turned back, read of
 )
 
 
-def test_remanence_is_a_share_of_the_current_from_which_it_last_turned_back():
-    current_A, turned_A = np.array(TURNING)
-    readings_A = np.stack((current_A, np.full(N, -3.0)), axis=1)
-    reading_T = predicted_T(readings(POINTS_M, readings_A), {"current_remanence[coil]": {"share": 0.05}})
-    assert_same_field(reading_T, coils_T(current_A + 0.05 * turned_A, -3.0))
-
-
 def test_remanence_knows_the_currents_before_a_chosen_reading_and_not_what_read_back_currents_scatter():
     current_A, turned_A = np.array(TURNING)
     scattered_A = current_A + 1e-4 * np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0, -1.0])
@@ -98,12 +67,6 @@ def test_remanence_needs_a_current_that_turns_back():
     turning = readings(POINTS_M, np.stack((TURNING[0], np.linspace(0.5, 3.0, N)), axis=1))
     assert effect.concerns(Circumstances(rig, turning), "coil")
     assert not effect.concerns(Circumstances(rig, turning), "other")
-
-
-@pytest.mark.parametrize(("coil", "expected"), [("coil", (2.0 + 0.04 * -3.0, -3.0)), ("other", (2.0, -2.92))])
-def test_neighbour_coil_carries_a_share_of_the_other_current(coil, expected):
-    reading_T = predicted_T(readings(POINTS_M, (2.0, -3.0)), {f"neighbour_coil[{coil}]": {"share": 0.04}})
-    assert_same_field(reading_T, coils_T(*expected))
 
 
 def test_current_sign_exchanges_the_leads_of_one_coil():

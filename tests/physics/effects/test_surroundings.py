@@ -11,26 +11,11 @@ from estimator.effects.circumstances import Circumstances
 from estimator.model.room_field import RoomField
 from estimator.rig.coordinates import nominal_tensors
 from estimator.rig_files.read import rig_from_text
-from tests.physics.effects.laboratory import (
-    POINTS_M,
-    RIG,
-    added_T,
-    effects_text,
-    readings,
-)
+from tests.physics.effects.laboratory import POINTS_M, RIG, added_T, effects_text, readings
 
-ONE = readings(POINTS_M, (1.0, 0.0))
 EARTH = {"x_T": 20e-6, "y_T": -1e-6, "z_T": 43e-6}
 EARTH_T = np.array(list(EARTH.values()))
 TURNS_RAD = Rotation.random(len(POINTS_M), rng=np.random.default_rng(4)).as_rotvec()
-
-
-def test_background_field_stands_still_in_the_room_whatever_the_current():
-    currents = np.stack((np.linspace(-3.0, 3.0, len(POINTS_M)), np.zeros(len(POINTS_M))), axis=1)
-    difference_T = added_T(readings(POINTS_M, currents), {"background_field[room]": EARTH})
-    np.testing.assert_allclose(
-        difference_T, np.broadcast_to(EARTH_T, difference_T.shape), rtol=0.0, atol=1e-15
-    )
 
 
 def test_a_gradient_is_that_of_a_magnet_far_away():
@@ -58,26 +43,6 @@ def test_a_gradient_is_that_of_a_magnet_far_away():
     near = 0.02  # of the way to each point: there the field is straight
     expected_T = (dipole_T(near * POINTS_M) - dipole_T(np.zeros(3))) / near
     np.testing.assert_allclose(found_T, expected_T, rtol=0.0, atol=2e-3 * np.abs(expected_T).max())
-
-
-def test_turned_sensor_sees_the_background_turned_the_other_way_and_its_own_offset_not():
-    turned = readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS_RAD)
-    difference_T = added_T(turned, {"background_field[room]": EARTH})
-    expected = Rotation.from_rotvec(TURNS_RAD).inv().apply(EARTH_T)
-    np.testing.assert_allclose(difference_T, expected, rtol=0.0, atol=1e-15)
-    offset = added_T(turned, {"sensor_offset[probe]": EARTH})
-    np.testing.assert_allclose(offset, np.broadcast_to(EARTH_T, offset.shape), rtol=0.0, atol=1e-15)
-
-
-def test_background_drifts_in_proportion_to_the_hours_since_the_session_began():
-    rate = {"x_T_per_h": 1e-5, "y_T_per_h": 0.0, "z_T_per_h": -3e-5}
-    time_s = 1.7e9 + np.array([0.0, 360.0, 720.0, 3600.0, 4000.0, 7200.0, 9000.0])
-    turned = readings(POINTS_M, (1.0, 0.0), turn_rad=TURNS_RAD, time_s=time_s)
-    difference_T = added_T(turned, {"background_drift[room]": rate})
-    in_room = (time_s - time_s[0])[:, None] / 3600.0 * np.array(list(rate.values()))
-    np.testing.assert_allclose(
-        difference_T, Rotation.from_rotvec(TURNS_RAD).inv().apply(in_room), rtol=0.0, atol=1e-14
-    )
 
 
 def test_background_drift_is_zero_at_the_beginning_of_the_session_not_of_its_part():

@@ -28,31 +28,6 @@ ONE = readings(POINTS_M, (1.0, 0.0))
 ONE_FAR = readings(FAR_M, (1.0, 0.0))
 
 
-@pytest.mark.parametrize("excess", [0.02, -0.05])
-def test_axial_pitch_moves_the_turns_back_from_the_front_face(excess):
-    reading_T = predicted_T(ONE, {"axial_pitch[coil]": {"excess": excess}})
-    wider = winding(axial_pitch_m=PITCH_M * (1.0 + excess))
-    assert_same_field(reading_T, wider.field_T(POINTS_M))
-
-
-@pytest.mark.parametrize("excess", [0.02, -0.39])
-def test_radial_pitch_moves_the_layers_in_from_the_outermost(excess):
-    reading_T = predicted_T(ONE, {"radial_pitch[coil]": {"excess": excess}})
-    closer = winding(radial_pitch_m=PITCH_M * (1.0 + excess))
-    assert_same_field(reading_T, closer.field_T(POINTS_M))
-
-
-def test_turns_gradient_gives_front_loops_more_and_back_loops_less():
-    slope = 0.08
-    loops = winding()
-    share = (loops.height_m + 0.5 * LENGTH_M) / (
-        0.5 * LENGTH_M
-    )  # from -1 at the back to +1 at the front face
-    uneven = Loops(loops.radius_m, loops.height_m, 1.0 + slope * share)
-    reading_T = predicted_T(ONE, {"turns_gradient[coil]": {"slope": slope}})
-    assert_same_field(reading_T, uneven.field_T(POINTS_M))
-
-
 @pytest.mark.parametrize("at_front", [1.0, 0.0])
 @pytest.mark.parametrize("n_missing", [1, 4])
 def test_short_layer_is_the_winding_without_some_turns_of_its_outermost_layer(at_front, n_missing):

@@ -9,13 +9,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
-from estimator.reporting.plots import (
-    Role,
-    error_budget,
-    evidence_bars,
-    explained_residual,
-    structure_bars,
-)
+from estimator.reporting.plots import Role, error_budget, evidence_bars, explained_residual, structure_bars
 from estimator.reporting.plots.style import BLUE, ORANGE
 
 EVIDENCE = {"nothing": 0.0, "axis_gain": 31.2, "cross_axis": 12.0, "unexplained": 8.5, "backlash": -90.0}
@@ -106,11 +100,7 @@ def test_structure_is_longer_the_surer_it_is_and_an_arrow_where_no_smaller_p_val
     ]
 
 
-SHARES = {
-    "axis_gain": (0.71, (0.6, 0.8)),
-    "backlash": (0.1, (-0.05, 0.22)),
-    "left": (0.19, (0.1, 0.3)),
-}
+SHARES = {"axis_gain": (0.71, (0.6, 0.8)), "backlash": (0.1, (-0.05, 0.22)), "left": (0.19, (0.1, 0.3))}
 BUDGET_ROLES = [Role.NAMED, Role.STAND_IN, Role.LEFT]
 
 
