@@ -9,8 +9,6 @@ import argparse
 import sys
 from pathlib import Path
 
-import arviz
-
 from estimator import SamplerSettings, Session, batch, load_plan, load_rig, simulate
 
 CONFIGS = Path(__file__).resolve().parent.parent / "configs"
@@ -54,8 +52,8 @@ def main() -> None:
     print(arrays["median"].sel(parameter="coil1.radius_m").groupby("hypothesis").mean())
     first = table[table["is_sampled"]]["job"].iloc[0]
     print(result.calibration(first).summary()["loop_counts"][:1])
-    posterior = arviz.InferenceData.from_datatree(result.tree(first))
-    print(f"effective samples: {float(arviz.ess(posterior)['coil1.radius_m']):.0f}")
+    radius = result.calibration(first).summary()["parameters"]["coil1.radius_m"]
+    print(f"effective samples: {radius['ess_bulk']:.0f}")
 
 
 if __name__ == "__main__":

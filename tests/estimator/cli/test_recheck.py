@@ -85,5 +85,5 @@ def test_without_a_calibration_nothing_moves(folder: Path, tmp_path: Path) -> No
     ]
     assert "registry must have a calibration to measure against" in refused(run(*words))
     assert "--rig must be given with --measure" in refused(
-        run("recalibrate", "--registry", tmp_path, "--measure", tmp_path / "s.zarr")
+        run("recalibrate", "--registry", tmp_path / "registry", "--measure", tmp_path / "s.zarr")
     )

@@ -24,7 +24,17 @@ from tests.once import once
 from tests.program import ROOT
 
 LARGE = (
-    *("apscheduler", "arviz", "dask", "distributed", "emcee", "jaxtyping", "jinja2", "matplotlib", "numba"),
+    *(
+        "apscheduler",
+        "arviz_stats",
+        "dask",
+        "distributed",
+        "emcee",
+        "jaxtyping",
+        "jinja2",
+        "matplotlib",
+        "numba",
+    ),
     *("numpy", "pandas", "rich", "scipy", "scipy.stats", "sympy", "torch", "xarray", "yaml", "zarr"),
 )
 RIG = {"jaxtyping", "numpy", "yaml"}
@@ -242,12 +252,6 @@ def test_the_package_loads_a_public_name_when_it_is_used() -> None:
     assert start("from estimator import load_rig", variables={})[2] == RIG
     effects = "from estimator import register_effect; from estimator.effects import EFFECTS"
     assert start(effects, variables={})[2] == RIG - {"yaml"}
-
-
-def test_diagnostics_of_chains_load_no_library_of_their_own() -> None:
-    """ArviZ loads pandas, xarray and matplotlib: 1.7 s of the processor."""
-    call = "import numpy; from estimator.inference.convergence import convergence; convergence(numpy.eye(20)[..., None])"
-    assert start(call, variables={})[2] == {"jaxtyping", "numpy", "scipy"}
 
 
 def test_threads_are_set_where_a_command_runs(
