@@ -60,7 +60,7 @@ def outliers_of(fit: Fit, observations: Observations, leaves_something: bool) ->
     Args:
         fit: Of the rig.
         observations: The readings, a whole session.
-        leaves_something: The rig does not explain all readings, so that no component is known to be wrong unless it has outliers.
+        leaves_something: The rig does not explain all readings. Then a component is wrong only if it is far off, and the rig has outliers.
     References: Bayes' rule for a mixture of two normals, as in Hogg, Bovy and Lang, arXiv:1008.4686 (2010), section 3.
     """
     has_outliers = any(use.effect.is_contaminating for use in uses_of(fit.rig, NoiseEffect))
@@ -76,7 +76,9 @@ def outliers_of(fit: Fit, observations: Observations, leaves_something: bool) ->
         good = torch.log1p(-share) - 0.5 * miss_sd**2
         bad = torch.log(share / ratio) - 0.5 * (miss_sd / ratio) ** 2
         probability = torch.sigmoid(bad - good)
-    probable = (probability > PROBABLY).nonzero().flatten()
+    # Where something moves readings that no cause explains, only what is far off is a mistake for sure.
+    is_far = miss_sd.abs() > (policy.FAR_FROM_EXPECTED if leaves_something else 0.0)
+    probable = ((probability > PROBABLY) & is_far).nonzero().flatten()
     probable = probable[miss_sd[probable].abs().argsort(descending=True)]
     readings, components = observations.is_measured.nonzero()[probable].unbind(1)
     names = [fit.rig.sensors[sensor].name for sensor in observations.sensor[readings].tolist()]

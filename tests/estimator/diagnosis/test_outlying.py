@@ -38,7 +38,7 @@ def fit(small_rig: Rig, session: Session):
 
 
 def test_the_wrong_components_are_listed_the_farthest_first(fit, session):
-    outliers = outliers_of(fit, session.observations, True)
+    outliers = outliers_of(fit, session.observations, False)
     assert [(o.reading, o.component) for o in outliers] == list(WRONG)
     assert {o.sensor for o in outliers} == {"hall"}
     for outlier, error_T in zip(outliers, WRONG.values(), strict=True):
@@ -55,17 +55,26 @@ def test_a_decimal_point_beside_its_place_is_told_with_the_line_of_the_file(fit,
     field_T[8, 1] *= -1.0
     smallest = int(field_T[12:, 2].abs().argmin()) + 12
     field_T[smallest, 2] += 1e-4  # far off, but of nearly nothing: no factor says so
-    written = {(o.reading, o.component): o for o in outliers_of(fit, readings.with_field(field_T), True)}
+    written = {(o.reading, o.component): o for o in outliers_of(fit, readings.with_field(field_T), False)}
     assert (written[7, 0].words, written[7, 0].line) == ("is a hundred times too large", 9)
     assert written[8, 1].words == "is reversed"
     assert {written[place].words for place in (*WRONG, (smallest, 2))} == {""}
 
 
 def test_its_probability_is_that_of_a_mixture_of_two_normals(fit, session):
-    for outlier in outliers_of(fit, session.observations, True):
+    for outlier in outliers_of(fit, session.observations, False):
         good = (1.0 - SHARE) * stats.norm.pdf(outlier.miss_sd)
         bad = SHARE * stats.norm.pdf(outlier.miss_sd, scale=RATIO)
         assert outlier.probability == pytest.approx(bad / (good + bad), rel=1e-6)
+
+
+def test_beside_something_unexplained_only_what_is_far_off_is_listed(fit, session):
+    field_T = session.observations.field_sensor_T.clone()
+    field_T[9, 2] += 9.0 * fit.posterior.sigma_T(fit.vector)[0]
+    readings = session.observations.with_field(field_T)
+    alone, beside = (outliers_of(fit, readings, leaves_something) for leaves_something in (False, True))
+    assert {(o.reading, o.component) for o in alone} == {*WRONG, (9, 2)}
+    assert {(o.reading, o.component) for o in beside} == set(WRONG)
 
 
 def test_without_that_cause_a_single_component_is_listed_where_nothing_else_is_left(
