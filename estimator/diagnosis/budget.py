@@ -71,8 +71,12 @@ class Budget:
     left: Share
 
     def is_negligible(self, cause: Cause) -> bool:
-        """Whether the interval of a cause's share ends below `NEGLIGIBLE`; not where it has none."""
-        return cause in self.causes and self.causes[cause].ci90[1] < NEGLIGIBLE
+        """Whether the interval of a cause's share ends below `NEGLIGIBLE` of a misfit above the noise; not where it has none.
+
+        What is hidden in the noise of few unseen readings is the share of any weak cause, right or wrong.
+        """
+        is_known = cause in self.causes and self.misfit_T > self.noise_T
+        return is_known and self.causes[cause].ci90[1] < NEGLIGIBLE
 
     def to_json(self) -> dict[str, Any]:
         """Content of `budget` in `diagnosis.json`."""
