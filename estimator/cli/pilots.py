@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from estimator.acquisition.acquire import Choice
 from estimator.acquisition.pace import Pace
@@ -17,6 +17,7 @@ from estimator.recalibration.sequential import Rates
 from estimator.rig.rig import Rig
 
 
+@runtime_checkable
 class Ending(Protocol):
     """Why a session ended."""
 
@@ -24,6 +25,7 @@ class Ending(Protocol):
         """Its record."""
 
 
+@runtime_checkable
 class Pilot(Protocol):
     """Chooses the stops of a session while it is measured."""
 
@@ -40,6 +42,7 @@ class Pilot(Protocol):
         """What the stops of a journal say."""
 
 
+@runtime_checkable
 class Question(Protocol):
     """What a session shall answer whose stops are chosen while it is measured."""
 

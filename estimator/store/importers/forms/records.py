@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from itertools import chain
 from typing import Any
+
+from estimator.errors import InvalidInput
+from estimator.json_files import json_of
 
 
 def columns_in(text: str) -> dict[str, list[Any]]:
     """Values by column, None where a record lacks one.
 
     Raises:
-        ValueError: It is no JSON.
+        ValueError, InvalidInput: It is no JSON.
     Examples:
         >>> columns_in('{"t_s": 0, "B": {"x_mT": 1}}' + chr(10) + '{"t_s": 1}')
         {'t_s': [0, 1], 'B_x_mT': [1, None]}
@@ -20,9 +22,9 @@ def columns_in(text: str) -> dict[str, list[Any]]:
         ({'t_s': [0]}, {'t_s': [0, 1]})
     """
     try:
-        content = json.loads(text)
-    except ValueError:
-        content = [json.loads(line) for line in text.splitlines() if line.strip()]
+        content = json_of(text, "readings")
+    except InvalidInput:
+        content = [json_of(line, "readings") for line in text.splitlines() if line.strip()]
     if isinstance(content, dict):
         content = next((value for value in content.values() if _are_records(value)), content)
     if _are_records(content):
