@@ -18,7 +18,8 @@ from estimator.inference.proposal import DEGREES_OF_FREEDOM, MixtureProposal, Wh
 from estimator.inference.straightening import Straightening, n_coefficients
 
 ROUNDS = 9
-FEWEST_DRAWS, DRAWS_PER_COEFFICIENT = 1000, 2  # of a round, and for each coefficient of a map
+# Draws of a round: two for each coefficient of a map, between these numbers. Twenty coordinates need 3120; more have no products.
+FEWEST_DRAWS, DRAWS_PER_COEFFICIENT, MOST_DRAWS = 1000, 2, 3200
 # Efficiency at which a proposal is left as it is: at once, and where straightening brings no more. To fit on costs more than it brings.
 ENOUGH, FAIR = 0.9, 0.75
 WORTH = 1.1  # a round of straightening gains where it multiplies the efficiency by as much
@@ -47,7 +48,7 @@ def adapted(
         Stat. 17, 295 (2008), truncated weights.
     """
     best, best_efficiency = proposal, 0.0
-    size = max(FEWEST_DRAWS, DRAWS_PER_COEFFICIENT * n_coefficients(proposal.n))
+    size = int(np.clip(DRAWS_PER_COEFFICIENT * n_coefficients(proposal.n), FEWEST_DRAWS, MOST_DRAWS))
     vectors, log_targets, log_weight = np.empty((0, proposal.n + proposal.counts.shape[1])), *np.empty((2, 0))
     n_without_gain, straightening = 0, None
     for _ in range(ROUNDS):
