@@ -21,6 +21,9 @@ from tests.estimator.service.conftest import (
     lines_of,
     upload_rig,
 )
+
+pytest.importorskip("playwright.sync_api")
+pytest.importorskip("axe_playwright_python.sync_playwright")
 from tests.estimator.service.test_browser import PATIENCE_MS, check, downloaded
 
 pytestmark = [
