@@ -68,6 +68,7 @@ class Widening:
 
         Loop counts stay whole where a table can hold those that are plausible then. They lose the probabilities that they had: what a wrong
         model says of each whole number does not hold, least where it is sure of one. No draw leaves the bounds of its prior.
+        A draw that the noise would make impossible, such as a winding without a radius, stays where it is.
 
         Args:
             draws: Of every free parameter, walker by step.
@@ -84,9 +85,16 @@ class Widening:
         else:
             values = coordinates.values(wider)
         lower, upper = coordinates.bounds()
+        bounded = {
+            name: values[name].clamp(*ends)
+            for name, *ends in zip(coordinates.names, lower, upper, strict=True)
+        }
+        is_possible = torch.isfinite(torch.stack(list(bounded.values()))).all(0)
         return {
-            name: values[name].clamp(lower[i], upper[i]).reshape(draws[name].shape).numpy()
-            for i, name in enumerate(coordinates.names)
+            name: np.where(
+                is_possible.reshape(draws[name].shape), value.reshape(draws[name].shape), draws[name]
+            )
+            for name, value in bounded.items()
         }
 
 

@@ -15,6 +15,7 @@ from estimator.diagnosis.structure.jackknife import jackknife_covariance
 from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, have_whole_counts, within_prior
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
+from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
@@ -180,6 +181,27 @@ def test_no_draw_leaves_the_bounds_of_its_prior(rig_text, small_session, small_c
     draws = Widening(fit, 100.0 * fit.covariance).spread(small_calibration.draws, seed=1)
     assert draws[RADIUS].max() == pytest.approx(1e-3 * most_mm, rel=1e-12)
     assert draws[RADIUS].max() <= 1e-3 * most_mm
+
+
+def test_a_draw_that_noise_would_make_impossible_stays_where_it_is(fit, small_calibration, monkeypatch):
+    """A winding whose mean square radius is negative has no radius."""
+    as_they_are = Coordinates.values
+
+    def without_a_radius(self, vector):
+        values = as_they_are(self, vector)
+        radius_m = values[RADIUS].clone()
+        radius_m[:3] = torch.nan
+        return {**values, RADIUS: radius_m}
+
+    own = small_calibration.draws
+    wider = Widening(fit, 100.0 * fit.covariance)
+    monkeypatch.setattr(widening, "have_whole_counts", lambda rig, draws: False)
+    monkeypatch.setattr(Coordinates, "values", without_a_radius)
+    spread = wider.spread(own, seed=1)
+    for name, draws in spread.items():
+        assert (draws.flatten()[:3] == own[name].flatten()[:3]).all()
+        assert np.isfinite(draws).all()
+    assert not (spread[RADIUS].flatten()[3:] == own[RADIUS].flatten()[3:]).any()
 
 
 def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow(
