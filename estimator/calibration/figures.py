@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from scipy.interpolate import RegularGridInterpolator
+from scipy.ndimage import distance_transform_edt
 
 from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
@@ -277,8 +278,11 @@ def _coil_plane(
     # Half as fine, for it is smooth: draws of an effect that sums over all loops would take minutes.
     coarse_x_m, coarse_z_m = (np.linspace(at[0], at[-1], n_points // 2 + 1) for at in (x_m, z_m))
     coarse = _relative_half_width(calibration, coil, best, _grid(coarse_x_m, coarse_z_m))
-    between = RegularGridInterpolator((coarse_z_m, coarse_x_m), coarse.reshape(len(coarse_z_m), -1))
+    coarse = coarse.reshape(len(coarse_z_m), -1)
+    nearest = distance_transform_edt(~np.isfinite(coarse), return_distances=False, return_indices=True)
+    between = RegularGridInterpolator((coarse_z_m, coarse_x_m), coarse[tuple(nearest)])
     half_width = between(np.stack(np.meshgrid(z_m, x_m, indexing="ij"), axis=-1))
+    half_width[~np.isfinite(field).all(-1).reshape(n_points, n_points)] = np.nan  # inside the winding
     return CoilPlane(
         coil.name, x_m, z_m, field.reshape(n_points, n_points, 3), half_width, positions_m, winding
     )

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.calibration.figures import pictures
+from estimator.calibration.figures import coil_planes, pictures
 from estimator.calibration.result import Calibration
 
 pytestmark = pytest.mark.whole
@@ -59,3 +59,13 @@ def test_plane_of_the_field_follows_the_readings_but_not_to_where_the_field_is_a
     width_mm, (low_mm, high_mm) = np.ptp(ax.get_xlim()), ax.get_ylim()
     assert high_mm == pytest.approx(width_mm)
     assert low_mm > -1.2 * width_mm
+
+
+def test_uncertainty_is_known_wherever_the_field_is(small_calibration: Calibration) -> None:
+    """It is computed half as fine, beside a winding too: without numbers there the picture had no scale."""
+    (plane,) = coil_planes(small_calibration)
+    has_field = np.isfinite(plane.field_T_per_A).all(-1)
+    assert not has_field.all()
+    assert (np.isfinite(plane.relative) == has_field).all()
+    finer = next(coil_planes(small_calibration, 2 * len(plane.x_m) - 1)).relative[::2, ::2]
+    assert np.nanmedian(np.abs(finer / plane.relative - 1.0)) < 0.02
