@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -108,7 +107,7 @@ class Outcome:
             seed: Of the choice of readings for the intervals of the shares.
         """
         scored = self if self.improvement is not None else self._scored_by(unseen)
-        if scored.improvement is not None and scored.improvement.is_loss:
+        if self.named and scored.improvement is not None and scored.improvement.is_loss:
             return scored._refuted_by(unseen).checked_by(unseen, seed)
         shares = budget(self.answer.plain, self.extended, on_known_sides(self.extended, unseen), seed)
         is_corrected = self.correction is not None and self.correction.is_taken
@@ -119,11 +118,6 @@ class Outcome:
             and not (is_corrected and self.after.has_nothing_of(each.cause))
         ]
         result = replace(scored._naming(named), budget=shares)
-        if result.improvement is not None and result.improvement.is_loss:
-            less = (
-                result._by_names_alone(named) if len(named) < len(self.named) else result._refuted_by(unseen)
-            )
-            return less.checked_by(unseen, seed)
         is_open = result.verdict.leaves_something and result.widening is None
         return result.widened(unseen) if is_open else result
 
@@ -150,31 +144,27 @@ class Outcome:
         ]
         own = self._by_names_alone(self.named)._scored_by(unseen)
         others = [self._with_name(i, named)._scored_by(unseen) for i, named in names]
-        best = max(range(len(names)), key=lambda n: others[n]._elpd(own), default=None)
-        if best is not None and not others[best]._is_worse:
+        best = max(range(len(names)), key=lambda n: others[n]._gain, default=None)
+        if best is not None and others[best]._gain >= 0.0:
             i = names[best][0]
-            elpd = {self.named[i].cause: own._elpd(own)}
-            elpd |= {n.cause: o._elpd(own) for (j, n), o in zip(names, others, strict=True) if j == i}
-            return self._with_name(i, self.named[i].weighed_by(elpd))
+            gains = {self.named[i].cause: own._gain}
+            gains |= {n.cause: o._gain for (j, n), o in zip(names, others, strict=True) if j == i}
+            return self._with_name(i, self.named[i].weighed_by(gains))
         fewer = [self._with_name(i)._scored_by(unseen) for i in range(len(self.named))]
-        less = max(fewer, key=lambda each: each._elpd(own), default=self._by_names_alone(()))
-        return less._refuted_by(unseen) if less._is_worse and less.named else less
+        less = max(fewer, key=lambda each: each._gain, default=self._by_names_alone(()))
+        return less._refuted_by(unseen) if less._gain < 0.0 and less.named else less
 
     def _with_name(self, i: int, *instead: NamedCause) -> Outcome:
         """This outcome with its names alone, and another or none in the place of one of them."""
         return self._by_names_alone([*self.named[:i], *instead, *self.named[i + 1 :]])
 
     @property
-    def _is_worse(self) -> bool:
-        """Whether it predicts unseen readings worse than the rig as described, as far as they tell."""
-        return self.improvement is not None and self.improvement.elpd_difference < 0.0
+    def _gain(self) -> float:
+        """Rise of the log density of the unseen readings over the rig as described; 0 where none tells.
 
-    def _elpd(self, own: Outcome) -> float:
-        """Log density of the unseen readings; that of the rig as described where none tells whether this outcome is right."""
-        scored = self.improvement or own.improvement
-        if scored is None:
-            return -math.inf
-        return (scored.before if self.improvement is None else scored.after).elpd
+        Outcomes whose instants differ are judged by different readings, so that log densities themselves are not comparable.
+        """
+        return 0.0 if self.improvement is None else self.improvement.elpd_difference
 
     def _naming(self, named: Sequence[NamedCause]) -> Outcome:
         """This outcome with some of its named causes; what the others stood for is unexplained."""
