@@ -6,7 +6,9 @@ import gc
 import logging
 import os
 import signal
+import sys
 import tempfile
+import threading
 from pathlib import Path
 
 import matplotlib as mpl
@@ -48,6 +50,8 @@ settings.load_profile("coilcal")
 # A shell starts what runs in the background deaf to Ctrl-C, and so would be the programs that tests interrupt.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGALRM)
 
 # Where simulated instruments, watchdogs and clusters run in processes of their own, a busy computer can miss a deadline.
 HERE = Path(__file__).parent
@@ -104,6 +108,17 @@ WHOLE = {
         )
     ),
 }
+
+
+@pytest.fixture(autouse=True)
+def _signals_and_hooks_as_before():
+    """A command that a test runs in its own process takes Ctrl-C for itself until the program ends, which this one does not."""
+    hook, handlers = sys.unraisablehook, {number: signal.getsignal(number) for number in SIGNALS}
+    yield
+    sys.unraisablehook = hook
+    if threading.current_thread() is threading.main_thread():
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -87,15 +87,6 @@ def test_a_calibration_that_did_not_converge_has_an_exit_code_and_an_alert_of_it
     assert json.loads((tmp_path / "alert.json").read_text())["reason"] == "it did not converge"
 
 
-@pytest.fixture
-def own_signals() -> Iterator[None]:
-    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT, signal.SIGALRM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
-
-
-@pytest.mark.usefixtures("own_signals")
 def test_what_the_system_refuses_does_not_end_the_running_service(capsys: pytest.CaptureFixture[str]) -> None:
     calls: list[int] = []
 
@@ -110,7 +101,6 @@ def test_what_the_system_refuses_does_not_end_the_running_service(capsys: pytest
     assert "Permission denied" in capsys.readouterr().err
 
 
-@pytest.mark.usefixtures("own_signals")
 def test_a_signal_just_after_a_run_ends_the_service_without_a_word_more(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
