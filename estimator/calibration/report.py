@@ -120,7 +120,7 @@ def warning_sentences(summary: Mapping[str, Any]) -> list[str]:
         largest = max(factor for name, factor in wider.items() if not name.endswith("_loops"))
         warnings.append(
             "The diagnosis leaves something in the readings unexplained: standard deviations are up to "
-            f"{largest:.3g} times those of sampling alone."
+            f"{largest:.3g} times those of the fit alone."
         )
         if has_real_counts:
             warnings.append(

@@ -1,17 +1,17 @@
-"""The posterior of an extended rig, widened by what remains unexplained."""
+"""The posterior of an extended rig, as wide as what remains unexplained."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 
-from estimator.calibration.calibrate import Stage, calibrate
-from estimator.calibration.files import remove_calibration
+from estimator.calibration.calibrate import Stage, calibrate, versions
+from estimator.calibration.files import check_calibration, remove_calibration
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis.fitting import Fit
@@ -23,13 +23,18 @@ from estimator.diagnosis.widening import Widening, have_whole_counts
 from estimator.errors import InvalidInput
 from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import SamplerSettings
+from estimator.inference.laplace import open_directions
+from estimator.inference.levenberg_marquardt import levenberg_marquardt
+from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations
+from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
+from estimator.store.files import writing
 from estimator.store.session import Session
 
 # Half of what a calibration takes: ends of 90 % intervals to a twentieth of a standard deviation, and minutes fewer where draws mix badly.
 LONG_ENOUGH = SamplerSettings(target_ess=1000.0, max_steps=6000)
-ROUNDING = 1e-12  # of a variance: leaves a correlation matrix positive definite
+WALKERS, STEPS = 32, 125  # independent draws of a normal law, in the shape of a chain
 
 
 def extended_posterior(
@@ -39,97 +44,98 @@ def extended_posterior(
     *,
     out: Path | None = None,
     seed: int = 0,
-    settings: SamplerSettings = LONG_ENOUGH,
     device: str = "cpu",
     precision: str = "double",
     on_stage: Callable[[Stage], None] | None = None,
 ) -> Calibration:
-    """Calibrate the extended rig; widen the draws where something remains unexplained.
+    """Calibrate the extended rig: by sampling where it explains the readings, by draws of a normal law where something remains unexplained.
 
-    Amplitudes of corrections, of which there may be many, are not sampled by emcee: the readings are linear in them, so given the rest they
-    are normal. The rest is sampled beside their best values, and the widening gives both the width that they have together.
+    The density that is sampled takes the model to be exact. Where the model is not, the widening says how uncertain the numbers are, and
+    that is a covariance: draws of the normal law with it, about the fit, say as much, and cost no evaluation of the density.
 
     Args:
         session: Readings; those marked as validation are kept out.
         rig: The extended rig.
-        widening: By how much to widen; None where nothing remains unexplained.
-        out, seed, settings, on_stage: As in `calibrate`; what `out` holds is replaced.
-        device, precision: Likewise, but where amplitudes are integrated out, which is done in double precision.
-    Returns: The calibrated model. Where its draws were widened, `summary()["widening"]` holds the factor by which the standard deviation of
-        each parameter grew, but for those that had a single value; loop counts are real numbers where too many are plausible then.
+        widening: Of its fit; None where nothing remains unexplained.
+        out, seed, on_stage: As in `calibrate`; what `out` holds is replaced.
+        device, precision: Likewise, where the posterior is sampled.
+    Returns: The calibrated model. Where it is widened, `summary()["widening"]` holds the factor by which the standard deviation of each
+        parameter grew; loop counts are real numbers where too many are plausible.
     """
-    amplitudes = [] if widening is None else _amplitudes(rig)
-    held = rig.with_fixed(amplitudes) if amplitudes else rig
-    if free_amplitudes(held):
-        precision = "double"
-    sampled = calibrate(
-        session,
-        held,
-        out=out,
-        overwrite=True,
-        as_described=True,
-        seed=seed,
-        settings=settings,
-        device=device,
-        precision=precision,
-        on_stage=on_stage,
-    )
     if widening is None:
-        return sampled
-    if amplitudes:
-        drawn = drawn_beside(widening.fit, amplitudes, sampled.draws, seed)
-        sampled = replace(sampled, rig=rig, draws={**sampled.draws, **drawn})
-    wider = replace(sampled, draws=widening.spread(sampled.draws, seed))
-    factors = {
-        name: float(wider.draws[name].std() / draws.std())
-        for name, draws in sampled.draws.items()
-        if draws.std() > 0.0
-    }
-    of_wider = {
-        "has_integer_counts": sampled.summary()["has_integer_counts"] and have_whole_counts(rig, wider.draws),
-        "widening": factors,
-    }
-    wider = replace(wider, summary_json={**sampled.summary(), **summary(session, wider), **of_wider})
+        return calibrate(
+            session,
+            rig,
+            out=out,
+            overwrite=True,
+            as_described=True,
+            seed=seed,
+            settings=LONG_ENOUGH,
+            device=device,
+            precision="double" if free_amplitudes(rig) else precision,
+            on_stage=on_stage,
+        )
+    wide = _drawn(session, rig, widening, seed)
     if out is not None:
-        wider.save(out)
-    return wider
+        check_calibration(out)
+        with writing(out):
+            out.mkdir(parents=True, exist_ok=True)
+        remove_calibration(out)
+        wide.save(out)
+    return wide
 
 
-def drawn_beside(
-    fit: Fit, amplitudes: Sequence[str], draws: Mapping[str, np.ndarray], seed: int
-) -> dict[str, np.ndarray]:
-    """Draws of amplitudes from their normal posterior given draws of all else.
-
-    Args:
-        fit: With all of them; its covariance says how amplitudes go along with the rest.
-        amplitudes: Names of the parameters to draw.
-        draws: Of the other free parameters, walker by step.
-        seed: Of the draws.
-    References: Bishop, Pattern Recognition and Machine Learning (2006), eq 2.81 and 2.82 (conditional normal).
-    """
-    names = fit.posterior.coordinates.names
-    own = [names.index(name) for name in amplitudes]
-    rest = [i for i in range(len(names)) if i not in own]
-    flat = {name: torch.from_numpy(array.reshape(-1)) for name, array in draws.items()}
-    away = (fit.posterior.coordinates.vector(flat) - fit.vector)[:, rest]
-    following = torch.linalg.solve(fit.covariance[rest][:, rest], fit.covariance[rest][:, own]).T
-    given = fit.covariance[own][:, own] - following @ fit.covariance[rest][:, own]
-    scale = torch.diagonal(given).clamp(min=1e-300).sqrt()
-    root = scale[:, None] * torch.linalg.cholesky(
-        given / (scale[:, None] * scale) + ROUNDING * torch.eye(len(own)).double()
+def _drawn(session: Session, rig: Rig, widening: Widening, seed: int) -> Calibration:
+    """The extended rig with draws as wide as the widening."""
+    fit = widening.fit
+    draws, log_prob = widening.drawn(WALKERS, STEPS, seed)
+    calibration = Calibration(rig, session.observations, _best(fit, draws), draws, log_prob, {})
+    numbers = summary(session, calibration)
+    sampled = numbers["parameters"].values()
+    return replace(
+        calibration,
+        summary_json={
+            **numbers,
+            "is_converged": bool(fit.optimum.is_converged[0]),
+            "has_integer_counts": have_whole_counts(rig, draws),
+            "sampling": {
+                "steps": STEPS,
+                "walkers": WALKERS,
+                "acceptance": 1.0,
+                "smallest_ess": min(entry["ess_bulk"] or 0.0 for entry in sampled),
+                "largest_rhat": max(entry["rhat"] or 0.0 for entry in sampled),
+            },
+            "point_estimate": {
+                "values": {parameter.name: float(fit.values[parameter.name]) for parameter in rig.free},
+                "nelder_mead_evaluations": 0,
+                "starts": 1,
+                "starts_agreeing": 1,
+                "is_converged": bool(fit.optimum.is_converged[0]),
+            },
+            "undetermined": [
+                asdict(each) for each in open_directions(fit.posterior.coordinates, fit.optimum)
+            ],
+            "seed": seed,
+            "versions": versions(),
+            "widening": widening.factors,
+        },
     )
-    noise = torch.randn(
-        len(away), len(own), generator=torch.Generator().manual_seed(seed), dtype=torch.float64
+
+
+def _best(fit: Fit, draws: Mapping[str, np.ndarray]) -> dict[str, float]:
+    """Every number of the rig at the maximum, with the most probable whole loop counts where the draws have such."""
+    names = [parameter.name for parameter in fit.rig.free if parameter.is_count]
+    if not names or not have_whole_counts(fit.rig, draws):
+        return {name: float(value) for name, value in fit.values.items()}
+    counts = np.stack([draws[name].ravel() for name in names], axis=1)
+    _, row, n_draws = np.unique(counts, axis=0, return_inverse=True, return_counts=True)
+    is_most_probable = row.ravel() == n_draws.argmax()
+    whole = LogPosterior(Coordinates(fit.rig, integer_counts=True), fit.posterior.model, fit.observations)
+    alike = whole.coordinates.vector(
+        {name: torch.from_numpy(values.ravel()[is_most_probable]) for name, values in draws.items()}
     )
-    drawn = fit.vector[own] + away @ following.T + noise @ root.T
-    shape = next(iter(draws.values())).shape
-    return {name: drawn[:, i].reshape(shape).numpy() for i, name in enumerate(amplitudes)}
-
-
-def _amplitudes(rig: Rig) -> list[str]:
-    """Free parameters of the rig's corrections."""
-    labels = tuple(f"{correction.label}." for correction in rig.corrections)
-    return [p.name for p in rig.free if labels and p.name.startswith(labels)]
+    best = levenberg_marquardt(whole, alike.mean(0, keepdim=True)).vector[0]
+    return {name: float(value) for name, value in whole.coordinates.values(best).items()}
 
 
 class _Stopped(Exception):

@@ -1,10 +1,11 @@
-"""Widen intervals, and posterior draws, by what remains unexplained."""
+"""Widen intervals by what remains unexplained, and draw parameters as uncertain as that."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -21,6 +22,13 @@ from estimator.rig.rig import Rig
 LEAST_SHARE = (
     1e-12  # of a variance: what rounding may leave of a direction of a correlation matrix, or make negative
 )
+
+
+class Drawn(NamedTuple):
+    """Draws of the parameters, walker by step, and the log density of their law up to a constant."""
+
+    draws: dict[str, np.ndarray]
+    log_prob: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -63,39 +71,31 @@ class Widening:
         names = [parameter.name for parameter in self.fit.rig.free]
         return {n: max(1.0, self.fit.value_sd(n, self.covariance) / self.fit.value_sd(n)) for n in names}
 
-    def spread(self, draws: Mapping[str, np.ndarray], seed: int) -> dict[str, np.ndarray]:
-        """Posterior draws of the same model with noise added, until their covariance is nowhere below this one.
+    def drawn(self, n_walkers: int, n_steps: int, seed: int) -> Drawn:
+        """Draws of the normal law with this covariance about the fit.
 
-        Loop counts stay whole where a table can hold those that are plausible then. They lose the probabilities that they had: what a wrong
-        model says of each whole number does not hold, least where it is sure of one. No draw leaves the bounds of its prior.
-        A draw that the noise would make impossible, such as a winding without a radius, stays where it is.
+        Loop counts are whole where a table can hold those that are plausible: each set has the probability that the law gives it. No draw
+        leaves the bounds of its prior, and none is impossible, such as a winding without a radius.
 
         Args:
-            draws: Of every free parameter, walker by step.
-            seed: Of the noise.
+            n_walkers, n_steps: Shape of the draws.
+            seed: Of the draws.
+        Returns: Values of every free parameter, and the log density of the law.
         """
         coordinates, generator = self.fit.posterior.coordinates, torch.Generator().manual_seed(seed)
-        vector = coordinates.vector({name: torch.from_numpy(draws[name].reshape(-1)) for name in draws})
-        lacking = _root_of_lack(self.fit.covariance, vector.T.cov(correction=0), self.covariance)
-        if not lacking.any():
-            return dict(draws)
-        wider = vector + torch.randn(vector.shape, generator=generator, dtype=vector.dtype) @ lacking.T
-        if have_whole_counts(self.fit.rig, draws):
-            values = with_whole_counts(coordinates, wider, self.fit.vector, generator)
-        else:
-            values = coordinates.values(wider)
+        n, centre = n_walkers * n_steps, self.fit.vector
+        normal = torch.randn(n, len(centre), generator=generator, dtype=centre.dtype)
+        vectors = centre + normal @ _roots(self.covariance)[0].T
+        values = with_whole_counts(coordinates, vectors, centre, generator)
         lower, upper = coordinates.bounds()
-        bounded = {
-            name: values[name].clamp(*ends)
-            for name, *ends in zip(coordinates.names, lower, upper, strict=True)
-        }
-        is_possible = torch.isfinite(torch.stack(list(bounded.values()))).all(0)
-        return {
-            name: np.where(
-                is_possible.reshape(draws[name].shape), value.reshape(draws[name].shape), draws[name]
-            )
-            for name, value in bounded.items()
-        }
+        drawn = torch.stack([values[name] for name in coordinates.names], dim=1).clamp(lower, upper)
+        possible = torch.isfinite(drawn).all(1).nonzero().flatten()
+        drawn = drawn[possible[torch.arange(n) % len(possible)]] if len(possible) < n else drawn
+        shape = (n_walkers, n_steps)
+        return Drawn(
+            {name: drawn[:, i].reshape(shape).numpy() for i, name in enumerate(coordinates.names)},
+            (-0.5 * normal.square().sum(1)).reshape(shape).numpy(),
+        )
 
 
 def within_prior(fit: Fit, covariance: Float[Tensor, "n n"]) -> Float[Tensor, "n n"]:
@@ -120,16 +120,6 @@ def have_whole_counts(rig: Rig, draws: Mapping[str, np.ndarray]) -> bool:
     """Whether every free loop count of the rig is a whole number in every draw."""
     counts = [draws[parameter.name] for parameter in rig.free if parameter.is_count]
     return all(bool((count == count.round()).all()) for count in counts)
-
-
-def _root_of_lack(
-    unit: Float[Tensor, "n n"], covariance: Float[Tensor, "n n"], wanted: Float[Tensor, "n n"]
-) -> Float[Tensor, "n n"]:
-    """Square root of the least covariance that makes another, once added, nowhere below a third one; seen in units of the first."""
-    root, whitener = _roots(unit)
-    lack, axes = torch.linalg.eigh(whitener.T @ (wanted - covariance) @ whitener)
-    square_root: Tensor = root @ (axes * torch.sqrt(lack * (lack > LEAST_SHARE)))
-    return square_root
 
 
 def _roots(covariance: Float[Tensor, "n n"]) -> tuple[Float[Tensor, "n n"], Float[Tensor, "n n"]]:

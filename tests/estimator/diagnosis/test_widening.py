@@ -126,82 +126,74 @@ def test_envelope_is_in_no_direction_surer_than_either():
         assert torch.allclose(envelope(first, 0.5 * first), first, rtol=1e-9)
 
 
-def test_draws_are_as_wide_as_the_widening_in_every_direction(fit, small_calibration):
-    """With three times the noise every standard deviation about triples; whole counts, which are coarse, take away or add a little."""
+def drawn(fit: Fit, factor: float) -> dict[str, np.ndarray]:
+    """Draws of a widening by a factor of the standard deviations."""
+    return Widening(fit, factor**2 * fit.covariance).drawn(32, 125, seed=1).draws
+
+
+def test_draws_are_as_wide_as_the_widening_in_every_direction(fit: Fit) -> None:
+    """Whole counts, which are coarse, take away or add a little."""
     wanted = 9.0 * fit.covariance
-    before, after = (
-        fit.posterior.coordinates.vector(
-            {name: torch.from_numpy(values.ravel()) for name, values in draws.items()}
-        )
-        for draws in (
-            small_calibration.draws,
-            Widening(fit, wanted).spread(small_calibration.draws, seed=1),
-        )
-    )
-    share = torch.linalg.eigvals(torch.linalg.solve(wanted, after.T.cov())).real
-    assert share == pytest.approx(1.0, abs=0.4)
-    assert (torch.linalg.eigvals(torch.linalg.solve(wanted, before.T.cov())).real < 0.2).all()
-    off = (after.mean(0) - fit.vector) / wanted.diagonal().sqrt()
-    assert off.numpy() == pytest.approx(0.0, abs=0.4)
+    draws = {name: torch.from_numpy(values.ravel()) for name, values in drawn(fit, 3.0).items()}
+    vectors = fit.posterior.coordinates.vector(draws)
+    share = torch.linalg.eigvals(torch.linalg.solve(wanted, vectors.T.cov())).real
+    assert share == pytest.approx(1.0, abs=0.2)
+    off = (vectors.mean(0) - fit.vector) / wanted.diagonal().sqrt()
+    assert off.numpy() == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_sure_whole_count_gets_the_probability_that_the_widening_gives_it(fit, small_calibration):
-    """As where coils pull each other: a model that lacks it is sure of one count."""
-    counts = small_calibration.draws[COUNT]
-    sure = {**small_calibration.draws, COUNT: np.full_like(counts, round(counts.mean()))}
-    drawn = Widening(fit, 25.0 * fit.covariance).spread(sure, seed=1)[COUNT].ravel()
+def test_the_density_of_draws_is_that_of_the_law_they_are_of(fit: Fit) -> None:
+    """On average half the number of coordinates below its maximum, and as scattered."""
+    density = Widening(fit, 9.0 * fit.covariance).drawn(32, 125, seed=1).log_prob
+    n = len(fit.vector)
+    assert density.shape == (32, 125)
+    assert density.mean() == pytest.approx(-0.5 * n, rel=0.05)
+    assert density.var() == pytest.approx(0.5 * n, rel=0.1)
+
+
+def test_a_whole_count_has_the_probability_that_the_widening_gives_it(fit: Fit) -> None:
+    """As where coils pull each other: a model that lacks it would be sure of one count."""
+    counts = drawn(fit, 5.0)[COUNT].ravel()
     middle, sd = fit.values[COUNT], 5.0 * fit.value_sd(COUNT)
     whole = np.arange(1.0, 40.0)
     density = np.exp(-0.5 * ((whole - float(middle)) / sd) ** 2)
     for count, probability in zip(whole, density / density.sum(), strict=True):
-        assert (drawn == count).mean() == pytest.approx(probability, abs=0.05)
-    assert (drawn == drawn.round()).all()
-    assert len(np.unique(drawn)) > 3
+        assert (counts == count).mean() == pytest.approx(probability, abs=0.05)
+    assert (counts == counts.round()).all()
+    assert len(np.unique(counts)) > 3
 
 
-def test_counts_that_are_hardly_known_become_real_numbers(fit, small_calibration, monkeypatch):
-    monkeypatch.setattr(
-        widening, "MOST_EFFECTIVE", 3.0
-    )  # one coil alone has hardly more plausible counts than a table holds
-    drawn = Widening(fit, 100.0 * fit.covariance).spread(small_calibration.draws, seed=1)
-    assert not have_whole_counts(fit.rig, drawn)
-    assert have_whole_counts(fit.rig, small_calibration.draws)
+def test_counts_that_are_hardly_known_become_real_numbers(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One coil alone has hardly more plausible counts than a table holds."""
+    monkeypatch.setattr(widening, "MOST_EFFECTIVE", 3.0)
+    assert have_whole_counts(fit.rig, drawn(fit, 1.0))
+    assert not have_whole_counts(fit.rig, drawn(fit, 10.0))
 
 
-def test_draws_that_are_wide_enough_stay_where_they_are(fit, small_calibration):
-    draws = Widening(fit, 1e-4 * fit.covariance).spread(small_calibration.draws, seed=1)
-    for name, values in small_calibration.draws.items():
-        assert draws[name] == pytest.approx(values, abs=0.3 * values.std())
-
-
-def test_no_draw_leaves_the_bounds_of_its_prior(rig_text, small_session, small_calibration):
-    most_mm = 1e3 * float(small_calibration.draws[RADIUS].max())
+def test_no_draw_leaves_the_bounds_of_its_prior(rig_text: str, small_session: Session, fit: Fit) -> None:
+    most_mm = 1e3 * (float(fit.values[RADIUS]) + fit.value_sd(RADIUS))
     rig = rig_from_text(rig_text.replace("mean: 51, sd: 1}", f"mean: 51, sd: 1, upper: {most_mm}}}"))
-    fit = fit_of(rig, small_session.observations)
-    draws = Widening(fit, 100.0 * fit.covariance).spread(small_calibration.draws, seed=1)
-    assert draws[RADIUS].max() == pytest.approx(1e-3 * most_mm, rel=1e-12)
-    assert draws[RADIUS].max() <= 1e-3 * most_mm
+    radii_m = drawn(fit_of(rig, small_session.observations), 10.0)[RADIUS]
+    assert radii_m.max() == pytest.approx(1e-3 * most_mm, rel=1e-12)
+    assert radii_m.max() <= 1e-3 * most_mm
 
 
-def test_a_draw_that_noise_would_make_impossible_stays_where_it_is(fit, small_calibration, monkeypatch):
+def test_no_draw_is_impossible(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
     """A winding whose mean square radius is negative has no radius."""
     as_they_are = Coordinates.values
 
-    def without_a_radius(self, vector):
+    def without_a_radius(self: Coordinates, vector: torch.Tensor) -> dict[str, torch.Tensor]:
         values = as_they_are(self, vector)
         radius_m = values[RADIUS].clone()
         radius_m[:3] = torch.nan
         return {**values, RADIUS: radius_m}
 
-    own = small_calibration.draws
-    wider = Widening(fit, 100.0 * fit.covariance)
-    monkeypatch.setattr(widening, "have_whole_counts", lambda rig, draws: False)
+    possible = drawn(fit, 10.0)[RADIUS].ravel()[3:]
+    monkeypatch.setattr(widening, "with_whole_counts", lambda own, vectors, *_: own.values(vectors))
     monkeypatch.setattr(Coordinates, "values", without_a_radius)
-    spread = wider.spread(own, seed=1)
-    for name, draws in spread.items():
-        assert (draws.flatten()[:3] == own[name].flatten()[:3]).all()
-        assert np.isfinite(draws).all()
-    assert not (spread[RADIUS].flatten()[3:] == own[RADIUS].flatten()[3:]).any()
+    radii_m = drawn(fit, 10.0)[RADIUS].ravel()
+    assert np.isfinite(radii_m).all()
+    assert radii_m.std() == pytest.approx(possible.std(), rel=0.1)
 
 
 def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow(

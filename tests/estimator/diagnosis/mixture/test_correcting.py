@@ -22,7 +22,6 @@ from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.validation import improvement_of, validation_scores
 from estimator.diagnosis.widening import Widening
 from estimator.effects.use import is_in_field
-from estimator.inference.ensemble import SamplerSettings
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
@@ -202,9 +201,7 @@ def test_correction_that_predicts_unseen_readings_worse_is_dropped(
     assert dropped.gain is not None
 
 
-def test_posterior_of_a_corrected_rig_is_drawn_without_sampling_its_amplitudes(
-    small_rig, small_session, dipole
-):
+def test_posterior_of_a_corrected_rig_is_drawn_with_its_amplitudes(small_rig, small_session, dipole):
     """The draws are as wide as the widening wants them, and the field is nearly as sure as the readings."""
     count = "coil1.axial_loops"
     known = small_rig.with_values({count: small_session.truth[count]}).with_fixed([count])
@@ -214,7 +211,7 @@ def test_posterior_of_a_corrected_rig_is_drawn_without_sampling_its_amplitudes(
     widening = Widening.of(fit, fit, numbers.names, numbers.about(fit))
     rig = extended_rig(known, fit)
     session = Session(known, dipole, "simulated")
-    posterior = extended_posterior(session, rig, widening, seed=1, settings=SamplerSettings(16, 150.0, 1.1))
+    posterior = extended_posterior(session, rig, widening, seed=1)
     names = {p.name for p in rig.free}
     assert len(names) > 10
     assert set(posterior.draws) == names
