@@ -19,6 +19,7 @@ def with_effect(
     values: Mapping[str, float],
     is_free: bool = True,
     circumstances: Circumstances | None = None,
+    factor: float = 1.0,
 ) -> Rig:
     """The rig with an effect: its quantities at given values, else at their null, free or fixed.
 
@@ -30,6 +31,7 @@ def with_effect(
             a correction.
         is_free: A fit may change them.
         circumstances: Of the observations, where they are known already.
+        factor: On the stated widths of the priors of its sizes.
     """
     effect = EFFECTS[cause.name]
     circumstances = circumstances or Circumstances(rig, observations)
@@ -43,7 +45,7 @@ def with_effect(
             None if quantity.is_fixed or quantity.key in unseen or not is_free else quantity.prior,
             is_positive=quantity.is_positive,
         )
-        for quantity in effect.quantities(extent)
+        for quantity in (stated.widened(factor) for stated in effect.quantities(extent))
     ]
     extended = rig.with_correction if effect.is_correction else rig.with_cause
     return extended(cause, parameters)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
 
@@ -91,6 +91,12 @@ class Quantity:
     def is_positive(self) -> bool:
         """Fitted as a logarithm."""
         return isinstance(self.prior, LogNormal)
+
+    def widened(self, factor: float) -> Quantity:
+        """The same with a wider prior, where it is a size about its null."""
+        if self.is_shape or not isinstance(self.prior, Normal):
+            return self
+        return replace(self, prior=replace(self.prior, standard_deviation=factor * self.prior.sd))
 
 
 Quantities = tuple[Quantity, ...]

@@ -18,6 +18,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.expansion import with_tails
 from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.imitation import Standing
@@ -116,10 +117,10 @@ class Answer:
         listed, whole = [cause for cause in shares if first[cause].is_listed], sum(shares.values())
         likeliest = max(listed, key=shares.__getitem__, default=None)
         real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, shares).p_imitation
+        of_listed = sum(shares[cause] for cause in listed)
         if likeliest is not None:
             likely = shares[likeliest]
             shares = shares | {other.cause: likely * other.odds for other in self.rivals.get(likeliest, ())}
-        of_listed = sum(shares[cause] for cause in listed)
         with_rivals = sum(share for cause, share in shares.items() if first[cause].is_listed)
         possibilities = [
             Possibility(
@@ -231,7 +232,7 @@ class Answer:
         comparison = self.beside_item(self.item_of(entry.first_listed), listed)
         leading = self.asked.causes_of(self.asked.leading)
         only_beside = {c.cause for c in self.asked.pool}.difference(c.cause for c in self.first.pool)
-        return contenders(comparison, entry.first_listed, leading.union(listed, only_beside))
+        return contenders(comparison, entry.first_listed, leading | only_beside)
 
     @cached_property
     def _by_rival(self) -> dict[Cause, Rival]:
@@ -296,12 +297,16 @@ class Answer:
         readings: Observations,
         shapes: Mapping[Cause, dict[str, float]] = MappingProxyType({}),
     ) -> Fit:
-        plain, rig = self.plain, self.plain.rig
-        for cause in causes:
-            start_at = shapes.get(cause) or self.shapes_of(cause)
-            rig = with_effect(rig, cause, plain.observations, start_at)
-        start = self.asked.expansion.fit.values
-        return fit_rig(rig, readings, start, plain.posterior.model.rules)
+        plain, factors = self.plain, self.asked.expansion.factors
+
+        def fitted(more: Mapping[Cause, float]) -> Fit:
+            rig = plain.rig
+            for cause in causes:
+                at, factor = shapes.get(cause) or self.shapes_of(cause), {**factors, **more}.get(cause, 1.0)
+                rig = with_effect(rig, cause, plain.observations, at, factor=factor)
+            return fit_rig(rig, readings, self.asked.expansion.fit.values, plain.posterior.model.rules)
+
+        return with_tails(fitted({}), [cause for cause in causes if cause not in factors], fitted)[0]
 
     def item_of(self, cause: Cause) -> int:
         """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""

@@ -131,7 +131,8 @@ class _Terms:
 
     def with_cause(self, answer: Answer, cause: Cause) -> _Terms:
         """These terms with a listed cause."""
-        rig = with_effect(self.rig, cause, self.fit.observations, answer.shapes_of(cause))
+        shapes, factor = answer.shapes_of(cause), answer.asked.expansion.factors.get(cause, 1.0)
+        rig = with_effect(self.rig, cause, self.fit.observations, shapes, factor=factor)
         return replace(self, rig=rig)
 
     def with_departure(self, kind: CorrectionKind, part: Part, at_place: _AtPlace) -> _Terms:

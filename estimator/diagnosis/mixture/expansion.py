@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import torch
@@ -14,6 +14,7 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.following import limiting
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.listed import Start
@@ -25,6 +26,9 @@ from estimator.rig.rig import Cause, Rig
 
 LEAST_POSITIVE = 0.1  # of its usual value: where a fit of a positive quantity starts at least
 CERTAIN = 1e3  # log prior of what is there in every set
+LARGE = 1.0  # stated widths from which on a size may be in the tail of its prior
+WIDEST, _SHARE_OF_WIDEST = priors.WIDTHS[-1]
+LOG_ODDS_OF_WIDEST = math.log(_SHARE_OF_WIDEST / dict(priors.WIDTHS)[1.0])
 NEAR_A_BOUND = 0.01  # standard deviations of a prior from its bound, within which no fit starts
 
 
@@ -37,12 +41,14 @@ class Expansion:
         fit: With the causes that lead, to the readings without the departures that lead.
         departed_T: What these departures change in the measured components.
         log_prior: Of each of these causes at its start, within the listed ones.
+        factors: On the stated widths of these causes' sizes, where a fit has found them far beyond.
     """
 
     plain: Fit
     fit: Fit
     departed_T: Float[Tensor, " component"]
     log_prior: Mapping[Cause, float]
+    factors: Mapping[Cause, float] = field(default_factory=dict)
 
     @classmethod
     def of(cls, plain: Fit) -> Expansion:
@@ -187,7 +193,9 @@ class Expansion:
         """
         items, sizes = [dictionary.items[i] for i in chosen], sizes.to(self.residual)
         departed_T, start = torch.zeros_like(self.departed_T), dict[str, Tensor | float]()
-        rig, first, log_prior = self.plain.rig, 0, dict[Cause, float]()
+        first, log_prior = 0, dict[Cause, float]()
+        listed = {item.cause: item.start for item in items if item.is_listed}
+        rig = self._with(listed, self.factors)
         left = self.residual.clone()
         for item in items:
             own = sizes[first : first + len(item.columns)]
@@ -195,7 +203,6 @@ class Expansion:
             changed = dictionary.columns[:, list(item.columns)] @ own
             left -= changed if item.shift is None else changed + dictionary.columns[:, item.shift]
             if item.is_listed:
-                rig = self._with(rig, item)
                 start |= self._start(rig, item, own)
                 log_prior[item.cause] = self.log_prior.get(item.cause, item.log_prior_of_start)
             else:
@@ -212,7 +219,13 @@ class Expansion:
             cleaned = readings.with_field(field_T)
         rules = self.plain.posterior.model.rules
         fit = fit_rig(rig, cleaned, {**self.fit.values, **start}, rules, other_start=self._moved(left))
-        return Expansion(self.plain, fit, departed_T, log_prior)
+        known = {cause: self.factors[cause] for cause in listed if cause in self.factors}
+        fit, more = with_tails(
+            fit,
+            listed.keys() - known.keys(),
+            lambda more: fit_rig(self._with(listed, known | more), cleaned, fit.values, rules),
+        )
+        return Expansion(self.plain, fit, departed_T, log_prior, known | more)
 
     def _moved(self, left: Float[Tensor, " component"]) -> dict[str, Tensor]:
         """The rig's numbers in the linear model, given what the items leave of the readings."""
@@ -235,9 +248,44 @@ class Expansion:
             start[name] = _inside(own[name], float(start[name]) + float(size))
         return start
 
-    def _with(self, rig: Rig, item: Item) -> Rig:
-        circumstances = self.plain.posterior.model.circumstances
-        return with_effect(rig, item.cause, self.plain.observations, item.start, circumstances=circumstances)
+    def _with(self, listed: Mapping[Cause, dict[str, float]], factors: Mapping[Cause, float]) -> Rig:
+        """The rig as described with causes at their shapes."""
+        rig, plain = self.plain.rig, self.plain
+        circumstances = plain.posterior.model.circumstances
+        for cause, shapes in listed.items():
+            factor = factors.get(cause, 1.0)
+            rig = with_effect(
+                rig, cause, plain.observations, shapes, circumstances=circumstances, factor=factor
+            )
+        return rig
+
+
+def with_tails(
+    fit: Fit, causes: Collection[Cause], again: Callable[[dict[Cause, float]], Fit]
+) -> tuple[Fit, dict[Cause, float]]:
+    """A fit, or another one with wider priors of large sizes if that is more probable.
+
+    A fit has one normal prior, and that of a size has tails: a piece of iron twice as large as usual would be put too near.
+
+    Args:
+        fit: With priors of the stated widths.
+        causes: Whose sizes are looked at.
+        again: Fits the same with factors on the widths of some causes.
+    Returns: The more probable fit, and its factors.
+    """
+    extent = fit.posterior.model.circumstances.extent
+
+    def is_large(cause: Cause) -> bool:
+        sizes = [q for q in EFFECTS[cause.name].quantities(extent) if not (q.is_shape or q.is_positive)]
+        away = [abs(float(fit.values[f"{cause.label}.{q.key}"]) - q.null) / q.prior.sd for q in sizes]
+        return max(away, default=0.0) > LARGE
+
+    factors = {cause: WIDEST for cause in causes if is_large(cause)}
+    if not factors:
+        return fit, {}
+    wide = again(factors)
+    is_likelier = wide.log_evidence + len(factors) * LOG_ODDS_OF_WIDEST > fit.log_evidence
+    return (wide, factors) if is_likelier else (fit, {})
 
 
 def _inside(parameter: Parameter, value: float) -> float:

@@ -35,7 +35,7 @@ FAINT = (
 # Log posterior of the best coarse start against nothing from which on finer instants and nearer places are asked.
 WORTH_A_FINER_START = -3.0
 MOST_ROUNDS = 12  # of a search for the best place
-FIRST_STEP, LAST_STEP = 0.1, 0.01  # of that search, in widths of the prior
+FIRST_STEP, LAST_STEP = 0.06, 0.006  # of that search, in widths of the prior
 LEAST_SEEN = 0.1  # of the noise, in all readings together: what shows less cannot be told from nothing
 
 

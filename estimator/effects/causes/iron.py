@@ -32,8 +32,8 @@ LEAST_BETWEEN = 0.5  # of the reach: how far sensors must lie apart for a plate 
 BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the positions beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
-NEAR = 3.0  # of the reach: from farther off, a small piece of iron does not show
-LIKELY_RADIUS_M, LIKELY_RADIUS = 0.03, 0.3  # of an equivalent ball of iron; the second of the reach
+NEAR = 5.0  # of the reach: from farther off, a piece of iron shows only where it is as large as a rack
+LIKELY_RADIUS_M, LIKELY_RADIUS = 0.05, 0.3  # of an equivalent ball of iron; the second of the reach
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
 # The world's axis nearest to a normal (0 x, 1 y, 2 z), and tilts of the normal towards the next two (x, y, z, x, y).
 DIRECTION = (fixed("axis", "1", 0.0, 2.0), *box(("tilt_1", "tilt_2"), "_rad", "rad", 0.5 * math.pi))
@@ -238,7 +238,9 @@ def _around(circumstances: Circumstances) -> Starts:
     return tuple(starts)
 
 
-IRON = "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm"
+IRON = (
+    "a ball of iron of radius a has 4 pi a^3 / mu0: tools and fittings have 1 to 5 cm, tables and racks more"
+)
 
 
 @RoomEffect.cause("response", source=IRON, quantities=_somewhere_near, starts=_around)

@@ -62,4 +62,4 @@ def test_a_place_between_starts_is_found(
     value, item = weighed(fit, [BODY])[BODY]
     found_m = torch.tensor([item.start[key] for key in PLACE_M], dtype=torch.float64)
     assert value > 20.0
-    assert float((found_m - place_m).norm()) < 0.25 * nearest_m
+    assert float((found_m - place_m).norm()) < 0.3 * nearest_m
