@@ -36,19 +36,25 @@ WEIGHT_OF_TIME = 3.0  # of the whole session over a standard deviation of the po
 
 def blocks_of(observations: Observations, rig: Rig, seed: int) -> Int[np.ndarray, " reading"]:
     """Block of each reading: readings near each other in place and time are in one."""
-    n = len(observations)
+    order, *places = order_and_places(observations, rig)
+    n_blocks = max(2, min(N_BLOCKS, len(observations) // LEAST_IN_A_BLOCK))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a block may stay empty where places repeat
+        near = np.column_stack([WEIGHT_OF_TIME * order, *places])
+        _, block = kmeans2(near, n_blocks, minit="++", seed=seed)
+    return np.unique(block, return_inverse=True)[1]
+
+
+def order_and_places(observations: Observations, rig: Rig) -> list[Float[np.ndarray, " reading"]]:
+    """The order of the readings, from -0.5 to 0.5, and the coordinates of each mover that moves, in its spread."""
     order = np.argsort(np.argsort(numpy_of(observations.time_s), kind="stable"), kind="stable")
-    coordinates = [WEIGHT_OF_TIME * (order / n - 0.5)]
+    coordinates = [order / len(observations) - 0.5]
     for mover in rig.movers:
         position_m = numpy_of(base_from_motion(mover, observations.motion[mover.name]).translation_m)
         spread_m = position_m.std()
         if spread_m > 0.0:
             coordinates += list(((position_m - position_m.mean(0)) / spread_m).T)
-    n_blocks = max(2, min(N_BLOCKS, n // LEAST_IN_A_BLOCK))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a block may stay empty where places repeat
-        _, block = kmeans2(np.column_stack(coordinates), n_blocks, minit="++", seed=seed)
-    return np.unique(block, return_inverse=True)[1]
+    return coordinates
 
 
 def halves(block: Int[np.ndarray, " reading"], n_pairs: int, seed: int) -> Iterator[np.ndarray]:

@@ -32,7 +32,7 @@ LEAST_BETWEEN = 0.5  # of the reach: how far sensors must lie apart for a plate 
 BETWEEN = (0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 WIDER = 1.3  # than the positions beside the axis: an opening to start from
 LEAST_OPENING = 1e-3  # of the reach
-NEAR = 5.0  # of the reach: from farther off, a piece of iron shows only where it is as large as a rack
+NEAR = 4.0  # of the reach: from farther off, a piece of iron shows only where it is as large as a rack
 LIKELY_RADIUS_M, LIKELY_RADIUS = 0.05, 0.3  # of an equivalent ball of iron; the second of the reach
 MOST_STRENGTH = 1.1  # of a perfect sheet's: room for what a sheet without thickness leaves out
 # The world's axis nearest to a normal (0 x, 1 y, 2 z), and tilts of the normal towards the next two (x, y, z, x, y).
