@@ -20,7 +20,7 @@ BALL_M, RADIUS_M = np.array([0.13, -0.05, 0.02]), 0.06
 def test_it_is_no_smaller_piece_nearer_by(tmp_path: Path) -> None:
     write_large_iron(tmp_path, BALL_M, RADIUS_M, 3.0, np.random.default_rng(4))
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
-    diagnosis = diagnose(session, seed=1)
+    diagnosis = diagnose(session, seed=1, has_posterior=True)
     assert diagnosis.findings.causes[0].cause.name == "iron_body"
     assert diagnosis.posterior is not None
     truths_m = dict(zip(("x_m", "y_m", "z_m"), BALL_M + FRONT_M, strict=True))

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.instants import instants_in
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
@@ -23,6 +22,7 @@ from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
+from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
@@ -133,9 +133,9 @@ class Answer:
             for at in [first[cause]]
         ]
         possibilities.sort(key=lambda possibility: -possibility.share)
-        expected = max((self.expected.get(i, 0.0) for i in own), default=0.0)
+        expected = self._expected(own)
         probability = with_all
-        if 2.0 * in_halves < expected:
+        if of_halves and 2.0 * in_halves < expected:
             probability *= 2.0 * in_halves / expected
         return Found(tuple(possibilities), probability, with_all, in_halves, expected)
 
@@ -146,11 +146,14 @@ class Answer:
             cause: The most probable one.
             alternatives: The possibilities of its set, itself among them.
         """
-        asked, item = self.asked, self.item_of(cause)
-        rest = [i for i in asked.leading if asked.dictionary.items[i].cause not in alternatives]
-        own = asked.slots.products.gains([*rest, item], asked.noise)[-1]
-        has_instant = bool(instants_in(asked.dictionary.items[item].start))
-        return Standing(own, self.n_listed_beside(alternatives), has_instant)
+        items = self.asked.dictionary.items
+        own = [i for i, item in enumerate(items) if item.cause in alternatives]
+        relative = evidence_of_relatives(self.asked, self.item_of(cause))
+        return Standing(self._expected(own), relative, self.n_listed_beside(alternatives))
+
+    def _expected(self, own: Sequence[int]) -> float:
+        """Probability that halves are expected to give items of a set; as if they were sure of it where none were asked."""
+        return max((self.expected.get(i, 0.0) for i in own), default=0.0) if self.in_halves else 1.0
 
     def n_listed_beside(self, alternatives: Collection[Cause]) -> int:
         """Number of listed causes that lead, without some."""

@@ -76,8 +76,6 @@ def halves(block: Int[np.ndarray, " reading"], n_pairs: int, seed: int) -> Itera
 def expected_in_half(slots: Slots, leading: Sequence[int], sizes: Tensor, noise: int) -> dict[int, float]:
     """Probability that each leading item is expected to have in a half of the readings, were all of them there.
 
-    The log Bayes factor of what is there scatters by the root of twice its expected value.
-
     Args:
         slots: Of the half.
         leading: Numbers of the items.
@@ -85,7 +83,6 @@ def expected_in_half(slots: Slots, leading: Sequence[int], sizes: Tensor, noise:
         noise: Number of the factor on the noise.
     """
     products, signal = slots.products, slots.products.signal_of(leading, sizes)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
     result = {}
     for item in leading:
         rest = [other for other in leading if other != item]
@@ -94,10 +91,25 @@ def expected_in_half(slots: Slots, leading: Sequence[int], sizes: Tensor, noise:
         is_open = ~np.isin(slots.name, slots.name[rest]) & ~is_own
         others = torch.cat((evidence[is_open], evidence.new_tensor([math.log(priors.EMPTY)])))
         log_odds = float(torch.logsumexp(evidence[is_own], 0) - torch.logsumexp(others, 0))
-        spread = math.sqrt(2.0 * max(float((evidence - slots.log_prior)[is_own].max()), 0.0))
-        probability = 1.0 / (1.0 + np.exp(-np.clip(log_odds + spread * nodes, -LARGE, LARGE)))
-        result[item] = float((weights * probability).sum() / weights.sum())
+        log_bayes_factor = float((evidence - slots.log_prior)[is_own].max())
+        result[item] = mean_probability(log_odds, log_bayes_factor)
     return result
+
+
+def mean_probability(log_odds: float, log_bayes_factor: float) -> float:
+    """Mean over the noise of the probability of what is there; its log Bayes factor scatters by the root of twice its expected value.
+
+    Args:
+        log_odds: Expected.
+        log_bayes_factor: Expected, a part of the log odds.
+    Examples:
+        >>> round(mean_probability(0.0, 8.0), 6)
+        0.5
+    """
+    nodes, weights = np.polynomial.hermite_e.hermegauss(N_NODES)
+    spread = math.sqrt(2.0 * max(log_bayes_factor, 0.0))
+    probability = 1.0 / (1.0 + np.exp(-np.clip(log_odds + spread * nodes, -LARGE, LARGE)))
+    return float((weights * probability).sum() / weights.sum())
 
 
 def weight_of(is_in: np.ndarray, is_measured: Tensor) -> Float[Tensor, " component"]:

@@ -14,7 +14,8 @@ from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.answer import STATED, Answer, confirmed
-from estimator.diagnosis.mixture.climb import climbed
+from estimator.diagnosis.mixture.climb import Asked, climbed
+from estimator.diagnosis.mixture.halves import mean_probability
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import ALTERNATIVE, Alternative, NamedCause
@@ -39,10 +40,12 @@ class BesideScatter:
     @property
     def stated(self) -> list[NamedCause]:
         """The causes of scatter that are rather there than something unlisted that looks like scatter."""
-        n_others = self.answer.n_listed_beside(())
+        n_others, log_prior_odds = self.answer.n_listed_beside(()), _log_prior_odds(self.answer.asked)
         stated = []
         for cause in self.scattering:
-            real = 1.0 - Standing(cause.log_bayes_factor, n_others).p_imitation
+            in_half = 0.5 * cause.log_bayes_factor
+            expected = mean_probability(in_half + log_prior_odds, in_half)
+            real = 1.0 - Standing(expected, n_others=n_others).p_imitation
             others = tuple(replace(a, probability=real * a.probability) for a in cause.alternatives)
             absent = 1.0 - real * (1.0 - cause.p_not_in_library)
             stated.append(
@@ -76,8 +79,7 @@ def answer_beside_scatter(
         if leading.is_full:
             break
         rows = sorted(noise_causes(leading.leading_fit), key=lambda row: -row[1])
-        names = {item.cause.name for item in asked.dictionary.items if item.is_listed}
-        log_prior_odds = math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + len(rows))
+        log_prior_odds = _log_prior_odds(asked, len(rows))
         if not rows or rows[0][1] + log_prior_odds < math.log(STATED / (1.0 - STATED)):
             break
         scattering.append(_named(rows, log_prior_odds))
@@ -86,6 +88,12 @@ def answer_beside_scatter(
         plain = _with(plain, cause, fitted)
         first, asked = climbed(plain, limits, seed, on_progress, asked)
     return BesideScatter(confirmed(first, asked, limits, seed, on_progress=on_progress), tuple(scattering))
+
+
+def _log_prior_odds(asked: Asked, n_more: int = 0) -> float:
+    """Of one of the listed causes of a dictionary, and of more names, against nothing."""
+    names = {item.cause.name for item in asked.dictionary.items if item.is_listed}
+    return math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + n_more)
 
 
 def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> NamedCause:

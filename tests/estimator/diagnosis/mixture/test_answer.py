@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 
+from estimator.diagnosis.mixture import answer as answers
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.links import Link
@@ -35,20 +36,24 @@ def answered(
     *in_halves: Samples,
     n_slots: int = 6,
     expected: dict[int, float] | None = None,
-    evidence: float = 1e4,
 ) -> Answer:
-    """An answer with these draws, in which each item has the same log Bayes factor."""
+    """An answer with these draws."""
     leading = max(with_all.models, key=with_all.models.__getitem__)
     with_all.noises[0] = 1
     asked = object.__new__(Asked)
     more = SimpleNamespace(
         conditional=lambda chosen, noise: np.array([0.9, 0.1])
     )  # one more item is probable
-    products = SimpleNamespace(gains=lambda chosen, noise: [evidence for _ in chosen])
-    grid = torch.ones(1)
-    slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
+    slots = SimpleNamespace(
+        n_slots=n_slots, conditional=more.conditional, products=SimpleNamespace(), grid=torch.ones(1)
+    )
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
     return Answer(asked, asked, in_halves, expected or {})
+
+
+@pytest.fixture(autouse=True)
+def _nothing_like_a_cause_is_left(monkeypatch):
+    monkeypatch.setattr(answers, "evidence_of_relatives", lambda asked, item: 0.0)
 
 
 BOTH = {
@@ -81,19 +86,26 @@ def test_what_halves_have_less_than_half_as_often_as_expected_is_not_stated():
     assert gain in made.beside
 
 
-@pytest.mark.parametrize("evidence", [5.0, 1000.0])
-def test_a_name_may_be_an_imitation_as_far_as_its_evidence_is_weak(evidence):
-    made = answered(samples(MODELS, BOTH), evidence=evidence)
+@pytest.mark.parametrize(
+    ("expected", "relative", "is_doubtful"), [(0.01, 0.0, True), (0.99, 0.0, False), (0.99, 9.0, True)]
+)
+def test_a_name_may_be_an_imitation_where_halves_say_little_or_something_like_it_is_left(
+    expected, relative, is_doubtful, monkeypatch
+):
+    monkeypatch.setattr(answers, "evidence_of_relatives", lambda asked, item: relative)
+    every = samples(MODELS, BOTH)
+    made = answered(every, every, expected={GAIN: expected})
     (gain,) = (one for one in made.found if one.first.is_listed)
     assert gain.probability == pytest.approx(1.0)
     imitation = made.standing(gain.first.cause, [gain.first.cause, TWIN_CAUSE]).p_imitation
     assert sum(one.share for one in gain.possibilities) == pytest.approx(1.0 - imitation)
-    assert (imitation > 0.2) == (evidence < 50.0)
+    assert (imitation > 0.2) == is_doubtful
 
 
 def test_halves_say_nothing_against_a_cause_where_nothing_unlisted_acts():
     """A half may be too small to show it."""
-    made = answered(samples({(GAIN,): 96, (): 4}, BOTH), samples({(): 60, (GAIN,): 40}, BOTH))
+    halves = samples({(): 60, (GAIN,): 40}, BOTH)
+    made = answered(samples({(GAIN,): 96, (): 4}, BOTH), halves, expected={GAIN: 0.3})
     (gain,) = made.stated
     assert (gain.probability, gain.in_halves) == pytest.approx((0.96, 0.4))
     assert made.p_unlisted == 0.0
@@ -119,8 +131,9 @@ def test_where_all_slots_are_full_a_cause_must_outweigh_what_any_further_item_co
     assert len(made.stated) == (further < 50.0)
 
 
-def test_probabilities_of_a_set_add_up_in_its_record_but_for_imitations():
-    record = answered(samples(MODELS, BOTH), evidence=1e15).to_json()
+def test_probabilities_of_a_set_add_up_in_its_record_but_for_imitations(monkeypatch):
+    monkeypatch.setattr(answers.Standing, "p_imitation", 0.0)
+    record = answered(samples(MODELS, BOTH)).to_json()
     for one in record["found"]:
         assert sum(each["probability"] for each in one["is_one_of"]) == pytest.approx(one["probability"])
     assert record["unlisted"] == pytest.approx({"response": 0.98})
