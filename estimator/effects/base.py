@@ -93,7 +93,7 @@ class Quantity:
         return isinstance(self.prior, LogNormal)
 
     def widened(self, factor: float) -> Quantity:
-        """The same with a wider prior, where it is a size about its null."""
+        """This quantity with a prior so many times as wide; shapes and positive quantities stay."""
         if self.is_shape or not isinstance(self.prior, Normal):
             return self
         return replace(self, prior=replace(self.prior, standard_deviation=factor * self.prior.sd))

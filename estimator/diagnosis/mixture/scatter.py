@@ -91,7 +91,7 @@ def answer_beside_scatter(
 
 
 def _log_prior_odds(asked: Asked, n_more: int = 0) -> float:
-    """Of one of the listed causes of a dictionary, and of more names, against nothing."""
+    """Log prior odds of a listed cause of a dictionary, or of more names, against nothing."""
     names = {item.cause.name for item in asked.dictionary.items if item.is_listed}
     return math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + n_more)
 
