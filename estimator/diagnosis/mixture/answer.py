@@ -39,6 +39,7 @@ STATED = 0.9  # probability from which on a cause is stated
 OUTWEIGHS = (
     2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
 )
+UNSEEN = 3.0  # standard deviations of all readings together: by less, two changes of them are the same
 ASKED = 0.2  # probability of a cause from which on a set is made about it
 
 
@@ -89,7 +90,7 @@ class Answer:
                 continue
             shares = {other: share for other, share in self._shares(cause).items() if other not in told}
             told |= set(shares)
-            result.append(self._found(shares))
+            result.append(self._found(self._without_twins(shares)))
         return tuple(sorted(result, key=lambda entry: -entry.probability))
 
     def _shares(self, cause: Cause) -> dict[Cause, float]:
@@ -106,6 +107,24 @@ class Answer:
         }
         of_them = sum(alternatives.values())
         return {other: share / of_them for other, share in alternatives.items()}
+
+    def _without_twins(self, shares: dict[Cause, float]) -> dict[Cause, float]:
+        """Shares without departures that these readings cannot tell from the most probable listed cause of their slot: they are that cause."""
+        first = {item.cause: item for item in reversed(self.asked.dictionary.items)}
+        listed = [cause for cause in shares if first[cause].is_listed]
+        if not listed or len(listed) == len(shares):
+            return shares
+        likeliest = max(listed, key=shares.__getitem__)
+        comparison = self.beside_item(self.item_of(likeliest), list(shares))
+        change = comparison.change(self.item_of(likeliest))
+
+        def is_twin(cause: Cause) -> bool:
+            apart = (comparison.change(self.item_of(cause)) - change).norm() / self.asked.noise
+            return bool(apart < UNSEEN)
+
+        twins = [cause for cause in shares if not first[cause].is_listed and is_twin(cause)]
+        rest = {cause: share for cause, share in shares.items() if cause not in twins}
+        return rest | {likeliest: shares[likeliest] + sum(shares[cause] for cause in twins)}
 
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items
@@ -270,15 +289,27 @@ class Answer:
         return self.is_full or bool(self.beside) or is_unlisted
 
     @cached_property
+    def leading(self) -> tuple[int, ...]:
+        """The most probable set of items, with stated causes in the place of departures that take their slots as well."""
+        items = self.asked.dictionary.items
+        own = {
+            possibility.cause: self.item_of(entry.first_listed)
+            for entry in self.stated
+            for possibility in entry.possibilities
+            if not possibility.is_listed
+        }
+        return tuple(dict.fromkeys(own.get(items[i].cause, i) for i in self.asked.leading))
+
+    @cached_property
     def leading_fit(self) -> Fit:
         """The fit of the listed causes that lead, to the readings without the departures that lead."""
-        asked, items = self.asked, self.asked.dictionary.items
-        causes = {items[i].cause for i in asked.leading if items[i].is_listed}
-        has_departures = any(not items[i].is_listed for i in asked.leading)
+        asked, items, leading = self.asked, self.asked.dictionary.items, self.leading
+        causes = {items[i].cause for i in leading if items[i].is_listed}
+        has_departures = any(not items[i].is_listed for i in leading)
         if causes == set(asked.expansion.causes) and not has_departures:
             return asked.expansion.fit
-        sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
-        return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
+        sizes, _ = asked.slots.products.sizes(leading, asked.noise)
+        return asked.expansion.moved(asked.dictionary, leading, sizes).fit
 
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
         """The rig as described with some listed causes, fitted to the readings that were asked."""

@@ -21,6 +21,7 @@ from estimator.rig.rig import Cause
 MOSTLY = (
     0.75  # of the squares beyond the noise, for one component to be told: a fit spreads some over the others
 )
+CLEAR_FALL = 0.8  # of an rms error: no chance of 50 readings, though intervals that are widened may make them no more probable
 MOST_BESIDE = 3  # causes that a prediction lacks, one by one
 
 
@@ -71,7 +72,7 @@ def gained(diagnosis: Diagnosis) -> Iterator[str]:
     errors_T = [improvement.before.errors.vector_T, errors.vector_T]
     before, after = (size_with_unit(error_T, "T", 3) for error_T in errors_T)
     unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
-    if not improvement.is_significant:
+    if not improvement.is_significant and errors_T[1] > CLEAR_FALL * errors_T[0]:
         gain = f"does not fall clearly: {before} before, {after} after"
     elif errors_T[1] >= errors_T[0]:  # causes that scatter predict no reading better
         told = f"log predictive density {improvement.elpd_difference:+.0f}"
