@@ -109,7 +109,10 @@ class Answer:
         return {other: share / of_them for other, share in alternatives.items()}
 
     def _without_twins(self, shares: dict[Cause, float]) -> dict[Cause, float]:
-        """Shares without departures that these readings cannot tell from the most probable listed cause of their slot: they are that cause."""
+        """Shares without departures that these readings cannot tell from the most probable listed cause of their slot.
+
+        They are that cause, or something that looks like it, which its name is doubted for.
+        """
         first = {item.cause: item for item in reversed(self.asked.dictionary.items)}
         listed = [cause for cause in shares if first[cause].is_listed]
         if not listed or len(listed) == len(shares):
