@@ -168,10 +168,13 @@ class Answer:
             cause: The most probable one.
             alternatives: The possibilities of its set, itself among them.
         """
-        items = self.asked.dictionary.items
-        own = [i for i, item in enumerate(items) if item.cause in alternatives]
-        relative = evidence_of_relatives(self.asked, self.item_of(cause))
-        return Standing(self._expected(own), relative, self.n_listed_beside(alternatives))
+        asked, item = self.asked, self.item_of(cause)
+        items = asked.dictionary.items
+        own = [i for i, each in enumerate(items) if each.cause in alternatives]
+        rest = [i for i in asked.leading if items[i].cause not in alternatives]
+        evidence = asked.slots.products.gains([*rest, item], asked.noise)[-1]
+        relative = evidence_of_relatives(asked, item)
+        return Standing(evidence, self._expected(own), relative, self.n_listed_beside(alternatives))
 
     def _expected(self, own: Sequence[int]) -> float:
         """Probability that halves are expected to give items of a set; as if they were sure of it where none were asked."""

@@ -45,7 +45,7 @@ class BesideScatter:
         for cause in self.scattering:
             in_half = 0.5 * cause.log_bayes_factor
             expected = mean_probability(in_half + log_prior_odds, in_half)
-            real = 1.0 - Standing(expected, n_others=n_others).p_imitation
+            real = 1.0 - Standing(cause.log_bayes_factor, expected, n_others=n_others).p_imitation
             others = tuple(replace(a, probability=real * a.probability) for a in cause.alternatives)
             absent = 1.0 - real * (1.0 - cause.p_not_in_library)
             stated.append(

@@ -36,17 +36,18 @@ def answered(
     *in_halves: Samples,
     n_slots: int = 6,
     expected: dict[int, float] | None = None,
+    evidence: float = 1e4,
 ) -> Answer:
-    """An answer with these draws."""
+    """An answer with these draws, in which each item has the same log Bayes factor."""
     leading = max(with_all.models, key=with_all.models.__getitem__)
     with_all.noises[0] = 1
     asked = object.__new__(Asked)
     more = SimpleNamespace(
         conditional=lambda chosen, noise: np.array([0.9, 0.1])
     )  # one more item is probable
-    slots = SimpleNamespace(
-        n_slots=n_slots, conditional=more.conditional, products=SimpleNamespace(), grid=torch.ones(1)
-    )
+    products = SimpleNamespace(gains=lambda chosen, noise: [evidence for _ in chosen])
+    grid = torch.ones(1)
+    slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
     return Answer(asked, asked, in_halves, expected or {})
 
@@ -87,14 +88,15 @@ def test_what_halves_have_less_than_half_as_often_as_expected_is_not_stated():
 
 
 @pytest.mark.parametrize(
-    ("expected", "relative", "is_doubtful"), [(0.01, 0.0, True), (0.99, 0.0, False), (0.99, 9.0, True)]
+    ("evidence", "expected", "relative", "is_doubtful"),
+    [(2.0, 0.02, 0.0, True), (100.0, 0.99, 0.0, False), (100.0, 0.99, 9.0, True)],
 )
 def test_a_name_may_be_an_imitation_where_halves_say_little_or_something_like_it_is_left(
-    expected, relative, is_doubtful, monkeypatch
+    evidence, expected, relative, is_doubtful, monkeypatch
 ):
     monkeypatch.setattr(answers, "evidence_of_relatives", lambda asked, item: relative)
     every = samples(MODELS, BOTH)
-    made = answered(every, every, expected={GAIN: expected})
+    made = answered(every, every, expected={GAIN: expected}, evidence=evidence)
     (gain,) = (one for one in made.found if one.first.is_listed)
     assert gain.probability == pytest.approx(1.0)
     imitation = made.standing(gain.first.cause, [gain.first.cause, TWIN_CAUSE]).p_imitation
