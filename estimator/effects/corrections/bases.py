@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from estimator.effects.base import POSITIVE, WHEN, Quantities, Starts, Theta, box, fixed, shape, written
 from estimator.effects.circumstances import Circumstances, Extent
-from estimator.effects.corrections.correction import Correction, Scale, constant, constants
+from estimator.effects.corrections.correction import Composed, Scale, constant, constants
 from estimator.effects.stages import Columns
 from estimator.tensors import Tensor, torch
 
@@ -28,7 +28,7 @@ Value = Float[Tensor, "*batch reading component"]
 DURATION = Scale("duration_h", "h", lambda extent: 2.0 * extent.duration_h, lambda now, _: now.duration_h)
 
 
-class Waves(Correction):
+class Waves(Composed):
     """Cosines of half waves over a way from 0 to 1. Their amplitudes fall with the number, as of what wanders."""
 
     highest = 16
@@ -45,7 +45,7 @@ class Waves(Correction):
         return sum(each, start=way.new_zeros(()))
 
 
-class Periodic(Correction):
+class Periodic(Composed):
     """A cosine and a sine of each component, and of its overtones. A fit moves the frequency from where a start has put it."""
 
     highest = 3
@@ -67,7 +67,7 @@ class Periodic(Correction):
         return total
 
 
-class Table(Correction):
+class Table(Composed):
     """Each degree is a column of its own, in the order of likelihood."""
 
     def value(self, columns: Mapping[int, Variable], theta: Theta) -> Value:
@@ -76,7 +76,7 @@ class Table(Correction):
         return sum(each, start=next(iter(theta.values())).new_zeros(1))
 
 
-class AboveLevel(Correction):
+class AboveLevel(Composed):
     """One step at one level. It would be many half waves over the range, which swing where nothing was read."""
 
     highest = 1
@@ -97,7 +97,7 @@ def _own_times_s(circumstances: Circumstances, place: str) -> Tensor:
     return time_s[circumstances.is_of(place)] if is_sensor else time_s
 
 
-class InTime(Correction):
+class InTime(Composed):
     """A function of the time since the session began, in h; before 0, which stands for a moment without a session, there is nothing."""
 
     depends_on = WHEN
@@ -177,7 +177,7 @@ def since(degree: int) -> str:
     return f"since{degree}_h"
 
 
-class AlongWay(Correction):
+class AlongWay(Composed):
     """Cosines of half waves over the way that a mover went along each axis: `x_along_y` is of component x along y."""
 
     @abstractmethod

@@ -11,6 +11,7 @@ import inspect
 import math
 import re
 import types
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -124,10 +125,6 @@ class Correction(Effect):
         """Factor of each reading by which its terms are there, where starts differ in nothing else; the first start has all of them."""
         return None
 
-    def value(self, variable: Any, theta: Theta) -> Float[Tensor, "*batch reading component"]:
-        """Each component as a function of a variable, with an axis for components where these differ in it."""
-        raise NotImplementedError
-
     def typical_width(self, extent: Extent) -> float:
         """Width of the amplitudes of the first degree until a diagnosis sets it."""
         if self.unit == "1":
@@ -166,6 +163,14 @@ class Correction(Effect):
             degree: vector(theta, [self.key(degree, term) for term in self.terms(degree)])[..., 0, :]
             for degree in sorted(_degrees(theta))
         }
+
+
+class Composed(Correction):
+    """A correction of a target, which asks for its value, and a basis, which says what that is."""
+
+    @abstractmethod
+    def value(self, variable: Any, theta: Theta) -> Float[Tensor, "*batch reading component"]:
+        """Each component as a function of a variable, with an axis for components where these differ in it."""
 
 
 def _degrees(keys: Iterable[str]) -> set[int]:

@@ -19,7 +19,7 @@ from estimator.effects.corrections.bases import (
     Waves,
     ends_of_ways,
 )
-from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Correction, Limit, constant, correction
+from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Composed, Limit, constant, correction
 from estimator.effects.corrections.targets import Gain, Zero, ZeroAndGain
 from estimator.effects.history import LEAST_STEP
 from estimator.effects.stages import Components
@@ -38,7 +38,7 @@ def _shown_T(circumstances: Circumstances, sensor: str) -> Float[Tensor, "own 3"
 DIFFERENT = ("different readings", _shown_T)
 
 
-class Products(Correction):
+class Products(Composed):
     """Products of components: `x_yy` adds the square of y to x; `x` alone a constant."""
 
     def terms(self, degree: int) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from estimator.effects.base import Theta
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Correction, constant
+from estimator.effects.corrections.correction import RANGE_A, RANGE_T, Composed, constant
 from estimator.effects.stages import (
     Columns,
     Components,
@@ -23,7 +23,7 @@ from estimator.frames import Transform
 from estimator.tensors import Tensor, torch
 
 
-class CurrentShare(Correction, OneCoilCurrent):
+class CurrentShare(Composed, OneCoilCurrent):
     """A share of the current of a coil, or of the field that an ampere makes; of the largest current where that is a scale."""
 
     unit = "1"
@@ -43,7 +43,7 @@ class CurrentShare(Correction, OneCoilCurrent):
         return current_A + share * (constant(theta, "range_A") if RANGE_A in self.scales else current_A)
 
 
-class Room(Correction, RoomEffect):
+class Room(Composed, RoomEffect):
     """The field of the room, everywhere alike."""
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Components:
@@ -51,7 +51,7 @@ class Room(Correction, RoomEffect):
         return self.value(circumstances.hours_for_instants[:, None], theta)
 
 
-class Place(Correction, MotionEffect):
+class Place(Composed, MotionEffect):
     """Place of a mover."""
 
     unit = "m"
@@ -66,7 +66,7 @@ class Place(Correction, MotionEffect):
         return Transform(pose.rotation, pose.translation_m + shift_m)
 
 
-class Shown(Correction, ReadingEffect):
+class Shown(Composed, ReadingEffect):
     """Something of what a sensor says."""
 
     def variable(
