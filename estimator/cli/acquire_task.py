@@ -22,13 +22,14 @@ from estimator.acquisition.acquire import acquire, references_of
 from estimator.acquisition.pace import ANSWER_S, Pace, check_instruments, digest_of, durations_s, stops_of
 from estimator.cli.instruments import Bench
 from estimator.cli.output import EXIT_INTERRUPTED
-from estimator.cli.pilots import Pilot, Question
+from estimator.cli.pilots import Question
 from estimator.cli.places import places_of
 from estimator.cli.plan_limits import check_currents, check_ways, loads_so_far
 from estimator.cli.progress import Reporter
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
 from estimator.planning.candidates import clear_candidates, one_row_each
+from estimator.planning.pilot import Pilot
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, load_plan
 from estimator.store.files import write_text

@@ -8,7 +8,6 @@ from typing import Any
 
 from torch import Tensor
 
-from estimator.acquisition.acquire import Choice
 from estimator.acquisition.pace import Pace
 from estimator.planning.candidates import fitted_rig, largest_currents_A
 from estimator.planning.choosing import Chooser
@@ -17,6 +16,7 @@ from estimator.planning.goal_text import goal_of
 from estimator.planning.goals import Goal
 from estimator.planning.information import refuse_unreachable
 from estimator.planning.judgement import Judged, judge
+from estimator.planning.pilot import Pilot
 from estimator.planning.so_far import SoFar
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -26,7 +26,7 @@ CERTAIN_SD = 3.5  # from which on more stops would not help; it is asked after e
 FLOOR_GAIN = 0.9  # where four times the stops leave more than that of an interval, a floor is reached
 
 
-class Autopilot:
+class Autopilot(Pilot):
     """Chooses the next stop of a session.
 
     Args:
@@ -51,6 +51,11 @@ class Autopilot:
         return self.so_far.settings
 
     @property
+    def rows(self) -> list[int]:
+        """Candidates that were visited before the last decision, in order."""
+        return self.so_far.rows
+
+    @property
     def header(self) -> dict[str, Any]:
         """What the journal of a session says of its goals and limits."""
         return {"goals": [goal.text for goal in self.goals], "limits": asdict(self.limits)}
@@ -64,35 +69,8 @@ class Autopilot:
         """Refuse goals that no number of the candidates reaches, before anything moves."""
         refuse_unreachable(self.so_far.model.alone, self.goals)
 
-    def choose(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Choice | None:
-        """The next stop after those of a journal, with its decision as a record; None where the session shall end.
-
-        Args:
-            entries: Of the journal.
-            refused: Candidates that instruments have refused since the last stop.
-        """
-        decision = self.decide(entries, refused)
-        if decision.row is None:
-            return None
-        before = self.so_far.rows
-        this_s = float(self.chooser.next_s(before)[decision.row])
-        mean_s = elapsed_s(entries) / len(entries) if entries else this_s
-        return Choice(
-            decision.row,
-            decision.is_validation,
-            before.count(decision.row),
-            this_s,
-            mean_s * max(0, decision.left - 1),
-            {"decision": decision.to_json()},
-        )
-
     def decide(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Decision:
-        """The decision after the stops of a journal; the same entries always give the same one.
-
-        Args:
-            entries: Of the journal.
-            refused: Candidates that instruments have refused since the last stop.
-        """
+        """The decision after the stops of a journal."""
         self.so_far.follow(entries)
         left_out = refused_before(entries) | set(refused)
         judged, rows = judge(self.so_far), self.so_far.rows

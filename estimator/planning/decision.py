@@ -23,12 +23,37 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Decision:
+class Decided:
     """Which stop is next, or why there is none.
 
     Attributes:
         row: Number of the candidate; None ends the session.
         reason: In words.
+    """
+
+    row: int | None
+    reason: str
+
+    @property
+    def is_validation(self) -> bool:
+        """Whether the readings shall be held out of the fit."""
+        return self.reason.startswith(HELD_OUT_WORDS)
+
+    @property
+    def n_later(self) -> int:
+        """Stops that are expected after this one; 0 where nothing says how many."""
+        return 0
+
+    def to_json(self) -> dict[str, Any]:
+        """An entry of the journal of a session."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class Decision(Decided):
+    """A decision by goals.
+
+    Attributes:
         widths: Half-width of the 90 % interval of each goal over its target, widened by what the readings contradict.
         misfit_T: Root mean square of what held-out readings show beyond noise and uncertainty.
         gain_per_s: Expected fall of the logarithm of the criterion, by second of travel, ramps and readings; 0 where it is not why.
@@ -39,8 +64,6 @@ class Decision:
         refused: Numbers of the candidates that instruments have refused; they are not chosen again.
     """
 
-    row: int | None
-    reason: str
     widths: tuple[float, ...]
     misfit_T: float
     gain_per_s: float
@@ -51,13 +74,9 @@ class Decision:
     refused: tuple[int, ...] = ()
 
     @property
-    def is_validation(self) -> bool:
-        """Whether the readings shall be held out of the fit."""
-        return self.reason.startswith(HELD_OUT_WORDS)
-
-    def to_json(self) -> dict[str, Any]:
-        """An entry of the journal of a session."""
-        return asdict(self)
+    def n_later(self) -> int:
+        """Stops that are expected after this one."""
+        return max(0, self.left - 1)
 
 
 def refused_before(entries: Sequence[Mapping[str, Any]]) -> set[int]:

@@ -9,12 +9,12 @@ from typing import Any
 
 from jaxtyping import Float
 
-from estimator.acquisition.acquire import Choice
 from estimator.acquisition.pace import Pace
 from estimator.calibration.result import Calibration
 from estimator.planning.candidates import one_row_each
 from estimator.planning.choosing import Chooser
-from estimator.planning.decision import Limits, refused_before
+from estimator.planning.decision import Decided, Limits, refused_before
+from estimator.planning.pilot import Pilot
 from estimator.readings.observations import Observations
 from estimator.recalibration.changes import SCATTER, Changes, Expansion, Whitened
 from estimator.recalibration.sequential import Innovations, Rates
@@ -29,12 +29,10 @@ HOLDS, CHANGED, UNDECIDED = "holds", "changed", "undecided"
 
 
 @dataclass(frozen=True)
-class Finding:
+class Finding(Decided):
     """What readings so far say of a calibration.
 
     Attributes:
-        row: Number of the next candidate; None ends the session.
-        reason: In words.
         outcome: `holds`, `changed` or `undecided`.
         leading: The change that is least excluded, and others that are about as likely where something has changed; with their sizes.
         ratio: Likelihood ratio of the leading change against none.
@@ -42,20 +40,14 @@ class Finding:
         refused: Numbers of the candidates that instruments have refused.
     """
 
-    row: int | None
-    reason: str
     outcome: str
     leading: tuple[str, ...]
     ratio: float
     left_out: tuple[str, ...]
     refused: tuple[int, ...]
 
-    def to_json(self) -> dict[str, Any]:
-        """An entry of the journal of a session."""
-        return asdict(self)
 
-
-class Recheck:
+class Recheck(Pilot):
     """Chooses stops until a calibration holds or has changed.
 
     Args:
@@ -88,32 +80,17 @@ class Recheck:
         self._entries: list[Mapping[str, Any]] = []
 
     @property
+    def rows(self) -> list[int]:
+        """Candidates that were visited before the last decision, in order."""
+        return [int(entry["decision"]["row"]) for entry in self._entries]
+
+    @property
     def header(self) -> dict[str, Any]:
         """What the journal of a session says of its question and limits."""
         return {"test": {"share": self.share, **asdict(self.rates)}, "limits": asdict(self.limits)}
 
-    def choose(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Choice | None:
-        """The next stop after those of a journal; None where the session shall end.
-
-        Args:
-            entries: Of the journal.
-            refused: Candidates that instruments have refused since the last stop.
-        """
-        finding = self.decide(entries, refused)
-        if finding.row is None:
-            return None
-        rows = [int(entry["decision"]["row"]) for entry in entries]
-        this_s = float(self.chooser.next_s(rows)[finding.row])
-        record = {"decision": finding.to_json()}
-        return Choice(finding.row, False, rows.count(finding.row), this_s, 0.0, record)
-
     def decide(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Finding:
-        """What the stops of a journal say; the same entries always say the same.
-
-        Args:
-            entries: Of the journal.
-            refused: Candidates that instruments have refused since the last stop.
-        """
+        """What the stops of a journal say."""
         self._follow(entries)
         innovations = self._innovations()
         ratios = innovations.log_ratios(self.changes.sizes)
@@ -158,7 +135,7 @@ class Recheck:
         left = (ratios[: len(self.changes.names)] - math.log(self.rates.misses)).clamp(min=0.0)
         gain = 0.5 * self.changes.sizes.square() * self._certainties()
         worth = torch.minimum(gain, left).sum(-1) + 1e-9 * gain.sum(-1)
-        by_s = worth / self.chooser.next_s([int(entry["decision"]["row"]) for entry in self._entries])
+        by_s = worth / self.chooser.next_s(self.rows)
         by_s[list(refused)] = -torch.inf
         return int(by_s.argmax())
 
