@@ -16,13 +16,13 @@ from torch import Tensor
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput, listed
 from estimator.field.winding import Winding
-from estimator.model.bodies import winding_of
+from estimator.model.bodies import round_winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
 from estimator.reporting import plots
 from estimator.reporting.numbers import displays, size_with_unit
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
-from estimator.rig.bodies import AnyCoil, Coil
+from estimator.rig.bodies import AnyCoil
 
 PLANE_POINTS, PLANE_DRAWS = 41, 100
 REACH = 1.1  # times the farthest reading
@@ -169,7 +169,7 @@ def _plane(first: Calibration, second: Calibration, coil: AnyCoil) -> PlaneDiffe
     if not len(rows):
         return None
     points, _ = model.sensor_in_coil(coil, rows, best)
-    winding = winding_of(rig, coil, best) if isinstance(coil, Coil) else None
+    winding = round_winding_of(rig, coil, best)
     across = REACH * float(points[:, :2].abs().max())
     low, high = float(points[:, 2].min()), float(points[:, 2].max())
     if winding is not None:

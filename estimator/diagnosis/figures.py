@@ -18,11 +18,10 @@ from estimator.diagnosis.statements.hypotheses import role_of
 from estimator.diagnosis.statements.residuals import around_coils, sigma_T
 from estimator.diagnosis.structure.covariates import Covariate, predicted_T, residual_T
 from estimator.effects.corrections.correction import KEY
-from estimator.model.bodies import winding_of
+from estimator.model.bodies import round_winding_of
 from estimator.reporting import plots
 from estimator.reporting.numbers import SHOWN_IN, size_with_unit
 from estimator.reporting.page import Picture
-from estimator.rig.bodies import Coil
 from estimator.units import UNITS
 
 MOST_STEPS, MOST_COVARIATES = 4, 12
@@ -42,7 +41,7 @@ def _maps(diagnosis: Diagnosis) -> Iterator[Picture]:
     one_sigma = float(noise_T.max()) if np.ptp(noise_T) < 1e-12 else None
     for around in around_coils(diagnosis):
         coil, is_on, position_m = around.coil, around.is_on.numpy(), around.position_m.numpy()
-        winding = winding_of(extended.rig, coil, extended.values) if isinstance(coil, Coil) else None
+        winding = round_winding_of(extended.rig, coil, extended.values)
         words = "Magnitude of the residual vector at the sensor's positions, in the coil's frame"
         if extended.rig.effects:
             yield Picture(

@@ -21,7 +21,6 @@ from estimator.diagnosis.statements.moved import moved, moved_words
 from estimator.diagnosis.statements.next_measurement import next_measurements
 from estimator.diagnosis.statements.residuals import Around, around_coils, left_sigma
 from estimator.diagnosis.structure.covariates import residual_T
-from estimator.rig.bodies import Coil
 from estimator.rig.rig import Cause
 
 MOST_PATTERNS = 6
@@ -72,7 +71,7 @@ def _maps(diagnosis: Diagnosis) -> Iterator[ResidualMap]:
 
         yield ResidualMap(
             coil=around.coil.name,
-            winding=outline_of(extended, around.coil) if isinstance(around.coil, Coil) else None,
+            winding=outline_of(extended, around.coil),
             position_m=rounded(around.position_m[known]),
             before_T=turned(residual_T(plain)),
             after_T=turned(residual_T(extended)),

@@ -21,7 +21,6 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_readings
 from estimator.readings.split import thinned
 from estimator.reporting.numbers import quantity_words
-from estimator.rig.bodies import Coil
 from estimator.store.session import Session
 
 MOST_READINGS = 200
@@ -146,7 +145,7 @@ def what_if(fit: Fit, label: str) -> WhatIf:
         label=cause.label,
         words=EFFECTS[cause.name].words,
         coil=coil.name,
-        winding=outline_of(fit, coil) if isinstance(coil, Coil) else None,
+        winding=outline_of(fit, coil),
         noise_T=float((1.0 / fit.whitening_per_T).median()),
         position_m=rounded(position_m),
         patterns=patterns,

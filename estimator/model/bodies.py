@@ -17,7 +17,7 @@ from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
 from estimator.frames import Transform
 from estimator.geometry.motion import world_from_body as nominal_world_from_body
-from estimator.rig.bodies import Body, Coil, SidedCoil, WoundCoil
+from estimator.rig.bodies import AnyCoil, Body, Coil, SidedCoil, WoundCoil
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
@@ -79,6 +79,11 @@ def mount_of(
             change = use.effect.apply(columns[use.label], use.theta(values))
             total = change if total is None else total @ change
     return total
+
+
+def round_winding_of(rig: Rig, coil: AnyCoil, values: Values) -> Winding | None:
+    """The coil's winding at these values where its loops are circles; None for any other coil."""
+    return winding_of(rig, coil, values) if isinstance(coil, Coil) else None
 
 
 @overload

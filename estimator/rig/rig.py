@@ -18,7 +18,6 @@ from estimator.glance import Glance, Shown
 from estimator.rig.bodies import (
     AnyCoil,
     Coil,
-    EquivalentSourceCoil,
     Mover,
     Sensor,
     SidedCoil,
@@ -31,6 +30,9 @@ MOST_LOOPS = 5000  # along or across one winding; the exact sum, beside which a 
 MOST_TURNS = 200_000  # of one winding
 
 ROUNDING = 1e-12  # of lengths that are the same but for their units
+
+# What bodies may have beside their `repr`, so that rigs without it keep the hash that they had before there was such a thing.
+NOT_IN_REPR = ("own_table", "own_ends", "leads", "multipoles_m")
 
 EVERYWHERE = "everywhere"  # place of a cause at all sensors, coils or movers
 
@@ -166,13 +168,11 @@ class Rig(Shown):
         """SHA-256 over the structure and every parameter, not over the devices."""
         lines = [repr((self.name, self.coils, self.sensors, self.movers, *self.acting))]
         lines += [repr(parameter) for parameter in self.parameters.values()]
-        lines += [f"{mover.name} {mover.own_table!r}" for mover in self.movers if mover.own_table is not None]
-        lines += [f"{mover.name} {mover.own_ends!r}" for mover in self.movers if mover.own_ends is not None]
-        lines += [f"{coil.name} {coil.leads!r}" for coil in self.wound if coil.leads is not None]
         lines += [
-            f"{coil.name} {coil.multipoles_m!r}"
-            for coil in self.unwound
-            if isinstance(coil, EquivalentSourceCoil) and coil.multipoles_m
+            f"{body.name} {value!r}"
+            for what in NOT_IN_REPR
+            for body in (*self.movers, *self.coils)
+            if (value := getattr(body, what, None))
         ]
         return hashlib.sha256("\n".join(lines).encode()).hexdigest()
 

@@ -18,8 +18,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils, sensor_in_room
 from estimator.diagnosis.structure.curves import Collection, axes_of, before, dipoles, harmonic_gradients
 from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_interval
-from estimator.model.bodies import winding_of
-from estimator.rig.bodies import AnyCoil, Coil
+from estimator.model.bodies import round_winding_of
+from estimator.rig.bodies import AnyCoil
 
 SAME = 1e-6
 
@@ -118,8 +118,8 @@ def _field_equations(fit: Fit) -> Evidence | None:
             harmonic_gradients(inner, degree) / degree**2 for degree in range(1, policy.HARMONIC_DEGREE + 1)
         ]
         coil, fields_of_sources = fit.rig.coils[i], [torch.cat(sources, dim=1)]
-        if isinstance(coil, Coil):
-            fields_of_sources.append(dipoles(position_m / winding_of(fit.rig, coil, fit.values).radius_m))
+        if (winding := round_winding_of(fit.rig, coil, fit.values)) is not None:
+            fields_of_sources.append(dipoles(position_m / winding.radius_m))
         for drive_factor in (drive, torch.ones_like(drive)):
             for fields in fields_of_sources:
                 rotated = torch.einsum("rij,rtj->rti", rotation, fields)
