@@ -11,9 +11,6 @@ from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan, Stop
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
-from tests.estimator.acquisition.test_acquire import stops
-
-__all__ = ["stops"]  # the fixture of three stops
 
 
 def test_a_plan_without_its_instruments_is_refused(small_rig: Rig, stops: Observations) -> None:

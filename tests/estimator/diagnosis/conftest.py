@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.mixture import imitation
 from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.result import Diagnosis
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
-from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
+from tests.estimator.diagnosis.small_fits import OFFSET_T, answered, fit_of, with_wrong
 from tests.estimator.diagnosis.unknown_source import with_dipole
 
 
@@ -48,3 +52,12 @@ def of_two_causes(small_rig: Rig, two_causes: Observations) -> Answer:
 def names_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
     """No name is an imitation, whatever the evidence of answers that are made by hand."""
     monkeypatch.setattr(imitation, "WEIGHTS", (50.0, 0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="session")
+def diagnosis(small_rig: Rig, small_session: Session) -> Diagnosis:
+    """The small rig with an offset, which a fixed sensor cannot tell from a field of the room."""
+    flawed = with_wrong(
+        small_rig, small_session.observations, Cause("sensor_offset", "hall"), {"x_T": OFFSET_T}
+    )
+    return diagnose(replace(small_session, observations=flawed), seed=1)

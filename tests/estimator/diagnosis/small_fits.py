@@ -14,6 +14,8 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 
+OFFSET_T = 2e-4  # of the zero of a sensor
+
 
 def fit_of(rig: Rig, observations: Observations, *causes: Cause) -> Fit:
     """Fit of the rig with some causes."""
