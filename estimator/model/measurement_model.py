@@ -31,7 +31,7 @@ from estimator.effects.use import as_meant, uses_of
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
-from estimator.frames import Transform, first_derivatives_only, in_order, selected
+from estimator.frames import Transform, in_order, selected
 from estimator.geometry.motion import base_from_motion
 from estimator.model.bodies import columns_of
 from estimator.model.coil_field import coil_field, refuse
@@ -40,6 +40,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.bodies import AnyCoil
 from estimator.rig.coordinates import Values, nominal_tensors
 from estimator.rig.rig import Rig
+from estimator.rotations import first_derivatives_only
 from estimator.tensors import Tensor, torch
 
 MOSTLY_APART = 0.75  # share of readings by sensors with elements apart from which on all are evaluated as such, in one call instead of two

@@ -9,8 +9,8 @@ from torch import Tensor
 from torch.func import hessian, jacfwd, jacrev, vmap
 
 from estimator.derivatives import jacobian_of
-from estimator.frames import (
-    Transform,
+from estimator.frames import Transform
+from estimator.rotations import (
     first_derivatives_only,
     rotation_from_vector,
     turned,
