@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from jaxtyping import Float
 
 from estimator.field.harmonics import interior_field
-from estimator.field.kernel import has_derivatives
+from estimator.field.machine_code import has_derivatives
 from estimator.tensors import Tensor, torch
 
 SOURCES = 2.0  # radii from the axis, where sources are expected to begin

@@ -16,7 +16,8 @@ from typing import Any
 
 from jaxtyping import Float
 
-from estimator.field.kernel import QUARTER_MU0, has_derivatives
+from estimator.field.kernel import QUARTER_MU0
+from estimator.field.machine_code import has_derivatives
 from estimator.tensors import Tensor, torch
 
 POINTS_IN_A_BLOCK = 128

@@ -2,7 +2,7 @@
 
 The formulas are those of `field.loop`, which does the same with tensors of any kind. A block of points stays in the fastest cache while all
 loops pass, eight points to an instruction where the processor has AVX-512, so a loop takes a fiftieth of the time: as long as in C by hand
-(`make bench-kernel`). numba translates the code when it is first called on a machine and keeps it on disk (`docs/decisions/0005`).
+(`make bench-kernel`).
 
 All numbers of a block lie in one array, row after row at offsets known to the compiler. In arrays of their own it would have to check that
 they do not overlap, gives up for this many, and takes one point after another, seven times as slowly (`docs/decisions/0005`).
@@ -10,17 +10,15 @@ they do not overlap, gives up for this many, and takes one point after another, 
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Callable
-from functools import cached_property
 from math import sqrt
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from estimator.field.loop import FEWEST_STEPS
-from estimator.tensors import Tensor, is_on_numpy, torch
+from estimator.field.machine_code import array_of
+from estimator.field.machine_code import machine_code as machine_code  # noqa: PLC0414 - evidence_kernel imports it from here
+from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 POINTS_AT_ONCE = 32  # in a block
@@ -33,44 +31,7 @@ ROWS = 20
 # After these, for rings of dipoles: four factors of the ring itself, then four of each pattern.
 RING, PATTERNS = POINTS_AT_ONCE * ROWS, POINTS_AT_ONCE * (ROWS + 4)
 SMALLEST_RHO2_M2 = 1e-30  # square of the distance to the axis; nearer, a derivative in it has no effect
-FEW_TERMS = 2**23  # loops times points; NumPy sums them in hardly more time than numba takes to load
-_so_far = {"terms": 0}  # summed without machine code
 QUARTER_MU0 = 0.25 * MU0_T_M_PER_A
-
-
-def is_plain(*tensors: Tensor) -> bool:
-    """Whether tensors are numbers that the kernels take: on the processor, in double precision, and without derivatives.
-
-    Examples:
-        >>> one = torch.ones(3, dtype=torch.float64)
-        >>> is_plain(one), is_plain(one.float()), is_plain(one.clone().requires_grad_())
-        (True, False, False)
-    """
-    return all(
-        tensor.device.type == "cpu" and tensor.dtype == torch.float64 and not has_derivatives(tensor)
-        for tensor in tensors
-    )
-
-
-def pays(n_terms: int) -> bool:
-    """Whether machine code is worth its start for so many loops times points, after all before them; beside torch's start it always is.
-
-    Examples:
-        >>> pays(1)
-        True
-    """
-    if is_on_numpy():
-        _so_far["terms"] += n_terms
-    return _so_far["terms"] > FEW_TERMS or not is_on_numpy()
-
-
-def has_derivatives(tensor: Tensor) -> bool:
-    """Whether a tensor carries derivatives of any kind, which kernels do not."""
-    return (
-        (tensor.requires_grad and torch.is_grad_enabled())
-        or torch._C._functorch.is_functorch_wrapped_tensor(tensor)
-        or torch.autograd.forward_ad.unpack_dual(tensor).tangent is not None
-    )
 
 
 def sum_of_loops(
@@ -87,7 +48,7 @@ def sum_of_loops(
         height_m, radius_m, weight: Of the loops of every row.
         steps: AGM steps of each loop; at least `FEWEST_STEPS` are taken.
     """
-    arrays = [_array(tensor) for tensor in (points_m, height_m, radius_m, weight)]
+    arrays = [array_of(tensor) for tensor in (points_m, height_m, radius_m, weight)]
     field = np.empty(points_m.shape)
     _sum(*arrays, steps, field)
     return torch.from_numpy(field)
@@ -104,7 +65,7 @@ def slopes_of_loops(
     Args:
         points_m, height_m, radius_m, steps: As in `sum_of_loops`.
     """
-    arrays = [_array(tensor) for tensor in (points_m, height_m, radius_m)]
+    arrays = [array_of(tensor) for tensor in (points_m, height_m, radius_m)]
     n_rows, n_nodes = height_m.shape
     factors = np.empty((2, n_rows, 3, n_nodes, points_m.shape[1]))
     _slopes(*arrays, steps, factors)
@@ -121,7 +82,7 @@ def field_and_slopes(
         sums: The factors at each point, summed over loops, each with its derivative along z.
     """
     field, slopes = np.empty(points_m.shape), np.empty((*points_m.shape, 3))
-    _field_and_slopes(_array(points_m), _array(sums), field, slopes)
+    _field_and_slopes(array_of(points_m), array_of(sums), field, slopes)
     return torch.from_numpy(field), torch.from_numpy(slopes)
 
 
@@ -142,58 +103,10 @@ def sums_of_rings(
         axial_A, radial_A: Currents in these loops for a ring magnetised along the axis and outwards.
         steps: AGM steps of each loop.
     """
-    arrays = [_array(tensor) for tensor in (points_m, height_m, radius_m, step_m, axial_A, radial_A)]
+    arrays = [array_of(tensor) for tensor in (points_m, height_m, radius_m, step_m, axial_A, radial_A)]
     sums = np.empty((2, len(points_m), len(axial_A), 2, points_m.shape[1]))
     _rings(*arrays, steps, sums)
     return torch.from_numpy(sums)
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().contiguous().numpy()
-
-
-def machine_code(function: Callable[..., None], is_in_order: bool = True) -> MachineCode:
-    """Machine code of a function, made or read when it is first called.
-
-    Args:
-        function: What is translated.
-        is_in_order: Sums are added in the order in which they are written, not several terms at a time.
-    """
-    # A product and a sum may become one instruction, which rounds once.
-    return MachineCode(function, {"contract"} if is_in_order else {"contract", "reassoc", "nsz"})
-
-
-class MachineCode:
-    """A function that numba translates when it is first called, and keeps on disk where a folder for it can be written.
-
-    numba takes a quarter of a second to load, and a third one for the first call, which commands that compute little do without.
-
-    Args:
-        function: What is translated.
-        fastmath: What the compiler may change of the order and rounding of operations.
-    """
-
-    def __init__(self, function: Callable[..., None], fastmath: set[str]) -> None:
-        self._function, self._fastmath = function, fastmath
-
-    def __call__(self, *arguments: Any) -> Any:
-        """Run it."""
-        return self._translated(*arguments)
-
-    @cached_property
-    def _translated(self) -> Any:
-        import numba
-
-        plain = inspect.unwrap(self._function)  # without the checks of shapes that tests put around it
-        settings: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": self._fastmath}
-        try:
-            return numba.njit(cache=True, **settings)(plain)
-        except RuntimeError:  # neither the package's folder nor the user's can be written
-            return numba.njit(**settings)(plain)
-
-    @property
-    def _numba_type_(self) -> Any:  # numba asks for it where a translated function calls this one
-        return self._translated._numba_type_
 
 
 @machine_code

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from jaxtyping import Float
 from numpy.polynomial.legendre import leggauss
 
-from estimator.field.kernel import is_plain, sums_of_rings
+from estimator.field.kernel import sums_of_rings
 from estimator.field.loop import NEAREST_STEPS, loop_terms
+from estimator.field.machine_code import is_plain
 from estimator.field.node_sum import carrying_first_order, loop_slopes
 from estimator.field.winding import Winding
 from estimator.tensors import Tensor, torch

@@ -12,15 +12,9 @@ import numpy as np
 from jaxtyping import Float
 
 from estimator.field.first_order import carrying_slopes
-from estimator.field.kernel import (
-    SMALLEST_RHO2_M2,
-    field_and_slopes,
-    is_plain,
-    pays,
-    slopes_of_loops,
-    sum_of_loops,
-)
+from estimator.field.kernel import SMALLEST_RHO2_M2, field_and_slopes, slopes_of_loops, sum_of_loops
 from estimator.field.loop import loop_derivatives, loop_terms
+from estimator.field.machine_code import is_plain, pays
 from estimator.tensors import Tensor, torch
 
 

@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from estimator.derivatives import value_and_jacobian
 from estimator.field.first_order import carrying_slopes, first_order_field
-from estimator.field.kernel import is_plain
+from estimator.field.machine_code import is_plain
 from estimator.field.node_sum import SumMode
 from estimator.field.quadrature import discrete_gauss
 from estimator.field.sided_kernel import slopes_of_sided_loops, sum_of_sided_loops

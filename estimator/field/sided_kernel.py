@@ -7,7 +7,7 @@ from math import pi, sqrt
 import numpy as np
 from jaxtyping import Float
 
-from estimator.field.kernel import machine_code
+from estimator.field.machine_code import array_of, machine_code
 from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
@@ -26,7 +26,7 @@ def sum_of_sided_loops(
         arc_points: Points along each arc; 0 where corners are sharp.
     """
     field = np.empty(points_m.shape)
-    _sum(_array(points_m), _array(loops), _arcs(arc_points), field)
+    _sum(array_of(points_m), array_of(loops), _arcs(arc_points), field)
     return torch.from_numpy(field)
 
 
@@ -43,13 +43,9 @@ def slopes_of_sided_loops(
         changes: Derivatives of the loops in these numbers.
     """
     field, slopes = np.zeros(points_m.shape), np.zeros((*points_m.shape, 3 + changes.shape[-1]))
-    arrays = (_array(tensor) for tensor in (points_m, loops, changes))
+    arrays = (array_of(tensor) for tensor in (points_m, loops, changes))
     _slopes(*arrays, _arcs(arc_points), field, slopes)
     return torch.from_numpy(field), torch.from_numpy(slopes)
-
-
-def _array(tensor: Tensor) -> np.ndarray:
-    return tensor.detach().contiguous().numpy()
 
 
 def _arcs(arc_points: int) -> Float[np.ndarray, "4 3 point"]:

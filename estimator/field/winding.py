@@ -17,8 +17,9 @@ from jaxtyping import Float
 
 from estimator.errors import InvalidInput
 from estimator.field.fused import fused_sum_of_loops, is_fusable
-from estimator.field.kernel import POINTS_AT_ONCE, is_plain, pays, sum_of_loops
+from estimator.field.kernel import POINTS_AT_ONCE, sum_of_loops
 from estimator.field.loop import steps_for_ratio
+from estimator.field.machine_code import is_plain, pays
 from estimator.field.node_sum import Nodes, SumMode, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, WindingShape, choose_rule

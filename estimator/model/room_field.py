@@ -11,7 +11,7 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput, check_known
-from estimator.field.kernel import pays
+from estimator.field.machine_code import pays
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
 from estimator.field.zones import Zone, zones_of
 from estimator.frames import Transform

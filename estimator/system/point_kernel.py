@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from estimator.field.kernel import QUARTER_MU0, machine_code
+from estimator.field.kernel import QUARTER_MU0
+from estimator.field.machine_code import machine_code
 from estimator.field.zones import ZONES_PER_OCTAVE
 
 

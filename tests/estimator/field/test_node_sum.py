@@ -9,9 +9,10 @@ from torch import Tensor
 from torch.autograd import forward_ad
 from torch.func import jacfwd
 
-from estimator.field import kernel
-from estimator.field.kernel import is_plain, slopes_of_loops
+from estimator.field import machine_code
+from estimator.field.kernel import slopes_of_loops
 from estimator.field.loop import loop_field
+from estimator.field.machine_code import is_plain
 from estimator.field.node_sum import (
     Nodes,
     _field_and_slopes,
@@ -103,7 +104,7 @@ def test_where_no_folder_can_be_written_the_kernels_are_translated_in_every_proc
         return translate(**settings)
 
     monkeypatch.setattr(numba, "njit", refuses_a_cache)
-    assert kernel.machine_code(lambda x: x + 1.0)(2.0) == 3.0
+    assert machine_code.machine_code(lambda x: x + 1.0)(2.0) == 3.0
 
 
 def test_machine_code_and_torch_give_the_same_field_and_slopes_of_summed_factors():
