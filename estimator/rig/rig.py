@@ -7,7 +7,6 @@ The records name things and say how they hang together; all numbers are `Paramet
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -15,21 +14,9 @@ from typing import Any
 
 from estimator.errors import InvalidInput, closest
 from estimator.glance import Glance, Shown
-from estimator.rig.bodies import (
-    AnyCoil,
-    Coil,
-    Mover,
-    Sensor,
-    SidedCoil,
-    UnwoundCoil,
-    WoundCoil,
-)
+from estimator.rig.bodies import AnyCoil, Coil, Mover, Sensor, UnwoundCoil, WoundCoil
 from estimator.rig.parameters import Parameter
-
-MOST_LOOPS = 5000  # along or across one winding; the exact sum, beside which a quadrature rule is chosen, grows with their square
-MOST_TURNS = 200_000  # of one winding
-
-ROUNDING = 1e-12  # of lengths that are the same but for their units
+from estimator.rig.rules import broken_rules
 
 # What bodies may have beside their `repr`, so that rigs without it keep the hash that they had before there was such a thing.
 NOT_IN_REPR = ("own_table", "own_ends", "leads", "multipoles_m")
@@ -136,7 +123,7 @@ class Rig(Shown):
     @property
     def wound(self) -> tuple[WoundCoil, ...]:
         """The coils whose winding is described."""
-        return tuple(coil for coil in self.coils if isinstance(coil, Coil | SidedCoil))
+        return tuple(coil for coil in self.coils if isinstance(coil, WoundCoil))
 
     @property
     def round(self) -> tuple[Coil, ...]:
@@ -238,27 +225,7 @@ class Rig(Shown):
 
     def broken_rules(self) -> Iterator[tuple[str, str, str]]:
         """Every impossible nominal value: parameter, broken rule and value."""
-        values = self.nominal_values()
-        for name, value in values.items():
-            parameter = self.parameters[name]
-            if not math.isfinite(value):
-                yield name, "must be finite", f"{value}"
-            elif parameter.is_count and value < 1.0:
-                yield name, "must be at least 1", f"{value:g}"
-            elif parameter.is_count and value > MOST_LOOPS:
-                yield name, f"must be at most {MOST_LOOPS}", f"{value:g}"
-            # A noise of 0 is fine in a simulation, a length of 0 is not.
-            elif parameter.is_positive and (value < 0.0 or (value == 0.0 and parameter.unit == "m")):
-                yield name, "must be > 0", f"{value:g} {parameter.unit}"
-        for coil in self.wound:
-            if isinstance(coil, SidedCoil):
-                yield from _broken_corners(coil, values)
-            else:
-                yield from _broken_bore(coil, values)
-            turns = values[f"{coil.name}.axial_loops"] * values[f"{coil.name}.radial_loops"]
-            if turns > MOST_TURNS:
-                rule = f"x radial_loops must be at most {MOST_TURNS}"
-                yield f"{coil.name}.axial_loops", rule, f"{turns:g}"
+        return broken_rules(self.parameters, self.wound, self.nominal_values())
 
     def nominal_values(self) -> dict[str, float]:
         """Nominal value of every parameter, ties resolved."""
@@ -271,21 +238,3 @@ class Rig(Shown):
     def _nominal(self, name: str) -> float:
         parameter = self.parameters[name]
         return parameter.tie.factor * self._nominal(parameter.tie.to) if parameter.tie else parameter.value
-
-
-def _broken_bore(coil: Coil, values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
-    radius_m = values[f"{coil.name}.radius_m"]
-    thickness_m = values[f"{coil.name}.radial_pitch_m"] * values[f"{coil.name}.radial_loops"]
-    if radius_m <= thickness_m:
-        rule = f"must exceed radial_pitch x radial_loops = {thickness_m * 1e3:.6g} mm (no bore is left)"
-        yield f"{coil.name}.radius_m", rule, f"{radius_m * 1e3:.6g} mm"
-
-
-def _broken_corners(coil: SidedCoil, values: Mapping[str, float]) -> Iterator[tuple[str, str, str]]:
-    if not coil.is_rounded:
-        return
-    radius_m = values[f"{coil.name}.inner_corner_radius_m"]
-    shorter_m = min(values[f"{coil.name}.inner_side_{axis}_m"] for axis in "xy")
-    if radius_m > 0.5 * shorter_m * (1.0 + ROUNDING):
-        rule = f"must be at most half the shorter side, {500.0 * shorter_m:.6g} mm"
-        yield f"{coil.name}.inner_corner_radius_m", rule, f"{radius_m * 1e3:.6g} mm"

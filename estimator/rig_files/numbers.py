@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from estimator.errors import InvalidInput, closest
 from estimator.rig.bodies import POSE_QUANTITIES
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
-from estimator.rig.rig import MOST_LOOPS
+from estimator.rig.rules import MOST_LOOPS
 from estimator.yaml_section import Section
 
 MOST_DIGITS = 17  # tell any two floats apart
