@@ -1,8 +1,8 @@
 """From recorded currents and poses to predicted readings.
 
-One direction: current delivered to each coil -> pose of every coil and sensor -> field of the coils and of the room at the sensor
-(`model.sources`) -> components as the sensor says them -> components as they are recorded. The rig's effects act at their stage. One call
-predicts a whole batch of parameter sets.
+One direction: current delivered to each coil -> pose of every coil and sensor -> field of the coils and of the room (`model.sources`)
+at the sensor (`model.at_sensors`) -> components as the sensor says them -> components as they are recorded. The rig's effects act at
+their stage. One call predicts a whole batch of parameter sets.
 """
 
 from __future__ import annotations
@@ -11,16 +11,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
-from estimator.derivatives import slopes_in
 from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import (
     CurrentEffect,
-    ElementEffect,
-    HolderEffect,
     MotionEffect,
     MountEffect,
     ReadingEffect,
@@ -31,8 +27,9 @@ from estimator.effects.use import as_meant, uses_of
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, choose_rule
-from estimator.frames import Transform, in_order, selected
+from estimator.frames import Transform
 from estimator.geometry.motion import base_from_motion
+from estimator.model.at_sensors import FieldAtSensors
 from estimator.model.bodies import columns_of
 from estimator.model.coil_field import coil_field, refuse
 from estimator.model.sources import Sources
@@ -40,10 +37,7 @@ from estimator.readings.observations import Observations
 from estimator.rig.bodies import AnyCoil
 from estimator.rig.coordinates import Values, nominal_tensors
 from estimator.rig.rig import Rig
-from estimator.rotations import first_derivatives_only
 from estimator.tensors import Tensor, torch
-
-MOSTLY_APART = 0.75  # share of readings by sensors with elements apart from which on all are evaluated as such, in one call instead of two
 
 
 @dataclass(frozen=True)
@@ -145,7 +139,12 @@ class MeasurementModel:
     @property
     def every_row(self) -> Int[Tensor, " row"]:
         """Numbers of the distinct poses."""
-        return torch.arange(len(self.sensor), device=self.sensor.device)
+        return self.at_sensors.every_row
+
+    @cached_property
+    def at_sensors(self) -> FieldAtSensors:
+        """The field where the sensors are."""
+        return FieldAtSensors(self.sources, self.sensor, self.has_slopes)
 
     @cached_property
     def nominal(self) -> dict[str, Tensor]:
@@ -160,9 +159,7 @@ class MeasurementModel:
     @property
     def pose_row(self) -> Int[Tensor, " reading"]:
         """Distinct pose of each reading."""
-        rows = self.sources.pose_row
-        assert rows is not None
-        return rows
+        return self.at_sensors.pose_row
 
     def with_rules(self, rules: Mapping[str, Rule]) -> MeasurementModel:
         """This model with given quadrature rules."""
@@ -182,9 +179,8 @@ class MeasurementModel:
 
     def part(self, readings: Int[Tensor, " part"]) -> MeasurementModel:
         """The model of some of the readings."""
-        return replace(
-            self, sources=self.sources.part(readings), sensor=self.sensor[self.pose_row[readings].unique()]
-        )
+        at = self.at_sensors.part(readings)
+        return replace(self, sources=at.sources, sensor=at.sensor)
 
     def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
         """This model with quadrature rules chosen at these values (no batch)."""
@@ -241,94 +237,13 @@ class MeasurementModel:
             position_m, sensor_from_coil = self.sensor_in_coil(coil, self.every_row, values)
         return position_m.expand(n, 3)[self.pose_row], sensor_from_coil.expand(n, 3, 3)[self.pose_row].mT
 
-    def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
-        """Pose of the sensor in the room at distinct poses."""
-        if len(self.rig.sensors) == 1:
-            return self.sources.world_from_body(self.rig.sensors[0], "sensor", rows, values)
-        which = self.sensor[rows]
-        for record in uses_of(self.rig, RecordEffect):
-            which = record.effect.place_of(which, record.theta(values))
-        if which.dim() > 1:  # sensors may be exchanged in some of a batch
-            poses = [self.sources.world_from_body(s, "sensor", rows, values) for s in self.rig.sensors]
-            return selected(poses, which)
-        own = [(which == i).nonzero().flatten() for i in range(len(self.rig.sensors))]
-        poses = [
-            self.sources.world_from_body(sensor, "sensor", rows[mine], values)
-            for sensor, mine in zip(self.rig.sensors, own, strict=True)
-        ]
-        return in_order(poses, own)
-
     def at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
         """Field at the sensor's elements, in the sensor's frame."""
-        with first_derivatives_only(self.sources.mode is SumMode.FIRST_ORDER):
-            return self._at_sensor_T(values)
+        return self.at_sensors.field_T(values)
 
-    def _at_sensor_T(self, values: Values) -> Float[Tensor, "*batch reading 3"]:
-        world_from_sensor = self.world_from_sensor(self.every_row, values)
-        field_T = self._without_holders_T(values, world_from_sensor)
-        for use in uses_of(self.rig, HolderEffect):
-            theta, own = use.theta(values), use.index(self.rig.sensors)
-            place_m = use.effect.place_m(theta)[..., None, :] * (self.sensor == own)[:, None]
-            there_T = self._field_at(values, world_from_sensor.shifted(place_m))
-            is_own = (self.sensor == own)[self.pose_row][:, None]
-            field_T = field_T + is_own * use.effect.answer_T(there_T, theta)
-        return field_T
-
-    def _without_holders_T(
-        self, values: Values, world_from_sensor: Transform
-    ) -> Float[Tensor, "*batch reading 3"]:
-        if not self._has_elements.any():
-            return self._field_at(values, world_from_sensor)
-        if self._has_elements.double().mean() >= MOSTLY_APART:
-            return self._at_elements(values, world_from_sensor)
-        apart, together = self._parts_by_elements
-        apart_T = apart.model._at_elements(values, world_from_sensor.rows(apart.rows))
-        together_T = together.model._field_at(values, world_from_sensor.rows(together.rows))
-        batch = np.broadcast_shapes(apart_T.shape[:-2], together_T.shape[:-2])
-        field_T = torch.cat((apart_T.expand(*batch, -1, 3), together_T.expand(*batch, -1, 3)), dim=-2)
-        return field_T[..., torch.argsort(torch.cat((apart.readings, together.readings))), :]
-
-    @cached_property
-    def _has_elements(self) -> Bool[Tensor, " reading"]:
-        """Readings of sensors whose elements sit apart."""
-        displaced = [use.index(self.rig.sensors) for use in uses_of(self.rig, ElementEffect)]
-        return torch.isin(self.circumstances.sensor, self.sensor.new_tensor(displaced))
-
-    @cached_property
-    def _parts_by_elements(self) -> tuple[_Part, _Part]:
-        """Readings of sensors whose elements sit apart, and all others."""
-        return _Part.of(self, self._has_elements), _Part.of(self, ~self._has_elements)
-
-    def _at_elements(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
-        """Field in the sensor's frame, each component where its element sits."""
-        elements_m: Tensor | None = None
-        for use in uses_of(self.rig, ElementEffect):
-            offset_m = use.effect.apply(use.theta(values))[..., None, :]  # batch, element, row, axis
-            offset_m = offset_m * (self.sensor == use.index(self.rig.sensors))[:, None]
-            elements_m = offset_m if elements_m is None else elements_m + offset_m
-        assert elements_m is not None
-        rotation, translation_m = world_from_sensor.rotation, world_from_sensor.translation_m
-        poses = Transform(rotation[..., None, :, :, :], translation_m[..., None, :, :])
-        of_each = {name: value[..., None] if value.dim() else value for name, value in values.items()}
-        field_T = self._field_at(of_each, poses.shifted(elements_m))  # batch, element, reading, axis
-        field_T = field_T.expand(*field_T.shape[:-3], 3, *field_T.shape[-2:])  # where it is the same for all
-        own_T: Tensor = torch.diagonal(field_T, dim1=-3, dim2=-1)
-        return own_T
-
-    def _field_at(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
-        """Field in the sensor's frame, at its origin."""
-        delivered_A = self.sources.delivered_A(self.circumstances.current_A, values)
-        where_m = world_from_sensor.translation_m
-        if not (self.has_slopes and where_m.requires_grad):
-            return self.sources.field_T(values, delivered_A, world_from_sensor)
-        here_m, shift_m = where_m.detach(), where_m.new_zeros(3, requires_grad=True)
-        there = Transform(world_from_sensor.rotation, here_m + shift_m)
-        field_T = self.sources.field_T(values, delivered_A, there)
-        if not field_T.requires_grad:
-            return field_T
-        slopes = slopes_in(field_T, shift_m)
-        moved_m = (where_m - here_m).expand(*where_m.shape[:-2], len(self.sensor), 3)[..., self.pose_row, :]
-        return field_T + (slopes @ moved_m[..., None])[..., 0]
+    def world_from_sensor(self, rows: Int[Tensor, " rows"], values: Values) -> Transform:
+        """Pose of the sensor in the room at distinct poses."""
+        return self.at_sensors.world_from_sensor(rows, values)
 
     def _gain(self, values: Values) -> Float[Tensor, "*batch reading"]:
         gains = torch.broadcast_tensors(*(values[f"{s.name}.gain"] for s in self.rig.sensors))
@@ -338,24 +253,3 @@ class MeasurementModel:
         """Pose coil_from_sensor at distinct poses; one row where both stay where they are."""
         world_from_coil = self.sources.world_from_body(coil, "coil", rows, values)
         return world_from_coil.inverse() @ self.world_from_sensor(rows, values)
-
-
-@dataclass(frozen=True)
-class _Part:
-    """Some of the readings of a model.
-
-    Attributes:
-        readings: Their numbers.
-        rows: Their distinct poses.
-        model: Of them alone.
-    """
-
-    readings: Int[Tensor, " part"]
-    rows: Int[Tensor, " rows"]
-    model: MeasurementModel
-
-    @classmethod
-    def of(cls, model: MeasurementModel, is_part: Bool[Tensor, " reading"]) -> _Part:
-        """The chosen readings of a model, with a model of them alone."""
-        readings = is_part.nonzero().flatten()
-        return cls(readings, model.pose_row[readings].unique(), model.part(readings))
