@@ -9,7 +9,7 @@ from estimator.errors import Faults, InvalidInput, Place, closest, listed, quote
 from estimator.rig.rig import Rig
 from estimator.store.importers.forms.cells import DATE_CELL, is_clock
 from estimator.store.importers.forms.headings import Target, candidates, heading_of, targets_of
-from estimator.store.importers.forms.recipe import CLOCK, DATE, NOTHING, Recipe
+from estimator.store.importers.forms.recipe import CLOCK, DATE, NOTHING, Recipe, parts_of
 from estimator.store.importers.forms.units import SYMBOLS, FileUnit, split_file_unit
 from estimator.units import UNITS
 
@@ -59,7 +59,7 @@ class Assigner:
         self.headings = [heading_of(*pair) for pair in zip(header, units_below, strict=False)]
         self.targets = targets_of(rig)
         self.rig, self.recipe, self.place, self.faults = rig, recipe, place, faults
-        self.assigned: dict[int, Assigned] = {}
+        self.assigned: list[Assigned] = []
         self.left_out: set[int] = set()
         self.unsure: dict[int, list[str]] = {}
         self.refused: set[str] = set()
@@ -86,9 +86,10 @@ class Assigner:
             index = texts.index(header)
             if name == NOTHING:
                 self.left_out.add(index)
-            elif (named := self._named(index, name)) is not None:
-                self.assigned[index] = named
-        quantities = [each.quantity for each in self.assigned.values()]
+            else:  # windings in series have their current in one column
+                named = [self._named(index, part) for part in parts_of(name)]
+                self.assigned += [each for each in named if each is not None]
+        quantities = [each.quantity for each in self.assigned]
         for quantity in dict.fromkeys(quantities):
             if quantities.count(quantity) > 1:
                 self.refuse(f"{quantity} must be one column; the recipe names {quantities.count(quantity)}")
@@ -120,7 +121,7 @@ class Assigner:
 
     def find_clock(self, cells: Sequence[Sequence[str]]) -> None:
         """Assign columns whose cells are times of day or dates."""
-        taken = {each.quantity for each in self.assigned.values()}
+        taken = {each.quantity for each in self.assigned}
         if "t" in taken:
             return
         for index in self.free():
@@ -131,20 +132,21 @@ class Assigner:
             for kind, is_its in ((CLOCK, is_clock), (DATE, DATE_CELL.match)):
                 n_fits = sum(bool(is_its(cell)) for cell in own)
                 if kind not in taken and own and n_fits > MOSTLY * len(own):
-                    self.assigned[index] = Assigned(index, header, kind, None)
+                    self.assigned.append(Assigned(index, header, kind, None))
                     taken.add(kind)
                     break
         if CLOCK not in taken:
-            self.assigned = {i: each for i, each in self.assigned.items() if each.quantity != DATE}
+            self.assigned = [each for each in self.assigned if each.quantity != DATE]
 
     def free(self) -> list[int]:
         """Columns that nothing was said of."""
-        return [i for i in range(len(self.headings)) if i not in self.assigned and i not in self.left_out]
+        taken = self.left_out | {each.column for each in self.assigned}
+        return [i for i in range(len(self.headings)) if i not in taken]
 
     def guess(self, cells: Sequence[Sequence[str]]) -> None:
         """Assign columns by heading and unit."""
         claims: dict[str, list[tuple[int, int, Target]]] = {}
-        taken = {each.quantity for each in self.assigned.values()}
+        taken = {each.quantity for each in self.assigned}
         if CLOCK in taken:
             taken.add("t")
         for index in self.free():
@@ -174,7 +176,7 @@ class Assigner:
                 no_unit.append((index, target))
             else:
                 header = self.text(index)
-                self.assigned[index] = Assigned(index, header, quantity, unit)
+                self.assigned.append(Assigned(index, header, quantity, unit))
         if no_unit:
             self._refuse_without_unit(no_unit)
 

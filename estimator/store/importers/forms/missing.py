@@ -6,6 +6,8 @@ import re
 
 from estimator.errors import listed, quoted
 from estimator.store.importers.forms.assigner import MOST_LISTED, Assigner
+from estimator.store.importers.forms.headings import Target
+from estimator.store.importers.forms.recipe import AND
 from estimator.store.importers.forms.units import split_file_unit
 from estimator.units import UNITS
 
@@ -27,24 +29,8 @@ def check_missing(assigner: Assigner, quantities: set[str]) -> None:
     )
     _check_axes(assigner, quantities)
     for target in assigner.targets:
-        if target.quantity in quantities or target.role not in {"current", "place", "joint"}:
-            continue
-        may_be = [
-            assigner.text(index) for index, names in assigner.unsure.items() if target.quantity in names
-        ]
-        symbol = next(symbol for symbol, unit in UNITS.items() if unit.dimension == target.dimension)
-        name = f"{target.quantity}_{symbol}"
-        if may_be:
-            assigner.refuse(
-                f"columns must include {name}; it may be {' or '.join(map(quoted, may_be[:MOST_LISTED]))}: say which with "
-                f"--column '{may_be[0]}={target.quantity}_UNIT'"
-            )
-            continue
-        value = "AMPERE" if target.role == "current" else "0"
-        assigner.refuse(
-            f"columns must include {name}; none is it: name one with --column 'HEADER={target.quantity}_UNIT', "
-            f"or give it for all rows, such as --constant {name}={value}"
-        )
+        if target.quantity not in quantities and target.role in {"current", "place", "joint"}:
+            _refuse_missing(assigner, target)
     _check_rotations(assigner, quantities)
     fields = [
         target.quantity
@@ -65,6 +51,31 @@ def check_missing(assigner: Assigner, quantities: set[str]) -> None:
             f"the rig has {len(rig.sensors)} sensors, so columns must include sensor, or the fields of each, such as {example}: "
             f"name them with --column 'HEADER={example}'"
         )
+
+
+def _refuse_missing(assigner: Assigner, target: Target) -> None:
+    symbol = next(symbol for symbol, unit in UNITS.items() if unit.dimension == target.dimension)
+    name = f"{target.quantity}_{symbol}"
+    may_be = [index for index, names in assigner.unsure.items() if target.quantity in names]
+    if may_be:
+        texts, unit = [assigner.text(index) for index in may_be], assigner.headings[may_be[0]].unit
+        given = f"{target.quantity}_{'UNIT' if unit is None else unit.symbol}"
+        words = f"it may be {' or '.join(map(quoted, texts[:MOST_LISTED]))}: say which with --column '{texts[0]}={given}'"
+        if target.role == "current" and len(names := assigner.unsure[may_be[0]]) > 1:
+            all_of_it = AND.join([given, *(given.replace(target.quantity, n) for n in names[1:])])
+            words += f"; for coils in series --column '{texts[0]}={all_of_it}'"
+    else:
+        value = "AMPERE" if target.role == "current" else "0"
+        words = (
+            f"none is it: name one with --column 'HEADER={target.quantity}_UNIT', "
+            f"or give it for all rows, such as --constant {name}={value}"
+        )
+        currents = [each for each in assigner.assigned if each.quantity.endswith("_current")]
+        if target.role == "current" and currents:
+            like = next((each for each in currents if each.quantity[0] == target.quantity[0]), currents[0])
+            together = AND.join([like.name, like.name.replace(like.quantity, target.quantity)])
+            words += f"; in series with another coil: --column '{like.header}={together}'"
+    assigner.refuse(f"columns must include {name}; {words}")
 
 
 def _check_axes(assigner: Assigner, quantities: set[str]) -> None:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
+from string import digits
 
 from estimator.errors import Faults, InvalidInput, Place, cut, in_order
 from estimator.rig.rig import Rig
 from estimator.store.importers.csv_lines import BadLine, row_of
 from estimator.store.importers.forms.assigner import UNKNOWN_UNIT, Assigned, Assigner
 from estimator.store.importers.forms.headings import targets_of
-from estimator.store.importers.forms.recipe import CLOCK, DATE, NOTHING, Recipe
+from estimator.store.importers.forms.recipe import AND, CLOCK, DATE, NOTHING, Recipe, together
 from estimator.store.importers.forms.rows import Source, text_source
 from estimator.store.importers.forms.understand import Understood, understood
 from estimator.store.importers.table import Table
@@ -92,7 +94,9 @@ def previewed(path: Path, rig: Rig, recipe: Recipe) -> Preview:
     unread = {column.header: column for column in _unread(source, recipe, {})}
     assigned = {each.header: each for each in read.proposal.assigned}
     columns = tuple(
-        previewed_column(assigned[header], read) if header in assigned else unread[header]
+        replace(previewed_column(assigned[header], read), name=read.proposal.recipe.columns[header])
+        if header in assigned
+        else unread[header]
         for header in source.layout.header or ()
     )
     return Preview(columns, lines, read.proposal.remarks, names, n_readings)
@@ -117,6 +121,10 @@ def names_of(rig: Rig) -> tuple[str, ...]:
         else:
             units = [unit.symbol for unit in UNITS.values() if unit.dimension == target.dimension]
             names += [f"{target.quantity}_{unit}" for unit in units]
+    pairs = groupby((coil.name for coil in rig.coils), lambda name: name.rstrip(digits))
+    for _, coils in pairs:  # such as x1 and x2, which may be in series
+        if len(own := [f"{name}_current_A" for name in coils]) > 1:
+            names.append(AND.join(own))
     return (NOTHING, *names)
 
 
@@ -178,7 +186,7 @@ def _taken_for(source: Source, rig: Rig, recipe: Recipe) -> dict[str, str]:
         assigner.give()
         assigner.find_clock(source.sample_rows())
         assigner.guess(source.sample_rows())
-    return {each.header: each.name for each in assigner.assigned.values() if each.unit is not UNKNOWN_UNIT}
+    return together((each.header, each.name) for each in assigner.assigned if each.unit is not UNKNOWN_UNIT)
 
 
 def _unread(source: Source, recipe: Recipe, taken_for: Mapping[str, str]) -> tuple[PreviewedColumn, ...]:

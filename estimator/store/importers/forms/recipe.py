@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,6 +18,7 @@ SEPARATOR_OF = {word: separator for separator, word in WORDS.items()}
 DECIMALS = {"point": ".", "comma": ","}
 PLAIN = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?$")
 CLOCK, DATE, NOTHING = "clock", "date", "-"
+AND = ", "  # between the names of a column that is several, as the current of windings in series
 ABOUT = """\
 # How coilcal reads such files: the name of each column in the file, and what it is (units by suffix; "clock" is a time of day,
 # "-" is left out). Use it with: coilcal import FILE --rig RIG --map columns.yaml
@@ -29,7 +30,8 @@ class Recipe:
     """How files are read; what is not given is found in the file.
 
     Attributes:
-        columns: What each column of the file is: a column of the readings CSV with its unit, `clock`, `date`, or `-`.
+        columns: What each column of the file is: a column of the readings CSV with its unit, several with commas between them, `clock`,
+            `date`, or `-`.
         constants: Numbers of columns that the file does not have, such as `coil1_current_A`.
         separator: In words, such as `semicolons`.
         decimal: `point` or `comma`.
@@ -126,6 +128,29 @@ def _name(columns: Section, header: str) -> str:
     if not isinstance(value, str):
         columns.refuse(header, "must be the name of a column, clock, date, or -", value)
     return value
+
+
+def parts_of(name: str) -> list[str]:
+    """The names in what a column is.
+
+    Examples:
+        >>> parts_of("x1_current_A, x2_current_A")
+        ['x1_current_A', 'x2_current_A']
+    """
+    return [part.strip() for part in name.split(AND.strip())]
+
+
+def together(named: Iterable[tuple[str, str]]) -> dict[str, str]:
+    """What each column is, from its header and one of its names in each pair.
+
+    Examples:
+        >>> together([("I [A]", "x1_current_A"), ("t", "t_s"), ("I [A]", "x2_current_A")])
+        {'I [A]': 'x1_current_A, x2_current_A', 't': 't_s'}
+    """
+    columns: dict[str, str] = {}
+    for header, name in named:
+        columns[header] = f"{columns[header]}{AND}{name}" if header in columns else name
+    return columns
 
 
 def named_columns(texts: Sequence[str]) -> dict[str, str]:

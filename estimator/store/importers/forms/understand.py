@@ -22,7 +22,7 @@ from estimator.store.importers.forms.assigner import Assigned, Assigner
 from estimator.store.importers.forms.cells import is_number, plain_numbers
 from estimator.store.importers.forms.layout import SAMPLE_LINES, WORDS, Layout, layout_of
 from estimator.store.importers.forms.missing import check_missing
-from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, Recipe
+from estimator.store.importers.forms.recipe import DECIMALS, NOTHING, Recipe, together
 from estimator.store.importers.forms.rows import Source, first_lines, grid_source, text_source
 from estimator.store.importers.forms.sources import CELL_SEPARATOR, MOST_COLUMNS, kind_of
 from estimator.store.importers.forms.times import with_times
@@ -219,7 +219,7 @@ def _remarks(assignment: Assignment, recipe: Recipe, has_time: bool) -> list[str
 
 
 def _whole_recipe(source: Source, assignment: Assignment, recipe: Recipe, clock: Clock) -> Recipe:
-    named = {each.header: each.name for each in assignment.assigned}
+    named = together((each.header, each.name) for each in assignment.assigned)
     left = dict.fromkeys(assignment.left_out, NOTHING)
     is_text = source.block is None
     decimal = next(word for word, sign in DECIMALS.items() if sign == source.layout.decimal)
@@ -275,7 +275,8 @@ def assigned_columns(
     if not recipe.is_whole:
         assigner.find_clock(cells)
         assigner.guess(cells)
-    assigned = tuple(assigner.assigned[index] for index in sorted(assigner.assigned))
+    assigned = tuple(sorted(assigner.assigned, key=lambda each: each.column))
     check_missing(assigner, {each.quantity for each in assigned} | assigner.refused)
-    left = [heading.text.strip() for i, heading in enumerate(assigner.headings) if i not in assigner.assigned]
+    read = {each.column for each in assigned}
+    left = [heading.text.strip() for i, heading in enumerate(assigner.headings) if i not in read]
     return Assignment(assigned, tuple(name for name in left if name))

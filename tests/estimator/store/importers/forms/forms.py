@@ -206,6 +206,16 @@ OF_TEXT = [
         tells="Left out: Remarks.",
     ),
     Form(
+        "remarks_in_few_rows_under_another_word.csv",
+        columns(
+            [*HEADER, "Bemerkung"],
+            *TABLE.T,
+            ["Licht an" if row == 40 else "" for row in range(60)],
+            separator=";",
+        ).encode(),
+        tells="Left out: Bemerkung.",
+    ),
+    Form(
         "comments_without_separators.csv",
         lines(LINES[0] + ",Note", *(line + ",paused" * (row == 5) for row, line in enumerate(LINES[1:]))),
         tells="Left out: Note.",
@@ -480,6 +490,13 @@ OF_COLUMNS = [
             [*HEADER[:1], "I1 [A]", "I2 [A]", *HEADER[2:]], T, CURRENT, CURRENT + 1, *TABLE.T[2:]
         ).encode(),
         rig=TWO_COILS,
+    ),
+    Form(
+        "one_current_in_two_coils.csv",
+        text([*HEADER[:1], "I [A]", *HEADER[2:]]).encode(),
+        is_read=False,
+        rig=TWO_COILS,
+        tells="coil2_current_A  -3 A",
     ),
 ]
 REAL = [

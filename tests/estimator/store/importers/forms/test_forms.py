@@ -52,6 +52,8 @@ def refusal(result: Result) -> str:
 
 def followed(sentence: str, form: Form) -> list[str]:
     """The option that a sentence proposes; what only the user knows stands in the form. Empty where it asks for another file."""
+    if match := re.search(r"in series --column '([^']+)'", sentence):
+        return ["--column", match[1]]
     if "HEADER" in sentence and (match := re.search(r"--constant (\w+)=(\w+)", sentence)):
         return ["--constant", f"{match[1]}={form.units.get(match[2], match[2])}"]
     if match := re.search(r"--column 'HEADER=Bx_(uT)'", sentence):
