@@ -17,7 +17,8 @@ MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16"),
 )
 # What programs of laboratories write; others are so like these that letters do not tell them apart.
-LIKELY = ["cp1252", "latin_1", "cp1250", "cp1251", "mac_roman", "shift_jis", "gb18030"]
+EASTERN = ["shift_jis", "gb18030"]
+LIKELY = ["cp1252", "latin_1", "cp1250", "cp1251", "mac_roman", *EASTERN]
 
 
 def encoding_of(path: Path) -> str:
@@ -54,9 +55,9 @@ def _likely(sample: bytes) -> str:
     told = b"\n".join(line for line in sample.splitlines() if any(byte > 127 for byte in line))
     best = from_bytes(told or sample, cp_isolation=LIKELY).best()
     name = "cp1252" if best is None else best.encoding
-    # Where Latin letters alone decide, a micro sign or a degree is what is meant.
-    is_western = any(mark in told for mark in (b"\xb5", b"\xb0")) and not _is_cjk(told, name)
-    return "cp1252" if is_western else name
+    # Where Latin letters alone decide, a micro sign, a degree or a single umlaut is what is meant.
+    is_western = any(mark in told for mark in (b"\xb5", b"\xb0")) or name in EASTERN
+    return "cp1252" if is_western and not _is_cjk(told, name) else name
 
 
 def _is_cjk(told: bytes, name: str) -> bool:

@@ -83,11 +83,12 @@ def layout_of(
             total = sum(n for _, row, n in counts if len(row) == width)
             if width >= FEWEST_NUMBERS and total > most:
                 first = next(line for line, row, _ in counts if len(row) == width)
-                best, most = (separator, decimal, width, first, [row for _, row, _ in counts]), total
+                best, most = (separator, decimal, width, first, [(line, row) for line, row, _ in counts]), total
     if best is None:
         return None
     separator, decimal, width, first, data_rows = best
-    header, header_line, units = _header(lines, first.number, separator, width)
+    most_cells = max(len(_split(line, separator)) for line, row in data_rows if len(row) == width)
+    header, header_line, units = _header(lines, first.number, separator, (width, most_cells))
     # A torn line below the header is a row with a fault, a line of dashes is none.
     starts = [
         line.number
@@ -96,7 +97,7 @@ def layout_of(
         and sum(is_number(cell, decimal) for cell in _cells(line, separator)) >= FEWEST_NUMBERS
     ]
     first_line = min([*starts, first.number]) if header is not None else first.number
-    unclear = decimals == ".," and _is_unclear(data_rows)
+    unclear = decimals == ".," and _is_unclear(row for _, row in data_rows)
     n_optional = 0 if header is None else len(header) - width
     return Layout(
         separator, decimal, header, header_line, units, first_line, width + n_optional, n_optional, unclear
@@ -108,10 +109,13 @@ def is_comment(text: str) -> bool:
     return text.lstrip().startswith(COMMENTS)
 
 
-def _cells(line: Line, separator: str | None) -> list[str]:
+def _split(line: Line, separator: str | None) -> list[str]:
     row = row_of(line.text, line.number, separator)
-    if isinstance(row, BadLine):
-        row = line.text.split(separator)
+    return line.text.split(separator) if isinstance(row, BadLine) else row
+
+
+def _cells(line: Line, separator: str | None) -> list[str]:
+    row = _split(line, separator)
     while len(row) > FEWEST_NUMBERS and not row[-1].strip():  # a separator at the end of the line
         row = row[:-1]
     return [cell.strip() for cell in row]
@@ -128,13 +132,13 @@ def _is_unclear(rows: Iterable[Sequence[str]]) -> bool:
 
 
 def _header(
-    lines: Sequence[Line], first: int, separator: str | None, width: int
+    lines: Sequence[Line], first: int, separator: str | None, widths: tuple[int, int]
 ) -> tuple[tuple[str, ...] | None, int, tuple[str, ...]]:
     """Names of the columns, their line, and their units, from the lines above the first row of numbers."""
-    above = [line for line in lines if line.number < first]
+    above, width = [line for line in lines if line.number < first], widths[0]
     units: tuple[str, ...] = ()
     for number, line in reversed(list(enumerate(above))):
-        names = header_names(line.text, separator, width)
+        names = header_names(line.text, separator, *widths)
         if names is None:
             continue
         if not units and _are_units(names):
@@ -155,9 +159,16 @@ def _has_doubles(names: Sequence[str]) -> bool:
     return len(set(given)) < len(given)
 
 
-def header_names(text: str, separator: str | None, width: int) -> tuple[str, ...] | None:
+def header_names(
+    text: str, separator: str | None, width: int, most_cells: int = 0
+) -> tuple[str, ...] | None:
     """Cells of a line that may name as many columns as rows have, and columns of comments; None where it does not.
 
+    Args:
+        text: The line.
+        separator: Between cells.
+        width: Cells of a row, without empty ones at its end.
+        most_cells: Cells of a row with those: a column that is nearly always empty is one of comments, whatever its name.
     Examples:
         >>> header_names("# t_s, Bx_mT", ",", 2), header_names("x [mm]  B x [G]", None, 2), header_names("a b c", None, 2)
         (('t_s', 'Bx_mT'), ('x [mm]', 'B x [G]'), None)
@@ -170,7 +181,7 @@ def header_names(text: str, separator: str | None, width: int) -> tuple[str, ...
         n_comments = sum(name.lower() in NO_CELLS for name in names[width:])
         n_words = sum(any(letter.isalpha() for letter in name) for name in names)
         is_text = n_words >= FEWEST_NUMBERS and not any(is_number(name, ".") for name in names)
-        if len(names) - n_comments == width and is_text:
+        if (len(names) - n_comments == width or width < len(names) <= most_cells) and is_text:
             return names
     return None
 
