@@ -115,6 +115,7 @@ def _readings(
     if is_rig_right and not faults:
         told_besides = [*warnings, *notes(with_everywhere(rig, session.observations))]
         rest, record = [*rest, *(f"  {note}" for note in told_besides)], {**record, "notes": told_besides}
+        record["warnings"] = warnings
     return [f"{path}: {first}", *rest], record, faults
 
 
@@ -144,9 +145,8 @@ def _tell(faults: list[InvalidInput], lines: list[str], record: dict[str, Any], 
     if faults:
         told.append(f"{len(faults)} {'mistake' if len(faults) == 1 else 'mistakes'}")
     else:
-        lines.append(
-            "the form is right, the readings are not" if record.get("flagged") else "nothing is wrong"
-        )
+        doubt = "are not" if record.get("flagged") else "may not be" if record.get("warnings") else ""
+        lines.append(f"the form is right, the readings {doubt}" if doubt else "nothing is wrong")
     entries = [
         {
             "message": _without_place(fault),

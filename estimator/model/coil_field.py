@@ -207,6 +207,7 @@ def refuse(
     rules: list[tuple[str, Bool[Tensor, "..."]]],
     rows: Int[Tensor, " row"],
     pose_row: Int[Tensor, " reading"],
+    line: Int[Tensor, " reading"] | None,
     rig: str,
 ) -> None:
     """Refuse sensors where a coil has no field.
@@ -215,6 +216,7 @@ def refuse(
         rules: Where sensors must lie, and at which poses they do not.
         rows: Numbers of these poses among the distinct ones.
         pose_row: Distinct pose of each reading.
+        line: Line of the file of each reading, where there is one.
         rig: Name of the rig.
     Raises:
         InvalidInput: A sensor stands there.
@@ -223,8 +225,9 @@ def refuse(
         refused = is_refused.nonzero().flatten()
         if len(refused):
             reading = int(torch.isin(pose_row, rows[refused]).nonzero().flatten()[0])
+            first = f"at reading {reading}" if line is None else f"in line {int(line[reading])}"
             raise InvalidInput(
                 f"sensors must lie {rule}; at the rig's nominal values {len(refused)} of "
-                f"{len(rows)} poses do not, the first at reading {reading}: "
+                f"{len(rows)} poses do not, the first {first}: "
                 f"correct where the rig file puts the sensor or the coil (rig {rig!r})"
             )

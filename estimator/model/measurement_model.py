@@ -193,7 +193,8 @@ class MeasurementModel:
             points_m = self.in_coil(coil, rows, values).translation_m
             field = coil_field(self.rig, coil, values)
             if not is_idle:
-                refuse(field.rules(points_m), rows, self.pose_row, self.rig.name)
+                line = self.circumstances.observations.line
+                refuse(field.rules(points_m), rows, self.pose_row, line, self.rig.name)
             if field.winding is None:
                 continue
             points_m = points_m[~field.has_none(points_m)]

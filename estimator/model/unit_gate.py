@@ -6,6 +6,7 @@ their median over readings in the stronger half of the field, and a pattern that
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,6 +29,7 @@ FAR = 10.0  # times the median misfit from which a reading counts as wild
 MOST_FAR = 0.1  # share of the readings that may be wild; where more are, the pattern is another one
 NEARLY_ALONG = 0.8  # cosine between measured and predicted field
 LEAST_OF_A_SIGN = 0.1  # share of the readings from which a sign is no slip of single rows
+IDLE_SHARE = 0.01  # of a coil's largest current; a meter never shows exactly none
 LARGEST_TURN_RAD = 2 * np.pi  # of a rotation vector or a joint in radians
 FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
 
@@ -84,16 +86,17 @@ def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
         index = np.random.default_rng(0).choice(len(observations), MOST_READINGS, replace=False)
         chosen = torch.from_numpy(np.sort(index))
         observations = observations.rows(chosen)
-    given = _agreement(rig, observations)
+    given, why = None, "no reading shows a field of a winding"
+    try:
+        given = _agreement(rig, observations)
+    except InvalidInput as refusal:
+        why = f"{refusal}; until then coilcal calibrate refuses them"
     if given is not None and given.is_plausible and given.correlation > GOOD_PATTERN and not given.far:
         return []
     is_wrong_size = given is not None and not given.is_plausible
     _refuse_motion(rig, observations, is_wrong_size, where)
     if given is None:
-        rule = "Units could not be compared with the rig's nominal model"
-        return [
-            f"{rule}: there a sensor stands in a winding, or no reading shows a field of a winding ({where})."
-        ]
+        return [f"Units could not be compared with the rig's nominal model: {why} ({where})."]
     if is_wrong_size and given.is_certain:
         raise InvalidInput(
             f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: "
@@ -115,7 +118,10 @@ def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, wh
         ("positions", 1e-2, "cm", is_wrong_size),
         ("rotations", np.pi / 180.0, "deg", is_turned_beyond),
     ):
-        agreement = _agreement(rig, _scaled(rig, observations, kind, factor)) if is_possible else None
+        agreement = None
+        if is_possible:
+            with suppress(InvalidInput):
+                agreement = _agreement(rig, _scaled(rig, observations, kind, factor))
         if (
             agreement is not None
             and 1.0 / 3.0 < agreement.ratio < 3.0
@@ -176,22 +182,33 @@ def _warnings(
 
 
 def _agreement(rig: Rig, observations: Observations) -> Agreement | None:
-    """Measured beside nominal field; None where a sensor would sit in a winding, or nothing can be compared."""
-    try:
-        model = MeasurementModel.build(rig, observations, tolerance=1e-3)
-    except InvalidInput:
-        return None
+    """Measured beside nominal field; None where nothing can be compared.
+
+    Raises:
+        InvalidInput: A sensor would stand in a winding.
+    """
+    model = MeasurementModel.build(rig, observations, tolerance=1e-3)
     has_current = observations.current_A != 0.0
     is_wound = torch.tensor([coil.is_wound for coil in rig.coils])
     # Nothing is known beforehand of the field of a coil without a winding.
     powered = has_current.any(dim=1) & ~(has_current & ~is_wound).any(dim=1)
     mask = observations.is_measured & powered[:, None]
     predicted_T = model.predict(model.nominal).masked_fill(~mask, 0.0)
-    measured_T = observations.field_sensor_T.masked_fill(~mask, 0.0)
+    measured_T = _without_idle_T(observations).masked_fill(~mask, 0.0)
     is_compared = (predicted_T.norm(dim=1) > 0.0) & (measured_T.norm(dim=1) > 0.0)
     if not bool(is_compared.any()):
         return None
     return _compared(predicted_T, measured_T, is_compared)
+
+
+def _without_idle_T(observations: Observations) -> Float[Tensor, "reading 3"]:
+    """Fields less what their sensor shows without current: the room's field may be larger than that of a coil."""
+    field_T, current_A = observations.field_sensor_T.clone(), observations.current_A.abs()
+    is_idle = (current_A <= IDLE_SHARE * current_A.amax(dim=0)).all(dim=1)
+    for sensor in observations.sensor[is_idle].unique():
+        is_own = observations.sensor == sensor
+        field_T[is_own] -= field_T[is_own & is_idle].nanmedian(dim=0).values.nan_to_num()
+    return field_T
 
 
 def _compared(

@@ -78,8 +78,14 @@ def test_a_sensor_that_nominally_stands_in_the_winding_is_no_wrong_unit(readings
     motion = readings.motion["stage"].clone()
     motion[3, :3] = torch.tensor([0.05, 0.0, -0.042])
     motion[3, 3:] = 0.0
-    (told,) = check_units(rig(), replace(readings, motion={"stage": motion}), "a.csv")
-    assert told.startswith("Units could not be compared")
+    moved = replace(readings, motion={"stage": motion})
+    (told,) = check_units(rig(), moved, "a.csv")
+    assert told.startswith(
+        "Units could not be compared with the rig's nominal model: sensors must lie outside the winding of coil1"
+    )
+    assert f"1 of {len(readings)} poses do not, the first at reading 3:" in told
+    (told,) = check_units(rig(), replace(moved, line=torch.arange(len(readings)) + 2), "a.csv")
+    assert "the first in line 5:" in told
 
 
 @pytest.mark.parametrize("wild_T", [-0.26624, 9.999])
@@ -116,3 +122,11 @@ def test_currents_without_their_sign_are_told(readings: Observations) -> None:
     assert check_units(rig(), replace(flowed, current_A=sign[:, None] * readings.current_A), "a.csv") == []
     (all_reversed,) = check_units(rig(), readings.with_field(-readings.field_sensor_T), "a.csv")
     assert "without their sign" not in all_reversed
+
+
+def test_the_field_of_the_room_is_no_other_pattern(readings: Observations) -> None:
+    """Half the readings without current, and a room whose field is larger than that of the coil."""
+    is_idle = torch.arange(len(readings)) % 2 == 0
+    field_T = readings.field_sensor_T.masked_fill(is_idle[:, None], 0.0) + torch.tensor([3e-3, -2e-3, 1e-3])
+    current_A = readings.current_A.masked_fill(is_idle[:, None], 3e-4)  # as a meter shows it
+    assert check_units(rig(), replace(readings.with_field(field_T), current_A=current_A), "a.csv") == []
