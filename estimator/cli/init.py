@@ -178,4 +178,6 @@ def _text(folder: Path, rig: Path, plan: Path, n_readings: int, n_free: int) -> 
     return f"""{rig} and {plan} written: {n_free} free numbers, {n_readings} readings. Edit them, then:
   coilcal check {rig} {plan}
   coilcal simulate --rig {rig} --plan {plan} --out {session}      # what a session would give
-  coilcal calibrate {session} --out {folder / "trial"}"""
+  coilcal calibrate {session} --out {folder / "trial"}
+Your own readings, as they are (coilcal docs import-your-data):
+  coilcal import readings.csv --rig {rig} --out {folder / "session.zarr"}"""

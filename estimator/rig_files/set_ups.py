@@ -216,7 +216,7 @@ class Solenoid(Wound):
 
     def texts(self) -> tuple[str, str]:
         """Rig file and plan."""
-        words = "The middle of the solenoid is the origin of the room, its axis is z."
+        words = "The axis of the solenoid is z."
         coils: dict[str, dict[str, Any]] = {"coil1": {"face_mm": 0.5 * self.length_mm, "frees_turns": True}}
         settings = [{"coil1": self.largest_A}, {"coil1": 0.5 * self.largest_A}]
         return self.filled(words, coils, settings, 0.75 * self.length_mm)

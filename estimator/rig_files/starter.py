@@ -36,6 +36,7 @@ TEMPLATES.globals |= {
     "TILT_SD_DEG": TILT_SD_DEG,
     "MOUNT_SD_DEG": math.degrees(first.MOUNT_SD_RAD),
     "FACE_SD_MM": 1.0,  # of the distance of two windings on one frame, or of two sensors
+    "FRAME_SD_DEG": 0.2,  # between the axes of two frames of a cage, set to a millimetre or two
     "ROOM_SD_T": first.ROOM_SD_T,
     "ZERO_SD_T": first.ZERO_SD_T,
     "N_POSES": 40,
