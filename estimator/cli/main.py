@@ -17,6 +17,7 @@ from estimator.cli.compare import compare_command
 from estimator.cli.design import design_command
 from estimator.cli.devices import devices_group
 from estimator.cli.diagnose import diagnose_command
+from estimator.cli.docs import docs_command
 from estimator.cli.explain import explain_command
 from estimator.cli.export import export_command
 from estimator.cli.import_readings import import_command
@@ -71,6 +72,7 @@ for command in (
     report_command,
     show_command,
     explain_command,
+    docs_command,
     schema_group,
     recalibrate_command,
     batch_command,
