@@ -178,10 +178,10 @@ def probability(share: float) -> str:
     """A probability in per cent; what is rounded is neither certain nor impossible.
 
     Examples:
-        >>> probability(0.88), probability(0.9992), probability(0.0004)
+        >>> probability(0.88), probability(0.9992), probability(0.005)
         ('88 %', '> 99 %', '< 1 %')
     """
-    return "> 99 %" if share > 0.995 else "< 1 %" if share < 0.005 else percent(share)
+    return "> 99 %" if share >= 0.995 else "< 1 %" if share <= 0.005 else percent(share)
 
 
 def odds(log_evidence: float) -> str:
