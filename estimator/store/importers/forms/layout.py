@@ -83,7 +83,10 @@ def layout_of(
             total = sum(n for _, row, n in counts if len(row) == width)
             if width >= FEWEST_NUMBERS and total > most:
                 first = next(line for line, row, _ in counts if len(row) == width)
-                best, most = (separator, decimal, width, first, [(line, row) for line, row, _ in counts]), total
+                best, most = (
+                    (separator, decimal, width, first, [(line, row) for line, row, _ in counts]),
+                    total,
+                )
     if best is None:
         return None
     separator, decimal, width, first, data_rows = best
@@ -159,9 +162,7 @@ def _has_doubles(names: Sequence[str]) -> bool:
     return len(set(given)) < len(given)
 
 
-def header_names(
-    text: str, separator: str | None, width: int, most_cells: int = 0
-) -> tuple[str, ...] | None:
+def header_names(text: str, separator: str | None, width: int, most_cells: int = 0) -> tuple[str, ...] | None:
     """Cells of a line that may name as many columns as rows have, and columns of comments; None where it does not.
 
     Args:

@@ -11,7 +11,14 @@ from estimator.store.importers.forms.encoding import encoding_of
 
 @pytest.mark.parametrize(
     "words",
-    ["rx [°]", "µT", "Messung für Spule\nTemp (°C)", "X [mm];Temp [°C];Bx [µT]", "Größe;Bx [µT]", "1;2;Tür auf"],
+    [
+        "rx [°]",
+        "µT",
+        "Messung für Spule\nTemp (°C)",
+        "X [mm];Temp [°C];Bx [µT]",
+        "Größe;Bx [µT]",
+        "1;2;Tür auf",
+    ],
 )
 def test_units_of_western_files_are_read(tmp_path: Path, words: str) -> None:
     (tmp_path / "a.csv").write_bytes(words.encode("latin-1"))
