@@ -66,7 +66,7 @@ def docs_command(page: str | None, is_opened: bool, as_json: bool) -> None:
 
 
 def _folder() -> Path:
-    """Where the pages are: in the checkout, or among the files that an installed release has brought."""
+    """Folder of the pages: in the checkout, or among the files that an installed release has brought."""
     if (ROOT / "pyproject.toml").is_file():
         return ROOT / "docs"
     for file in files("coilcal") or ():
