@@ -246,10 +246,10 @@ class CoilPlane(NamedTuple):
 
 
 def coil_planes(calibration: Calibration, n_points: int = PLANE_POINTS) -> Iterator[CoilPlane]:
-    """The field of each coil that carried current, of the first few where there are many."""
-    fit = fitted(calibration)
+    """The field of each coil that carried current, of the first few where there are many; without that of the room."""
+    fit, alone = fitted(calibration), calibration.coils_alone()
     for coil, positions_m, winding in islice(_sensor_positions(calibration, fit.model, fit.best), MOST_COILS):
-        yield _coil_plane(calibration, coil, positions_m, fit.best, winding, n_points)
+        yield _coil_plane(alone, coil, positions_m, fit.best, winding, n_points)
 
 
 def _coil_plane(

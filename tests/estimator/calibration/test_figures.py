@@ -10,6 +10,8 @@ import pytest
 
 from estimator.calibration.figures import coil_planes, pictures
 from estimator.calibration.result import Calibration
+from estimator.effects.attach import with_effect
+from estimator.rig.rig import Cause
 
 pytestmark = pytest.mark.whole
 
@@ -69,3 +71,16 @@ def test_uncertainty_is_known_wherever_the_field_is(small_calibration: Calibrati
     assert (np.isfinite(plane.relative) == has_field).all()
     finer = next(coil_planes(small_calibration, 2 * len(plane.x_m) - 1)).relative[::2, ::2]
     assert np.nanmedian(np.abs(finer / plane.relative - 1.0)) < 0.02
+
+
+def test_field_of_a_coil_is_without_that_of_the_room(small_calibration: Calibration) -> None:
+    """The Earth's field is no field per ampere, and its uncertainty is not the coil's."""
+    room = Cause("background_field", "room")
+    given = {"x_T": 1e-3, "y_T": 0.0, "z_T": 2e-3}
+    rig = with_effect(small_calibration.rig, room, small_calibration.observations, given, is_free=False)
+    best = {**small_calibration.best, **{f"{room.label}.{key}": value for key, value in given.items()}}
+    (alone,), (beside,) = (
+        coil_planes(each) for each in (small_calibration, replace(small_calibration, rig=rig, best=best))
+    )
+    np.testing.assert_allclose(beside.field_T_per_A, alone.field_T_per_A, rtol=1e-9)
+    np.testing.assert_allclose(beside.relative, alone.relative, rtol=1e-9)
