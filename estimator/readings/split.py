@@ -54,7 +54,7 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
     if len(few) < len(distinct):
         from scipy.spatial import cKDTree  # takes a quarter of a second to load
 
-        block_of_pose = cKDTree(centres).query(distinct)[1]
+        block_of_pose = np.asarray(cKDTree(centres).query(distinct)[1])
     block: Int[np.ndarray, " reading"] = block_of_pose[pose_row]
     return block
 
