@@ -32,6 +32,7 @@ from estimator.effects.use import as_meant
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
+from estimator.inference.interpolated import for_sampling
 from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
 from estimator.json_files import read_json
@@ -152,7 +153,7 @@ def calibrate(
         if backend is None:
             backend = _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
         samples = sample(
-            lattice,
+            for_sampling(lattice, start.mixture, seed),
             start.mixture,
             settings,
             backend,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from bisect import bisect_left
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any, TypeVar
@@ -15,6 +16,7 @@ from estimator.tensors import Tensor, torch
 DEFAULT_TOLERANCE = 1e-6
 NODE_LADDER = (1, 2, 3, 4, 5, 6, 8, 10, 12, 16, 20, 24, 32, 48, 64, 96, 128, 192, 256, 384, 512, 768, 1024)
 MOST_TRIED = 48  # points at which a rule is compared with the full sum
+EVERY_FEW = 4  # of these are tried first, since most rules fail at one of them
 W = TypeVar("W", bound="WindingShape")
 
 
@@ -113,21 +115,27 @@ def choose_rule(
         if tolerance == 0.0:
             return full
         reference = rounded.field_by(full)(nearest)
-        norm = reference.norm(dim=-1)
 
         def is_accurate(rule: Rule) -> bool:
-            error = (rounded.field_by(rule)(nearest) - reference).norm(dim=-1)
-            return bool((error <= tolerance / 3.0 * norm).all())
+            field = rounded.field_by(rule)
+            return all(_agree(field(nearest[::n]), reference[::n], tolerance / 3.0) for n in (EVERY_FEW, 1))
 
         return _smallest_rule(rounded, full, is_accurate)
+
+
+def _agree(field: Float[Tensor, "point 3"], reference: Float[Tensor, "point 3"], largest: float) -> bool:
+    """Whether a field misses another by no more than this share of it at each point."""
+    return bool(((field - reference).norm(dim=-1) <= largest * reference.norm(dim=-1)).all())
 
 
 def _smallest_rule(winding: WindingShape, full: Rule, is_accurate: Callable[[Rule], bool]) -> Rule:
     """The rule with the least effort that does for the full sum: for a loop where that can be less, then along, then across."""
     if winding.kind:
-        fewer = (replace(full, steps=n) for n in NODE_LADDER if n < full.steps)
-        full = next(filter(is_accurate, fewer), full)
-    along = (replace(full, axial_nodes=n) for n in NODE_LADDER if n < full.axial_nodes)
-    shorter = next(filter(is_accurate, along), full)
-    across = (replace(shorter, radial_nodes=n) for n in NODE_LADDER if n < full.radial_nodes)
-    return next(filter(is_accurate, across), shorter)
+        full = _first_accurate("steps", full, is_accurate)
+    return _first_accurate("radial_nodes", _first_accurate("axial_nodes", full, is_accurate), is_accurate)
+
+
+def _first_accurate(number: str, full: Rule, is_accurate: Callable[[Rule], bool]) -> Rule:
+    """The rule in which one of the numbers is as small as it may be; found by halving, since errors fall along the ladder."""
+    fewer = [replace(full, **{number: n}) for n in NODE_LADDER if n < getattr(full, number)]
+    return [*fewer, full][bisect_left(fewer, True, key=is_accurate)]

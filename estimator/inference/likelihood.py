@@ -29,7 +29,7 @@ from estimator.side_by_side import each, meanwhile
 DERIVATIVES_AT_ONCE = 2**22  # entries of one array of derivatives; calculations keep a few dozen such arrays
 # Derivatives of one part of the readings: larger parts fall out of a processor's cache and take half as long again.
 DERIVATIVES_IN_A_PASS = 2**19
-COMPUTED_FROM_READINGS = ("for_jacobian", "_by_points", "_is_of_sensor")
+COMPUTED_FROM_READINGS = ("for_jacobian", "_by_points", "is_of_sensor")
 
 
 class FirstOrder(NamedTuple):
@@ -293,16 +293,26 @@ class LogPosterior(Density):
         if vector.dim() > 1 and len(vector) > at_once:
             parts = torch.arange(len(vector), device=vector.device).split(at_once)
             return torch.cat(list(each(lambda part: self.at(part).log_likelihood(vector[part]), parts)))
-        if self._noise or uses_of(self.model.rig, RecordEffect):
+        if not self.has_steady_noise:
             return self.log_likelihood_of(self.predicted(vector), self.component_sigma_T(vector), vector)
-        # All components of a sensor have the same noise.
-        squares_T2 = (self.measured_T - self.predicted(vector)).square() @ self._is_of_sensor
+        squares_T2 = (self.measured_T - self.predicted(vector)).square() @ self.is_of_sensor
+        return self.log_likelihood_of_squares(squares_T2, vector)
+
+    @property
+    def has_steady_noise(self) -> bool:
+        """Whether all components of a sensor have the same noise."""
+        return not self._noise and not uses_of(self.model.rig, RecordEffect)
+
+    def log_likelihood_of_squares(
+        self, squares_T2: Float[Tensor, "*batch sensor"], vector: Float[Tensor, "*batch coordinate"]
+    ) -> Float[Tensor, "*batch"]:
+        """Log probability density of the measured components, given the sums of their squared residuals, where noise is steady."""
         sigma_T = self.sigma_T(vector)
         log_density = -0.5 * squares_T2 / sigma_T**2 - self.n_by_sensor * torch.log(sigma_T)
         return log_density.sum(-1) - 0.5 * math.log(2.0 * math.pi) * len(self._flat)
 
     @cached_property
-    def _is_of_sensor(self) -> Float[Tensor, "component sensor"]:
+    def is_of_sensor(self) -> Float[Tensor, "component sensor"]:
         """One where a component is a sensor's, else zero."""
         sensors = torch.arange(len(self.n_by_sensor), device=self.sensor.device)
         return (self.sensor[:, None] == sensors).to(self.measured_T)

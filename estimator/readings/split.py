@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from jaxtyping import Bool, Float, Int
-from scipy.cluster.vq import kmeans2
-from scipy.spatial import cKDTree
 
 from estimator.devices import numpy_of
 from estimator.errors import InvalidInput
+from estimator.readings.clusters import k_means
 from estimator.readings.observations import Observations
 from estimator.tensors import Tensor, torch
 
@@ -50,14 +47,14 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
     """Block number of every reading: k-means of the distinct poses of each sensor, with 20 blocks, or up to 200 for many poses."""
     distinct, pose_row = _distinct(_features(observations))
     n_blocks = min(max(len(distinct) // POSES_PER_BLOCK, FEWEST_BLOCKS), MOST_BLOCKS, len(distinct))
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "One of the clusters is empty", UserWarning)  # one block fewer
-        few = distinct
-        if len(distinct) > MOST_POSES:  # as many place the blocks as well as a million do, and in seconds
-            few = distinct[np.sort(rng.choice(len(distinct), MOST_POSES, replace=False))]
-        centres, block_of_pose = kmeans2(few, n_blocks, minit="++", rng=rng)
+    few = distinct
+    if len(distinct) > MOST_POSES:  # as many place the blocks as well as a million do, and in seconds
+        few = distinct[np.sort(rng.choice(len(distinct), MOST_POSES, replace=False))]
+    centres, block_of_pose = k_means(few, n_blocks, rng)
     if len(few) < len(distinct):
-        block_of_pose = cKDTree(centres).query(distinct)[1]
+        from scipy.spatial import cKDTree  # takes a quarter of a second to load
+
+        block_of_pose = np.asarray(cKDTree(centres).query(distinct)[1])
     block: Int[np.ndarray, " reading"] = block_of_pose[pose_row]
     return block
 

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 import torch
 
+from estimator.calibration import summary
 from estimator.calibration.calibrate import Stage, calibrate
 from estimator.calibration.result import Calibration
 from estimator.errors import CorruptStore, InvalidInput
+from estimator.inference import interpolated
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -172,6 +174,22 @@ def test_the_same_seed_gives_the_same_draws(
     again = calibrate(small_session, tiny, settings=QUICK)
     assert np.array_equal(again.draws[DISTANCE], tiny_calibration.draws[DISTANCE])
     assert again.summary() == tiny_calibration.summary()
+
+
+def test_a_large_session_has_the_same_draws_by_interpolation_and_coverage_of_some_readings(
+    small_session: Session, tiny: Rig, tiny_calibration: Calibration, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(interpolated, "FEWEST_COMPONENTS", 1)
+    monkeypatch.setattr(summary, "COVERAGE_READINGS", 20)
+    large = calibrate(small_session, tiny, settings=QUICK)
+    np.testing.assert_allclose(large.draws[DISTANCE], tiny_calibration.draws[DISTANCE], rtol=1e-9)
+    np.testing.assert_allclose(
+        large.log_prob, tiny_calibration.log_prob, rtol=0.0, atol=interpolated.LARGEST_ERROR
+    )
+    assert not np.array_equal(large.log_prob, tiny_calibration.log_prob)
+    n_inside = 60.0 * large.summary()["coverage90"]["calibration"]
+    assert n_inside == pytest.approx(round(n_inside), abs=1e-9)
+    assert n_inside == pytest.approx(54.0, abs=4 * math.sqrt(60 * 0.09))
 
 
 def test_real_valued_loops_are_asked_for_by_name(small_session: Session, small_rig: Rig) -> None:

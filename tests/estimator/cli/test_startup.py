@@ -231,7 +231,7 @@ def test_what_takes_no_derivative_computes_on_numpy(workspace: Path, tmp_path: P
     assert [
         (call, more)
         for call, (*_, loaded) in zip(calls, ended, strict=True)
-        if (more := loaded - RIG - {"zarr", "jinja2", "scipy"})  # arrays, templates, blocks of places
+        if (more := loaded - RIG - {"zarr", "jinja2"})  # arrays, templates
     ] == []
 
 

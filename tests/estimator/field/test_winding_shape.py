@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from estimator.field.sided import SidedWinding
 from estimator.field.winding import Winding
-from estimator.field.winding_shape import WindingShape, choose_rule
+from estimator.field.winding_shape import NODE_LADDER, Rule, WindingShape, choose_rule
 
 
 def tensors(*numbers: float) -> list[torch.Tensor]:
@@ -52,3 +54,20 @@ def test_chosen_rule_has_the_field_of_all_loops_to_the_tolerance(winding: Windin
     assert few.axial_nodes * few.radial_nodes < full.axial_nodes * full.radial_nodes
     field, expected = (winding.field_by(rule)(points_m) for rule in (few, full))
     assert ((field - expected).norm(dim=-1) <= 1e-4 * expected.norm(dim=-1)).all()
+
+
+@pytest.mark.parametrize("distance_m", [1e-3, 4e-3, 0.016, 0.064])
+def test_no_smaller_rule_of_the_ladder_would_do(winding: WindingShape, distance_m: float) -> None:
+    """The rule is found by halving; a search through all of them finds no other."""
+    points_m, tolerance = winding.contour_m(distance_m)[:48], 1e-6
+    expected = winding.field_by(winding.full_rule(points_m))(points_m)
+
+    def does(rule: Rule) -> bool:
+        error = (winding.field_by(rule)(points_m) - expected).norm(dim=-1)
+        return bool((error <= tolerance / 3.0 * expected.norm(dim=-1)).all())
+
+    rule = winding.full_rule(points_m)
+    for number in ("steps", "axial_nodes", "radial_nodes")[0 if winding.kind else 1 :]:
+        fewer = [replace(rule, **{number: n}) for n in NODE_LADDER if n < getattr(rule, number)]
+        rule = next(filter(does, fewer), rule)
+    assert choose_rule(winding, points_m, tolerance) == rule

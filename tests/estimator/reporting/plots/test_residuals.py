@@ -123,6 +123,16 @@ def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(
     assert [label.get_text() for label in ax.get_legend().get_texts()] == ["Bx", "By", "Bz"]
 
 
+def test_legend_stays_above_the_line_wherever_points_lie(residual_T: np.ndarray) -> None:
+    """Nothing is searched for its place: among the points of a large session that takes seconds."""
+    far_off_T = 0.1 + np.abs(residual_T)
+    upper, _ = predicted_against_measured(-far_off_T, far_off_T, SIGMA_T).child_axes
+    upper.figure.canvas.draw()
+    legend, panel = upper.get_legend().get_window_extent(), upper.get_window_extent()
+    assert legend.x0 - panel.x0 < 0.05 * panel.width
+    assert panel.y1 - legend.y1 < 0.05 * panel.height
+
+
 def test_legend_names_only_components_that_were_measured(residual_T: np.ndarray) -> None:
     residual_T[:, :2] = np.nan
     upper, _ = predicted_against_measured(residual_T, residual_T, SIGMA_T).child_axes
