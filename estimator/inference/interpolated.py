@@ -17,7 +17,7 @@ from estimator.inference.likelihood import LogPosterior
 from estimator.inference.positive_definite import lower_factor
 from estimator.side_by_side import each
 
-FEWEST_COMPONENTS = 30_000  # with fewer, sampling takes a few seconds
+FEWEST_COMPONENTS = 15_000  # with fewer, sampling takes a few seconds
 POINTS_PER_COEFFICIENT = 1.5  # more would average out third powers, which the check finds
 REACH = 1.5  # standard deviations of the vectors between which is interpolated, in those of the Laplace approximation
 N_CHECKED = 50  # draws of the Laplace approximation
