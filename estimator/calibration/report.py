@@ -295,6 +295,8 @@ def _most_probable(loop_counts: Sequence[Mapping[str, Any]]) -> list[Mapping[str
 
 def _sampling(summary: Mapping[str, Any]) -> str:
     sampling = summary["sampling"]
+    if "widening" in summary:
+        return f"{sampling['steps'] * sampling['walkers']} independent draws of a normal law"
     rhat = f"{sampling['largest_rhat']:.4f}" if sampling["largest_rhat"] is not None else "none"
     return (
         f"{sampling['steps']} steps of {sampling['walkers']} walkers, acceptance {sampling['acceptance']:.2f}, "

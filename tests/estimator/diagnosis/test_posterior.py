@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from estimator.calibration.report import calibration_report
+from estimator.calibration.report import calibration_report, warning_sentences
 from estimator.calibration.result import Calibration
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.posterior import extended_posterior
 from estimator.diagnosis.widening import Widening
 from estimator.rig.rig import Rig
@@ -44,6 +46,17 @@ def test_draws_are_wider_and_no_count_is_as_sure(small_calibration: Calibration,
     assert surest[0] > surest[1] + 0.1
     assert widened.summary()["has_integer_counts"]
     assert "widening" not in small_calibration.summary()
+
+
+def test_draws_are_independent_and_nobody_is_told_that_sampling_did_not_converge(widened: Calibration):
+    """Also where the fit ended before its last digits, as a corrected one does."""
+    fit = fit_of(widened.rig, widened.observations.calibration)
+    early = Fit(fit.posterior, replace(fit.optimum, is_converged=torch.tensor([False])))
+    session = Session(widened.rig, widened.observations, "by hand")
+    wide = extended_posterior(session, widened.rig, Widening(early, 4.0 * fit.covariance))
+    assert wide.summary()["is_converged"]
+    assert not [warning for warning in warning_sentences(wide.summary()) if "converge" in warning]
+    assert wide.summary()["parameters"][RADIUS]["ess_bulk"] > 0.8 * wide.summary()["sampling"]["smallest_ess"]
 
 
 def test_best_values_are_those_of_the_most_probable_count(
