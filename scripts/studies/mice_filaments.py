@@ -19,7 +19,7 @@ from estimator import load_rig
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import answer
+from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.validation import improvement_of

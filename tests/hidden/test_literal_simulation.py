@@ -12,7 +12,7 @@ import torch
 from estimator import Rig, diagnose, load_rig
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import answer
+from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations

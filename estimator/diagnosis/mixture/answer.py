@@ -13,28 +13,21 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
+from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
-from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import with_tails
 from estimator.diagnosis.mixture.found import Found, Possibility
-from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
-from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
-from estimator.diagnosis.progress import OnProgress, Pace, unwatched
+from estimator.diagnosis.mixture.slots import Samples
 from estimator.diagnosis.verdict import ALTERNATIVE
 from estimator.effects.attach import with_effect
-from estimator.effects.use import as_meant
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 from estimator.side_by_side import each
 
-N_PAIRS = 3  # of complementary halves
-IN_HALVES = Sweeps(16, 4)
 STATED = 0.9  # probability from which on a cause is stated
 OUTWEIGHS = (
     2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
@@ -406,72 +399,3 @@ class Answer:
             "found": [entry.to_json() for entry in self.found],
             "unlisted": {link.value: probability for link, probability in self.unlisted.items()},
         }
-
-
-def answer(
-    plain: Fit, limits: Limits, seed: int, n_pairs: int = N_PAIRS, on_progress: OnProgress = unwatched
-) -> Answer:
-    """Ask the readings of a fit what is wrong, all of them and halves of them.
-
-    Args:
-        plain: Fit of the rig as described.
-        limits: Causes that are asked, and the time.
-        seed: Of blocks, halves and draws.
-        n_pairs: Of complementary halves.
-        on_progress: Called after each expansion and each half.
-    """
-    first, asked = climbed(plain, limits, seed, on_progress)
-    return confirmed(first, asked, limits, seed, n_pairs, on_progress)
-
-
-def confirmed(
-    first: Asked,
-    asked: Asked,
-    limits: Limits,
-    seed: int,
-    n_pairs: int = N_PAIRS,
-    on_progress: OnProgress = unwatched,
-) -> Answer:
-    """What leads in all readings, as far as full fits bear it out, and what leads in halves of them.
-
-    Args:
-        first, asked: Of a climb.
-        limits, seed, n_pairs, on_progress: As in `answer`.
-    """
-    plain = asked.expansion.plain
-    asked, refused = _borne_out(first, asked, seed)
-    pace = Pace("what leads, in halves of the readings", on_progress)
-    numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > NEGLIGIBLE]
-    few = asked.dictionary.restricted(numbers)
-    readings = as_meant(plain.rig, plain.observations)
-    block = blocks_of(readings, plain.rig, seed)
-    of_halves, expected = list[Samples](), list[dict[int, float]]()
-    leading = list(asked.leading)
-    sizes, _ = asked.slots.products.sizes(leading, asked.noise)
-    for i, is_in in enumerate(halves(block, n_pairs, seed)):
-        if limits.is_over:
-            break
-        pace.tell(i, 2 * n_pairs)
-        products = Products(few, weight_of(is_in, readings.is_measured))
-        slots = Slots(products, asked.slots.noise, asked.slots.n_slots)
-        of_halves.append(slots.sample(IN_HALVES, seed + i).renumbered(numbers, len(asked.dictionary.items)))
-        few_leading = [numbers.index(item) for item in leading]
-        expected.append(expected_in_half(slots, few_leading, sizes, asked.noise_number))
-    mean = {
-        item: sum(of_half[few] for of_half in expected) / len(expected)
-        for item, few in zip(leading, map(numbers.index, leading), strict=True)
-        if expected
-    }
-    ended_early = limits.words if limits.is_over else ""
-    result = Answer(first, asked, tuple(of_halves), mean, ended_early, refused)
-    return result if ended_early else result.with_rivals()
-
-
-def _borne_out(first: Asked, asked: Asked, seed: int) -> tuple[Asked, frozenset[Cause]]:
-    """The readings asked without the causes that full fits do not bear out, and these."""
-    refused, draft = frozenset[Cause](), Answer(first, asked, (), {})
-    while (cause := draft.not_borne_out) is not None:
-        refused |= {cause}
-        asked = asked.without(refused, seed, SAMPLING)
-        draft = Answer(first, asked, (), {}, fits=draft.fits)
-    return asked, refused

@@ -13,8 +13,9 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
-from estimator.diagnosis.mixture.answer import STATED, Answer, confirmed
+from estimator.diagnosis.mixture.answer import STATED, Answer
 from estimator.diagnosis.mixture.climb import Asked, climbed
+from estimator.diagnosis.mixture.confirmed import confirmed
 from estimator.diagnosis.mixture.halves import mean_probability
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched

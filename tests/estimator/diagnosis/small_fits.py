@@ -8,7 +8,8 @@ import torch
 
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer, answer
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.confirmed import answer
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations

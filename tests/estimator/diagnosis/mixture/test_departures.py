@@ -11,8 +11,8 @@ from estimator.diagnosis.budget import _groups
 from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture import priors
-from estimator.diagnosis.mixture.answer import answer
 from estimator.diagnosis.mixture.climb import Asked, ask
+from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.departures import Changes
 from estimator.diagnosis.mixture.expansion import Expansion

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import answer
 from estimator.diagnosis.mixture.climb import ask
+from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
 from estimator.effects.attach import with_effect

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer, answer
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.following import limiting, stalled
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
