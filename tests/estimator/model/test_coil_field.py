@@ -62,10 +62,13 @@ def test_sensor_is_refused_where_a_coil_has_no_field(kind: str) -> None:
     points_m = torch.tensor([SPOT_M.get(kind, (0.01, -0.005, 0.02)), FORBIDDEN_M[kind]], dtype=torch.float64)
     assert field.has_none(points_m).tolist() == [False, True]
     rows, pose_row = torch.tensor([3, 5]), torch.tensor([3, 3, 5, 5])
+    rules, line = field.rules(points_m), torch.tensor([10, 11, 13, 14])
     with pytest.raises(
         InvalidInput, match=r"1 of 2 poses do not, the first at reading 2: correct where .* \(rig 'one'\)"
     ):
-        refuse(field.rules(points_m), rows, pose_row, "one")
+        refuse(rules, rows, pose_row, None, "one")
+    with pytest.raises(InvalidInput, match="1 of 2 poses do not, the first in line 13: "):
+        refuse(rules, rows, pose_row, line, "one")
 
 
 @pytest.mark.parametrize("kind", ["interior", "exterior", "charges"])
