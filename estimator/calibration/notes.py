@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from estimator.effects import EFFECTS
@@ -11,6 +11,8 @@ from estimator.effects.stages import RoomEffect
 from estimator.rig.rig import Cause
 
 POSE = "_from_"  # part of the names of a pose
+ROOM_AND_ZERO = ("background_field[", "sensor_offset[")  # beginnings of their names
+ONLY_THE_SUM = "Where no sensor turns, only the sum of the room's field and of a sensor's zero is known"
 
 
 def notes(described: WithEverywhere) -> list[str]:
@@ -23,8 +25,10 @@ def notes(described: WithEverywhere) -> list[str]:
     if described.added:
         sentences.append(
             f"Fitted besides, for the rig file does not mention it: {_listed(described.added)}. "
-            "Where no sensor turns, only the sum of the room's field and of a sensor's zero is known."
+            f"{ONLY_THE_SUM}."
         )
+    elif all(any(cause.label.startswith(name) for cause in described.rig.effects) for name in ROOM_AND_ZERO):
+        sentences.append(f"{ONLY_THE_SUM}; fields that currents add are not affected.")
     if described.missing:
         sentences.append(
             f"The currents changed too little to tell these from the coils, so they were not fitted: {_listed(described.missing)}. "
@@ -50,18 +54,21 @@ def notes(described: WithEverywhere) -> list[str]:
 def told_by_data(
     undetermined: Iterable[Mapping[str, Any]], fitted_besides: Iterable[str]
 ) -> list[Mapping[str, Any]]:
-    """Open directions without those in which nothing but what was fitted besides takes part, which a note tells of.
+    """Open directions without those of what was fitted besides, and of room against zero, which notes tell of.
 
     Args:
         undetermined: Open directions as a summary holds them.
         fitted_besides: Labels of causes, as a summary holds them.
     """
     own = tuple(f"{label}." for label in fitted_besides)
-    return [
-        direction
-        for direction in undetermined
-        if not all(name.startswith(own) for name in direction["shares"])
-    ]
+
+    def is_noted(names: Collection[str]) -> bool:
+        is_between_both = all(any(name.startswith(kind) for name in names) for kind in ROOM_AND_ZERO)
+        return all(name.startswith(own) for name in names) or (
+            is_between_both and all(name.startswith(ROOM_AND_ZERO) for name in names)
+        )
+
+    return [direction for direction in undetermined if not is_noted(direction["shares"])]
 
 
 def _answers_coils(cause: Cause) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from estimator.calibration.notes import notes
+from estimator.calibration.notes import notes, told_by_data
 from estimator.effects.everywhere import WithEverywhere
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.conftest import RIG
@@ -26,3 +26,22 @@ KNOWN = RIG.replace("{prior: {normal: {mean: 51, sd: 1}}}", "51").replace(
 def test_iron_that_turns_and_sizes_would_absorb_is_told_where_none_is_described(text, is_told) -> None:
     told = [note for note in notes(WithEverywhere(rig_from_text(text))) if "describes no iron" in note]
     assert bool(told) is is_told
+
+
+def test_room_against_zero_is_one_note_and_no_warning_for_each_axis() -> None:
+    """Rigs of `coilcal init` have both; six warnings beside `good` would frighten."""
+    zero = "  sensor_offset[hall]: {x_T: 0, y_T: 0, z_T: 0}\n"
+    both = notes(WithEverywhere(rig_from_text(RIG + FIELD + zero)))
+    assert [
+        note for note in both if "only the sum of the room's field and of a sensor's zero is known" in note
+    ]
+    assert not [note for note in notes(WithEverywhere(rig_from_text(RIG + FIELD))) if "only the sum" in note]
+
+    def direction(*names: str) -> dict:
+        return {"words": "", "data_over_prior_sd": 2.0, "shares": dict.fromkeys(names, 1.0)}
+
+    together = direction("sensor_offset[hall].x_T", "background_field[room].x_T")
+    alone = direction("sensor_offset[hall].x_T")
+    beside = direction("sensor_offset[hall].x_T", "background_field[room].x_T", "coil1.radius_m")
+    assert told_by_data([together, alone, beside], ()) == [alone, beside]
+    assert told_by_data([alone, beside], ("sensor_offset[hall]",)) == [beside]
