@@ -32,7 +32,6 @@ STATED = 0.9  # probability from which on a cause is stated
 OUTWEIGHS = (
     2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
 )
-UNSEEN = 3.0  # standard deviations of all readings together: by less, two changes of them are the same
 ASKED = 0.2  # probability of a cause from which on a set is made about it
 
 
@@ -83,7 +82,7 @@ class Answer:
                 continue
             shares = {other: share for other, share in self._shares(cause).items() if other not in told}
             told |= set(shares)
-            result.append(self._found(self._without_twins(shares)))
+            result.append(self._found(shares))
         return tuple(sorted(result, key=lambda entry: -entry.probability))
 
     def _shares(self, cause: Cause) -> dict[Cause, float]:
@@ -100,27 +99,6 @@ class Answer:
         }
         of_them = sum(alternatives.values())
         return {other: share / of_them for other, share in alternatives.items()}
-
-    def _without_twins(self, shares: dict[Cause, float]) -> dict[Cause, float]:
-        """Shares without departures that these readings cannot tell from the most probable listed cause of their slot.
-
-        They are that cause, or something that looks like it, which its name is doubted for.
-        """
-        first = {item.cause: item for item in reversed(self.asked.dictionary.items)}
-        listed = [cause for cause in shares if first[cause].is_listed]
-        if not listed or len(listed) == len(shares):
-            return shares
-        likeliest = max(listed, key=shares.__getitem__)
-        comparison = self.beside_item(self.item_of(likeliest), list(shares))
-        change = comparison.change(self.item_of(likeliest))
-
-        def is_twin(cause: Cause) -> bool:
-            apart = (comparison.change(self.item_of(cause)) - change).norm() / self.asked.noise
-            return bool(apart < UNSEEN)
-
-        twins = [cause for cause in shares if not first[cause].is_listed and is_twin(cause)]
-        rest = {cause: share for cause, share in shares.items() if cause not in twins}
-        return rest | {likeliest: shares[likeliest] + sum(shares[cause] for cause in twins)}
 
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items

@@ -121,26 +121,10 @@ def test_a_departure_is_never_stated_as_a_cause_but_told_with_its_link():
     assert made.unlisted == pytest.approx({Link.RESPONSE: 0.98})
 
 
-@pytest.mark.parametrize(("apart", "share"), [(2.0, 1.0), (4.0, 0.7)])
-def test_a_departure_that_readings_cannot_tell_from_a_listed_cause_is_that_cause(apart, share, monkeypatch):
-    """Else a lag of a sensor has half of its probability, for what is remembered of the field before is the same."""
-    slot = {GAIN: 70.0, WANDERS: 30.0}
-    drawn = samples({(GAIN,): 70, (WANDERS,): 30}, {GAIN: slot, WANDERS: slot})
-    change = {GAIN: torch.tensor([30.0, 0.0]), WANDERS: torch.tensor([30.0, apart])}
-    comparison = SimpleNamespace(change=change.__getitem__)
-    monkeypatch.setattr(Answer, "beside_item", lambda self, item, taken: comparison)
-    monkeypatch.setattr(answers.Standing, "p_imitation", 0.0)
-    made = answered(drawn)
-    made.asked.__dict__["noise"] = 1.0
-    (entry,) = made.found
-    assert entry.listed_share == pytest.approx(share)
-
-
 def test_a_stated_cause_leads_in_the_place_of_a_departure_in_its_slot(monkeypatch):
     """Full fits are asked about it by readings that still have what it does."""
     slot = {GAIN: 60.0, WANDERS: 40.0}
     drawn = samples({(WANDERS, FAINT): 60, (GAIN, FAINT): 40}, {**BOTH, GAIN: slot, WANDERS: slot})
-    monkeypatch.setattr(Answer, "_without_twins", lambda self, shares: shares)
     monkeypatch.setattr(answers.Standing, "p_imitation", 0.0)
     made = answered(drawn)
     assert made.asked.leading == (WANDERS, FAINT)
