@@ -27,7 +27,7 @@ def notes(described: WithEverywhere) -> list[str]:
             f"Fitted besides, for the rig file does not mention it: {_listed(described.added)}. "
             f"{ONLY_THE_SUM}."
         )
-    elif all(any(cause.label.startswith(name) for cause in described.rig.effects) for name in ROOM_AND_ZERO):
+    elif all(any(p.name.startswith(name) for p in described.rig.free) for name in ROOM_AND_ZERO):
         sentences.append(f"{ONLY_THE_SUM}; fields that currents add are not affected.")
     if described.missing:
         sentences.append(

@@ -188,9 +188,8 @@ def _coverage(calibration: Calibration, model: MeasurementModel, observations: O
         with torch.no_grad():
             predicted = model.part(part).predict(values)  # without a batch where only noise is free
         away = (observations.field_sensor_T[part] - predicted) / sigma_T
-        below = torch.special.ndtr(away).mean(
-            0
-        )  # probability of less than was measured, over draws and noise
+        # Probability of less than was measured, over draws and noise.
+        below = torch.special.ndtr(away).mean(0)
         inside += int(((below >= 0.05) & (below <= 0.95)).sum())
     return inside / int(observations.is_measured[numbers].sum())
 

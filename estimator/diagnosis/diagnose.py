@@ -133,7 +133,9 @@ def diagnose(
         names = [
             f"{result.label(each.cause)} {probability(each.probability)}" for each in result.findings.causes
         ]
-        tell(f"{', '.join([str(result.verdict), *names])}; sampling the posterior of the extended rig")
+        is_sampled = result.left_open.widening is None
+        what = "sampling the posterior" if is_sampled else "drawing the parameters"
+        tell(f"{', '.join([str(result.verdict), *names])}; {what} of the extended rig")
         inside = None if folder is None else folder / CALIBRATION_FOLDER
         result = with_posterior(result, session, limits, inside, device, precision)
         are_kept_out = validation is not None or len(seen) < len(session.observations)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,29 @@ def write_far_plate(folder: Path, behind_m: float, rng: np.random.Generator) -> 
         rng: Of the noise.
     References: Jackson, Classical Electrodynamics, section 5.12 with problem 5.17 (images in a highly permeable half space).
     """
+
+    def coil_and_image_T(points_m: np.ndarray) -> np.ndarray:
+        image_T = -MIRRORED * coil_field_T(points_m * MIRRORED - [0.0, 0.0, 2.0 * behind_m], **COIL)
+        return np.asarray(coil_field_T(points_m, **COIL) + image_T)
+
+    write_session(folder, coil_and_image_T, 1.0, rng)
+
+
+def write_session(
+    folder: Path, field_T_per_A: Callable[[np.ndarray], np.ndarray], amperes: float, rng: np.random.Generator
+) -> None:
+    """Readings at the places of `fixtures/first_calibration`, with its rig file.
+
+    Args:
+        folder: Holds both afterwards.
+        field_T_per_A: At points in the coil's frame.
+        amperes: Factor on the currents.
+        rng: Of the noise.
+    """
     given = np.genfromtxt(CASE / "readings.csv", delimiter=",", names=True)
     stage_m = 1e-2 * np.stack([given[f"stage_{axis}_cm"] for axis in "xyz"], axis=1)
-    points_m, current_A = stage_m - FRONT_M, given["coil1_current_A"]
-    image_T = -MIRRORED * coil_field_T(points_m * MIRRORED - [0.0, 0.0, 2.0 * behind_m], **COIL)
-    field_T = current_A[:, None] * (coil_field_T(points_m, **COIL) + image_T)
+    current_A = amperes * given["coil1_current_A"]
+    field_T = current_A[:, None] * field_T_per_A(stage_m - FRONT_M)
     field_T += rng.normal(scale=NOISE_T, size=field_T.shape)
     rows = np.column_stack([given["t_s"], stage_m, current_A, field_T])
     header = "t_s,stage_x_m,stage_y_m,stage_z_m,coil1_current_A,Bx_T,By_T,Bz_T"

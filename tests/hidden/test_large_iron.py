@@ -1,4 +1,4 @@
-"""A ball of iron eight times larger than usual is put where it is: the prior of its size has a tail."""
+"""A ball of iron larger than a tool is put where it is: the prior of its size has a tail. Place and size are those the rule was made with."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ BALL_M, RADIUS_M = np.array([0.13, -0.05, 0.02]), 0.06
 
 
 def test_it_is_no_smaller_piece_nearer_by(tmp_path: Path) -> None:
-    write_large_iron(tmp_path, BALL_M, RADIUS_M, 3.0, np.random.default_rng(4))
+    write_large_iron(tmp_path, BALL_M, RADIUS_M, 3.0, np.random.default_rng(11))
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
     diagnosis = diagnose(session, seed=1, has_posterior=True)
     assert diagnosis.findings.causes[0].cause.name == "iron_body"

@@ -266,7 +266,7 @@ class Answer:
         return self.is_full or bool(self.beside) or is_unlisted
 
     @cached_property
-    def leading(self) -> tuple[int, ...]:
+    def leading_as_stated(self) -> tuple[int, ...]:
         """The most probable set of items, with stated causes in the place of departures that take their slots as well."""
         items = self.asked.dictionary.items
         own = {
@@ -280,7 +280,7 @@ class Answer:
     @cached_property
     def leading_fit(self) -> Fit:
         """The fit of the listed causes that lead, to the readings without the departures that lead."""
-        asked, items, leading = self.asked, self.asked.dictionary.items, self.leading
+        asked, items, leading = self.asked, self.asked.dictionary.items, self.leading_as_stated
         causes = {items[i].cause for i in leading if items[i].is_listed}
         has_departures = any(not items[i].is_listed for i in leading)
         if causes == set(asked.expansion.causes) and not has_departures:

@@ -67,9 +67,8 @@ def predicted_against_measured(
     upper.plot([low, high], [low, high], color=BLACK, lw=0.8, zorder=1, label="equal")
     upper.set_ylabel("predicted (mT)")
     upper.tick_params(labelbottom=False)
-    legend = upper.legend(
-        ncols=2, loc="upper left"
-    )  # free above the line; the best place of a large session takes seconds
+    # Free above the line; to look for the best place takes seconds in a large session.
+    legend = upper.legend(ncols=2, loc="upper left")
     for handle in filter(None, legend.legend_handles):
         handle.set(alpha=1.0, markersize=5.0)  # points of a large session are too faint to tell apart
     _draw_residuals(lower, measured_T * 1e3, measured_T - predicted_T, sigma_T)

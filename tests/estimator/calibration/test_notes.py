@@ -30,12 +30,15 @@ def test_iron_that_turns_and_sizes_would_absorb_is_told_where_none_is_described(
 
 def test_room_against_zero_is_one_note_and_no_warning_for_each_axis() -> None:
     """Rigs of `coilcal init` have both; six warnings beside `good` would frighten."""
-    zero = "  sensor_offset[hall]: {x_T: 0, y_T: 0, z_T: 0}\n"
-    both = notes(WithEverywhere(rig_from_text(RIG + FIELD + zero)))
-    assert [
-        note for note in both if "only the sum of the room's field and of a sensor's zero is known" in note
-    ]
-    assert not [note for note in notes(WithEverywhere(rig_from_text(RIG + FIELD))) if "only the sum" in note]
+    free = "{x_T: {prior: {normal: {mean: 0, sd: 5.0e-5}}}, y_T: 0, z_T: 0}"
+    room, zero = f"  background_field[room]: {free}\n", f"  sensor_offset[hall]: {free}\n"
+
+    def told(*effects: str) -> bool:
+        return any("only the sum" in note for note in notes(WithEverywhere(rig_from_text("".join(effects)))))
+
+    assert told(RIG, "effects:\n", room, zero)
+    assert not told(RIG, "effects:\n", room)
+    assert not told(RIG, FIELD, zero)  # one of them is known
 
     def direction(*names: str) -> dict:
         return {"words": "", "data_over_prior_sd": 2.0, "shares": dict.fromkeys(names, 1.0)}

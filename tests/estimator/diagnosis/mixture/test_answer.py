@@ -128,7 +128,7 @@ def test_a_stated_cause_leads_in_the_place_of_a_departure_in_its_slot(monkeypatc
     monkeypatch.setattr(answers.Standing, "p_imitation", 0.0)
     made = answered(drawn)
     assert made.asked.leading == (WANDERS, FAINT)
-    assert made.leading == (GAIN, FAINT)
+    assert made.leading_as_stated == (GAIN, FAINT)
 
 
 @pytest.mark.parametrize("further", [20.0, 60.0])
