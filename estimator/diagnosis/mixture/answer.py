@@ -349,6 +349,11 @@ class Answer:
         rest = tuple(i for i in self.asked.leading if i != item and items[i].cause not in taken)
         return Comparison(self.asked, rest, tuple(taken))
 
+    def share_of_misfit(self, cause: Cause) -> float:
+        """Squared change of the asked readings by a listed cause, over the squared misfit of the rig as described."""
+        item, misfit = self.item_of(cause), self.asked.expansion.always.rest(self.asked.dictionary.residual)
+        return float(self.beside_item(item).change(item).square().sum() / misfit.square().sum())
+
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:
         """All hypotheses in the place of each stated cause; last, beside all that leads."""

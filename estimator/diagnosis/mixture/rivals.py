@@ -1,8 +1,8 @@
 """Listed causes that explain what a stated one explains nearly as well, once they are fitted in full.
 
-Linear models about a fit that has one piece of iron know little of another kind of it: its best place is somewhere else. So the likeliest
-others are fitted instead, and their evidence counts as that of full fits. Both have a place or another free shape: of causes without one
-linear models know all that there is, and with sizes beyond the stated prior, which full fits have not.
+The draws compare causes by a model that is linear about one fit. Of a cause with a free shape it knows little elsewhere: the best place of
+another piece of iron may be far away. So the likeliest others are fitted in the place of such a cause, and their evidence counts as that of
+full fits. Of causes without a free shape the linear model knows all that there is.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from estimator.diagnosis.mixture.comparison import Comparison
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
-MOST_RIVALS = 2  # of one cause, by their evidence in the linear model
+MOST_RIVALS = 4  # of one cause, by their evidence in the linear model
 LEAST_EVIDENCE = 0.5  # of the log Bayes factor of the cause: with less a full fit does not reach it
 
 
@@ -25,7 +25,7 @@ class Rival(NamedTuple):
 
     Attributes:
         item: Number of the item that stands for it.
-        log_odds: Log evidence of its full fit less that of the fit with the stated cause.
+        log_odds: Log evidence of its full fit less that of the fit with the stated cause, and its log prior at its start.
         shapes: As fitted.
     """
 
@@ -41,36 +41,44 @@ class Rival(NamedTuple):
 
 
 class Contender(NamedTuple):
-    """A cause that may be a rival, with the item at whose shapes its fit starts."""
+    """A cause that may be a rival.
+
+    Attributes:
+        item: Number of the item at whose shapes its fit starts.
+        log_prior: What the start has of its prior, where the fit keeps it; 0 where shapes are free.
+    """
 
     cause: Cause
     item: int
+    log_prior: float
 
 
 def contenders(comparison: Comparison, stated: Cause, others: Collection[Cause]) -> list[Contender]:
-    """Causes with free shapes whose evidence in the place of a stated one is not far below its own.
+    """Causes whose evidence in the place of a stated one with a free shape is not far below its own.
 
     Args:
         comparison: All hypotheses in its place.
-        stated: The cause.
+        stated: The cause; without a free shape it has none.
         others: Causes that are no rivals.
     """
-    factors = {h.cause: h.log_bayes_factor for h in comparison.hypotheses if h.cause is not None}
-    least = LEAST_EVIDENCE * factors[stated]
-    extent = comparison.asked.expansion.fit.posterior.model.circumstances.extent
+    asked = comparison.asked
+    extent = asked.expansion.fit.posterior.model.circumstances.extent
 
     def has_shape(cause: Cause) -> bool:
         return any(q.is_shape and not q.is_fixed for q in EFFECTS[cause.name].quantities(extent))
 
     if not has_shape(stated):
         return []
-    able = [
-        cause
-        for cause, value in factors.items()
-        if value > least and cause not in (stated, *others) and has_shape(cause)
-    ]
+    factors = {h.cause: h.log_bayes_factor for h in comparison.hypotheses if h.cause is not None}
+    least = LEAST_EVIDENCE * factors[stated]
+    able = [c for c, value in factors.items() if value > least and c not in (stated, *others)]
     able.sort(key=lambda cause: -factors[cause])
-    return [Contender(cause, comparison.best_item(cause)) for cause in able[:MOST_RIVALS]]
+
+    def log_prior(cause: Cause) -> float:
+        n_starts = sum(candidate.cause == cause for candidate in asked.pool)
+        return 0.0 if has_shape(cause) else -math.log(max(n_starts, 1))
+
+    return [Contender(c, comparison.best_item(c), log_prior(c)) for c in able[:MOST_RIVALS]]
 
 
 def rival(contender: Contender, fit: Fit, stated: Fit) -> Rival:
@@ -81,4 +89,5 @@ def rival(contender: Contender, fit: Fit, stated: Fit) -> Rival:
         for name, value in fit.values.items()
         if name.startswith(prefix)
     }
-    return Rival(contender.cause, contender.item, fit.log_evidence - stated.log_evidence, shapes)
+    log_odds = fit.log_evidence + contender.log_prior - stated.log_evidence
+    return Rival(contender.cause, contender.item, log_odds, shapes)

@@ -10,6 +10,7 @@ import pytest
 from estimator.diagnosis.mixture import answer as answer_module
 from estimator.diagnosis.mixture import rivals as rivals_module
 from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
+from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
 
@@ -58,12 +59,18 @@ def test_contenders_have_half_of_the_evidence_and_are_not_in_the_set(answer):
 
 
 def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
-    """Of causes with far less evidence too, so that there are some."""
+    """Of causes with far less evidence too, so that there are some; a start that the fit keeps has its share of the prior."""
     monkeypatch.setattr(rivals_module, "LEAST_EVIDENCE", -10.0)
     monkeypatch.setattr(answer_module, "ALTERNATIVE", 0.0)
     compared = answer.with_rivals()
+    extent = compared.plain.posterior.model.circumstances.extent
     assert compared.rivals
     for first, rivals in compared.rivals.items():
         for rival in rivals:
             own, other = (compared.fit_with([cause]) for cause in (first, rival.cause))
-            assert rival.log_odds == pytest.approx(other.log_evidence - own.log_evidence, abs=0.2)
+            n_starts = sum(candidate.cause == rival.cause for candidate in compared.asked.pool)
+            has_free_shape = any(
+                q.is_shape and not q.is_fixed for q in EFFECTS[rival.cause.name].quantities(extent)
+            )
+            log_prior = 0.0 if has_free_shape else -math.log(n_starts)
+            assert rival.log_odds == pytest.approx(other.log_evidence + log_prior - own.log_evidence, abs=0.2)
