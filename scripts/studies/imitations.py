@@ -2,7 +2,8 @@
 
 Sessions with listed causes, with something unlisted, and with both are asked what is wrong. Every name that the readings hold for sure is
 right or not; relatives of a listed cause that is there do not count. A logistic regression on how clear a name is, and beside what, gives
-the weights. A tenth of the names at a time is kept out of it to judge the others' weights.
+the weights: a name is right with that probability times the share that listed causes have in its set. A tenth of the sessions at a time is
+kept out of it to judge the others' weights.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ WORLD = {
     "pair": 0.5,
     "mixed": 1.0,
     "mixed_two": 0.5,
-    "unknown8": 0.05,
-    "unknown12": 0.05,
-    "unknown30": 0.05,
+    "unknown12": 0.075,
+    "unknown30": 0.075,
 }
 SURE = 0.9  # probability of a set from which it is counted
 N_FOLDS = 10
+LEAST = 1e-3  # probability of a right name, and of a wrong one, in the log loss
 STRENGTH = 0.01  # of the pull of the weights towards 0
 Array = NDArray[np.float64]
 
@@ -70,8 +71,9 @@ def names_in(answer: Answer, truths: list[str]) -> list[Row]:
         if entry.with_all < SURE or not listed or (is_like and not is_right):
             continue
         standing = answer.standing(listed[0], [p.cause for p in entry.possibilities])
+        share = entry.listed_share / (1.0 - standing.p_imitation)
         names = [cause.label for cause in listed]
-        rows.append({"names": names, "is_right": is_right, "features": standing.features})
+        rows.append({"names": names, "is_right": is_right, "share": share, "features": standing.features})
     return rows
 
 
@@ -82,29 +84,48 @@ def show(rows: list[Row]) -> None:
     of_kind = Counter(row["kind"] for row in rows)
     counts = np.array([WORLD[kind] * len(rows) / (len(of_kind) * of_kind[kind]) for _, kind, _ in names])
     features = np.array([name["features"] for _, _, name in names])
+    share = np.array([name["share"] for _, _, name in names])
     is_right = np.array([name["is_right"] for _, _, name in names], dtype=float)
     for kind in WORLD:
         own = [name["is_right"] for _, its_kind, name in names if its_kind == kind]
         print(f"{kind}: {len(own)} names in {of_kind[kind]} sessions, {sum(own)} right")
-    weights = ", ".join(f"{w:.2f}" for w in weights_of(features, is_right, counts))
-    print(f"weights {weights}; in use {WEIGHTS}")
-    probability = np.empty(len(names))
+    weights = weights_of(features, share, is_right, counts)
+    print(f"weights {', '.join(f'{w:.2f}' for w in weights)}; in use {WEIGHTS}")
+    p = np.empty(len(names))
     for k in range(N_FOLDS):
         rest = fold != k
-        weights_without = weights_of(features[rest], is_right[rest], counts[rest])
-        probability[~rest] = 1.0 / (1.0 + np.exp(-features[~rest] @ weights_without))
-    for least, most in pairwise((0.0, 0.6, 0.7, 0.8, 0.9, 1.0)):
-        some = (probability >= least) & (probability < most)
-        share = (counts * is_right)[some].sum() / max(counts[some].sum(), 1e-300)
-        print(f"{least:.2f} to {most:.2f}: {int(some.sum())} names, {100 * share:.0f} % right in that world")
+        p[~rest] = probability(
+            weights_of(features[rest], share[rest], is_right[rest], counts[rest]),
+            features[~rest],
+            share[~rest],
+        )
+    in_use = probability(np.array(WEIGHTS), features, share)
+    for words, stated in (("sessions that were kept out", p), ("weights in use", in_use)):
+        print(f"{words}: log loss {(counts * log_loss(stated, is_right)).sum() / counts.sum():.3f}")
+        for least, most in pairwise((0.0, 0.5, 0.8, 0.9, 0.95, 1.0)):
+            some = (stated >= least) & (stated < most)
+            right = (counts * is_right)[some].sum() / max(counts[some].sum(), 1e-300)
+            print(
+                f"  {least:.2f} to {most:.2f}: {int(some.sum())} names, {100 * right:.0f} % right in that world"
+            )
 
 
-def weights_of(features: Array, is_right: Array, counts: Array) -> Array:
+def probability(weights: Array, features: Array, share: Array) -> Array:
+    """Probability that names are right."""
+    return share / (1.0 + np.exp(-features @ weights))
+
+
+def log_loss(p: Array, is_right: Array) -> Array:
+    """Minus the log probability of what is true of each name."""
+    p = p.clip(LEAST, 1.0 - LEAST)
+    return -is_right * np.log(p) - (1.0 - is_right) * np.log(1.0 - p)
+
+
+def weights_of(features: Array, share: Array, is_right: Array, counts: Array) -> Array:
     """Weights of a logistic regression."""
 
     def loss(weights: Array) -> float:
-        log_odds = features @ weights
-        misses = np.logaddexp(0.0, log_odds) - is_right * log_odds
+        misses = log_loss(probability(weights, features, share), is_right)
         return float((counts * misses).sum() + STRENGTH * weights @ weights)
 
     result: Array = minimize(loss, np.zeros(features.shape[1])).x

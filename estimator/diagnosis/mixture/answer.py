@@ -141,20 +141,26 @@ class Answer:
         """
         asked, item = self.asked, self.item_of(cause)
         items = asked.dictionary.items
-        own = [i for i, each in enumerate(items) if each.cause in alternatives]
         rest = [i for i in asked.leading if items[i].cause not in alternatives]
-        evidence = asked.slots.products.gains([*rest, item], asked.noise)[-1]
+        names = [i for i in rest if items[i].is_listed]
+        strongest = max((self._evidence(i, [*rest, item]) for i in names), default=0.0)
         relative = evidence_of_relatives(asked, item)
-        return Standing(evidence, self._expected(own), relative, self.n_listed_beside(alternatives))
+        return Standing(self._evidence(item, rest), strongest, relative, len(names))
+
+    def _evidence(self, item: int, leading: Sequence[int]) -> float:
+        """Log Bayes factor of an item beside others."""
+        others = [i for i in leading if i != item]
+        return float(self.asked.slots.products.gains([*others, item], self.asked.noise)[-1])
 
     def _expected(self, own: Sequence[int]) -> float:
         """Probability that halves are expected to give items of a set; as if they were sure of it where none were asked."""
         return max((self.expected.get(i, 0.0) for i in own), default=0.0) if self.in_halves else 1.0
 
-    def n_listed_beside(self, alternatives: Collection[Cause]) -> int:
-        """Number of listed causes that lead, without some."""
-        leading = [self.asked.dictionary.items[i] for i in self.asked.leading]
-        return len({item.cause for item in leading if item.is_listed} - set(alternatives))
+    @cached_property
+    def evidence_of_names(self) -> list[float]:
+        """Log Bayes factor of each listed cause that leads, beside all else."""
+        leading = self.asked.leading
+        return [self._evidence(i, leading) for i in leading if self.asked.dictionary.items[i].is_listed]
 
     @cached_property
     def is_full(self) -> bool:

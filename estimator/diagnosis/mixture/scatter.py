@@ -16,7 +16,6 @@ from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.answer import STATED, Answer
 from estimator.diagnosis.mixture.climb import Asked, climbed
 from estimator.diagnosis.mixture.confirmed import confirmed
-from estimator.diagnosis.mixture.halves import mean_probability
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import ALTERNATIVE, Alternative, NamedCause
@@ -41,12 +40,12 @@ class BesideScatter:
     @property
     def stated(self) -> list[NamedCause]:
         """The causes of scatter that are rather there than something unlisted that looks like scatter."""
-        n_others, log_prior_odds = self.answer.n_listed_beside(()), _log_prior_odds(self.answer.asked)
+        names = self.answer.evidence_of_names
+        strongest = max(names, default=0.0)
         stated = []
         for cause in self.scattering:
-            in_half = 0.5 * cause.log_bayes_factor
-            expected = mean_probability(in_half + log_prior_odds, in_half)
-            real = 1.0 - Standing(cause.log_bayes_factor, expected, n_others=n_others).p_imitation
+            standing = Standing(cause.log_bayes_factor, strongest, n_others=len(names))
+            real = 1.0 - standing.p_imitation
             others = tuple(replace(a, probability=real * a.probability) for a in cause.alternatives)
             absent = 1.0 - real * (1.0 - cause.p_not_in_library)
             stated.append(

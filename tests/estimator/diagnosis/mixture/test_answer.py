@@ -87,16 +87,11 @@ def test_what_halves_have_less_than_half_as_often_as_expected_is_not_stated():
     assert gain in made.beside
 
 
-@pytest.mark.parametrize(
-    ("evidence", "expected", "relative", "is_doubtful"),
-    [(2.0, 0.02, 0.0, True), (100.0, 0.99, 0.0, False), (100.0, 0.99, 9.0, True)],
-)
-def test_a_name_may_be_an_imitation_where_halves_say_little_or_something_like_it_is_left(
-    evidence, expected, relative, is_doubtful, monkeypatch
-):
+@pytest.mark.parametrize(("relative", "is_doubtful"), [(0.0, False), (9.0, True)])
+def test_a_name_may_be_an_imitation_where_something_like_it_is_left(relative, is_doubtful, monkeypatch):
     monkeypatch.setattr(answers, "evidence_of_relatives", lambda asked, item: relative)
     every = samples(MODELS, BOTH)
-    made = answered(every, every, expected={GAIN: expected}, evidence=evidence)
+    made = answered(every, every, expected={GAIN: 0.99})
     (gain,) = (one for one in made.found if one.first.is_listed)
     assert gain.probability == pytest.approx(1.0)
     imitation = made.standing(gain.first.cause, [gain.first.cause, TWIN_CAUSE]).p_imitation
