@@ -145,7 +145,7 @@ class Answer:
         names = [i for i in rest if items[i].is_listed]
         strongest = max((self._evidence(i, [*rest, item]) for i in names), default=0.0)
         relative = evidence_of_relatives(asked, item)
-        return Standing(self._evidence(item, rest), strongest, relative, len(names))
+        return Standing(self._evidence(item, rest), strongest, relative, len(names), items[item].is_chosen)
 
     def _evidence(self, item: int, leading: Sequence[int]) -> float:
         """Log Bayes factor of an item beside others."""

@@ -15,6 +15,7 @@ from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.links import link_of
 from estimator.diagnosis.mixture.listed import Offered
 from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Extent
 
 
 class _Stack:
@@ -39,15 +40,17 @@ def dictionary(
 ) -> Dictionary:
     """All items at an expansion."""
     stack = _Stack()
-    items = [_listed_item(entry, stack) for entry in listed]
+    extent = expansion.fit.posterior.model.circumstances.extent
+    items = [_listed_item(entry, stack, extent) for entry in listed]
     items += [item for departure in departures for item in _departure_items(departure, stack)]
     residual = expansion.residual
     columns = torch.cat(stack.blocks, dim=1) if stack.blocks else residual.new_zeros(len(residual), 0)
     return Dictionary(tuple(items), columns, residual, expansion.always, expansion.prior_precision)
 
 
-def _listed_item(one: Offered, stack: _Stack) -> Item:
+def _listed_item(one: Offered, stack: _Stack, extent: Extent) -> Item:
     candidate, shapes = one.start.candidate, one.start.shapes
+    effect = EFFECTS[candidate.cause.name]
     first = stack.number_of(candidate.columns)
     of_shapes: tuple[int, ...] = ()
     if shapes is not None and shapes.shape[1]:
@@ -57,7 +60,7 @@ def _listed_item(one: Offered, stack: _Stack) -> Item:
     return Item(
         cause=candidate.cause,
         is_listed=True,
-        link=link_of(EFFECTS[candidate.cause.name]),
+        link=link_of(effect),
         start=candidate.shapes,
         keys=tuple(candidate.keys[i] for i in one.subset),
         columns=(*(first + i for i in one.subset), *of_shapes),
@@ -66,6 +69,7 @@ def _listed_item(one: Offered, stack: _Stack) -> Item:
         log_prior=math.log(priors.LISTED) + one.log_prior,
         is_one_sided=not of_shapes and len(one.subset) == 1 and one.subset[0] in candidate.one_sided,
         log_prior_of_start=one.start.log_prior,
+        is_chosen=any(q.is_shape and q.is_fixed for q in effect.quantities(extent)),
     )
 
 

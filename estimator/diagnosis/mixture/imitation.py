@@ -2,8 +2,8 @@
 
 Something unlisted takes the name of the cause that it resembles most, and readings cannot always tell the two apart. How often it does was
 counted in sessions of known truth (`make study NAME=imitations`, docs/results.md): the more often the more names stand beside it, the less
-evidence it has where another name has more, and the more what is left looks like the cause being stronger here and weaker there. With these
-known, an instant of its own and what halves of the readings could show tell little more.
+evidence it has where another name has more, the more what is left looks like the cause being stronger here and weaker there, and where an
+instant, an axis or another start was chosen for it. With these known, what halves of the readings could show tells little more.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ MOST_COUNTED = 2  # other names: sessions with more were not counted, and a larg
 MOST_RELATIVE = 8.0  # log Bayes factor of a relative beyond which a name does not get worse
 ENOUGH = 60.0  # log Bayes factor from which on a name is clear, however much more another one has
 LEAST_CLEAR = 0.01  # of that of the other name, or of `ENOUGH`: with less a name does not get worse
-WEIGHTS = (3.75, -1.1, -0.46, 2.2)  # of the `features` of a name, in its log odds
+WEIGHTS = (4.15, -1.15, -0.45, 2.3, -1.25)  # of the `features` of a name, in its log odds
 
 
 class Standing(NamedTuple):
@@ -26,12 +26,14 @@ class Standing(NamedTuple):
         strongest: Largest log Bayes factor of another listed cause that leads; 0 where none leads.
         relative: Log Bayes factor of its change being stronger here and weaker there (`relatives.py`).
         n_others: Number of other listed causes that lead.
+        is_chosen: Whether it has a start that no fit moves, such as an instant.
     """
 
     log_bayes_factor: float
     strongest: float = 0.0
     relative: float = 0.0
     n_others: int = 0
+    is_chosen: bool = False
 
     @property
     def p_imitation(self) -> float:
@@ -48,7 +50,9 @@ class Standing(NamedTuple):
             True
             >>> Standing(30.0, n_others=2).p_imitation == Standing(30.0, n_others=9).p_imitation
             True
-            >>> Standing(30.0, relative=8.0).p_imitation > 0.4
+            >>> Standing(30.0).p_imitation < 0.03 < Standing(30.0, is_chosen=True).p_imitation
+            True
+            >>> Standing(30.0, relative=8.0).p_imitation > 0.3
             True
         """
         log_odds = sum(weight * number for weight, number in zip(WEIGHTS, self.features, strict=True))
@@ -56,12 +60,11 @@ class Standing(NamedTuple):
 
     @property
     def features(self) -> tuple[float, ...]:
-        """What the log odds of a name are linear in: a constant, other names, its relative, and log evidence over what makes it clear."""
+        """What the log odds of a name are linear in.
+
+        A constant, the other names, the evidence of relatives, the log of how clear it is, and whether its start was chosen.
+        """
+        n_others, relative = min(self.n_others, MOST_COUNTED), min(max(self.relative, 0.0), MOST_RELATIVE)
         clear = self.log_bayes_factor / min(ENOUGH, max(self.strongest, self.log_bayes_factor, 1.0))
         log_clear = math.log(min(max(clear, LEAST_CLEAR), 1.0))
-        return (
-            1.0,
-            float(min(self.n_others, MOST_COUNTED)),
-            min(max(self.relative, 0.0), MOST_RELATIVE),
-            log_clear,
-        )
+        return 1.0, float(n_others), relative, log_clear, float(self.is_chosen)

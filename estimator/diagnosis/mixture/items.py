@@ -29,6 +29,7 @@ class Item:
         log_prior: Among all items.
         is_one_sided: Its only quantity cannot be negative.
         log_prior_of_start: Of a listed cause, whatever its quantities and their widths.
+        is_chosen: Whether its start has an instant, an axis or another shape that no fit moves.
     """
 
     cause: Cause
@@ -42,6 +43,7 @@ class Item:
     log_prior: float
     is_one_sided: bool = False
     log_prior_of_start: float = 0.0
+    is_chosen: bool = False
 
     @property
     def name(self) -> str:
