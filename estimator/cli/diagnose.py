@@ -203,7 +203,10 @@ def _cause_lines(cause: SizedCause) -> Iterator[str]:
     from estimator.diagnosis.verdict import UNKNOWN
     from estimator.reporting.numbers import probability
 
-    others = [*((name, rival.probability) for name, rival in cause.rivals), (UNKNOWN, cause.p_not_in_library)]
+    others = [
+        *((name, rival.probability) for name, rival in cause.rivals),
+        (UNKNOWN, cause.named.p_not_in_library),
+    ]
     alternatives = "".join(f", or {name} ({probability(share)})" for name, share in others)
     yield f"{cause.name} ({probability(cause.probability)}){alternatives}"
     for name, interval in cause.sizes:

@@ -228,14 +228,9 @@ class Diagnosis(Presented):
 
     def _sized(self, named: NamedCause, is_record_mistake: bool = False) -> SizedCause:
         return SizedCause(
-            named.cause,
+            named,
             self.label(named.cause),
-            named.probability,
-            named.p_not_in_library,
-            named.may_be_unknown,
-            named.alternatives,
             tuple(self.label(alternative.cause) for alternative in named.alternatives),
-            named.log_bayes_factor,
             self.quantities(named.cause),
             is_record_mistake,
             self.intervals.difference(named.cause),

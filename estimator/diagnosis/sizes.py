@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from estimator.diagnosis.verdict import UNKNOWN, Alternative
+from estimator.diagnosis.verdict import UNKNOWN, Alternative, NamedCause
 from estimator.effects import EFFECTS
 from estimator.reporting.numbers import Display, displays, interval_with_unit, quantity_words
 from estimator.rig.rig import Cause
@@ -66,30 +66,30 @@ class SizedCause:
     """A cause of the verdict, or a mistake of the record, with the sizes of its quantities.
 
     Attributes:
-        cause: Name and place.
+        named: The cause, how probable it is, and what else it may be.
         name: Of the cause, with its place where the rig has several for it.
-        probability: Posterior probability, beside its alternatives and what no list holds.
-        p_not_in_library: Probability that it is something else which no list holds.
-        may_be_unknown: Whether that belongs to its credible set.
-        alternatives: The other causes that it could be.
-        alternative_names: Their names, written like `name`.
-        log_bayes_factor: Against nothing, when it was taken.
+        alternative_names: Of what else it may be, written like `name`.
         quantities: Those that the session can see, by SI key.
         is_record_mistake: Whether it is a mistake of the record.
         difference: Of two quantities, where it is known better than any of them.
     """
 
-    cause: Cause
+    named: NamedCause
     name: str
-    probability: float
-    p_not_in_library: float
-    may_be_unknown: bool
-    alternatives: tuple[Alternative, ...]
     alternative_names: tuple[str, ...]
-    log_bayes_factor: float
     quantities: Mapping[str, Interval]
     is_record_mistake: bool = False
     difference: Difference | None = None
+
+    @property
+    def cause(self) -> Cause:
+        """Name and place."""
+        return self.named.cause
+
+    @property
+    def probability(self) -> float:
+        """Posterior probability, beside its alternatives and what no list holds."""
+        return self.named.probability
 
     @property
     def words(self) -> str:
@@ -104,12 +104,12 @@ class SizedCause:
     @property
     def rivals(self) -> list[tuple[str, Alternative]]:
         """The other causes that it could be, by their names."""
-        return list(zip(self.alternative_names, self.alternatives, strict=True))
+        return list(zip(self.alternative_names, self.named.alternatives, strict=True))
 
     @property
     def others(self) -> tuple[tuple[str, float], ...]:
         """Everything else in its credible set with its probability, most probable first."""
-        unknown = [(UNKNOWN, self.p_not_in_library)] if self.may_be_unknown else []
+        unknown = [(UNKNOWN, self.named.p_not_in_library)] if self.named.may_be_unknown else []
         others = [*((name, rival.probability) for name, rival in self.rivals), *unknown]
         return tuple(sorted(others, key=lambda other: -other[1]))
 
@@ -124,10 +124,11 @@ class SizedCause:
             "name": self.name,
             "place": self.cause.place,
             "probability": self.probability,
-            "p_not_in_library": self.p_not_in_library,
-            "may_be_unknown": self.may_be_unknown,
+            "p_not_in_library": self.named.p_not_in_library,
+            "may_be_unknown": self.named.may_be_unknown,
+            "family": None if self.named.family is None else self.named.family._asdict(),
             "alternatives": alternatives,
-            "log_bayes_factor": self.log_bayes_factor,
+            "log_bayes_factor": self.named.log_bayes_factor,
             "parameters": intervals_to_json(self.quantities),
             "difference": None if self.difference is None else self.difference.to_json(),
         }

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import NamedTuple
 
 from estimator.diagnosis import policy
 from estimator.rig.rig import Cause
@@ -44,6 +45,18 @@ class Alternative:
     expected_log_evidence: float | None
 
 
+class Family(NamedTuple):
+    """Links of the chain at which something acts, whether it is one of the named causes or only looks like one.
+
+    Attributes:
+        links: Values of `mixture.links.Link`, those of the causes of a set.
+        probability: That it acts at one of them.
+    """
+
+    links: tuple[str, ...]
+    probability: float
+
+
 @dataclass(frozen=True)
 class NamedCause:
     """One cause of the verdict.
@@ -54,6 +67,7 @@ class NamedCause:
         alternatives: The other causes of its credible set.
         log_bayes_factor: Against nothing, beside everything else.
         p_not_in_library: Probability that it is something else which no list holds.
+        family: Of all these; None where nothing tells it.
     """
 
     cause: Cause
@@ -61,6 +75,7 @@ class NamedCause:
     alternatives: tuple[Alternative, ...]
     log_bayes_factor: float
     p_not_in_library: float = 0.0
+    family: Family | None = None
 
     def as_if(self, cause: Cause) -> NamedCause:
         """This with one of its alternatives in its place."""

@@ -27,6 +27,7 @@ from scripts.studies.mixed_counts import (
     SIZES,
     STATED,
     coil_inside,
+    families_right,
     is_stated,
     is_stated_alone,
     is_taken,
@@ -139,6 +140,10 @@ def show_names(rows: list[Row]) -> None:
         print(f"  of those not there, {like} are relatives of the unlisted cause")
         sessions = sum(one.wrong > 0 for one in counts)
         print(f"  sessions with a name that is not there: {share_and_interval(sessions, len(rows))}")
+    families = [is_right for row in rows for is_right in families_right(row)]
+    print(
+        f"families of causes stated, at a link where something acts: {share_and_interval(sum(families), len(families))}"
+    )
     named = [row for row in rows if row["verdict"] == "named"]
     wrong = sum(is_named_wrongly(row) for row in named)
     print(f"verdicts `named` with a name that is not there: {share_and_interval(wrong, len(named))}")

@@ -95,6 +95,13 @@ def probabilities(row: Row) -> list[Statement]:
     ]
 
 
+def families_right(row: Row) -> list[bool]:
+    """Whether something hidden acts at a link of each family that is stated."""
+    links = {link for cause in row["truth"] for link in cause["links"]}
+    families = [cause["family"] for cause in row["causes"] if cause.get("family")]
+    return [bool(links & set(each["links"])) for each in families if each["probability"] >= STATED]
+
+
 def sizes_inside(row: Row) -> list[bool]:
     """Whether true quantities of the listed causes that were named first lie in their 90 % intervals."""
     inside = []

@@ -253,6 +253,11 @@ def maybe(name: str, unknown: float) -> dict[str, Any]:
     return NAMED | {"name": name, "p_not_in_library": unknown}
 
 
+def in_family(link: str, unknown: float) -> dict[str, Any]:
+    """An interference, or something else at a link."""
+    return maybe("periodic_interference", unknown) | {"family": {"links": [link], "probability": 0.95}}
+
+
 def sized(median: float) -> dict[str, Any]:
     interval = {"median": median, "sd": 0.001, "ci90": [median - 0.0016, median + 0.0016]}
     return NAMED | {"parameters": {"x": interval}}
@@ -266,6 +271,10 @@ def sized(median: float) -> dict[str, Any]:
         ("name_as_fact", "verdict: partly_explained", [NAMED], hidden(OUTSIDE), False),
         ("name_as_fact", "verdict: partly_explained", [NAMED], WITH_OUTSIDE, True),
         ("name_as_fact", "verdict: partly_explained", [NAMED], hidden(), False),
+        # Of a doubtful name its family is told: a moved chair acts in the room as well.
+        ("name_as_fact", "verdict: partly_explained", [in_family("room", 0.2)], hidden(OUTSIDE), True),
+        ("name_as_fact", "verdict: partly_explained", [in_family("room", 0.02)], hidden(OUTSIDE), False),
+        ("name_as_fact", "verdict: partly_explained", [in_family("zero", 0.2)], hidden(GAIN), False),
         ("cause_probability", MAYBE.format("axis_gain"), [maybe("axis_gain", 0.03)], ONLY_GAIN, True),
         # Three per cent were left for anything else.
         ("cause_probability", MAYBE.format("iron_plate"), [maybe("iron_plate", 0.03)], ONLY_GAIN, True),

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from estimator.diagnosis.mixture.imitation import AT_ITS_LINK
 from estimator.diagnosis.mixture.links import Link
+from estimator.diagnosis.verdict import Family
 from estimator.rig.rig import Cause
 
 
@@ -58,6 +60,14 @@ class Found:
     def listed_share(self) -> float:
         """How probable it is that it is a listed cause, if it is there."""
         return sum(possibility.share for possibility in self.possibilities if possibility.is_listed)
+
+    @property
+    def family(self) -> Family:
+        """The links of the listed causes, and the probability that it acts at one of them."""
+        links = tuple(dict.fromkeys(each.link for each in self.possibilities if each.is_listed))
+        of_imitations = 1.0 - sum(each.share for each in self.possibilities)
+        there = sum(each.share for each in self.possibilities if each.link in links)
+        return Family(links, self.probability * (there + AT_ITS_LINK * of_imitations))
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `causes` or `departures` in `diagnosis.json`."""

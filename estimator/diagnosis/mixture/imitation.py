@@ -15,6 +15,9 @@ MOST_COUNTED = 2  # other names: sessions with more were not counted, and a larg
 MOST_RELATIVE = 8.0  # log Bayes factor of a relative beyond which a name does not get worse
 ENOUGH = 60.0  # log Bayes factor from which on a name is clear, however much more another one has
 LEAST_CLEAR = 0.01  # of that of the other name, or of `ENOUGH`: with less a name does not get worse
+AT_ITS_LINK = (
+    0.7  # share of imitations that act at the link of the cause that they resemble, in the same sessions
+)
 WEIGHTS = (4.15, -1.15, -0.45, 2.3, -1.25)  # of the `features` of a name, in its log odds
 
 

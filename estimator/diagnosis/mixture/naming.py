@@ -30,6 +30,7 @@ def _named(answer: Answer, found: Found) -> NamedCause:
             [first.cause]
         ),
         1.0 - found.probability * sum(possibility.share for possibility in listed),
+        found.family,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.panel_records import Answer
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval, SizedCause
@@ -22,6 +23,7 @@ from estimator.rig.rig import Cause
 NOTHING_WRONG = "These readings show nothing wrong"
 MOST_SIZES = 2  # of a cause, that the headline tells
 LEAST_SHARE = 0.005  # of the misfit, that is told as a percentage
+LEAST_DOUBT = 0.1  # of a name, from which on its link is told
 MOST_ALTERNATIVES = 4  # that a sentence lists; the others stand in diagnosis.json
 
 
@@ -56,7 +58,17 @@ def _stated(diagnosis: Diagnosis) -> Iterator[str]:
             label = f"{name}[{', '.join(named.cause.place for named in same)}]"
         least = probability(min(named.probability for named in same))
         share = _share(diagnosis, [named.cause for named in same])
-        yield f"{_capital(EFFECTS[name].words)} ({label}, {least}){_others(diagnosis, same[0])}.{share}"
+        words = f"{_family(same[0])}{EFFECTS[name].words} ({label}, {least}){_others(diagnosis, same[0])}."
+        yield f"{_capital(words)}{share}"
+
+
+def _family(named: NamedCause) -> str:
+    """The link at which it acts, told where the name is doubtful."""
+    family = named.family
+    if family is None or named.p_not_in_library < LEAST_DOUBT:
+        return ""
+    links = " or ".join(Link(link).words for link in family.links)
+    return f"something is wrong with {links} ({probability(family.probability)}): "
 
 
 def _others(diagnosis: Diagnosis, named: NamedCause) -> str:

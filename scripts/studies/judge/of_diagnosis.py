@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from estimator.diagnosis import policy
+from estimator.diagnosis.statements.causes import LEAST_DOUBT
 from estimator.model.measurement_model import nominal_tensors
 from estimator.reporting.numbers import displays, quantity_words
 from estimator.rig_files.read import load_rig
@@ -25,6 +26,7 @@ from scripts.studies.judge.of_calibration import (
 )
 from scripts.studies.judge.reading import Readers, nothing
 from scripts.studies.judge.statements import Statement, number_statement, size_of
+from tests.hidden.links import links_of
 
 DIAGNOSE = "diagnose"
 SURE_OF_NOTHING = 0.9  # probability from which it counts as said that nothing is wrong
@@ -120,12 +122,19 @@ def doubts(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
 
 @sentence(r"^verdict: partly_explained$")
 def partly_named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
-    """Causes that are stated beside something else, each with what it may be instead: one of these is there."""
+    """Causes that are stated beside something else, each with what it may be instead: one of these is there.
+
+    Of a doubtful one its family is told first, and something is there that acts at its links.
+    """
     if case.truth is None:
         return
     for cause in case.diagnosis["causes"]:
         names = [plain_name(one["name"]) for one in (cause, *cause["alternatives"])]
         is_true = any(case.truth.is_right(name) for name in names)
+        if cause.get("family") and cause["p_not_in_library"] >= LEAST_DOUBT:
+            n_sensors = len(case.plain.rig.sensors)
+            links = {link for hidden in case.truth.causes for link in links_of(hidden.name, n_sensors)}
+            is_true = is_true or bool(links & set(cause["family"]["links"]))
         why = f"one of {', '.join(names)}; hidden: {case.truth.words}"
         yield Statement("name_as_fact", DIAGNOSE, f"{text}: {cause['name']}", is_true, why)
 

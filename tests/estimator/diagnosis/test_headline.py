@@ -28,7 +28,7 @@ from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.statements.gain import unseen_line
 from estimator.diagnosis.statements.priors import held_back
 from estimator.diagnosis.validation import Improvement, improvement_of
-from estimator.diagnosis.verdict import Verdict
+from estimator.diagnosis.verdict import Family, Verdict
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.readings.observations import Observations
@@ -197,7 +197,8 @@ def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(
 
 def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis: Diagnosis) -> None:
     (named,) = diagnosis.causes
-    alone = replace(named, probability=0.7, alternatives=(), p_not_in_library=0.3)
+    family = Family(("room", "zero"), 0.91)
+    alone = replace(named, probability=0.7, alternatives=(), p_not_in_library=0.3, family=family)
     doubtful = replace(
         diagnosis,
         verdict=Verdict.INDISTINGUISHABLE,
@@ -206,6 +207,9 @@ def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis: 
     )
     what, *_, then = headline(doubtful)
     assert f"({diagnosis.label(named.cause)}, 70 %), or something not in the library (30 %)." in what
+    assert what.startswith(
+        "Something is wrong with the field of the room or what a sensor shows without a field (91 %): "
+    )
     assert "no list holds" in then
     (answer,) = panels(doubtful).answers
     assert answer.alternatives == [("something not in the library", 0.3)]

@@ -226,7 +226,7 @@ def test_alternative_that_was_not_fitted_is_named_without_a_number(diagnosis: Di
     (named,) = diagnosis.causes
     findings = replace(diagnosis.findings, causes=(replace(named, alternatives=(other,)),))
     either = replace(diagnosis, findings=findings)
-    assert ", or the sensor's axes have wrong gains (axis_gain, 25 %)." in as_text(either)
+    assert ", or the sensor's axes have wrong gains (axis_gain, 25 %)" in as_text(either)
 
 
 def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(diagnosis: Diagnosis) -> None:

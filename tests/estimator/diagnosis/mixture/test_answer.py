@@ -11,6 +11,7 @@ import torch
 from estimator.diagnosis.mixture import answer as answers
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.imitation import AT_ITS_LINK
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples
 from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item
@@ -97,6 +98,13 @@ def test_a_name_may_be_an_imitation_where_something_like_it_is_left(relative, is
     imitation = made.standing(gain.first.cause, [gain.first.cause, TWIN_CAUSE]).p_imitation
     assert sum(one.share for one in gain.possibilities) == pytest.approx(1.0 - imitation)
     assert (imitation > 0.2) == is_doubtful
+
+
+def test_an_imitation_acts_at_the_link_of_what_it_resembles_as_often_as_was_counted(monkeypatch):
+    monkeypatch.setattr(answers.Standing, "p_imitation", 0.4)
+    (gain,) = (one for one in answered(samples(MODELS, BOTH)).found if one.first.is_listed)
+    assert gain.family.links == (gain.first.link,)
+    assert gain.family.probability == pytest.approx(0.6 + AT_ITS_LINK * 0.4)
 
 
 def test_halves_say_nothing_against_a_cause_where_nothing_unlisted_acts():
