@@ -105,8 +105,7 @@ class Answer:
         first = {item.cause: item for item in reversed(items)}
         own = [i for i, item in enumerate(items) if item.cause in shares]
         with_all = self.asked.samples.one_of(own)
-        of_halves = [samples.one_of(own) for samples in self.in_halves]
-        in_halves = sum(of_halves) / len(of_halves) if of_halves else with_all
+        in_halves = self._in_halves(own)
         listed, whole = [cause for cause in shares if first[cause].is_listed], sum(shares.values())
         likeliest = max(listed, key=shares.__getitem__, default=None)
         real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, shares).p_imitation
@@ -128,7 +127,7 @@ class Answer:
         possibilities.sort(key=lambda possibility: -possibility.share)
         expected = self._expected(own)
         probability = with_all
-        if of_halves and 2.0 * in_halves < expected:
+        if self.in_halves and 2.0 * in_halves < expected:
             probability *= 2.0 * in_halves / expected
         return Found(tuple(possibilities), probability, with_all, in_halves, expected)
 
@@ -141,11 +140,15 @@ class Answer:
         """
         asked, item = self.asked, self.item_of(cause)
         items = asked.dictionary.items
+        own = [i for i, each in enumerate(items) if each.cause in alternatives]
         rest = [i for i in asked.leading if items[i].cause not in alternatives]
         names = [i for i in rest if items[i].is_listed]
         strongest = max((self._evidence(i, [*rest, item]) for i in names), default=0.0)
         relative = evidence_of_relatives(asked, item)
-        return Standing(self._evidence(item, rest), strongest, relative, len(names), items[item].is_chosen)
+        shortage = max(self._expected(own) - self._in_halves(own), 0.0) if self.in_halves else 0.0
+        return Standing(
+            self._evidence(item, rest), strongest, relative, len(names), items[item].is_chosen, shortage
+        )
 
     def _evidence(self, item: int, leading: Sequence[int]) -> float:
         """Log Bayes factor of an item beside others."""
@@ -155,6 +158,11 @@ class Answer:
     def _expected(self, own: Sequence[int]) -> float:
         """Probability that halves are expected to give items of a set; as if they were sure of it where none were asked."""
         return max((self.expected.get(i, 0.0) for i in own), default=0.0) if self.in_halves else 1.0
+
+    def _in_halves(self, own: Sequence[int]) -> float:
+        """Probability that a slot holds one of some items: the mean over halves, or with all readings where none were asked."""
+        samples = self.in_halves or (self.asked.samples,)
+        return sum(each.one_of(own) for each in samples) / len(samples)
 
     @cached_property
     def evidence_of_names(self) -> list[float]:

@@ -2,8 +2,8 @@
 
 Something unlisted takes the name of the cause that it resembles most, and readings cannot always tell the two apart. How often it does was
 counted in sessions of known truth (`make study NAME=imitations`, docs/results.md): the more often the more names stand beside it, the less
-evidence it has where another name has more, the more what is left looks like the cause being stronger here and weaker there, and where an
-instant, an axis or another start was chosen for it. With these known, what halves of the readings could show tells little more.
+evidence it has where another name has more, the less of it halves of the readings show, the more what is left looks like the cause being
+stronger here and weaker there, and where an instant, an axis or another start was chosen for it.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 MOST_COUNTED = 2  # other names: sessions with more were not counted, and a large rig may have ten things wrong that are all there
 MOST_RELATIVE = 8.0  # log Bayes factor of a relative beyond which a name does not get worse
-ENOUGH = 60.0  # log Bayes factor from which on a name is clear, however much more another one has
+ENOUGH = 100.0  # log Bayes factor from which on a name is clear, however much more another one has
 LEAST_CLEAR = 0.01  # of that of the other name, or of `ENOUGH`: with less a name does not get worse
 AT_ITS_LINK = (
     0.7  # share of imitations that act at the link of the cause that they resemble, in the same sessions
 )
-WEIGHTS = (4.15, -1.15, -0.45, 2.3, -1.25)  # of the `features` of a name, in its log odds
+WEIGHTS = (4.0, -0.85, -0.35, 1.9, -1.45, -3.6)  # of the `features` of a name, in its log odds
 
 
 class Standing(NamedTuple):
@@ -30,6 +30,7 @@ class Standing(NamedTuple):
         relative: Log Bayes factor of its change being stronger here and weaker there (`relatives.py`).
         n_others: Number of other listed causes that lead.
         is_chosen: Whether it has a start that no fit moves, such as an instant.
+        shortage: By how much halves of the readings give it less probability than expected.
     """
 
     log_bayes_factor: float
@@ -37,6 +38,7 @@ class Standing(NamedTuple):
     relative: float = 0.0
     n_others: int = 0
     is_chosen: bool = False
+    shortage: float = 0.0
 
     @property
     def p_imitation(self) -> float:
@@ -47,15 +49,15 @@ class Standing(NamedTuple):
             True
             >>> Standing(10.0).p_imitation < Standing(10.0, 20.0).p_imitation < Standing(10.0, 40.0).p_imitation
             True
-            >>> Standing(90.0).p_imitation == Standing(90.0, 300.0).p_imitation
+            >>> Standing(150.0).p_imitation == Standing(150.0, 300.0).p_imitation
             True
-            >>> Standing(30.0, n_others=1).p_imitation < 0.1 < Standing(30.0, n_others=2).p_imitation
+            >>> Standing(30.0, n_others=1).p_imitation < 0.05 < Standing(30.0, n_others=2).p_imitation < 0.1
             True
             >>> Standing(30.0, n_others=2).p_imitation == Standing(30.0, n_others=9).p_imitation
             True
             >>> Standing(30.0).p_imitation < 0.03 < Standing(30.0, is_chosen=True).p_imitation
             True
-            >>> Standing(30.0, relative=8.0).p_imitation > 0.3
+            >>> Standing(30.0, relative=8.0).p_imitation > 0.2 < Standing(30.0, shortage=0.8).p_imitation
             True
         """
         log_odds = sum(weight * number for weight, number in zip(WEIGHTS, self.features, strict=True))
@@ -65,9 +67,9 @@ class Standing(NamedTuple):
     def features(self) -> tuple[float, ...]:
         """What the log odds of a name are linear in.
 
-        A constant, the other names, the evidence of relatives, the log of how clear it is, and whether its start was chosen.
+        A constant, the other names, the evidence of relatives, the log of how clear it is, whether its start was chosen, and the shortage.
         """
         n_others, relative = min(self.n_others, MOST_COUNTED), min(max(self.relative, 0.0), MOST_RELATIVE)
         clear = self.log_bayes_factor / min(ENOUGH, max(self.strongest, self.log_bayes_factor, 1.0))
         log_clear = math.log(min(max(clear, LEAST_CLEAR), 1.0))
-        return 1.0, float(n_others), relative, log_clear, float(self.is_chosen)
+        return 1.0, float(n_others), relative, log_clear, float(self.is_chosen), self.shortage

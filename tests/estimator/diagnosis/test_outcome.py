@@ -32,7 +32,7 @@ GAIN = Cause("axis_gain", "hall")
 def before(of_dipole: Answer) -> Outcome:
     """What is said where every name is known to be an imitation: a part of the arm that is magnetised looks like the dipoles."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(imitation, "WEIGHTS", (-50.0, 0.0, 0.0, 0.0, 0.0))
+        patch.setattr(imitation, "WEIGHTS", (-50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         answer = replace(of_dipole)
         return Outcome.of(of_dipole.plain, BesideScatter(answer, ()), (), is_record_wrong=False)
 
