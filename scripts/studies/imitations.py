@@ -19,11 +19,12 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.imitation import WEIGHTS
+from estimator.diagnosis.mixture.imitation import AT_ITS_LINK, WEIGHTS
 from estimator.diagnosis.mixture.scatter import answer_beside_scatter
 from estimator.diagnosis.result import Question
 from estimator.effects import EFFECTS
 from scripts.studies.hidden_cases import Row, label, options_of, read, rows_of, session_of
+from tests.hidden.links import links_of
 from tests.hidden.study import draw_case, is_relative, is_same
 
 # How often sessions of each kind are supposed to come: with one or two listed flaws, and beside them nothing unlisted, one thing, or two.
@@ -58,12 +59,12 @@ def run_case(kind: str, seed: int) -> Row:
     first = FirstFit.of(question, session, None, policy.MOST_READINGS_SEARCHED)
     answer = answer_beside_scatter(first.plain, Limits(), seed, lambda _: None).answer
     truths = [label(cause) for cause in hidden.truth()["causes"]]
-    return {"kind": kind, "seed": seed, "names": names_in(answer, truths)}
+    return {"kind": kind, "seed": seed, "names": names_in(answer, truths, len(session.rig.sensors))}
 
 
-def names_in(answer: Answer, truths: list[str]) -> list[Row]:
-    """Every set of an answer that is sure: whether a listed cause that is there belongs to it, and its features."""
-    rows = []
+def names_in(answer: Answer, truths: list[str], n_sensors: int) -> list[Row]:
+    """Every set of an answer that is sure: whether a listed cause that is there belongs to it, whether its link is right, its features."""
+    rows, links = [], {link for truth in truths for link in links_of(truth, n_sensors)}
     for entry in answer.found:
         listed = [p.cause for p in entry.possibilities if p.is_listed]
         is_right = any(is_same(cause.name, truth) for cause in listed for truth in truths)
@@ -73,7 +74,9 @@ def names_in(answer: Answer, truths: list[str]) -> list[Row]:
         standing = answer.standing(listed[0], [p.cause for p in entry.possibilities])
         share = entry.listed_share / (1.0 - standing.p_imitation)
         names = [cause.label for cause in listed]
-        rows.append({"names": names, "is_right": is_right, "share": share, "features": standing.features})
+        is_at_link = bool(links & set(entry.family.links))
+        told = {"names": names, "is_right": is_right, "is_at_link": is_at_link, "share": share}
+        rows.append(told | {"features": standing.features})
     return rows
 
 
@@ -89,6 +92,8 @@ def show(rows: list[Row]) -> None:
     for kind in WORLD:
         own = [name["is_right"] for _, its_kind, name in names if its_kind == kind]
         print(f"{kind}: {len(own)} names in {of_kind[kind]} sessions, {sum(own)} right")
+    at_link = [name["is_at_link"] for _, _, name in names if not name["is_right"]]
+    print(f"something acts at the link of {sum(at_link)} of {len(at_link)} imitations; {AT_ITS_LINK} in use")
     weights = weights_of(features, share, is_right, counts)
     print(f"weights {', '.join(f'{w:.2f}' for w in weights)}; in use {WEIGHTS}")
     p = np.empty(len(names))
