@@ -100,12 +100,30 @@ class Answer:
         of_them = sum(alternatives.values())
         return {other: share / of_them for other, share in alternatives.items()}
 
+    @cached_property
+    def _only_beside(self) -> frozenset[Cause]:
+        """Listed causes that are asked beside others alone."""
+        listed = frozenset(item.cause for item in self.asked.dictionary.items if item.is_listed)
+        return listed.difference(candidate.cause for candidate in self.first.pool)
+
+    def _as_first(self, shares: Mapping[Cause, float]) -> dict[Cause, float]:
+        """Shares without causes that are asked beside others alone, in whose place these are: a second piece of iron is the first."""
+        others = {cause: share for cause, share in shares.items() if cause not in self._only_beside}
+        fitted = [cause for cause in others if cause in self.asked.expansion.causes]
+        if not fitted:
+            return dict(shares)
+        seconds = sum(share for cause, share in shares.items() if cause in self._only_beside)
+        return others | {
+            max(fitted, key=others.__getitem__): max(others[cause] for cause in fitted) + seconds
+        }
+
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items
         first = {item.cause: item for item in reversed(items)}
         own = [i for i, item in enumerate(items) if item.cause in shares]
         with_all = self.asked.samples.one_of(own)
         in_halves = self._in_halves(own)
+        shares = self._as_first(shares)
         listed, whole = [cause for cause in shares if first[cause].is_listed], sum(shares.values())
         likeliest = max(listed, key=shares.__getitem__, default=None)
         real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, shares).p_imitation
@@ -244,8 +262,7 @@ class Answer:
         listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
         comparison = self.beside_item(self.item_of(entry.first_listed), listed)
         leading = self.asked.causes_of(self.asked.leading)
-        only_beside = {c.cause for c in self.asked.pool}.difference(c.cause for c in self.first.pool)
-        return contenders(comparison, entry.first_listed, leading | only_beside)
+        return contenders(comparison, entry.first_listed, leading | self._only_beside)
 
     @cached_property
     def _by_rival(self) -> dict[Cause, Rival]:

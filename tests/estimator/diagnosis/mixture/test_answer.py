@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,6 +15,7 @@ from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.imitation import AT_ITS_LINK
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item
 
 GAIN, TWIN, WANDERS, FAINT = range(4)
@@ -50,6 +52,8 @@ def answered(
     grid = torch.ones(1)
     slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
+    pool = [SimpleNamespace(cause=one.cause) for one in ITEMS]
+    asked.__dict__.update(pool=pool, expansion=SimpleNamespace(causes=()))
     return Answer(asked, asked, in_halves, expected or {})
 
 
@@ -76,6 +80,24 @@ def test_what_takes_the_same_slot_is_one_set_and_as_sure_as_both_together():
     ]
     assert (first.probability, second.probability) == pytest.approx((1.0, 0.98))
     assert second.first.link is Link.RESPONSE
+
+
+def test_a_second_piece_where_the_first_may_be_is_the_first():
+    """It is asked beside the first alone, which has been fitted."""
+    made = answered(samples(MODELS, BOTH))
+    first = ITEMS[GAIN].cause
+    made.asked.__dict__["expansion"] = SimpleNamespace(causes=(first,))
+    second = replace(made, first=asked_about(made.asked, (first, ITEMS[FAINT].cause)))
+    (gain,) = (one for one in second.found if one.first.is_listed)
+    assert [one.cause for one in gain.possibilities] == [first]
+    assert gain.probability == pytest.approx(1.0)
+
+
+def asked_about(asked: Asked, causes: tuple[Cause, ...]) -> Asked:
+    """The same readings, asked about other causes."""
+    made = object.__new__(Asked)
+    made.__dict__.update(asked.__dict__, pool=[SimpleNamespace(cause=cause) for cause in causes])
+    return made
 
 
 def test_what_halves_have_less_than_half_as_often_as_expected_is_not_stated():
