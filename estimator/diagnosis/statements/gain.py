@@ -85,16 +85,14 @@ def gained(diagnosis: Diagnosis) -> Iterator[str]:
 def _not_of_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
     """What readings have beside the predicted field, and how far it misses them without what they alone have; empty where it is all."""
     of_all = _first_few(diagnosis, _in_every_session(diagnosis, improvement))
-    field = "the field that predict gives"
+    instruments = f"what sensors and movers do wrong ({of_all})" if of_all else ""
     if improvement.after.is_of_field:
-        return f" That is with {of_all}, which acts on readings and not on {field}." if of_all else ""
+        return f" It includes {instruments}; predict gives the field without it." if of_all else ""
     of_these = _first_few(diagnosis, improvement.not_predicted)
     error = size_with_unit(improvement.after.predicted.vector_T, "T", 3)
-    included = f" ({of_all}, which acts on all readings, included)" if of_all else ""
-    if not of_these:
-        return f" The field that predict gives misses them by {error}{included}."
-    beside = f" That is with {of_these}, which these readings have and {field} has not:"
-    return f"{beside} it misses them by {error}{included}."
+    beside = f" It includes what belongs to this session alone ({of_these})." if of_these else ""
+    without = "Predictions are without it and" if of_these else "Predictions"
+    return f"{beside} {without} miss these readings by {error}{f', with {instruments}' if of_all else ''}."
 
 
 def _in_every_session(diagnosis: Diagnosis, improvement: Improvement) -> list[Cause]:

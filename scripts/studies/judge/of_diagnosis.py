@@ -212,7 +212,7 @@ def gain(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     errors = [model.errors(case.held_out).vector_T for model in case.by_diagnosis]
     if not errors:
         return
-    alone = re.search(r"predict gives (?:has not: it )?misses them by (?P<size>[\d.]+ \S*T)", match["rest"])
+    alone = re.search(r"miss these readings by (?P<size>[\d.]+ \S*T)", match["rest"])
     yield _error_statement(case, text, after if alone is None else size_of(alone["size"]), errors, 3)
     if "falls from" in match["rest"] and alone is None:
         nearest = min(errors)

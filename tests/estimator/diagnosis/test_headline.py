@@ -125,7 +125,8 @@ def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis: Diagn
     readings = diagnosis.fits.plain.observations
     _, both, _ = gain_with(diagnosis, readings, OFFSET, Cause("background_field", "room"))
     assert (
-        "That is with sensor_offset, which acts on readings and not on the field that predict gives" in both
+        "It includes what sensors and movers do wrong (sensor_offset); predict gives the field without it."
+        in both
     )
     assert "That is with" not in gain_with(diagnosis, readings, Cause("background_field", "room"))[1]
 
@@ -147,10 +148,8 @@ def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_o
     assert beside_T == pytest.approx(rate_T_per_h * float(hours.square().mean().sqrt()), rel=0.1)
     assert scores.predicted_coverage90 < 0.5 * scores.coverage90
     missed = size_with_unit(scores.predicted.vector_T, "T", 3)
-    assert (
-        f"which these readings have and the field that predict gives has not: it misses them by {missed}."
-        in words
-    )
+    alone = "It includes what belongs to this session alone (background_drift)."
+    assert f"{alone} Predictions are without it and miss these readings by {missed}." in words
     assert f"-> {scores.predicted.vector_T * 1e6:.4g} uT" in unseen_line(improvement)
 
 
