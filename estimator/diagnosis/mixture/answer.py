@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
 from typing import Any
@@ -11,7 +11,6 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
@@ -20,13 +19,12 @@ from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.relatives import evidence_of_relatives
-from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
+from estimator.diagnosis.mixture.rivals import Rival
 from estimator.diagnosis.mixture.slots import Samples
 from estimator.diagnosis.verdict import ALTERNATIVE
 from estimator.effects.attach import with_effect
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
-from estimator.side_by_side import each
 
 STATED = 0.9  # probability from which on a cause is stated
 OUTWEIGHS = (
@@ -101,18 +99,18 @@ class Answer:
         return {other: share / of_them for other, share in alternatives.items()}
 
     @cached_property
-    def _only_beside(self) -> frozenset[Cause]:
+    def only_beside(self) -> frozenset[Cause]:
         """Listed causes that are asked beside others alone."""
         listed = frozenset(item.cause for item in self.asked.dictionary.items if item.is_listed)
         return listed.difference(candidate.cause for candidate in self.first.pool)
 
     def _as_first(self, shares: Mapping[Cause, float]) -> dict[Cause, float]:
         """Shares without causes that are asked beside others alone, in whose place these are: a second piece of iron is the first."""
-        others = {cause: share for cause, share in shares.items() if cause not in self._only_beside}
+        others = {cause: share for cause, share in shares.items() if cause not in self.only_beside}
         fitted = [cause for cause in others if cause in self.asked.expansion.causes]
         if not fitted:
             return dict(shares)
-        seconds = sum(share for cause, share in shares.items() if cause in self._only_beside)
+        seconds = sum(share for cause, share in shares.items() if cause in self.only_beside)
         return others | {
             max(fitted, key=others.__getitem__): max(others[cause] for cause in fitted) + seconds
         }
@@ -217,53 +215,6 @@ class Answer:
         own = self.beside_item(self.item_of(entry.first_listed), listed).log_bayes_factor(listed)
         return own > OUTWEIGHS * most
 
-    @property
-    def not_borne_out(self) -> Cause | None:
-        """The stated cause that full fits bear out least, if they do not: with it the evidence must be clearly higher.
-
-        They are fits to the readings without the departures that lead, which would hide what a cause changes beside them.
-        """
-        stated = [entry.first_listed for entry in self.stated]
-        if not stated:
-            return None
-        without = [[other for other in stated if other != cause] for cause in stated]
-        fit, *others = each(self._beside_departures, [stated, *without])
-        rises = {c: fit.log_evidence - other.log_evidence for c, other in zip(stated, others, strict=True)}
-        least = min(rises, key=rises.__getitem__)
-        is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
-        return None if is_clear else least
-
-    def with_rivals(self) -> Answer:
-        """The answer in which the stated causes have been compared with the likeliest others by full fits."""
-        stated = [entry.first_listed for entry in self.stated]
-        pairs = [
-            (cause, other)
-            for entry, cause in zip(self.stated, stated, strict=True)
-            for other in self._able(entry)
-        ]
-        if not pairs:
-            return self
-
-        def fit_of(pair: tuple[Cause, Contender]) -> Fit:
-            rest = [cause for cause in stated if cause != pair[0]]
-            start = {pair[1].cause: self.asked.dictionary.items[pair[1].item].start}
-            return self._fit_with([*rest, pair[1].cause], self.leading_fit.observations, start)
-
-        own, fits = self._beside_departures(stated), each(fit_of, pairs)
-        rivals: dict[Cause, tuple[Rival, ...]] = {}
-        for (cause, other), fit in zip(pairs, fits, strict=True):
-            fitted = rival(other, fit, own)
-            if fitted.odds > ALTERNATIVE:
-                rivals[cause] = (*rivals.get(cause, ()), fitted)
-        return replace(self, rivals=rivals)
-
-    def _able(self, entry: Found) -> list[Contender]:
-        """Causes that may be rivals of a stated one: neither there beside it, nor possible only beside others."""
-        listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
-        comparison = self.beside_item(self.item_of(entry.first_listed), listed)
-        leading = self.asked.causes_of(self.asked.leading)
-        return contenders(comparison, entry.first_listed, leading | self._only_beside)
-
     @cached_property
     def _by_rival(self) -> dict[Cause, Rival]:
         return {other.cause: other for rivals in self.rivals.values() for other in rivals}
@@ -323,22 +274,29 @@ class Answer:
         """The rig as described with some listed causes, fitted to the readings that were asked."""
         key = frozenset(causes)
         if key and key not in self.fits:
-            self.fits[key] = self._fit_with(causes, self.plain.observations)
+            self.fits[key] = self.fit_to(causes, self.plain.observations)
         return self.fits[key] if key else self.plain
 
-    def _beside_departures(self, causes: Sequence[Cause]) -> Fit:
+    def fit_beside_departures(self, causes: Sequence[Cause]) -> Fit:
         """The rig as described with some listed causes, fitted to the readings without the departures that lead."""
         readings = self.leading_fit.observations
         if readings is self.plain.observations:
             return self.fit_with(causes)
-        return self._fit_with(causes, readings)
+        return self.fit_to(causes, readings)
 
-    def _fit_with(
+    def fit_to(
         self,
         causes: Sequence[Cause],
         readings: Observations,
         shapes: Mapping[Cause, dict[str, float]] = MappingProxyType({}),
     ) -> Fit:
+        """The rig as described with some listed causes, fitted to some readings.
+
+        Args:
+            causes: Beyond those of the rig.
+            readings: Of the session, with or without what departures change.
+            shapes: Where fits of some causes start; by default at the shapes that are known of them.
+        """
         plain, factors = self.plain, self.asked.expansion.factors
 
         def fitted(more: Mapping[Cause, float]) -> Fit:

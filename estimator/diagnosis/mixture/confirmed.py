@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
+from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
+from estimator.diagnosis.verdict import ALTERNATIVE
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
+from estimator.side_by_side import each
 
 N_PAIRS = 3  # of complementary halves
 IN_HALVES = Sweeps(16, 4)
@@ -73,14 +80,63 @@ def confirmed(
     }
     ended_early = limits.words if limits.is_over else ""
     result = Answer(first, asked, tuple(of_halves), mean, ended_early, refused)
-    return result if ended_early else result.with_rivals()
+    return result if ended_early else with_rivals(result)
 
 
 def _borne_out(first: Asked, asked: Asked, seed: int) -> tuple[Asked, frozenset[Cause]]:
     """The readings asked without the causes that full fits do not bear out, and these."""
     refused, draft = frozenset[Cause](), Answer(first, asked, (), {})
-    while (cause := draft.not_borne_out) is not None:
+    while (cause := _not_borne_out(draft)) is not None:
         refused |= {cause}
         asked = asked.without(refused, seed, SAMPLING)
         draft = Answer(first, asked, (), {}, fits=draft.fits)
     return asked, refused
+
+
+def _not_borne_out(answer: Answer) -> Cause | None:
+    """The stated cause that full fits bear out least, if they do not: with it the evidence must be clearly higher.
+
+    They are fits to the readings without the departures that lead, which would hide what a cause changes beside them.
+    """
+    stated = [entry.first_listed for entry in answer.stated]
+    if not stated:
+        return None
+    without = [[other for other in stated if other != cause] for cause in stated]
+    fit, *others = each(answer.fit_beside_departures, [stated, *without])
+    rises = {c: fit.log_evidence - other.log_evidence for c, other in zip(stated, others, strict=True)}
+    least = min(rises, key=rises.__getitem__)
+    is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
+    return None if is_clear else least
+
+
+def with_rivals(answer: Answer) -> Answer:
+    """The answer in which the stated causes have been compared with the likeliest others by full fits."""
+    stated = [entry.first_listed for entry in answer.stated]
+    pairs = [
+        (cause, other)
+        for entry, cause in zip(answer.stated, stated, strict=True)
+        for other in _contenders(answer, entry)
+    ]
+    if not pairs:
+        return answer
+
+    def fit_of(pair: tuple[Cause, Contender]) -> Fit:
+        rest = [cause for cause in stated if cause != pair[0]]
+        start = {pair[1].cause: answer.asked.dictionary.items[pair[1].item].start}
+        return answer.fit_to([*rest, pair[1].cause], answer.leading_fit.observations, start)
+
+    own, fits = answer.fit_beside_departures(stated), each(fit_of, pairs)
+    rivals: dict[Cause, tuple[Rival, ...]] = {}
+    for (cause, other), fit in zip(pairs, fits, strict=True):
+        fitted = rival(other, fit, own)
+        if fitted.odds > ALTERNATIVE:
+            rivals[cause] = (*rivals.get(cause, ()), fitted)
+    return replace(answer, rivals=rivals)
+
+
+def _contenders(answer: Answer, entry: Found) -> list[Contender]:
+    """Causes that may be rivals of a stated one: neither there beside it, nor possible only beside others."""
+    listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
+    comparison = answer.beside_item(answer.item_of(entry.first_listed), listed)
+    leading = answer.asked.causes_of(answer.asked.leading)
+    return contenders(comparison, entry.first_listed, leading | answer.only_beside)

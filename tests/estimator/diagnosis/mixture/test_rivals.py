@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from estimator.diagnosis.mixture import answer as answer_module
+from estimator.diagnosis.mixture import confirmed as confirmed_module
 from estimator.diagnosis.mixture import rivals as rivals_module
+from estimator.diagnosis.mixture.confirmed import with_rivals
 from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
@@ -61,8 +62,8 @@ def test_contenders_have_half_of_the_evidence_and_are_not_in_the_set(answer):
 def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
     """Of causes with far less evidence too, so that there are some; a start that the fit keeps has its share of the prior."""
     monkeypatch.setattr(rivals_module, "LEAST_EVIDENCE", -10.0)
-    monkeypatch.setattr(answer_module, "ALTERNATIVE", 0.0)
-    compared = answer.with_rivals()
+    monkeypatch.setattr(confirmed_module, "ALTERNATIVE", 0.0)
+    compared = with_rivals(answer)
     extent = compared.plain.posterior.model.circumstances.extent
     assert compared.rivals
     for first, rivals in compared.rivals.items():
