@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.calibration.policy import LARGER_THAN_NOISE
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.row_mistakes import FACTORS
@@ -17,6 +18,7 @@ from estimator.effects.use import as_meant, uses_of
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.flags import COMPONENTS
 from estimator.readings.observations import Observations
+from estimator.rig.parameters import LogNormal
 
 PROBABLY = 0.5
 WIDTH_OF_ONE = 20.0  # standard deviations of the noise, of the errors of a single component
@@ -64,6 +66,7 @@ def outliers_of(fit: Fit, observations: Observations, leaves_something: bool) ->
     References: Bayes' rule for a mixture of two normals, as in Hogg, Bovy and Lang, arXiv:1008.4686 (2010), section 3.
     """
     has_outliers = any(use.effect.is_contaminating for use in uses_of(fit.rig, NoiseEffect))
+    leaves_something = leaves_something or _is_noisy(fit)
     if leaves_something and not has_outliers:
         return []
     observations = as_meant(fit.rig, observations)
@@ -87,6 +90,16 @@ def outliers_of(fit: Fit, observations: Observations, leaves_something: bool) ->
     words = _written_as(measured_T, measured_T - miss_T[probable], sigma_T)
     lines = [None] * len(probable) if observations.line is None else observations.line[readings].tolist()
     return list(map(Outlier, readings.tolist(), names, components.tolist(), *numbers, words, lines))
+
+
+def _is_noisy(fit: Fit) -> bool:
+    """Whether a sensor scatters clearly more than its rig file expects: then something unknown moves its readings, not mistakes alone."""
+    noises = [fit.rig.parameters[f"{sensor.name}.noise_T"] for sensor in fit.rig.sensors]
+    return any(
+        float(fit.values[noise.name]) > LARGER_THAN_NOISE * noise.prior.median
+        for noise in noises
+        if isinstance(noise.prior, LogNormal) and noise.name in fit.values
+    )
 
 
 def _written_as(

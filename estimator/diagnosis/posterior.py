@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -12,11 +12,13 @@ import torch
 
 from estimator.calibration.calibrate import Stage, calibrate, versions
 from estimator.calibration.files import check_calibration, remove_calibration
+from estimator.calibration.quality import Assessment, Quality
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import STATED
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import posterior_scores
 from estimator.diagnosis.widening import Widening, have_whole_counts
@@ -27,6 +29,7 @@ from estimator.inference.laplace import open_directions
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations
+from estimator.reporting.numbers import probability
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.files import writing
@@ -166,7 +169,32 @@ def with_posterior(
             with suppress(OSError):
                 out.rmdir()
         return replace(result, posterior_refusal="" if isinstance(error, _Stopped) else str(error))
+    if doubts := _doubts(result):
+        sampled = doubted(sampled, doubts)
+        if out is not None:
+            sampled.save(out)
     return replace(result, posterior=sampled)
+
+
+def _doubts(result: Diagnosis) -> list[str]:
+    """What the extended rig takes for granted, of its causes that are not sure."""
+    return [
+        f"it holds only if {sized.name} is what is wrong ({probability(sized.probability)})."
+        for sized in result.sized_causes
+        if sized.probability < STATED
+    ]
+
+
+def doubted(calibration: Calibration, doubts: Sequence[str]) -> Calibration:
+    """A calibration that is no better than suspect, for some reasons beside its own."""
+    quality = calibration.summary_json["quality"]
+    own = [] if quality["verdict"] == Quality.GOOD else quality["reasons"]
+    verdict = Quality.UNUSABLE if quality["verdict"] == Quality.UNUSABLE else Quality.SUSPECT
+    next_step = (
+        quality["next"] if own else "Tell the causes apart first: the diagnosis says what they may be."
+    )
+    told = Assessment(verdict, (*own, *doubts), next_step).to_json()
+    return replace(calibration, summary_json={**calibration.summary_json, "quality": told})
 
 
 def judged_as_handed_out(result: Diagnosis, posterior: Calibration, unseen: Observations) -> Diagnosis:

@@ -10,6 +10,7 @@ from scipy import stats
 
 from estimator.diagnosis.outlying import outliers_of
 from estimator.effects.attach import with_effect
+from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
@@ -89,3 +90,16 @@ def test_without_that_cause_a_single_component_is_listed_where_nothing_else_is_l
     (outlier,) = outliers_of(fit, readings.with_field(field_T), leaves_something=False)
     assert (outlier.reading, outlier.component) == (7, 1)
     assert outliers_of(fit, readings.with_field(field_T), leaves_something=True) == []
+
+
+def test_where_a_sensor_scatters_clearly_more_than_expected_only_what_is_far_off_is_listed(
+    small_rig, small_session: Session
+):
+    """Jumps of a winding make noise of 39 uT where 20 are expected; readings that they move are no mistakes."""
+    readings = small_session.observations
+    stated = small_rig.parameters["hall.noise_T"]
+    rig = small_rig.with_parameters([replace(stated, prior=LogNormal(0.4 * stated.value, 1.0))])
+    fit = fit_of(rig, readings.calibration)
+    field_T = readings.field_sensor_T.clone()
+    field_T[7, 1] += 8.0 * float(fit.posterior.sigma_T(fit.vector)[0])
+    assert outliers_of(fit, readings.with_field(field_T), leaves_something=False) == []

@@ -12,7 +12,7 @@ import torch
 from estimator.calibration.report import calibration_report, warning_sentences
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.posterior import extended_posterior
+from estimator.diagnosis.posterior import doubted, extended_posterior
 from estimator.diagnosis.widening import Widening
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
@@ -90,3 +90,15 @@ def test_what_lies_on_disk_is_the_wide_posterior(widened: Calibration, folder: P
     stored = Calibration.load(folder)
     assert (stored.draws[RADIUS] == widened.draws[RADIUS]).all()
     assert stored.summary()["widening"] == widened.summary()["widening"]
+
+
+def test_a_rig_with_a_doubtful_cause_gives_no_good_calibration(small_calibration: Calibration):
+    """A left-handed stage explains what swapped axes explain, with the coil on the other side."""
+    good = small_calibration.summary()["quality"]
+    words = "it holds only if axes_swapped is what is wrong (50 %)."
+    told = doubted(small_calibration, [words]).summary()["quality"]
+    assert good["verdict"] == "good"
+    assert (told["verdict"], told["reasons"]) == ("suspect", [words])
+    assert "Tell the causes apart first" in told["next"]
+    twice = doubted(doubted(small_calibration, [words]), [words]).summary()["quality"]
+    assert twice["reasons"] == [words, words]
