@@ -16,7 +16,7 @@ from estimator.tensors import Tensor, torch
 
 # Of the largest current; a twentieth apart, so that one lies near any limit between two settings.
 LIMITED_AT = (0.99, 0.95, 0.9, 0.87, 0.83, 0.8, 0.75, 0.7, 0.65, 0.6, 0.55, 0.5, 0.45)
-NO_LIMIT = 3.0  # times the largest current: beyond what the session commanded
+NO_LIMIT = 1.1  # times the largest current: beyond what the session commanded
 WHOLE_SESSION = "the currents of a whole session, where loss_per_K depends on the temperature"
 RANGES = 12  # steps of the largest current at which a range may end
 
@@ -106,15 +106,24 @@ def current_compression(current_A: Current, theta: Theta) -> Current:
     return current_A * (1.0 - theta["loss_per_A2"][..., None] * current_A**2)
 
 
-def _shares_of_the_largest(circumstances: Circumstances, place: str) -> Starts:
+def _between(sizes_A: Float[Tensor, " size"], at_A: Float[Tensor, " at"]) -> list[float]:
+    """Middles between two sizes of currents, about each of some currents: nothing tells places between the same two sizes apart."""
+    above = torch.searchsorted(sizes_A, at_A).unique()
+    above = above[(above > 0) & (above < len(sizes_A))]
+    middles_A: list[float] = (0.5 * (sizes_A[above - 1] + sizes_A[above])).tolist()
+    return middles_A
+
+
+def _limits(circumstances: Circumstances, place: str) -> Starts:
+    """Limits between all pairs of sizes that lie beside each other, among the larger half of them."""
     sizes_A = _sizes_A(circumstances, place)
-    largest_A = float(sizes_A[-1]) if len(sizes_A) else circumstances.largest_current_A
-    return tuple({"limit_A": share * largest_A} for share in LIMITED_AT)
+    limits_A = _between(sizes_A, sizes_A[-1:] * sizes_A.new_tensor(LIMITED_AT))
+    return tuple({"limit_A": limit_A} for limit_A in limits_A or [0.5 * circumstances.largest_current_A])
 
 
 @OneCoilCurrent.cause(
     quantities=lambda extent: (at_most("limit_A", "A", 0.1, NO_LIMIT, extent.largest_current_A),),
-    starts=_shares_of_the_largest,
+    starts=_limits,
     concerns=_has_sizes,
     is_linear=False,
 )
@@ -135,9 +144,7 @@ def _ends_of_ranges(circumstances: Circumstances, place: str) -> Starts:
     """Ends evenly over the currents of the coil, each in the middle between two sizes of them; half of the largest without sizes."""
     sizes_A = _sizes_A(circumstances, place)
     ends_A = sizes_A[-1:] * torch.arange(1.0, RANGES, dtype=sizes_A.dtype, device=sizes_A.device) / RANGES
-    above = torch.searchsorted(sizes_A, ends_A).unique()
-    above = above[above > 0]
-    between_A = (0.5 * (sizes_A[above - 1] + sizes_A[above])).tolist()
+    between_A = _between(sizes_A, ends_A)
     return tuple({"below_A": end_A} for end_A in between_A or [0.5 * circumstances.largest_current_A])
 
 
