@@ -65,6 +65,10 @@ LARGEST_MEAN_SQUARE = 1.5
 """Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement: three
 standard deviations above 1 for 72 components, more for larger sessions. Study of 5 cases: no change."""
 
+MOST_STARTS_OF_FAINT = 2
+"""Ways in which a mistake of the record can be made, up to which it is looked for even where all is as expected: where fields are weak,
+those in another frame make nothing absurd. Effort: one linear step each. Study: not in it."""
+
 LEAST_LEFT_BY_MISTAKE = 0.05
 """Residual over field, both rms, from which on mistakes that begin in mid-session are looked for: they have hundreds of starts. Where more
 is left by a record that was put right, and in the end something is unexplained, its mistakes are doubtful. Argument: an axis reversed for a

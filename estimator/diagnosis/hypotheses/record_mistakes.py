@@ -103,8 +103,9 @@ def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
     Returns: The fit with the mistakes as effects of its rig, and the mistakes.
     """
     mistakes: list[RecordMistake] = []
-    while len(mistakes) < policy.MOST_MISTAKES and not _is_as_expected(base):
-        fits = sorted(_fits_with_mistake(base), key=lambda fit: -fit.log_evidence)
+    while len(mistakes) < policy.MOST_MISTAKES:
+        most_starts = policy.MOST_STARTS_OF_FAINT if _is_as_expected(base) else None
+        fits = sorted(_fits_with_mistake(base, most_starts), key=lambda fit: -fit.log_evidence)
         if not fits or fits[0].log_evidence - base.log_evidence < policy.LEAST_LOG_EVIDENCE_OF_MISTAKE:
             break
         best = fits[0]
@@ -121,10 +122,10 @@ def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
 
 
 def leaves_much_of_the_field(fit: Fit) -> bool:
-    """Whether the residual is a share of the field that no cause but a mistake leaves."""
+    """Whether the residual is a share of the field that no cause but a mistake leaves; of weak fields noise alone is such a share."""
     measured = fit.posterior.measured_T * fit.whitening_per_T
     share = float(fit.residual.square().sum() / measured.square().sum())
-    return share > policy.LEAST_LEFT_BY_MISTAKE**2
+    return share > policy.LEAST_LEFT_BY_MISTAKE**2 and not _is_as_expected(fit)
 
 
 def _is_as_expected(fit: Fit) -> bool:
@@ -140,8 +141,13 @@ def _is_as_expected(fit: Fit) -> bool:
     return True
 
 
-def _fits_with_mistake(base: Fit) -> list[Fit]:
-    """Full fits of the mistakes that fit a few readings best, and no worse than the record as it is."""
+def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
+    """Full fits of the mistakes that fit a few readings best, and no worse than the record as it is.
+
+    Args:
+        base: The record as it is.
+        most_starts: Mistakes with more are left out.
+    """
     circumstances = base.posterior.model.circumstances
     observations = circumstances.observations
     few = spread(observations, policy.MOST_READINGS_COMPARED)
@@ -166,6 +172,8 @@ def _fits_with_mistake(base: Fit) -> list[Fit]:
                 continue
             cause, starts = Cause(name, place), effect.starts(circumstances, place)
             if has_instant(starts) and not is_absurd:
+                continue
+            if most_starts is not None and len(starts) > most_starts:
                 continue
             values = _start_log_likelihoods(base, cause, starts, few)
             ranked += [
