@@ -4,13 +4,15 @@ Sentinels and codes that wrapped around are found in `spoilt`.
 
 Each needs a coincidence that noise does not make. Maps that symmetry repeats, and readings with less noise than their last digit, have
 fields that agree to the last digit too. So a copy must be a block in the same order in which all three components change, a straight
-line must end in kinks, and a reading that is repeated at other settings must begin and end in steps, in a session that repeats few.
+line must end in kinks, and a reading that is repeated at other settings must begin and end in steps, in a session that repeats few or
+each n-th.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
+from math import lgamma
 
 import numpy as np
 import numpy.typing as npt
@@ -30,6 +32,7 @@ FEWEST_COPIED = 4  # consecutive readings
 LEAST_MOVED = 0.01  # of its range that a current or a coordinate differs between a reading and its copy
 MUCH_MOVED = 3.0  # times the usual change of settings between readings: from there on the field may jump
 FEWEST_FILLED_IN = 3  # consecutive readings
+FEWEST_EACH_NTH = 3  # rows that repeat the one before
 MOST_BY_CHANCE = 1e-3  # stretches in which a reading is repeated as often, expected where the sensor works
 FEWEST_CODES = 30  # different ones beside a bit that is stuck: 30 coins that fall alike
 
@@ -68,7 +71,7 @@ def flags_of_digits(observations: Observations) -> list[Flag]:
         for reason, axis, rows in _spoilt(codes, steps_T, settings):
             flags.append(Flag.of(observations, reason, WORDS[reason], axis, own[rows].tolist()))
             codes[rows, axis] = np.nan
-        held = _held(codes, settings)
+        held = sorted({*_held(codes, settings), *_held_each_nth(codes, settings)})
         codes[held] = np.nan
         alike = _perhaps_equal(codes)
         copied = _copied(codes, alike, settings) if len(alike) else []
@@ -162,6 +165,36 @@ def _held(codes: Codes, settings: Codes) -> list[int]:
             rows += [step + 1 for step in run[int(is_moved[run].argmax()) :]]
             steps = elsewhere
     return sorted(rows)
+
+
+def _held_each_nth(codes: Codes, settings: Codes) -> list[int]:
+    """Each n-th row, where all that were taken at other settings repeat the row before, between steps of the field, and no others do.
+
+    A sensor that had no new reading when it was asked, as where a logger is a little faster than its sensor.
+    """
+    change = np.abs(np.diff(codes, axis=0))
+    is_moved = np.abs(np.diff(settings, axis=0)).max(axis=1, initial=0.0) > LEAST_MOVED
+    is_counted = is_moved & ~np.isnan(change).any(axis=1)
+    is_repeated = is_counted & (np.nan_to_num(change) == 0.0).all(axis=1)
+    repeated = np.flatnonzero(is_repeated)
+    if len(repeated) < FEWEST_EACH_NTH:
+        return []
+    first, last, n = repeated[0], repeated[-1], int(np.gcd.reduce(np.diff(repeated)))
+    is_nth = is_counted.copy()
+    is_nth[:first] = is_nth[last + 1 :] = False
+    is_nth &= (np.arange(len(change)) - first) % n == 0
+    is_step = np.append(np.nan_to_num(change).max(axis=1) > MANY_STEPS, True)
+    # Of all ways to choose as many rows those with some n, begin and end.
+    log_chance = np.log(n) + 2.0 * np.log(len(change)) - _log_ways(int(is_counted.sum()), len(repeated))
+    # Where symmetry repeats readings, it repeats others than neighbours too.
+    is_symmetric = len(np.setdiff1d(_perhaps_equal(codes), (repeated, repeated + 1))) > len(repeated)
+    is_told = log_chance < np.log(MOST_BY_CHANCE) and bool(is_step[repeated + 1].all()) and not is_symmetric
+    return (repeated + 1).tolist() if is_told and (is_nth == is_repeated).all() else []
+
+
+def _log_ways(n: int, k: int) -> float:
+    """Logarithm of the number of ways to choose k of n."""
+    return lgamma(n + 1) - lgamma(k + 1) - lgamma(n - k + 1)
 
 
 def _copied(codes: Codes, alike: npt.NDArray[np.intp], settings: Codes) -> list[int]:

@@ -157,6 +157,24 @@ def test_a_sensor_of_one_component_that_stood_still_is_told(measured_T):
     assert flag.readings == tuple(range(20, 32))
 
 
+@pytest.mark.parametrize("step", [2, 5, 10])
+def test_a_sensor_without_a_new_reading_in_each_nth_row_is_told(measured_T, step):
+    measured_T[3::step] = measured_T[2::step][: len(measured_T[3::step])]
+    (flag,) = flags_of_digits(readings_of(measured_T))
+    assert (flag.reason, flag.readings) == (Reason.HELD, tuple(range(3, N, step)))
+    measured_T[30:33] = measured_T[29] + 2e-3  # what is repeated besides is no such pattern
+    flags = flags_of_digits(readings_of(measured_T))
+    assert not {reading for flag in flags for reading in flag.readings} & set(range(3, 30))
+
+
+def test_neighbours_that_symmetry_repeats_in_each_line_of_a_map_are_left_alone():
+    """Components along and across the radius, four places on each side of the axis, in lines from left to right; no noise."""
+    x, z = np.meshgrid(np.arange(-3.5, 4.0), np.arange(8.0))
+    field_T = np.stack((0.01 / (1.0 + x**2 + z), 0.001 * z, 0.1 / (2.0 + x**2 + z**2)), 2).reshape(-1, 3)
+    places_m = np.stack((x, 0.0 * x, z), 2).reshape(-1, 3)
+    assert flags_of_digits(readings_of(field_T.round(7), places_m)) == []
+
+
 def test_readings_that_are_repeated_at_one_place_are_right(measured_T):
     """Four readings a stop; the sensor stands still from the third reading of a stop on, and the fourth is right by chance."""
     stop = np.arange(N) // 4
