@@ -12,6 +12,7 @@ from estimator.diagnosis.lost_signs import lost_signs
 from estimator.diagnosis.result import Diagnosis, Question
 from estimator.diagnosis.robust_fit import robust_values
 from estimator.diagnosis.single_readings import Suspects, some_miss_by_far, suspects_beside, suspects_of
+from estimator.diagnosis.stale_poses import stale_poses
 from estimator.errors import InvalidInput
 from estimator.readings.digits import flags_of_digits
 from estimator.readings.flags import Flag, merged, without_flagged
@@ -78,6 +79,8 @@ class FirstFit:
     def suspects(self) -> Suspects:
         """Single readings that were recorded otherwise than they were measured."""
         readings = self.session.observations
+        if self.refusal is None and (stale := stale_poses(self.plain, readings)):
+            return Suspects(stale, False)
         is_odd = some_miss_by_far(self.plain, readings) or leaves_much_of_the_field(self.plain)
         if self.refusal is not None or not is_odd:
             return Suspects([], False)
