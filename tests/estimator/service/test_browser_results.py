@@ -38,7 +38,7 @@ def test_a_calibration_is_read_and_asked_for_a_point_and_a_plane(
     service = served()
     session = import_csv(service.client, upload_rig(service.client, rig_text), readings_csv)
     job = service.client.post(
-        "/v1/jobs/calibrate", json={"session_id": session["id"], "seed": 1, **QUICK}
+        "/v1/jobs/calibrate", json={"session_id": session["id"], "seed": 1, "settings": QUICK}
     ).json()
     page.goto(f"{service.url}/#/jobs/{job['id']}")
     page.get_by_role("heading", name="Predict the field").wait_for(timeout=PATIENCE_MS)
@@ -74,7 +74,9 @@ def test_alarms_are_one_line_and_a_time_line_and_silence_is_told(
     for row in range(n):
         reading = json.loads(lines_of(small_session, small_rig, row, row + 1))
         if row in (n - 3, n - 2):
-            reading["field_T"] = [-value for value in reading["field_T"]]
+            reading["field_T"] = {
+                name: [-value for value in field_T] for name, field_T in reading["field_T"].items()
+            }
         append(service.client, session_id, json.dumps(reading).encode())
         page.wait_for_timeout(50)
     page.get_by_text(f"{n}", exact=True).first.wait_for(timeout=PATIENCE_MS)
