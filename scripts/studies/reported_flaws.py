@@ -40,7 +40,7 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=561_000)
     parser.add_argument("--sigma", type=float, default=12.0, help="visible size of a limit or a frame")
     parser.add_argument(
-        "--row-sigma", type=float, default=24.0, help="root mean square change of a wrong row"
+        "--row-sigma", type=float, default=12.0, help="root mean square change of a wrong row"
     )
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path("out/reported_flaws.jsonl"))
