@@ -74,7 +74,7 @@ def _each_nth(is_repeated: Bool[Tensor, " row"]) -> Iterator[Int[Tensor, " nth"]
 def _log_odds_of_the_pose_after(
     fit: Fit, observations: Observations, order: Int[Tensor, " row"]
 ) -> Float[Tensor, " row"]:
-    """Log odds of each row, in order of time, that it has the pose of the row after or its own, against its own; 0 where these are the same.
+    """Log odds of each row, in order of time, that it has the pose of the row after or its own, against its own; 0 where both agree.
 
     A row that was taken at the place of the row before has its own.
     """
