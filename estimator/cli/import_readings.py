@@ -27,7 +27,7 @@ VALIDATION_SHARE = 0.2  # `estimator.store.importers.checked`, which needs torch
 @click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=PATH)
 @option("--rig rig_path", "Rig file.", PATH, required=True)
 @option("--out", "Session to write (zarr).", OutputPath(), required=True)
-@option("--format kind", "Format of the files.", click.Choice(list(IMPORTERS)), default="readings")
+@option("--format kind", "Format of the files.", click.Choice(["readings", *IMPORTERS]), default="readings")
 @option(
     "--current currents",
     "Current of a coil, where the files do not hold it. Repeatable.",
