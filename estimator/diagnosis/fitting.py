@@ -14,8 +14,8 @@ from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
-from estimator.diagnosis.fit_journal import current_journal, key_of
-from estimator.diagnosis.fit_place import climbed, place_of_climbs
+from estimator.diagnosis.fit_journal import key_of
+from estimator.diagnosis.fit_place import SETTING, climbed
 from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.use import Use
@@ -322,8 +322,9 @@ def fit_rig(
     tolerance = policy.FINE_TOLERANCE if tolerance is None else tolerance
     if tolerance >= policy.ROUGH_TOLERANCE:
         tolerance = max(tolerance, 0.5 * coordinates.n * policy.ROUGH_TO_SD**2)
-    journal = current_journal()
-    key = "" if journal is None else key_of(rig, observations, vector, tolerance, rules, place_of_climbs())
+    setting = SETTING.get()
+    journal = setting.journal
+    key = "" if journal is None else key_of(rig, observations, vector, tolerance, rules, setting.place)
     if journal is not None and (known := journal.optimum(key)) is not None:
         return Fit(posterior, known.to(observations.device))
     is_near = near is not None and near.observations is observations
@@ -331,6 +332,7 @@ def fit_rig(
         posterior,
         vector,
         tolerance,
+        setting.place,
         lambda: near.slopes_for(posterior, vector) if near and is_near else None,
     )
     best = optimum.highest()
