@@ -20,7 +20,6 @@ from estimator.diagnosis.fit_journal import FitJournal
 from estimator.inference.levenberg_marquardt import Optimum, levenberg_marquardt
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 from estimator.inference.secant import climb_with_secants, is_worthwhile
-from estimator.model.measurement_model import MeasurementModel
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,7 @@ def climbed(
     readings = posterior.model.circumstances.observations
     there = readings if place is None else readings.to(*place)
     if there is not readings:
-        model = MeasurementModel.unruled(posterior.model.rig, there).with_rules(posterior.model.rules)
-        far = LogPosterior(posterior.coordinates, model, there)
+        far = LogPosterior.by_rules(posterior.coordinates, there, posterior.model.rules)
         ahead = levenberg_marquardt(far, start.to(there.device), tolerance=tolerance, is_race=True)
         start = ahead.vector[ahead.log_posterior.argmax()][None].to(start.device)
     if is_worthwhile(posterior, start):
