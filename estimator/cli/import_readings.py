@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.form_options import FormOptions, form_options
+from estimator.cli.named import named_number
 from estimator.cli.options import PATH, OutputPath, flag, option, result_options, seed_option
-from estimator.cli.output import CoilcalCommand, named_number, show
+from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
 from estimator.store.importers import IMPORTERS
 
