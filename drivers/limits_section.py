@@ -25,12 +25,11 @@ class RigLimits:
     arms: dict[str, ArmLimits] = field(default_factory=dict)
 
 
-def limits_of(section: Mapping[str, Any], location: str = "devices") -> RigLimits:
+def limits_of(section: Mapping[str, Any]) -> RigLimits:
     """Read the limits in a `devices` section.
 
     Args:
         section: Settings of each device, by its name.
-        location: Key of the section, for messages.
 
     Raises:
         Refused: A limit is missing or impossible, or a coil with a highest temperature has no thermometer.
@@ -38,7 +37,7 @@ def limits_of(section: Mapping[str, Any], location: str = "devices") -> RigLimit
     limits = RigLimits()
     with_thermometer = {target for mapping in section.values() for target in thermometer_inputs(mapping)}
     for name, mapping in section.items():
-        settings = Settings(mapping, f"{location}.{name}")
+        settings = Settings(mapping, f"devices.{name}")
         if "supply" in settings:
             limits.currents[name] = current_limits(settings)
             if limits.currents[name].highest_temperature_K is not None and name not in with_thermometer:

@@ -103,43 +103,41 @@ class DeviceSet(ClosesItself):
                 stack.callback(device.close)
 
 
-def open_devices(section: Mapping[str, Any], location: str = "devices") -> DeviceSet:
+def open_devices(section: Mapping[str, Any]) -> DeviceSet:
     """Open all devices of a section; if one cannot be opened, none stays open.
 
     Args:
         section: Settings of each device, by its name, as above.
-        location: Key of the section, for messages.
 
     Raises:
         Refused: A setting is missing, unknown or impossible.
         DriverError: A device is not there.
     """
-    limits_of(section, location)
+    limits_of(section)
     devices = DeviceSet()
     try:
         for name, mapping in section.items():
-            _opener(name, Settings(mapping, f"{location}.{name}"))(devices)
+            _opener(name, Settings(mapping, f"devices.{name}"))(devices)
     except BaseException:
         devices.close()
         raise
     return devices
 
 
-def faults_of(section: Mapping[str, Any], location: str = "devices") -> list[Refused]:
+def faults_of(section: Mapping[str, Any]) -> list[Refused]:
     """All that is wrong with the settings of a section; no device is touched.
 
     Args:
         section: Settings of each device, by its name, as above.
-        location: Key of the section, for messages.
     """
     faults: list[Refused] = []
     for name, mapping in section.items():
         with noting(faults):
-            settings = Settings(mapping, f"{location}.{name}", faults)
+            settings = Settings(mapping, f"devices.{name}", faults)
             _opener(name, settings)
     if not faults:
         with noting(faults):
-            limits_of(section, location)
+            limits_of(section)
     return faults
 
 

@@ -39,7 +39,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the sam
     from estimator.rig_files.read import load_rig
     from estimator.store.session import Session, load_session
     from estimator.system.superposition import Superposition, superposition
-    from estimator.system.system import System, SystemField
+    from estimator.system.system import System
+    from estimator.system.system_field import SystemField
 
 __all__ = [
     "Calibration",
@@ -102,7 +103,7 @@ _MODULES = {
     "Stream": "estimator.live.stream",
     "Superposition": "estimator.system.superposition",
     "System": "estimator.system.system",
-    "SystemField": "estimator.system.system",
+    "SystemField": "estimator.system.system_field",
     "batch": "estimator.batching",
     "block_split": "estimator.readings.split",
     "calibrate": "estimator.calibration.calibrate",

@@ -25,6 +25,7 @@ RATE_CODES = {
 }  # fmt: skip
 """Codes of `K` by packets per second."""
 
+TESLA_PER_UNIT = 1e-3  # of the packets; the public drivers do not state it, and the display shows millitesla
 _PACKET = struct.Struct(">Bffff7sB")
 _START, _END = 0x42, 0x0D
 _QUIET_S = 0.1
@@ -111,7 +112,6 @@ class Senis3MH6(HallSensor):
         rate_Hz: int,
         range_number: int,
         full_scale_T: float,
-        tesla_per_unit: float = 1e-3,
     ) -> None:
         """Choose its settings.
 
@@ -120,12 +120,11 @@ class Senis3MH6(HallSensor):
             rate_Hz: One of `RATE_CODES`.
             range_number: 1 to 4, as in `mr1` to `mr4`.
             full_scale_T: Limit of that range, which depends on the probe; a reading beyond it is flagged.
-            tesla_per_unit: Unit of the packets. The public drivers do not state it; the display shows millitesla.
         """
         check_stream(rate_Hz, range_number)
         super().__init__(port, quieten=b"S")
         self._rate_Hz, self._range_number = rate_Hz, range_number
-        self._full_scale_T, self._tesla_per_unit = full_scale_T, tesla_per_unit
+        self._full_scale_T = full_scale_T
         self._has_streamed = False
         self._rest = b""
         self._last_packet: Packet | None = None
@@ -200,7 +199,7 @@ class Senis3MH6(HallSensor):
         return packets
 
     def _reading(self, packet: Packet, arrived_s: float) -> Reading[Vector]:
-        x_T, y_T, z_T = (self._tesla_per_unit * value for value in packet.field)
+        x_T, y_T, z_T = (TESLA_PER_UNIT * value for value in packet.field)
         field_T = (x_T, y_T, z_T)
         is_beyond = any(abs(value_T) > self._full_scale_T for value_T in field_T)
         flags = ReadingFlag.OVER_RANGE if is_beyond else over_range(field_T)

@@ -14,7 +14,7 @@ from estimator.batching.result import BatchResult
 from estimator.calibration.calibrate import versions
 from estimator.errors import listed
 from estimator.reporting import plots
-from estimator.reporting.numbers import displays, percent, probability, with_sd
+from estimator.reporting.numbers import displays, microtesla, percent, probability, with_sd
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 
 MOST_PARAMETERS = 12
@@ -162,8 +162,8 @@ def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> li
             str(row["hypothesis"]),
             f"{row['log_evidence']:.1f}",
             percent(row["probability"], 1),
-            f"{row['calibration_rmse_T'] * 1e6:.4g} µT",
-            f"{row['validation_rmse_T'] * 1e6:.4g} µT" if pd.notna(row["validation_rmse_T"]) else "—",
+            microtesla(row["calibration_rmse_T"]),
+            microtesla(row["validation_rmse_T"]) if pd.notna(row["validation_rmse_T"]) else "—",
             "sampled" if row["is_sampled"] else "Laplace",
         ]
         for _, row in table.iterrows()

@@ -19,7 +19,6 @@ from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.json_files import read_json, sealed
-from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_precision, check_readings
 from estimator.readings.metrics import HALF_WIDTH_90, error_metrics
 from estimator.readings.observations import Observations
@@ -159,8 +158,7 @@ def _result(job: Job, fit: Fit, observations: Observations) -> dict[str, Any]:
 
 def _vector_rms_T(fit: Fit, observations: Observations) -> float:
     with torch.no_grad():
-        model = MeasurementModel.unruled(fit.rig, observations).with_rules(fit.posterior.model.rules)
-        predicted_T = model.predict(fit.values).expand(len(observations), 3)
+        predicted_T = fit.model_of(observations).predict(fit.values).expand(len(observations), 3)
     return error_metrics(observations.field_sensor_T.numpy(), predicted_T.numpy()).vector_T
 
 

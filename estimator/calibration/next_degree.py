@@ -10,7 +10,6 @@ import torch
 from estimator.inference.collapsed import CollapsedPosterior
 from estimator.inference.density import Density
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import AnyCoil, EquivalentSourceCoil, HarmonicCoil
 from estimator.rig.charged_box import MOST_CHARGES, n_charges
@@ -45,8 +44,8 @@ def next_degree_gain(posterior: Density, observations: Observations, vector: tor
             rig = with_next_degree(posterior.full.coordinates.rig, share)
             if rig is None:
                 return None
-            model = MeasurementModel.unruled(rig, observations).with_rules(posterior.full.model.rules)
-            higher = CollapsedPosterior(LogPosterior(Coordinates(rig), model, observations))
+            rules = posterior.full.model.rules
+            higher = CollapsedPosterior(LogPosterior.by_rules(Coordinates(rig), observations, rules))
             rises.append(float(higher.log_likelihood(vector[None])[0]) - before)
     return max(rises)
 

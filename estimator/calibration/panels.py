@@ -6,10 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from estimator.calibration.figures import coil_planes, fitted
-from estimator.calibration.report import verdict_sentences, warning_sentences
+from estimator.calibration.fitted import fitted
+from estimator.calibration.planes import coil_planes
 from estimator.calibration.residual_groups import Group, residual_groups
 from estimator.calibration.result import Calibration
+from estimator.calibration.sentences import verdict_sentences, warning_sentences
 from estimator.reporting.numbers import displays
 
 PLANE_POINTS = 41

@@ -21,8 +21,8 @@ LEAST_AGREEMENT = 2e-3
 model in 500 is suspected."""
 
 FAR_SD = 3.5
-"""Distance of any other fitted number from the middle of its prior, up or down, in the prior's standard deviations, that is suspect.
-Statistics: 0.05 % of right priors, since there are a dozen of them."""
+"""Distance of a fitted number from the middle of its prior, up or down, in the prior's standard deviations, that is suspect; a diagnosis
+then looks for a mistake of the record. Statistics: 0.05 % of right priors, since there are a dozen of them."""
 
 LEAST_COVERAGE90 = 0.75
 """Share of the components of unseen readings inside their 90 % intervals below which these are suspect. Statistics: four standard

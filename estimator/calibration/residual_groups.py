@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from estimator.calibration.figures import fitted
+from estimator.calibration.fitted import fitted
 from estimator.calibration.result import Calibration
 
 FEWEST = 5  # readings of a group

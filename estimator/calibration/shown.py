@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from estimator.errors import InvalidInput, quoted
 from estimator.glance import Glance
-from estimator.reporting.numbers import displays
+from estimator.reporting.numbers import displays, microtesla
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,7 +24,7 @@ def calibration_glance(calibration: Calibration) -> Glance:
     verdict = f" {quality['verdict'].capitalize()}: {quality['reasons'][0]}" if quality else ""
     sentence = (
         f"Calibration of {calibration.rig.name!r} from {len(calibration.observations.calibration)} readings; off by "
-        f"{1e6 * error['vector_T']:.4g} µT rms on {unseen}.{verdict}"
+        f"{microtesla(error['vector_T'])} rms on {unseen}.{verdict}"
     )
     rows = []
     for name, display in displays(list(summary["parameters"])).items():
@@ -65,7 +65,7 @@ def plot_field(calibration: Calibration, coil: str | None) -> Figure:
 
 def plot_residuals(calibration: Calibration, ax: Axes | None) -> Axes:
     """See `Calibration.plot_residuals`."""
-    from estimator.calibration.figures import fitted
+    from estimator.calibration.fitted import fitted
     from estimator.reporting import plots
 
     fit = fitted(calibration)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.options import PATH, OutputPath, devices_option, flag, option, result_options, seed_option
-from estimator.cli.output import EXIT_UNDELIVERED, CoilcalCommand, show
-from estimator.errors import CorruptStore, InvalidInput
+from estimator.cli.output import EXIT_UNDELIVERED, CoilcalCommand, needing, show
+from estimator.errors import CorruptStore
 
 if TYPE_CHECKING:
     from estimator.cli.delivery import Delivery
@@ -137,12 +137,8 @@ def acquire_command(
 
 def _delivery(out: Path, url: str, is_new: bool) -> Delivery:
     """The delivery to a service; refused where that takes no readings."""
-    try:
+    with needing("client", "--to"):
         from estimator.cli.delivery import Delivery, connected
-    except ModuleNotFoundError as error:
-        raise InvalidInput(
-            f"--to needs {error.name}: install coilcal with its extra, pip install 'coilcal[client]'"
-        ) from error
 
     def tell(sentence: str) -> None:
         click.echo(f"coilcal: {sentence}", err=True)

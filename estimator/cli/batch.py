@@ -21,8 +21,7 @@ from estimator.cli.options import (
     prediction_options,
     seed_option,
 )
-from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, show, tell_progress
-from estimator.errors import InvalidInput
+from estimator.cli.output import EXIT_BAD_INPUT, CoilcalCommand, needing, show, tell_progress
 
 
 @click.command("batch", cls=CoilcalCommand, goes_on=True)
@@ -83,13 +82,9 @@ def batch_command(
 
     Exit code 2 if a session failed; the others are calibrated nevertheless.
     """
-    try:
+    with needing("batch", "coilcal batch"):
         from estimator.batching import batch
         from estimator.batching.page import overview
-    except ModuleNotFoundError as error:
-        raise InvalidInput(
-            f"coilcal batch needs {error.name}: install coilcal with its extra, pip install 'coilcal[batch]'"
-        ) from error
 
     from estimator.cli.progress import TimeLeft
     from estimator.inference.ensemble import SamplerSettings

@@ -58,7 +58,8 @@ def compare_command(
 
 def _calibrations(paths: tuple[Path, ...], command: str) -> Compared:
     from estimator.calibration.result import Calibration
-    from estimator.comparison.calibrations import number_table, sentences, side_by_side, side_by_side_report
+    from estimator.comparison.calibrations import side_by_side
+    from estimator.comparison.calibrations_report import number_table, sentences, side_by_side_report
 
     if len(paths) != 2:
         raise InvalidInput(

@@ -7,8 +7,9 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes
+from estimator.cli.named import named_number, named_numbers
 from estimator.cli.options import PATH, OutputPath, option, result_options
-from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
+from estimator.cli.output import CoilcalCommand, show
 from estimator.export.formats import FORMATS
 
 TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items())

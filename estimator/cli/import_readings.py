@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.form_options import FormOptions, form_options
+from estimator.cli.named import named_number
 from estimator.cli.options import PATH, OutputPath, flag, option, result_options, seed_option
-from estimator.cli.output import CoilcalCommand, named_number, show
+from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput
 from estimator.store.importers import IMPORTERS
 
@@ -27,7 +28,7 @@ VALIDATION_SHARE = 0.2  # `estimator.store.importers.checked`, which needs torch
 @click.argument("paths", metavar="FILES...", nargs=-1, required=True, type=PATH)
 @option("--rig rig_path", "Rig file.", PATH, required=True)
 @option("--out", "Session to write (zarr).", OutputPath(), required=True)
-@option("--format kind", "Format of the files.", click.Choice(list(IMPORTERS)), default="readings")
+@option("--format kind", "Format of the files.", click.Choice(["readings", *IMPORTERS]), default="readings")
 @option(
     "--current currents",
     "Current of a coil, where the files do not hold it. Repeatable.",

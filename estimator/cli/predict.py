@@ -9,8 +9,9 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
+from estimator.cli.named import named_number, named_numbers
 from estimator.cli.options import PATH, OutputPath, flag, option, prediction_options, result_options
-from estimator.cli.output import CoilcalCommand, named_number, named_numbers, show
+from estimator.cli.output import CoilcalCommand, show
 
 BLOCK = 2_000  # points predicted at once, with all draws of the posterior
 HEADER = (

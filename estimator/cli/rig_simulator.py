@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from estimator.cli.named import named_number
 from estimator.cli.options import (
     PATH,
     OutputPath,
@@ -17,7 +18,7 @@ from estimator.cli.options import (
     set_option,
     truth_option,
 )
-from estimator.cli.output import CoilcalCommand, named_number
+from estimator.cli.output import CoilcalCommand
 
 
 @click.command("rig-simulator", cls=CoilcalCommand)

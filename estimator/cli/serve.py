@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from estimator.cli.options import MOST_PROCESSES, PATH, flag, json_option, option
-from estimator.cli.output import CoilcalCommand, CoilcalGroup, explained_errors, show, use_threads
+from estimator.cli.output import CoilcalCommand, CoilcalGroup, explained_errors, needing, show, use_threads
 from estimator.errors import InvalidInput
 
 if TYPE_CHECKING:
@@ -198,14 +198,10 @@ def _database(config: Path | None, data: Path | None, is_made: bool = False) -> 
 @contextmanager
 def _settings(config: Path | None, **options: Any) -> Iterator[Settings]:
     """Settings of the file and of the options that were given. An import inside that fails says which extra is missing."""
-    try:
+    with needing("service", "coilcal serve"):
         from estimator.service.settings import load_settings
 
         yield load_settings(config).with_options(**options)
-    except ModuleNotFoundError as error:
-        raise InvalidInput(
-            f"coilcal serve needs {error.name}: install coilcal with its extra, pip install 'coilcal[service]'"
-        ) from error
 
 
 def _plan_text(plan: dict[str, Any]) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from estimator.cli.named import named_number
 from estimator.cli.options import (
     PATH,
     OutputPath,
@@ -17,7 +18,7 @@ from estimator.cli.options import (
     set_option,
     truth_option,
 )
-from estimator.cli.output import CoilcalCommand, named_number, show
+from estimator.cli.output import CoilcalCommand, show
 from estimator.errors import InvalidInput, quoted
 from estimator.given_files import MOST_SETTINGS_BYTES, read_given
 from estimator.json_files import json_object

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,20 +13,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
-from estimator.errors import InvalidInput, listed
+from estimator.errors import InvalidInput
 from estimator.field.winding import Winding
 from estimator.model.bodies import round_winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
-from estimator.reporting import plots
-from estimator.reporting.numbers import displays, size_with_unit
-from estimator.reporting.page import Picture, ReportPage, Table, render_report
 from estimator.rig.bodies import AnyCoil
 
 PLANE_POINTS, PLANE_DRAWS = 41, 100
 REACH = 1.1  # times the farthest reading
-ROUNDING = 1e-9  # of a number that has no standard deviation
-FAR_SD = 3.0  # standard deviations from which two numbers are said to differ
 
 
 @dataclass(frozen=True)
@@ -115,7 +109,7 @@ class SideBySide:
         """Content of `comparison.json`."""
         return {
             "calibrations": list(self.names),
-            "verdicts": [_verdict(calibration) for calibration in self.calibrations],
+            "verdicts": [verdict_of(calibration) for calibration in self.calibrations],
             "is_same_session": self.is_same_session,
             "numbers": [
                 asdict(pair) | {"distance_sd": pair.distance_sd if math.isfinite(pair.distance_sd) else None}
@@ -206,89 +200,7 @@ def _per_ampere(
     return field_T(calibration.best_values()), sd
 
 
-def _verdict(calibration: Calibration) -> str | None:
+def verdict_of(calibration: Calibration) -> str | None:
+    """Whether a calibration can be used; None of one that was never judged."""
     quality = calibration.summary().get("quality")
     return None if quality is None else str(quality["verdict"])
-
-
-def sentences(compared: SideBySide) -> list[str]:
-    """What differs, in words, the most important first."""
-    told = []
-    for plane in compared.planes:
-        told.append(
-            f"The fields of {plane.coil} differ by {size_with_unit(plane.rms_T_per_A, 'T', 3)}/A rms where readings were taken "
-            f"({100.0 * plane.relative:.2g} % of the field), {plane.median_sds:.2g} standard deviations at half of the points."
-        )
-    far = sorted((p for p in compared.numbers if p.distance_sd > FAR_SD), key=lambda p: -p.distance_sd)
-    if far:
-        names = listed((f"{p.name} ({p.distance_sd:.3g})" for p in far[:5]), len(far))
-        told.append(f"Numbers that differ by more than {FAR_SD:g} standard deviations: {names}.")
-    else:
-        told.append(f"No number differs by more than {FAR_SD:g} standard deviations.")
-    if compared.is_same_session:
-        told.append(
-            "Both come from the same readings: they are not independent, so standard deviations are too wide."
-        )
-    return told
-
-
-def number_table(compared: SideBySide) -> Table:
-    """The numbers of both, those that differ most first."""
-    ordered = sorted(compared.numbers, key=lambda pair: -pair.distance_sd)
-    shown = displays([pair.name for pair in ordered])
-    rows = []
-    for pair in ordered:
-        display = shown[pair.name]
-        cells = (
-            display.with_sd(value, sd) if sd > ROUNDING * abs(value) else f"{value * display.factor:.6g}"
-            for value, sd in ((pair.first, pair.first_sd), (pair.second, pair.second_sd))
-        )
-        distance = f"{pair.distance_sd:.2f}" if math.isfinite(pair.distance_sd) else "—"
-        rows.append([pair.name, *cells, display.unit or "1", distance])
-    header = ["parameter", "first", "second", "unit", "difference / sd"]
-    return Table("Numbers", header, rows, f"First: {compared.names[0]}. Second: {compared.names[1]}.")
-
-
-def _error_table(compared: SideBySide) -> Table:
-    rows = []
-    for name, calibration in zip(compared.names, compared.calibrations, strict=True):
-        summary = calibration.summary()
-        errors: Sequence[Any] = [summary["rmse"][role] for role in ("calibration", "validation")]
-        cells = ["—" if error is None else f"{1e6 * error['vector_T']:.4g} µT" for error in errors]
-        rows.append([name, _verdict(calibration) or "—", summary["session_created"][:10], *cells])
-    return Table("Errors", ["calibration", "verdict", "recorded", "of the fit", "of validation"], rows)
-
-
-def side_by_side_report(compared: SideBySide, command: str) -> str:
-    """HTML of two calibrations side by side, self-contained."""
-    caption = "In the plane through the axis; right: about 1 where both agree, far above it where they contradict each other."
-    figures = [
-        Picture(
-            f"Difference of the fields of {plane.coil}",
-            caption,
-            partial(
-                plots.difference_plane,
-                plane.x_m,
-                plane.z_m,
-                plane.size_T_per_A,
-                plane.sds,
-                plane.winding,
-                plane.coil,
-            ),
-        )
-        for plane in compared.planes
-    ]
-    only = [
-        f"Only in the {which}: {', '.join(names)}."
-        for which, names in zip(("first", "second"), compared.only, strict=True)
-        if names
-    ]
-    page = ReportPage(
-        title=f"{compared.names[0]} and {compared.names[1]}",
-        subtitle=f"two calibrations of {compared.calibrations[0].rig.name}",
-        verdict=[*sentences(compared), *only],
-        tables=[number_table(compared), _error_table(compared)],
-        figures=figures,
-        provenance={"command": command},
-    )
-    return render_report(page)

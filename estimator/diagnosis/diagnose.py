@@ -16,7 +16,7 @@ from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fit_journal import FITS, remembering
-from estimator.diagnosis.fit_place import climbing_on
+from estimator.diagnosis.fit_place import FitSetting, fitting_by
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
 )
@@ -114,7 +114,11 @@ def diagnose(
     def judged(first: FirstFit) -> tuple[Diagnosis, Observations]:
         return _judged(question, first, limits, has_corrections, place, tell, on_progress)
 
-    with remembering(folder) as journal, climbing_on(place, dtype), one_thread_for_an_operation():
+    with (
+        remembering(folder) as journal,
+        fitting_by(FitSetting(journal, (place, dtype))),
+        one_thread_for_an_operation(),
+    ):
         if journal is not None and len(journal):
             tell(f"continuing: {len(journal)} fits were made before")
         tell("fitting the rig as described")

@@ -10,7 +10,6 @@ import base64
 import hashlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from contextvars import ContextVar
 from pathlib import Path
 from threading import Lock
 
@@ -30,7 +29,6 @@ from estimator.rig.rig import Rig
 from estimator.store.files import append_text, write_bytes
 
 FITS = "fits.jsonl"
-_current: ContextVar[FitJournal | None] = ContextVar("current", default=None)
 
 
 class FitJournal:
@@ -97,25 +95,17 @@ class FitJournal:
 
 @contextmanager
 def remembering(folder: Path | None) -> Iterator[FitJournal | None]:
-    """While it lasts, fits are looked up in a folder's journal and added to it; None remembers nothing."""
+    """The journal in a folder; without a folder None, which remembers nothing. A folder that stays empty is removed."""
     if folder is None:
         yield None
         return
     is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
-    journal = FitJournal(folder / FITS)
-    token = _current.set(journal)
     try:
-        yield journal
+        yield FitJournal(folder / FITS)
     finally:
-        _current.reset(token)
         if is_new and not any(folder.iterdir()):
             folder.rmdir()
-
-
-def current_journal() -> FitJournal | None:
-    """The journal of the diagnosis that runs; None where nothing is remembered."""
-    return _current.get()
 
 
 def key_of(
@@ -124,10 +114,10 @@ def key_of(
     start: Tensor,
     tolerance: float,
     rules: Mapping[str, Rule],
-    place: str,
+    place: tuple[torch.device, torch.dtype] | None,
 ) -> str:
     """What identifies a fit: code, rig, readings, starts, tolerance, quadrature rules, and the device and precision of its climb."""
-    words = (str(code_version()), rig.hash, repr(tolerance), repr(sorted(rules.items())), place)
+    words = (str(code_version()), rig.hash, repr(tolerance), repr(sorted(rules.items())), str(place))
     digest = hashlib.sha256(" ".join(words).encode())
     for values in (observations.time_s, observations.row, observations.field_sensor_T, start):
         digest.update(numpy_of(values.contiguous()).tobytes())

@@ -14,10 +14,11 @@ from torch import Tensor
 
 from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
-from estimator.diagnosis.fit_journal import current_journal, key_of
-from estimator.diagnosis.fit_place import climbed, place_of_climbs
+from estimator.diagnosis.fit_journal import key_of
+from estimator.diagnosis.fit_place import SETTING, climbed
 from estimator.diagnosis.linear import FreeNoise, Projector
 from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import Use
 from estimator.field.winding_shape import Rule
 from estimator.inference.laplace import log_evidence
@@ -61,8 +62,7 @@ class Fit:
         Args:
             readings: The fitted readings there.
         """
-        model = MeasurementModel.unruled(self.rig, readings).with_rules(self.posterior.model.rules)
-        posterior = LogPosterior(self.posterior.coordinates, model, readings)
+        posterior = LogPosterior.by_rules(self.posterior.coordinates, readings, self.posterior.model.rules)
         return Fit(posterior, self.optimum.to(readings.device))
 
     def model_of(self, readings: Observations) -> MeasurementModel:
@@ -95,9 +95,14 @@ class Fit:
             return self.posterior.model.at_sensor_T(self.values)
 
     @property
+    def circumstances(self) -> Circumstances:
+        """What effects see of the readings that were fitted."""
+        return self.posterior.model.circumstances
+
+    @property
     def observations(self) -> Observations:
         """The readings that were fitted."""
-        return self.posterior.model.circumstances.observations
+        return self.circumstances.observations
 
     def start_with(self, rig: Rig) -> dict[str, Tensor | float]:
         """Values to start another rig from: those of this fit; nominal ones for parameters that only the other rig has."""
@@ -173,8 +178,13 @@ class Fit:
     @cached_property
     def projector(self) -> Projector:
         """Projects on what the fit cannot follow."""
-        prior = (self.optimum.precision - self.optimum.information)[0]
-        return Projector.of(self.jacobian, prior)
+        return Projector.of(self.jacobian, self.prior_precision)
+
+    @property
+    def prior_precision(self) -> Float[Tensor, "coordinate coordinate"]:
+        """Precision of the prior at the maximum."""
+        precision: Tensor = (self.optimum.precision - self.optimum.information)[0]
+        return precision
 
     @cached_property
     def covariance(self) -> Float[Tensor, "coordinate coordinate"]:
@@ -207,7 +217,7 @@ class Fit:
 
     def null_values(self, cause: Cause) -> dict[str, Tensor]:
         """Values, by parameter, at which one of the rig's causes changes nothing; without its shapes, which keep theirs."""
-        quantities = EFFECTS[cause.name].quantities(self.posterior.model.circumstances.extent)
+        quantities = EFFECTS[cause.name].quantities(self.circumstances.extent)
         sizes = [quantity for quantity in quantities if not quantity.is_shape]
         return {f"{cause.label}.{q.key}": self.vector.new_tensor(q.null) for q in sizes}
 
@@ -230,9 +240,7 @@ class Fit:
     def still_has(self, cause: Cause) -> bool:
         """Whether one of the rig's causes is still itself at the fitted values, as its effect defines it."""
         effect = EFFECTS[cause.name]
-        return effect.is_itself(
-            Use(effect, cause.place).theta(self.values), self.posterior.model.circumstances
-        )
+        return effect.is_itself(Use(effect, cause.place).theta(self.values), self.circumstances)
 
     def to_first_order(self, projector: Projector, residual: Float[Tensor, " component"]) -> Fit:
         """The fit with another projector and residual, all that the evidence of further columns depends on."""
@@ -306,8 +314,7 @@ def fit_rig(
         near: Fit of a similar rig to the same readings, whose derivatives hold near the start: it is where the values come from.
         other_start: Values of some parameters that replace those of the start where the density is then higher.
     """
-    model = MeasurementModel.unruled(rig, observations).with_rules(dict(rules))
-    posterior = LogPosterior(Coordinates(rig), model, observations)
+    posterior = LogPosterior.by_rules(Coordinates(rig), observations, rules)
     coordinates = posterior.coordinates
     vector = coordinates.vector({n: v for n, v in start.items() if n in rig.parameters})[None]
     if more_starts:
@@ -322,8 +329,9 @@ def fit_rig(
     tolerance = policy.FINE_TOLERANCE if tolerance is None else tolerance
     if tolerance >= policy.ROUGH_TOLERANCE:
         tolerance = max(tolerance, 0.5 * coordinates.n * policy.ROUGH_TO_SD**2)
-    journal = current_journal()
-    key = "" if journal is None else key_of(rig, observations, vector, tolerance, rules, place_of_climbs())
+    setting = SETTING.get()
+    journal = setting.journal
+    key = "" if journal is None else key_of(rig, observations, vector, tolerance, rules, setting.place)
     if journal is not None and (known := journal.optimum(key)) is not None:
         return Fit(posterior, known.to(observations.device))
     is_near = near is not None and near.observations is observations
@@ -331,6 +339,7 @@ def fit_rig(
         posterior,
         vector,
         tolerance,
+        setting.place,
         lambda: near.slopes_for(posterior, vector) if near and is_near else None,
     )
     best = optimum.highest()

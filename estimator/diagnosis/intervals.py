@@ -64,7 +64,7 @@ class Intervals:
         parameters, unseen = self.fit.rig.parameters, self._unseen(cause)
         named = {
             f"{cause.label}.{quantity.key}": quantity
-            for quantity in EFFECTS[cause.name].quantities(self.fit.posterior.model.circumstances.extent)
+            for quantity in EFFECTS[cause.name].quantities(self.fit.circumstances.extent)
             if not quantity.is_shape and quantity.key not in unseen
         }
         sizes = {name: q for name, q in named.items() if name in parameters and parameters[name].is_free}
@@ -76,12 +76,12 @@ class Intervals:
         ]
         best = max(differences, key=lambda difference: difference.distance_sd, default=None)
         alone = max((distance[name] / self.fit.value_sd(name) for name in distance), default=0.0)
-        least = max(policy.CLEARER_DIFFERENCE * alone, policy.CLEAR_SD)
+        least = max(policy.CLEARLY_LARGER * alone, policy.CLEAR_SD)
         return best if best is not None and best.distance_sd > least else None
 
     def _unseen(self, cause: Cause) -> frozenset[str]:
         """Keys of the quantities of a cause that the session cannot show."""
-        return EFFECTS[cause.name].unseen(self.fit.posterior.model.circumstances, cause.place)
+        return EFFECTS[cause.name].unseen(self.fit.circumstances, cause.place)
 
     def _difference(self, farther: str, nearer: str) -> Difference:
         if self.posterior is not None and {farther, nearer} <= self.posterior.draws.keys():

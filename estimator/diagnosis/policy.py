@@ -53,14 +53,6 @@ the readings or the prior of the noise rule first. Study of 5 cases: numbers cha
 
 # Mistakes of the record
 
-EXPECTED_NOISE_SD = 2.5
-"""Distance of a fitted noise from the middle of its prior, in its standard deviations, up to which no mistake of the record is looked for.
-Statistics: 1 % of normal draws lie beyond; a mistake is then only looked for, not yet believed. Study of 5 cases: no change."""
-
-EXPECTED_VALUE_SD = 3.5
-"""Distance of any other free number from the middle of its prior, in its standard deviations, up to which no mistake of the record is
-looked for. Statistics: 0.05 % of normal draws, since there are a dozen of them. Study of 5 cases: no change."""
-
 LARGEST_MEAN_SQUARE = 1.5
 """Mean square of the whitened residuals up to which no mistake of the record is looked for, where the noise is known. By judgement: three
 standard deviations above 1 for 72 components, more for larger sessions. Study of 5 cases: no change."""
@@ -80,10 +72,6 @@ MOST_READINGS_COMPARED = 100
 
 MOST_MISTAKES_FITTED = 6
 """Mistakes that are fitted after that comparison. Effort. Study of 1 case: no change."""
-
-MOST_LOST_ON_FEW = 3.0
-"""Log evidence on the few readings that a mistake may lose against none, by one linear step and still be fitted, or by that fit and still
-be fitted to all. By judgement: odds of 20 to 1 against it. Study of 1 case: no change."""
 
 LEAST_LOG_EVIDENCE_OF_MISTAKE = math.log(1e3) - math.log(1e-3)
 """Log evidence from which on a mistake is undone. Prior odds of 1 to 1000, for few sessions have one, and odds of 1000 to 1 after the
@@ -143,16 +131,9 @@ not in it."""
 
 # Prior probabilities of the hypotheses
 
-LOG_PRIOR_NOTHING = math.log(0.4)
-"""Log prior probability that no cause, and nothing else, is there. By judgement. Study of 5 cases: no change."""
-
-LOG_PRIOR_CAUSE = math.log(0.3)
-"""Log prior probability that one of the causes is there; all causes share it alike. By judgement. Study of 5 cases:
-no change."""
-
-LOG_PRIOR_UNEXPLAINED = math.log(0.3)
-"""Log prior probability that something is there which no cause explains. By judgement. Study of 5 cases: no
-change."""
+LOG_PRIOR_ODDS_LEFT = math.log(0.3 / 0.4)
+"""Log prior odds of something that no cause explains against nothing; one of the causes is there with the same probability of 0.3. By
+judgement. Study of 5 cases: no change."""
 
 # Screening
 
@@ -280,8 +261,8 @@ case: no change."""
 
 CLEAR_LOG_EVIDENCE = math.log(20.0)
 """Log evidence by which one answer must lead to be told without the other: causes, mistakes, instants; a cause must exceed nothing to be
-designed for at its fitted size, and a programme must add to be proposed. Statistics: odds of 20 to 1. Study of 6 cases: numbers change
-in 1."""
+designed for at its fitted size, and a programme must add to be proposed. A mistake of the record that loses as much on a few readings is
+not fitted to all. Statistics: odds of 20 to 1. Study of 6 cases: numbers change in 1."""
 
 SIGNATURE_DEGREES = (1, 2, 3)
 """Degrees of the polynomials that describe what a residual stays with. By judgement: several, so that none pays for columns it does not
@@ -309,16 +290,13 @@ CLEAR_SD = 2.0
 """Standard deviations from zero from which on a number of a cause is told in the first sentence, and by which a cause of a usual size could
 move a number of the rig unseen for `nothing_found` to tell it. For a reader. Study: not in it."""
 
-CLEARER_DIFFERENCE = 1.5
-"""Factor by which the difference of two quantities must be farther from zero, in its standard deviations, than any quantity alone, to be
-told. By judgement: below, a reader gains nothing by one more number. Study: not in it."""
+CLEARLY_LARGER = 1.5
+"""Factor between two numbers of standard deviations, or two standard deviations, from which on the difference is told: the difference of
+two quantities must be so much farther from zero than either of them to be told beside them, and an interval so much wider for its number
+to count as no longer determined. For a reader. Study: not in it."""
 
 MOVED_SD = 1.0
 """Standard deviations that a number of the rig must move to be listed as moved. For a reader. Study: not in it."""
-
-KNOWN_AS_WELL = 1.5
-"""Factor on the standard deviation of a number of the rig up to which the extended rig is said to know it as well as the rig as described.
-Beyond, that it lies elsewhere says little of which of the two is right. By judgement. Study: not in it."""
 
 LISTED_IMPACT_SD = 0.3
 """Standard deviations that a cause must move a number of the rig for its impact to be listed. For a reader. Study: not in it."""

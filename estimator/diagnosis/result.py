@@ -161,7 +161,7 @@ class Diagnosis(Presented):
     def no_longer_determined(self) -> tuple[str, ...]:
         """Parameters of the rig that the extended rig knows clearly less well than the rig as described does; it refutes no value."""
         known = {} if self.improvement is None else self.improvement.known_before
-        return tuple(n for n, (_, sd) in known.items() if self.value_sd(n) > policy.KNOWN_AS_WELL * sd)
+        return tuple(n for n, (_, sd) in known.items() if self.value_sd(n) > policy.CLEARLY_LARGER * sd)
 
     def to_json(self) -> dict[str, Any]:
         """Content of `diagnosis.json`."""

@@ -58,7 +58,6 @@ def robust_values(fit: Fit) -> Mapping[str, Tensor]:
     observations, posterior = fit.observations, fit.posterior
     may_fit = observations.is_measured.any(dim=1)
     reading = posterior.measured_components(torch.arange(len(observations))[:, None].expand(-1, 3))
-    prior_precision = (fit.optimum.precision - fit.optimum.information)[0]
     vector, values = fit.vector, fit.values
     for trimming in range(STEPS_FOR_A_FIT * policy.MOST_TRIMMINGS):
         field_T = predict_T(fit, values, observations)
@@ -72,7 +71,7 @@ def robust_values(fit: Fit) -> Mapping[str, Tensor]:
         scale = (SD_OF_MEDIAN * residual.abs().median()).clamp(max=1.0)
         residual, jacobian = residual / scale, jacobian / scale
         gradient = jacobian.T @ residual + prior_gradient(posterior.coordinates, vector)
-        precision = jacobian.T @ jacobian + prior_precision
+        precision = jacobian.T @ jacobian + fit.prior_precision
         moved = vector + Inside(posterior.coordinates, vector).step_of_the_free(precision, gradient)
         if not bool(torch.isfinite(posterior.coordinates.log_prior(moved))):
             break

@@ -12,7 +12,6 @@ from estimator.tensors import Tensor, torch
 from estimator.units import MU0_T_M_PER_A
 
 MU0_OVER_4PI = 0.25 / pi * MU0_T_M_PER_A
-NUMBERS_OF_A_LOOP = 5  # height, half_x, half_y, corner radius, weight
 
 
 def sum_of_sided_loops(

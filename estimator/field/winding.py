@@ -15,14 +15,13 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from estimator.errors import InvalidInput
 from estimator.field.fused import fused_sum_of_loops, is_fusable
 from estimator.field.kernel import POINTS_AT_ONCE, sum_of_loops
 from estimator.field.loop import steps_for_ratio
 from estimator.field.machine_code import is_plain, pays
 from estimator.field.node_sum import Nodes, SumMode, sum_over_nodes, sum_to_first_order
 from estimator.field.quadrature import discrete_gauss
-from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule, WindingShape, choose_rule
+from estimator.field.winding_shape import Rule, WindingShape
 from estimator.tensors import Tensor, torch
 
 # Keeps what torch and the slopes of loops need in between in the second-level cache of a processor.
@@ -183,40 +182,6 @@ def distance_to_winding(
     radial = torch.maximum(inner_m - rho_m, rho_m - winding.radius_m[..., None]).clamp(min=0.0)
     axial = torch.maximum(-winding.length_m[..., None] - z_m, z_m).clamp(min=0.0)
     return torch.sqrt(radial**2 + axial**2)
-
-
-def winding_field(
-    points_coil_m: Float[Tensor, "point 3"], winding: Winding, tolerance: float = DEFAULT_TOLERANCE
-) -> Float[Tensor, "point 3"]:
-    """Field per ampere of one winding to a requested accuracy at any points outside it, in T/A.
-
-    Points are grouped by octaves of their distance. Each group gets the smallest rule that suffices, which may be the full sum.
-
-    Args:
-        points_coil_m: Points in the coil frame.
-        winding: One winding (no batch).
-        tolerance: Largest error relative to |B|; 0 sums all loops everywhere.
-    Returns: Bx, By, Bz in the coil frame per ampere.
-    Raises:
-        InvalidInput: A point lies inside the winding, where a sum of filaments has no meaning.
-    """
-    distance_m = distance_to_winding(points_coil_m.detach(), winding)
-    inside = (distance_m <= 0.0).nonzero().flatten()
-    if len(inside):
-        point = [round(v, 6) for v in points_coil_m[inside[0]].tolist()]
-        raise InvalidInput(
-            f"field points must lie outside the winding; {len(inside)} of {len(distance_m)} do not, "
-            f"the first is number {int(inside[0])} at {point} m in the coil frame"
-        )
-    field = torch.zeros_like(points_coil_m)
-    octave = torch.floor(torch.log2(distance_m))
-    for level in octave.unique():
-        rows = (octave == level).nonzero().flatten()
-        points = points_coil_m[rows]
-        is_exact = tolerance <= 0.0
-        rule = exact_rule(winding, points) if is_exact else choose_rule(winding, points, tolerance)
-        field = field.index_copy(0, rows, winding_field_per_ampere(points, winding, rule))
-    return field
 
 
 def _steps(winding: Winding, points_coil_m: Float[Tensor, "*batch point 3"]) -> int:

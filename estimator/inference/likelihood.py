@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import replace
 from functools import cached_property
@@ -17,6 +17,7 @@ from estimator.derivatives import value_and_jacobian, value_and_jacobian_by_path
 from estimator.effects.stages import NoiseEffect, RecordEffect
 from estimator.effects.use import as_meant, uses_of
 from estimator.field.node_sum import SumMode
+from estimator.field.winding_shape import Rule
 from estimator.inference.component_noise import ComponentNoise
 from estimator.inference.correction_amplitudes import COMPONENTS_AT_ONCE, CorrectionAmplitudes
 from estimator.inference.density import Density
@@ -68,6 +69,21 @@ class LogPosterior(Density):
             ComponentNoise.of(use, self.model, self.measured_components)
             for use in uses_of(model.rig, NoiseEffect)
         ]
+
+    @classmethod
+    def by_rules(
+        cls, coordinates: Coordinates, readings: Observations, rules: Mapping[str, Rule]
+    ) -> LogPosterior:
+        """The density of readings, with quadrature rules that are known.
+
+        Args:
+            coordinates: Of the rig.
+            readings: Of the rig; those for validation are no matter of this density.
+            rules: Quadrature rule of each winding.
+        """
+        return cls(
+            coordinates, MeasurementModel.unruled(coordinates.rig, readings).with_rules(rules), readings
+        )
 
     @property
     def full(self) -> LogPosterior:

@@ -20,6 +20,7 @@ from estimator.inference.proposal import MixtureProposal
 
 # Shares of the steps: fresh draws, autoregressive, differential evolution. Draws evaluated together cost half of those of the other moves.
 GOOD_SHARES, POOR_SHARES = (0.9, 0.05, 0.05), (0.7, 0.15, 0.15)
+JITTER = 1e-3  # of differential evolution, in whitened coordinates
 BLOCK = 16  # steps; draws of 32 walkers are 400 then, and more at once would cost no less each
 
 
@@ -145,9 +146,9 @@ class LatticeDifferenceMove(RedBlueMove):  # type: ignore[misc]  # emcee is unty
     References: ter Braak, Stat. Comput. 16, 239 (2006); Nelson et al., ApJS 210, 11 (2014).
     """
 
-    def __init__(self, proposal: MixtureProposal, jitter: float = 1e-3, **options: Any) -> None:
+    def __init__(self, proposal: MixtureProposal, **options: Any) -> None:
         super().__init__(**options)
-        self.proposal, self.jitter = proposal, jitter
+        self.proposal = proposal
 
     def get_proposal(
         self, moved: np.ndarray, others: list[np.ndarray], random: np.random.RandomState
@@ -160,7 +161,7 @@ class LatticeDifferenceMove(RedBlueMove):  # type: ignore[misc]  # emcee is unty
         scale = 2.38 / np.sqrt(2.0 * self.proposal.n) * random.choice([1.0, 0.4], size=(len(moved), 1))
         with np.errstate(over="ignore", invalid="ignore"):
             step = scale * (straight[first] - straight[second])
-            step += self.jitter * random.standard_normal(step.shape)
+            step += JITTER * random.standard_normal(step.shape)
             row = self.proposal.rows(moved)
             shifted = self.proposal.straight(row, moved) + step
         fresh = moved.copy()

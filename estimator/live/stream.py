@@ -40,14 +40,12 @@ class Estimate:
     Attributes:
         n_readings: Number of readings in the estimate.
         intervals: Interval of every free parameter.
-        new_alarms: Alarms that the last readings raised.
         took_s: Time from the readings to this estimate.
         is_polished: Whether it is the maximum that a batch fit of these readings has, to 1e-6 standard deviations; else mostly to 0.05.
     """
 
     n_readings: int
     intervals: Mapping[str, Interval]
-    new_alarms: tuple[Alarm, ...]
     took_s: float
     is_polished: bool
 
@@ -102,7 +100,6 @@ class Stream:
         begin_s = time.monotonic()
         usable = ~readings.is_validation & readings.is_measured.any(-1)
         self.n_skipped += int((~usable).sum())
-        alarms: list[Alarm] = []
         if bool(usable.any()):
             new = readings.rows(usable)
             before = self.observations
@@ -111,9 +108,9 @@ class Stream:
             self.observations = joined
             n_before = len(joined) - len(new)
             if 3 * n_before >= FEWEST_COMPONENTS * len(self.rig.free):
-                alarms = self._watch.look(innovation, new, n_before + 1)
+                self._watch.look(innovation, new, n_before + 1)
         n = 0 if self.observations is None else len(self.observations)
-        return Estimate(n, self.intervals(), tuple(alarms), time.monotonic() - begin_s, self.is_polished)
+        return Estimate(n, self.intervals(), time.monotonic() - begin_s, self.is_polished)
 
     @property
     def can_polish(self) -> bool:

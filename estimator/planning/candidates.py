@@ -13,9 +13,11 @@ from estimator.effects.everywhere import with_everywhere
 from estimator.errors import InvalidInput
 from estimator.planning.causes import with_causes
 from estimator.planning.information import N_DRAWS, draws_of_prior, is_clear
+from estimator.readings.halton import halton
 from estimator.readings.observations import Observations
-from estimator.readings.plan import Plan, halton, observations_of
+from estimator.readings.plan import Plan, observations_of
 from estimator.readings.protocol import recommended_currents_A
+from estimator.readings.split import some_distinct
 from estimator.rig.bodies import MotionKind
 from estimator.rig.rig import Rig
 
@@ -67,12 +69,7 @@ def candidates_of(places: Plan, rig: Rig, seed: int) -> Observations:
     n_sensors = len(rig.sensors)
     rows = torch.arange(0, len(readings), n_sensors)
     key = torch.cat([readings.current_A, *readings.motion.values()], dim=1)[rows]
-    _, which = torch.unique(key, dim=0, return_inverse=True)
-    first = torch.full((int(which.max()) + 1,), len(rows)).scatter_reduce(
-        0, which, torch.arange(len(rows)), "amin"
-    )
-    some = torch.randperm(len(first), generator=torch.Generator().manual_seed(seed))[:MOST_CANDIDATES]
-    chosen = rows_of(first[some], n_sensors)
+    chosen = rows_of(some_distinct(key, MOST_CANDIDATES, torch.Generator().manual_seed(seed)), n_sensors)
     n = len(chosen)
     return Observations(
         torch.arange(n, dtype=torch.float64),

@@ -13,7 +13,7 @@ from estimator.errors import InvalidInput, closest, quoted
 from estimator.given_files import MOST_TABLE_BYTES, read_given_text
 from estimator.planning.causes import visible_half_widths
 from estimator.planning.goals import FieldGoal, Goal, ParametersGoal
-from estimator.readings.plan import halton
+from estimator.readings.halton import halton
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 from estimator.units import UNITS, split_unit

@@ -15,7 +15,6 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import NoiseEffect
 from estimator.field.winding_shape import DEFAULT_TOLERANCE, Rule
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import perfect_readings
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -47,25 +46,14 @@ def with_ordinary(rig: Rig, stops: Observations, rules: Mapping[str, Rule]) -> R
     coordinates, few = Coordinates(whole), read.rows(torch.arange(min(len(read), N_COMPARED))).alone
     backwards = replace(few, time_s=few.time_s.flip(0))
     forth_T, back_T = (
-        posterior_of(coordinates, each, rules).jacobian(coordinates.start()) for each in (few, backwards)
+        LogPosterior.by_rules(coordinates, each, rules).jacobian(coordinates.start())
+        for each in (few, backwards)
     )
     is_steady = torch.isclose(forth_T, back_T, rtol=1e-6, atol=1e-12).all(0).tolist()
     unsteady = {
         name.partition(".")[0] for name, ok in zip(coordinates.names, is_steady, strict=True) if not ok
     }
     return extended(cause for cause in causes if cause.label not in unsteady)
-
-
-def posterior_of(coordinates: Coordinates, readings: Observations, rules: Mapping[str, Rule]) -> LogPosterior:
-    """The density of readings, with quadrature rules that are known.
-
-    Args:
-        coordinates: Of the rig.
-        readings: A row for each sensor.
-        rules: Quadrature rule of each winding.
-    """
-    model = MeasurementModel.unruled(coordinates.rig, readings).with_rules(dict(rules))
-    return LogPosterior(coordinates, model, readings)
 
 
 def _at_any_time(rig: Rig, circumstances: Circumstances) -> Iterator[Cause]:

@@ -15,12 +15,13 @@ from jaxtyping import Bool, Float
 
 from estimator.effects import EFFECTS
 from estimator.inference.levenberg_marquardt import prior_gradient_and_precision
+from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit
 from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.candidates import one_row_each
 from estimator.planning.goals import Goal
 from estimator.planning.information import Expected, draws_of_prior, known_coordinates
-from estimator.planning.ordinary import posterior_of, with_ordinary
+from estimator.planning.ordinary import with_ordinary
 from estimator.planning.unseen import Unseen
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
@@ -224,7 +225,7 @@ class SoFar:
             nothing = gradient[:0]
             columns = torch.zeros(0, len(gradient), dtype=gradient.dtype)
             return Products(columns, nothing, nothing, nothing.bool(), prior, gradient)
-        posterior = posterior_of(self.coordinates, readings, self.rules)
+        posterior = LogPosterior.by_rules(self.coordinates, readings, self.rules)
         first = posterior.to_first_order(at[0])
         columns = (first.jacobian_T / first.sigma_T[:, None])[:, self.known]
         residual = (posterior.measured_T - first.predicted_T) / first.sigma_T

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,20 +11,25 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
-from estimator.errors import Faults, InvalidInput, in_order, quoted
+from estimator.errors import Faults, InvalidInput, in_order
 from estimator.readings.observations import Observations
-from estimator.readings.protocol import ORDERS, recommended_currents_A, visits
-from estimator.rig.bodies import POSE_QUANTITIES, Mover
+from estimator.readings.plan_sections import (
+    both_poses,
+    check_number_of_stops,
+    check_setting,
+    quantities_of,
+    settings_of,
+    values_of_axis,
+    whole_number,
+)
+from estimator.readings.protocol import ORDERS, visits
 from estimator.rig.rig import Rig
 from estimator.tensors import torch
-from estimator.units import LARGEST, UNITS
+from estimator.units import UNITS
 from estimator.yaml_section import Section
 
-CARTESIAN = POSE_QUANTITIES[:6]  # position and rotation vector; tilts and spin belong to mounts
 WRITTEN_IN = {"length": "mm", "angle": "deg"}  # units of a written plan
 REVISITED = 2.0  # poses, in the recommended protocol
-MOST_STOPS = 200_000  # of a plan; two days at one a second
-JOINTS = tuple((f"q{i}", "angle") for i in range(6))
 
 
 class Stop(NamedTuple):
@@ -108,7 +112,7 @@ def _plan(top: Section, rig: Rig) -> Plan:
         with noting():
             if "poses" not in top:
                 top.required("poses")
-            calibration, validation = _both_poses(top.section("poses"), rig)
+            calibration, validation = both_poses(top.section("poses"), rig)
     is_recommended = has_poses and "currents_A" not in top
     currents_A: tuple[Mapping[str, float], ...] = ()
     with noting():
@@ -116,19 +120,19 @@ def _plan(top: Section, rig: Rig) -> Plan:
         if settle_s <= 0.0:
             top.refuse("settle_s", "must be > 0", f"{settle_s:g}")
     with noting():
-        currents_A = _currents(top, rig, is_recommended) if has_poses else ()
+        currents_A = settings_of(top, rig, is_recommended) if has_poses else ()
     with noting():
         order = top.choice("order", ORDERS, "mixed" if is_recommended else "raster")
     with noting():
-        repeats = _count(top, "repeats", 1.0)
+        repeats = whole_number(top, "repeats", 1.0)
     with noting():
-        n_revisited = _count(top, "revisited", REVISITED if is_recommended else 0.0, least=0)
+        n_revisited = whole_number(top, "revisited", REVISITED if is_recommended else 0.0, least=0)
     top.finish()
     plan = Plan(
         name, calibration, validation, currents_A, order, repeats, settle_s, tuple(stops), n_revisited
     )
     n_poses = len(calibration) + 2 * plan.n_revisited + len(validation)
-    _check_stops(top, (n_poses * len(plan.currents_A) + len(stops)) * plan.repeats)
+    check_number_of_stops(top, (n_poses * len(plan.currents_A) + len(stops)) * plan.repeats)
     return plan
 
 
@@ -164,165 +168,19 @@ def observations_of(plan: Plan, rig: Rig, rng: np.random.Generator) -> Observati
     )
 
 
-def _both_poses(
-    section: Section, rig: Rig
-) -> tuple[tuple[Mapping[str, np.ndarray], ...], tuple[Mapping[str, np.ndarray], ...]]:
-    """Poses for calibration and for validation."""
-    calibration: tuple[Mapping[str, np.ndarray], ...] = ()
-    validation: tuple[Mapping[str, np.ndarray], ...] = ()
-    with section.faults.noting():
-        section.required("calibration")
-        calibration = _poses(section.section("calibration"), rig)
-    with section.faults.noting():
-        validation = _poses(section.section("validation"), rig) if "validation" in section else ()
-    section.finish()
-    return calibration, validation
-
-
-def _poses(section: Section, rig: Rig) -> tuple[Mapping[str, np.ndarray], ...]:
-    """Poses of all movers: a grid over every span, or `scattered` poses that fill the spans evenly (Halton sequence)."""
-    names = [mover.name for mover in rig.movers]
-    for key in section:
-        if key not in (*names, "scattered"):
-            received = f"{quoted(key)} instead of {' or '.join(names)}"
-            with section.faults.noting():
-                section.refuse(key, f"must name a mover of rig {rig.name!r}", received)
-    n_scattered = _count(section, "scattered") if "scattered" in section else None
-    axes: list[tuple[str, int, np.ndarray]] = []
-    for mover in rig.movers:
-        block = section.section(mover.name)
-        quantities = quantities_of(mover)
-        is_grid = n_scattered is None
-        axes += [(mover.name, i, _stops(block, *quantity, is_grid)) for i, quantity in enumerate(quantities)]
-        block.finish()
-    section.finish()
-    stops = [axis for *_, axis in axes]
-    if n_scattered is None:
-        _check_stops(section, math.prod(len(axis) for axis in stops))
-    rows = itertools.product(*stops) if n_scattered is None else _scattered(stops, n_scattered)
-    poses = []
-    for values in rows:
-        pose = {name: np.zeros(6) for name in names}
-        for (name, i, _), value in zip(axes, values, strict=True):
-            pose[name][i] = value
-        poses.append(pose)
-    return tuple(poses)
-
-
 def _stop(section: Section, rig: Rig) -> Stop:
     setting = section.required("current_A")
-    _check_setting(section, "current_A", setting, rig)
+    check_setting(section, "current_A", setting, rig)
     pose = {}
     for mover in rig.movers:
         block = section.section(mover.name)
-        pose[mover.name] = np.array([_stops(block, *quantity, False)[0] for quantity in quantities_of(mover)])
+        pose[mover.name] = np.array(
+            [values_of_axis(block, *quantity, False)[0] for quantity in quantities_of(mover)]
+        )
         block.finish()
     is_validation = section.flag("validation")
     section.finish()
     return Stop(pose, {str(name): float(value) for name, value in setting.items()}, is_validation)
-
-
-def quantities_of(mover: Mover) -> tuple[tuple[str, str], ...]:
-    """Names in a plan of the six numbers of a mover's pose, with their dimensions."""
-    return CARTESIAN if mover.table is None else JOINTS
-
-
-def _scattered(spans: Sequence[np.ndarray], count: int) -> np.ndarray:
-    unit = halton(len(spans), count + 1)[1:]  # the first point is the corner
-    low, high = np.array([[span[0], span[-1]] for span in spans]).T
-    return np.asarray(low + unit * (high - low))
-
-
-def halton(n_axes: int, count: int) -> np.ndarray:
-    """The first points of Halton's sequence in the unit cube, a row each. `scipy.stats.qmc` has it, too, and takes a second to load.
-
-    Examples:
-        >>> halton(2, 4).tolist()
-        [[0.0, 0.0], [0.5, 0.3333333], [0.25, 0.6666667], [0.75, 0.1111111]]
-    """
-    points = np.zeros((count, n_axes))
-    for axis, base in enumerate(_primes(n_axes)):
-        left, place = np.arange(count), 1.0 / base
-        while left.any():
-            left, digit = np.divmod(left, base)
-            points[:, axis] += digit * place
-            place /= base
-    return points
-
-
-def _primes(count: int) -> list[int]:
-    primes: list[int] = []
-    for number in itertools.count(2):
-        if len(primes) == count:
-            break
-        if all(number % prime for prime in primes):
-            primes.append(number)
-    return primes
-
-
-def _stops(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:
-    """Values of an axis: 0 if it is absent, a number, the steps of a grid, or the two ends of a span."""
-    axis = np.zeros(1)
-    with section.faults.noting():
-        axis = _axis(section, quantity, dimension, is_grid)
-    return axis
-
-
-def _axis(section: Section, quantity: str, dimension: str, is_grid: bool) -> np.ndarray:
-    entry = section.key_with_unit(quantity, dimension)
-    if entry is None:
-        return np.zeros(1)
-    key, unit = entry
-    if not section.is_section(key):
-        return np.array([section.number(key) * unit.to_si])
-    span = section.section(key)
-    start, stop = span.number("from"), span.number("to")
-    count = _count(span, "count") if is_grid else 2
-    span.finish()
-    return np.linspace(start, stop, count) * unit.to_si
-
-
-def _count(section: Section, key: str, default: float | None = None, least: int = 1) -> int:
-    number = section.number(key, default)
-    if number < least or number != int(number):
-        section.refuse(key, f"must be a whole number of at least {least}", f"{number:g}")
-    if number > MOST_STOPS:
-        section.refuse(key, f"must be at most {MOST_STOPS}", f"{number:g}")
-    return int(number)
-
-
-def _check_stops(section: Section, n_stops: int) -> None:
-    if n_stops > MOST_STOPS:
-        thing = section.path or "the plan"
-        raise InvalidInput(
-            f"{thing} must have at most {MOST_STOPS} stops; received {n_stops} ({section.file}, line {section.line})"
-        )
-
-
-def _currents(top: Section, rig: Rig, is_recommended: bool) -> tuple[Mapping[str, float], ...]:
-    """The listed settings, or those that the recommended protocol derives from the largest currents."""
-    if is_recommended and "largest_A" in top:
-        largest_A = top.required("largest_A")
-        _check_setting(top, "largest_A", largest_A, rig)
-        return recommended_currents_A({str(name): float(value) for name, value in largest_A.items()})
-    settings = top.required("currents_A")
-    if not isinstance(settings, list) or not settings:
-        top.refuse("currents_A", "must be a list of settings such as [{coil1: 3}]", repr(settings))
-    for setting in settings:
-        _check_setting(top, "currents_A", setting, rig)
-    return tuple({str(k): float(v) for k, v in setting.items()} for setting in settings)
-
-
-def _check_setting(section: Section, key: str, setting: object, rig: Rig) -> None:
-    coils = [coil.name for coil in rig.coils]
-    if not isinstance(setting, dict) or any(name not in coils for name in setting):
-        section.refuse(key, f"must name coils of the rig ({', '.join(coils)})", repr(setting))
-    for current in setting.values():
-        is_number = isinstance(current, int | float) and not isinstance(current, bool)
-        if not is_number or not math.isfinite(current):
-            section.refuse(key, "must hold finite numbers", repr(setting))
-        if abs(current) > LARGEST:
-            section.refuse(key, f"must hold numbers between {-LARGEST:g} and {LARGEST:g}", repr(setting))
 
 
 def plan_text(

@@ -113,3 +113,13 @@ def thinned(observations: Observations, most: int, seed: int) -> Observations:
         return observations
     generator = torch.Generator().manual_seed(seed)
     return observations.rows(torch.randperm(len(observations), generator=generator)[:most].sort().values)
+
+
+def some_distinct(
+    key: Float[Tensor, "row column"], most: int, generator: torch.Generator
+) -> Int[Tensor, " row"]:
+    """The first row of each distinct key, at most so many, in random order."""
+    distinct, which = torch.unique(key, dim=0, return_inverse=True)
+    rows = torch.arange(len(key))
+    first = torch.full((len(distinct),), len(key)).scatter_reduce(0, which, rows, "amin")
+    return first[torch.randperm(len(first), generator=generator)[:most]]

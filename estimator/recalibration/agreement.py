@@ -147,7 +147,7 @@ class _Predictive:
         """This noise, with parameters that vary within the prior of a fit to these readings, to first order about the fit."""
         to_noise = 1.0 / (refit.whitening_per_T * self.sigma_T)
         jacobian = refit.jacobian * to_noise[:, None]
-        prior_covariance = inverse(refit.optimum.precision - refit.optimum.information)[0]
+        prior_covariance = inverse(refit.prior_precision[None])[0]
         from_prior = jacobian @ (refit.vector - refit.posterior.coordinates.start())
         directions, spread, _ = torch.linalg.svd(
             jacobian @ torch.linalg.cholesky(prior_covariance), full_matrices=False

@@ -17,7 +17,7 @@ from estimator.errors import InvalidInput
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.information import known_coordinates
-from estimator.planning.ordinary import posterior_of, with_ordinary
+from estimator.planning.ordinary import with_ordinary
 from estimator.readings.observations import Observations
 from estimator.recalibration.policy import N_DRAWS
 from estimator.rig.coordinates import Coordinates
@@ -81,7 +81,7 @@ class Expansion:
         Args:
             readings: A row for each sensor.
         """
-        posterior: LogPosterior = posterior_of(self.coordinates, readings, self._rules)
+        posterior = LogPosterior.by_rules(self.coordinates, readings, self._rules)
         first = posterior.to_first_order(self._at)
         columns = (first.jacobian_T / first.sigma_T[:, None])[:, self._known]
         residual = (posterior.measured_T - first.predicted_T) / first.sigma_T

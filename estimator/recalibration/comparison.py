@@ -264,12 +264,12 @@ def named_together(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
         return {}
     common = set.intersection(*(set(session) for session in sessions)) - {NOTHING}
     total = {name: sum(session[name] for session in sessions) for name in common}
-    unexplained = total.pop(UNEXPLAINED, 0.0) + policy.LOG_PRIOR_UNEXPLAINED
+    unexplained = total.pop(UNEXPLAINED, 0.0)
     if not total:
         return {}
-    least = max(policy.LOG_PRIOR_NOTHING + policy.CLEAR_LOG_EVIDENCE, unexplained)
+    least = max(policy.CLEAR_LOG_EVIDENCE - policy.LOG_PRIOR_ODDS_LEFT, unexplained)
     ranked = sorted(total, key=lambda name: (-total[name], name))
-    if total[ranked[0]] + policy.LOG_PRIOR_CAUSE - math.log(len(ranked)) <= least:
+    if total[ranked[0]] - math.log(len(ranked)) <= least:
         return {}
     shares = torch.softmax(torch.tensor([total[name] for name in ranked], dtype=torch.float64), 0)
     n = int((torch.cumsum(shares, 0) < policy.CREDIBLE_SHARE).sum()) + 1

@@ -37,14 +37,6 @@ SHARE_OF_AGEING = 0.1
 """Standard deviation of what may have changed in a sensor or a supply between two sessions, over the width of its first prior. By judgement
 (docs/decisions/0014). Study of 3 cases: numbers change in 3."""
 
-SHARE_OF_POSE = 1.0
-"""Standard deviation of what may have changed in a pose between two sessions, over the width of its first prior: a body that is mounted
-anew stands where it could have stood before the first session. Study of 3 cases: numbers change in 3."""
-
-SHARE_OF_CAUSE = 1.0
-"""Standard deviation of what may have changed in a cause that was named, over the width of its first prior: what has begun may go on.
-Study: read by no case."""
-
 # The job
 
 SETTLED_S = 60.0

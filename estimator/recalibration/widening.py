@@ -84,14 +84,8 @@ def _change(parameter: Parameter, first: Prior, best: float) -> float:
         return policy.LOOPS
     if key in LENGTHS:
         return policy.EXPANSION * best
-    share = (
-        policy.SHARE_OF_POSE
-        if _is_pose(parameter)
-        else policy.SHARE_OF_CAUSE
-        if _is_of_cause(body)
-        else policy.SHARE_OF_AGEING
-    )
-    return share * (first.relative_sd * best if isinstance(first, LogNormal) else first.sd)
+    width = first.relative_sd * best if isinstance(first, LogNormal) else first.sd
+    return width if _is_pose(parameter) or _is_of_cause(body) else policy.SHARE_OF_AGEING * width
 
 
 def _is_pose(parameter: Parameter) -> bool:

@@ -164,6 +164,11 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     return f"{middle}{symbol} ({lower} to {upper}{symbol})".replace("-", "−")
 
 
+def microtesla(value_T: float) -> str:
+    """A field in µT, to four digits."""
+    return f"{value_T * 1e6:.4g} µT"
+
+
 def percent(share: float, decimals: int = 0) -> str:
     """A share in per cent, with the space that the SI asks for.
 

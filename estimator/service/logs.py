@@ -33,10 +33,10 @@ class JsonLines(logging.Formatter):
         return json.dumps(line, default=str)
 
 
-def install_logs(level: int = logging.INFO) -> None:
+def install_logs() -> None:
     """Write the log of this process, those of uvicorn and Dask included."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
-    logging.basicConfig(level=level, handlers=[handler], force=True)
+    logging.basicConfig(level=logging.INFO, handlers=[handler], force=True)
     logging.getLogger("distributed").setLevel(logging.WARNING)
     logging.getLogger("alembic").setLevel(logging.WARNING)

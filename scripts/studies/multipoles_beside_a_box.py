@@ -17,7 +17,7 @@ import magpylib
 import numpy as np
 import torch
 
-from estimator.calibration.multipole_places import Found, PlaceSearch
+from estimator.calibration.place_search import Found, PlaceSearch
 from estimator.model.coil_field import unwound_field
 from estimator.rig.bodies import EquivalentSourceCoil
 from estimator.rig.charged_box import Triple

@@ -35,7 +35,6 @@ QUICK = {"n_walkers": 32, "target_ess": 50.0, "largest_rhat": 1.5, "max_steps": 
 NOTE_EVERY_S, ROWS = 30.0, 12
 BATCH, BATCHES = 20, 30  # readings of a request, and requests of a session
 MOST_CALIBRATIONS = 60  # that predictions go round among
-ATTEMPTS = 5
 MEGA = 1e6
 
 

@@ -14,7 +14,7 @@ from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
 from estimator.calibration.starting_point import starting_point_with_counts
 from estimator.diagnosis.diagnose import diagnose
-from estimator.diagnosis.fit_place import climbing_on
+from estimator.diagnosis.fit_place import FitSetting, fitting_by
 from estimator.diagnosis.fitting import fit_rig
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings, sample
@@ -141,7 +141,7 @@ def test_fit_of_a_diagnosis_climbs_elsewhere_and_ends_as_on_the_processor(small_
     moved = list[torch.device]()
     with far_device() as far:
         for dtype in (torch.float64, torch.float32):
-            with climbing_on(far, dtype):
+            with fitting_by(FitSetting(place=(far, dtype))):
                 there = fit_rig(rig, readings, {}, rules)
             moved.append(there.vector.device)
             assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)

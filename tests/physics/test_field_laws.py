@@ -7,11 +7,12 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.field.winding import Winding, winding_field
+from estimator.field.winding import Winding
 from estimator.model.room_field import RoomField
 from estimator.rig.coordinates import Values
 from estimator.rig_files.read import rig_from_text
 from estimator.units import MU0_T_M_PER_A
+from tests.by_zones import winding_field
 
 TWO_COILS = """
 schema_version: 1

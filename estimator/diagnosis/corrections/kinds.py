@@ -76,7 +76,7 @@ class CorrectionKind:
     ) -> Rig:
         """A rig, by default that of a fit, with amplitudes at zero and priors of these widths."""
         zeros = dict.fromkeys(widths, 0.0)
-        circumstances = fit.posterior.model.circumstances
+        circumstances = fit.circumstances
         rig = with_effect(
             of or fit.rig, self.cause, fit.observations, {**start, **zeros}, is_free, circumstances
         )
@@ -94,12 +94,12 @@ class CorrectionKind:
         Several starts differ in a frequency, which may have a batch.
         """
         if len(starts) > 1:
-            factors = self.effect.factors(fit.posterior.model.circumstances, self.cause.place, starts)
+            factors = self.effect.factors(fit.circumstances, self.cause.place, starts)
             if factors is not None:
                 reading = torch.arange(len(fit.observations), device=factors.device)[:, None].expand(-1, 3)
                 of_component = factors[:, reading[fit.observations.is_measured]]
                 return (of_component[:, None] * self.columns(fit, starts[:1], degree).mT).mT
-        step = STEP * self.effect.typical_width(fit.posterior.model.circumstances.extent)
+        step = STEP * self.effect.typical_width(fit.circumstances.extent)
         keys = [key for _, key in self.keys(degree)]
         n = len(starts) * len(keys)
         rig = self.rig(fit, starts[0], dict.fromkeys(keys, 1.0), is_free=False)
@@ -139,7 +139,7 @@ class CorrectionKind:
 
 def kinds_of(fit: Fit) -> list[CorrectionKind]:
     """Corrections that concern the session and that the rig does not have yet."""
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     return [
         CorrectionKind(effect, cause, effect.starts(circumstances, place), effect.limit(circumstances, place))
         for effect in EFFECTS.values()

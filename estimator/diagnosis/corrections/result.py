@@ -174,7 +174,7 @@ def extent_of(start: Mapping[str, float], degree: int, fit: Fit) -> str:
         if start.get(key, 0.0) > 0.0:
             period = factor / start[key]
             cycle_s = cycle_of_currents_s(fit.observations) if unit == "s" else None
-            session_s = SECONDS_PER_HOUR * fit.posterior.model.circumstances.duration_h
+            session_s = SECONDS_PER_HOUR * fit.circumstances.duration_h
             is_cycle = is_of_cycle(period, cycle_s, session_s)
             return f"with a period of {period:.3g} {unit}{f' ({CYCLE})' if is_cycle else ''}"
     return f"to degree {degree}"

@@ -89,13 +89,13 @@ class Candidate:
 
 def causes_of(rig: Rig, fit: Fit, limits: Limits | None = None) -> list[Cause]:
     """Continuous causes that the rig does not have yet, that concern the session, and that the limits allow, where there are any."""
-    beside = causes_beside(rig, fit.posterior.model.circumstances)
+    beside = causes_beside(rig, fit.circumstances)
     return [cause for cause in beside if limits is None or limits.allows(EFFECTS[cause.name])]
 
 
 def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
     """Candidates of every cause at a fit, start by start; starts without finite columns are left out."""
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     starts_of = {cause: list(EFFECTS[cause.name].starts(circumstances, cause.place)) for cause in causes}
     staying = [cause for cause in causes if EFFECTS[cause.name].stays is None]
     of_staying = each(lambda cause: at_starts(fit, cause, starts_of[cause]), staying)
@@ -150,7 +150,7 @@ def _steps(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candi
 
     A reading depends on where the body was when it was taken, so that one prediction serves all instants.
     """
-    hours = fit.posterior.model.circumstances.hours
+    hours = fit.circumstances.hours
 
     def since(candidate: Candidate, start: dict[str, float]) -> Candidate:
         is_after = fit.posterior.measured_components((hours >= start[SINCE])[:, None].expand(-1, 3))

@@ -73,7 +73,7 @@ def on_known_sides(fit: Fit, unseen: Observations) -> Observations:
         fit: Whose causes may begin or end at an instant.
         unseen: Readings of the same session; those of another one are all returned.
     """
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     if unseen.history is not circumstances.observations.history:
         return unseen
     hours = Circumstances(fit.rig, unseen).hours
@@ -110,6 +110,6 @@ def _possible_from_to_h(
     whitened = (fit.posterior.measured_T - components_T) * fit.whitening_per_T
     log_likelihood = -0.5 * whitened.square().sum(-1)
     possible_h = asked_h[log_likelihood > log_likelihood.max() - policy.CLEAR_LOG_EVIDENCE]
-    times_h = fit.posterior.model.circumstances.hours.unique()
+    times_h = fit.circumstances.hours.unique()
     before, after = times_h[times_h < possible_h.min()], times_h[times_h >= possible_h.max()]
     return float(before[-1]) if len(before) else -math.inf, float(after[0]) if len(after) else math.inf

@@ -28,7 +28,7 @@ def noise_causes(fit: Fit) -> list[tuple[Cause, float, Fit]]:
     """
 
     def asked(effect: NoiseEffect) -> tuple[Cause, float, Fit] | None:
-        circumstances = fit.posterior.model.circumstances
+        circumstances = fit.circumstances
         uses = [Use(effect, p) for p in effect.places(fit.rig) if effect.concerns(circumstances, p)]
         hints = [(_hint(fit, use), use) for use in uses if use.cause not in fit.rig.effects]
         hint, use = max(hints, key=lambda pair: pair[0], default=(0.0, None))
@@ -58,7 +58,7 @@ def _score(fit: Fit, use: Use[NoiseEffect]) -> float:
             fit.residual,
         )
     )
-    quantities = use.effect.quantities(fit.posterior.model.circumstances.extent)
+    quantities = use.effect.quantities(fit.circumstances.extent)
     typical = {q.key: fit.vector.new_tensor(q.prior.centre) for q in quantities}
     added = (use.effect.sigma_T(sigma_T, exposure, typical) ** 2 - sigma_T**2) * whitening_per_T**2
     added = added - added.mean()
@@ -71,7 +71,7 @@ def _concerned(
     fit: Fit, use: Use[NoiseEffect], components: Float[Tensor, " component"]
 ) -> Float[Tensor, " concerned"]:
     """Components of the readings that a noise effect concerns."""
-    readings = use.concerned(fit.posterior.model.circumstances)
+    readings = use.concerned(fit.circumstances)
     if readings is None:
         return components
     return components[fit.posterior.measured_components(readings[:, None].expand(-1, 3))]

@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.calibration import policy as calibration_policy
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import (
@@ -132,13 +133,9 @@ def _is_as_expected(fit: Fit) -> bool:
     """Whether the residual, the fitted noise and the fitted parameters are all as expected."""
     if float(fit.residual.square().mean()) > policy.LARGEST_MEAN_SQUARE:
         return False
-    noises = {f"{sensor.name}.noise_T" for sensor in fit.rig.sensors}
-    for parameter in fit.rig.free:
-        assert parameter.prior is not None
-        distance = abs(parameter.prior.distance(float(fit.values[parameter.name])))
-        if distance > (policy.EXPECTED_NOISE_SD if parameter.name in noises else policy.EXPECTED_VALUE_SD):
-            return False
-    return True
+    priors = {parameter.name: parameter.prior for parameter in fit.rig.free if parameter.prior is not None}
+    distances_sd = (abs(prior.distance(float(fit.values[name]))) for name, prior in priors.items())
+    return all(distance_sd <= calibration_policy.FAR_SD for distance_sd in distances_sd)
 
 
 def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
@@ -148,17 +145,15 @@ def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
         base: The record as it is.
         most_starts: Mistakes with more are left out.
     """
-    circumstances = base.posterior.model.circumstances
+    circumstances = base.circumstances
     observations = circumstances.observations
     few = spread(observations, policy.MOST_READINGS_COMPARED)
     present = {cause.name for cause in base.rig.effects}
     are_rows_shifted = any(shifts_rows(use.effect) for use in uses_of(base.rig, RecordEffect))
     rules = base.posterior.model.rules
-    as_recorded = LogPosterior(
-        Coordinates(base.rig), MeasurementModel.unruled(base.rig, few).with_rules(dict(rules)), few
-    )
+    as_recorded = LogPosterior.by_rules(Coordinates(base.rig), few, rules)
     (least_stepped,) = _after_linear_step(as_recorded, as_recorded.coordinates.start()[None])
-    least_stepped -= policy.MOST_LOST_ON_FEW
+    least_stepped -= policy.CLEAR_LOG_EVIDENCE
     ranked: list[tuple[float, Cause, Mapping[str, float]]] = []
     is_absurd = leaves_much_of_the_field(base)
     # From the record back to the supply: of mistakes that explain the readings equally, the last one made comes first.
@@ -186,7 +181,7 @@ def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
     ranked.sort(key=lambda scored: -scored[0])
     least = (
         fit_rig(base.rig, few, base.values, rules, tolerance=policy.ROUGH_TOLERANCE).log_evidence
-        - policy.MOST_LOST_ON_FEW
+        - policy.CLEAR_LOG_EVIDENCE
     )
     rigs = [
         with_effect(base.rig, cause, observations, _at_finest_instant(base, cause, start))
@@ -204,7 +199,7 @@ def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
 
 def _at_finest_instant(base: Fit, cause: Cause, start: Mapping[str, float]) -> Mapping[str, float]:
     """A start with its instants, where it has any, each between the two readings that fit all readings best."""
-    circumstances = base.posterior.model.circumstances
+    circumstances = base.circumstances
     for key in instants_in(start):
         begin_h = start[SINCE] if key == UNTIL else 0.0
         end_h = start[UNTIL] if key == SINCE and UNTIL in start else circumstances.duration_h
@@ -238,8 +233,9 @@ def _start_log_likelihoods(
     for first in range(0, len(starts), together):
         some = starts[first : first + together]
         rig = with_effect(base.rig, cause, base.observations, some[0])
-        model = MeasurementModel.unruled(rig, observations).with_rules(base.posterior.model.rules)
-        posterior = LogPosterior(_AtStarts(rig, cause, some), model, observations)
+        posterior = LogPosterior.by_rules(
+            _AtStarts(rig, cause, some), observations, base.posterior.model.rules
+        )
         log_likelihoods += _after_linear_step(posterior, posterior.coordinates.start())
     return log_likelihoods
 

@@ -161,8 +161,6 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
         best.prior_sd[strongest]
     )
     key = best.keys[strongest]
-    null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.posterior.model.circumstances.extent)}[
-        key
-    ]
+    null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.circumstances.extent)}[key]
     start = {**base.start_with(rig), f"{cause.label}.{key}": null + size}
     return Fit(fit.posterior, fit.optimum.at(fit.posterior.coordinates.vector(start)))

@@ -22,8 +22,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.readings.split import some_distinct
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 
@@ -159,8 +159,7 @@ class Rows:
     @classmethod
     def of(cls, fit: Fit, readings: Observations, rig: Rig) -> Rows:
         """Predictions of a fit for some readings; the rig may differ from that of the fit in fixed numbers."""
-        model = MeasurementModel.unruled(rig, readings).with_rules(fit.posterior.model.rules)
-        posterior = LogPosterior(Coordinates(rig), model, readings)
+        posterior = LogPosterior.by_rules(Coordinates(rig), readings, fit.posterior.model.rules)
         with torch.no_grad():
             predicted_T = posterior.predicted(fit.vector)
             sigma_T = posterior.component_sigma_T(fit.vector)
@@ -177,8 +176,7 @@ def _distance(rival: Fit, true_rows: tuple[Rows, ...], rival_rows: tuple[Rows, .
     pairs = zip(true_rows, rival_rows, strict=True)
     change = torch.cat([truth.predicted_T - own.predicted_T for truth, own in pairs]) / sigma_T
     columns = torch.cat([rows.jacobian_T for rows in rival_rows]) / sigma_T[:, None]
-    prior = (rival.optimum.precision - rival.optimum.information)[0]
-    distance2 = Projector.of(columns, prior).gram(change[:, None], change[:, None])[0, 0]
+    distance2 = Projector.of(columns, rival.prior_precision).gram(change[:, None], change[:, None])[0, 0]
     variance_ratio = (torch.cat([rows.sigma_T for rows in true_rows]) / sigma_T).square()
     return 0.5 * (distance2 + (variance_ratio - 1.0 - variance_ratio.log()).sum())
 
@@ -186,11 +184,7 @@ def _distance(rival: Fit, true_rows: tuple[Rows, ...], rival_rows: tuple[Rows, .
 def some_poses(session: Observations, most: int, generator: torch.Generator) -> Int[Tensor, " pose"]:
     """Rows of a session at distinct poses of its sensors, at most so many, in random order."""
     key = torch.cat([session.sensor[:, None].double(), *session.motion.values()], dim=1)
-    _, pose = torch.unique(key, dim=0, return_inverse=True)
-    first = torch.full((int(pose.max()) + 1,), len(pose)).scatter_reduce(
-        0, pose, torch.arange(len(pose)), "amin"
-    )
-    return first[torch.randperm(len(first), generator=generator)[:most]]
+    return some_distinct(key, most, generator)
 
 
 def continued(

@@ -41,7 +41,7 @@ def with_correction(fit: Fit, text: str, degree: int) -> tuple[Fit, list[str]]:
         raise InvalidInput(
             f"degree of {cause.name} must lie between {effect.lowest} and {effect.highest}; received {degree}"
         )
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     degrees = range(effect.lowest, degree + 1)
     keys = [effect.key(each, term) for each in degrees for term in effect.terms(each)]
     values = {**effect.starts(circumstances, cause.place)[0], **dict.fromkeys(keys, 0.0)}

@@ -142,9 +142,8 @@ class _Pair:
             for readings in (rival.observations, stops)
         )
         columns, change = _whitened(*seen)
-        prior = (rival.optimum.precision - rival.optimum.information)[0]
         by_stop = (part.unflatten(0, (len(stops), 3)) for part in _whitened(*further))
-        return cls(columns.T @ columns + prior, columns.T @ change, change @ change, *by_stop)
+        return cls(columns.T @ columns + rival.prior_precision, columns.T @ change, change @ change, *by_stop)
 
     @property
     def so_far(self) -> Float[Tensor, ""]:

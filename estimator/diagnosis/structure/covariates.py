@@ -65,7 +65,7 @@ def residual_T(fit: Fit) -> Float[Tensor, "reading 3"]:
 
 
 def _all(fit: Fit) -> Iterator[Covariate]:
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     rig, observations = fit.rig, fit.observations
     for name, position_m in sensor_in_coils(fit).items():
         yield from _axes(f"sensor in the frame of {name}", "m", position_m)

@@ -20,7 +20,7 @@ class Doubt:
 
     @property
     def _log_odds(self) -> float:
-        return self.log_bayes_factor + policy.LOG_PRIOR_UNEXPLAINED - policy.LOG_PRIOR_NOTHING
+        return self.log_bayes_factor + policy.LOG_PRIOR_ODDS_LEFT
 
     @property
     def probability(self) -> float:

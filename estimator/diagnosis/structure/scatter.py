@@ -95,7 +95,7 @@ def _by_reading(fit: Fit, components: Float[Tensor, " component"], fill: float =
 
 def _sizes(fit: Fit, size: Tensor) -> Iterator[tuple[str, str, Tensor]]:
     """What the size of a miss may depend on: name, detail and columns."""
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
     yield "time", "slowly", legendre(time, policy.SETTING_DEGREE)[:, 1:]
     order = torch.argsort(fit.observations.row)

@@ -57,7 +57,7 @@ def leading(evidence: Evidence | None) -> list[str]:
 
 
 def _stays_with(fit: Fit) -> Evidence:
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     field_T = predicted_T(fit)
     constant = field_T.new_ones(len(circumstances), 1)
     axes = axes_of(fit)
@@ -86,7 +86,7 @@ def _stays_with(fit: Fit) -> Evidence:
 
 
 def _current(fit: Fit) -> Evidence | None:
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     collection = Collection(fit)
     for i, position_m in enumerate(sensor_in_coils(fit).values()):
         drive = _drive(fit, i)
@@ -131,7 +131,7 @@ def _field_equations(fit: Fit) -> Evidence | None:
 
 
 def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:
-    circumstances = fit.posterior.model.circumstances
+    circumstances = fit.circumstances
     return circumstances.current_A[:, coil] / circumstances.largest_current_A
 
 

@@ -38,8 +38,7 @@ def field_plane(
         title: Rig and date.
     """
     x_mm, z_mm = x_m * 1e3, z_m * 1e3
-    fig = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
-    left, right = fig.subplots(1, 2, sharex=True, sharey=True)
+    fig, (left, right) = _two_planes(x_mm, z_mm, winding, title)
     size_mT = np.linalg.norm(field_T_per_A, axis=-1) * 1e3
     is_known = np.isfinite(size_mT)  # another coil's winding may reach into the plane
     if winding is not None:
@@ -66,17 +65,11 @@ def field_plane(
     )
     fig.colorbar(filled, ax=right, label="half-width of the 90 % credible interval of |B| (%)")
     right.set_title("relative uncertainty of |B|")
-    for ax in (left, right):
-        if winding is not None:
-            draw_winding(ax, winding, "z", zorder=3.0)
-        ax.set_facecolor(WINDING)  # visible where the model has no value: inside a winding
-        ax.set(xlim=x_mm[[0, -1]], ylim=z_mm[[0, -1]], aspect="equal", xlabel="x (mm)")
     if readings_m is not None:
         positions_mm = np.unique(np.round(readings_m[:, [0, 2]], 3), axis=0) * 1e3
         label = "sensor positions, all y"
         right.plot(*positions_mm.T, "o", color="white", mec=BLACK, mew=0.5, ms=3, label=label, zorder=4)
         right.legend(loc="upper right", frameon=True, framealpha=1.0, fontsize=8)
-    left.set_ylabel("z (mm)")
     return fig
 
 
@@ -115,8 +108,7 @@ def difference_plane(
         title: Rig and date.
     """
     x_mm, z_mm = x_m * 1e3, z_m * 1e3
-    fig = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
-    panels = fig.subplots(1, 2, sharex=True, sharey=True)
+    fig, panels = _two_planes(x_mm, z_mm, winding, title)
     size_uT = 1e6 * difference_T_per_A
     top_uT = float(np.nanquantile(size_uT, 0.98)) or 1.0
     most_sds = min(MOST_SDS, max(2.0, float(np.nanmax(sds, initial=0.0))))
@@ -127,9 +119,20 @@ def difference_plane(
         levels = np.linspace(0.0, top, 11)
         filled = ax.contourf(x_mm, z_mm, np.ma.masked_invalid(values), levels, cmap=ERROR_MAP, extend="max")
         fig.colorbar(filled, ax=ax, label=label, format="%.3g")
+        ax.set_title(heading)
+    return fig
+
+
+def _two_planes(
+    x_mm: np.ndarray, z_mm: np.ndarray, winding: Winding | None, title: str
+) -> tuple[Figure, list[Axes]]:
+    """Two panels of the plane side by side, with the winding in each."""
+    fig = figure(10.0, 0.9 + 3.7 * float(np.clip(np.ptp(z_mm) / np.ptp(x_mm), 0.4, 2.0)), title)
+    panels: list[Axes] = list(fig.subplots(1, 2, sharex=True, sharey=True))
+    for ax in panels:
         if winding is not None:
             draw_winding(ax, winding, "z", zorder=3.0)
-        ax.set_facecolor(WINDING)
-        ax.set(xlim=x_mm[[0, -1]], ylim=z_mm[[0, -1]], aspect="equal", xlabel="x (mm)", title=heading)
+        ax.set_facecolor(WINDING)  # visible where the model has no value: inside a winding
+        ax.set(xlim=x_mm[[0, -1]], ylim=z_mm[[0, -1]], aspect="equal", xlabel="x (mm)")
     panels[0].set_ylabel("z (mm)")
-    return fig
+    return fig, panels

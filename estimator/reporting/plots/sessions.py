@@ -21,7 +21,6 @@ def across_sessions(
     ci90: Float[np.ndarray, "session parameter 2"],
     labels: Sequence[str],
     is_sampled: Bool[np.ndarray, " session"],
-    title: str = "",
 ) -> Figure:
     """Median and 90 % interval of every parameter for every session; the line is the mean, weighted by inverse squared width.
 
@@ -30,12 +29,11 @@ def across_sessions(
         median, ci90: Medians and interval ends in SI; NaN if a session does not have the parameter.
         labels: Names of the sessions, from the top; the first 60 are drawn.
         is_sampled: Whether intervals come from sampling (blue) or from the Laplace approximation (grey).
-        title: Description of the sessions.
     """
     n = min(len(labels), MOST_ROWS)
     columns = min(len(names), 4)
     rows = -(-len(names) // columns)
-    fig = figure(0.9 + 2.5 * columns, rows * (0.9 + 0.2 * n) + 0.4, title)
+    fig = figure(0.9 + 2.5 * columns, rows * (0.9 + 0.2 * n) + 0.4)
     grid = fig.subplots(rows, columns, squeeze=False, sharey=True)
     colours = [POSTERIOR if sampled else GREY for sampled in is_sampled[:n]]
     for ax, (name, display), i in zip(grid.flat, displays(names).items(), range(len(names)), strict=False):

@@ -43,7 +43,6 @@ RC: dict[Any, Any] = {
     "figure.facecolor": "white",
 }
 SIDE_AND_DATA = ("axes fraction", "data")
-DATA_AND_TOP = ("data", "axes fraction")
 
 styled = mpl.rc_context(RC)
 """Decorator under which a plot function draws."""

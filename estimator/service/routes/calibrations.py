@@ -16,7 +16,8 @@ from estimator.calibration.files import POSTERIOR_STORE, SUMMARY_FILE
 from estimator.calibration.panels import CalibrationPanels, calibration_panels
 from estimator.calibration.result import Calibration
 from estimator.code_version import code_version
-from estimator.comparison.calibrations import SideBySide, sentences, side_by_side, side_by_side_report
+from estimator.comparison.calibrations import SideBySide, side_by_side
+from estimator.comparison.calibrations_report import sentences, side_by_side_report
 from estimator.rig_files.write import rig_text
 from estimator.service.answers import (
     UNCHANGED,

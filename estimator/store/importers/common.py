@@ -153,25 +153,23 @@ def check_one_sensor(rig: Rig) -> None:
 CLOCKS_APART = timedelta(days=1)  # a date later than that from now is a typing error
 
 
-def moment(text: str, name: str, where: str = "") -> str:
+def moment(text: str, name: str) -> str:
     """An ISO 8601 date and time in UTC, to the second.
 
     Args:
         text: A date, or a date and a time; without a zone it is local time.
         name: Name of the quantity, for messages.
-        where: File and line, or nothing, for messages.
     Raises:
         InvalidInput: It is no date, or lies in the future.
     Examples:
         >>> moment("2026-03-01T09:30:00+01:00", "--recorded-at")
         '2026-03-01T08:30:00+00:00'
     """
-    place = f" ({where})" if where else ""
     try:
         time = datetime.fromisoformat(text.strip()).astimezone(UTC)
     except (ValueError, OverflowError):
         rule = f"{name} must be a date such as 2026-03-01 or 2026-03-01T09:30+01:00"
-        raise InvalidInput(f"{rule}; received {quoted(text.strip())}{place}") from None
+        raise InvalidInput(f"{rule}; received {quoted(text.strip())}") from None
     if time > datetime.now(UTC) + CLOCKS_APART:
-        raise InvalidInput(f"{name} must not lie in the future; received {quoted(text.strip())}{place}")
+        raise InvalidInput(f"{name} must not lie in the future; received {quoted(text.strip())}")
     return time.isoformat(timespec="seconds")

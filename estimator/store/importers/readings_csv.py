@@ -39,9 +39,7 @@ SETS = ("calibration", "validation")
 LARGEST_NUMBER = 999_999_999  # of repeats and segments
 
 
-def read_readings_csv(
-    path: Path, rig: Rig, clock: Clock = Clock.AS_WRITTEN, skips_bad: bool = False
-) -> Session:
+def read_readings_csv(path: Path, rig: Rig, clock: Clock = Clock.AS_WRITTEN) -> Session:
     """Read a readings CSV taken on a rig.
 
     Args:
@@ -49,12 +47,11 @@ def read_readings_csv(
             translates may be left out together. An empty field cell, or a word such as OVLD, is a component that was not measured.
         rig: Determines the columns.
         clock: How times are read.
-        skips_bad: Leave out lines that are no rows, and rows with a fault.
     Raises:
         InvalidInput: A column is missing, unknown, doubled or without unit; a cell has another type than its column; or a sensor has two
             readings at one time. The message names file, line and column.
     """
-    return session_of(read_table(path, columns_of(rig), skips_bad=skips_bad), rig, clock).session
+    return session_of(read_table(path, columns_of(rig)), rig, clock).session
 
 
 class ReadTable(NamedTuple):

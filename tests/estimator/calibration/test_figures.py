@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.calibration.figures import coil_planes, pictures
+from estimator.calibration.figures import pictures
+from estimator.calibration.planes import coil_planes
 from estimator.calibration.result import Calibration
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause

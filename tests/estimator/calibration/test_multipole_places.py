@@ -13,8 +13,9 @@ import torch
 from click.testing import CliRunner
 
 from estimator import SamplerSettings, calibrate
-from estimator.calibration import multipole_places
-from estimator.calibration.multipole_places import Found, with_multipoles
+from estimator.calibration import place_search
+from estimator.calibration.multipole_places import with_multipoles
+from estimator.calibration.place_search import Found
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
@@ -111,7 +112,7 @@ def test_the_command_writes_the_rig_that_was_found(
 
 def test_two_dipoles_are_two_multipoles_where_they_are(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first begins as a mean of both; kept there, it would draw more beside it: seven, with less evidence."""
-    monkeypatch.setattr(multipole_places, "LEAST_RESOLVED", 0.0)
+    monkeypatch.setattr(place_search, "LEAST_RESOLVED", 0.0)
     seen_m = in_box(400, 3)
     plain = session_at(rig, seen_m).observations
     dipoles_m = ((0.012, -0.004, 0.027), (0.027, -0.004, 0.01))
@@ -148,7 +149,7 @@ def test_none_is_taken_where_the_readings_beside_it_are_missing(
     same, found = with_multipoles(rig, far)
     assert found == Found((), ())
     assert same == rig
-    monkeypatch.setattr(multipole_places, "LEAST_RESOLVED", 0.0)
+    monkeypatch.setattr(place_search, "LEAST_RESOLVED", 0.0)
     assert len(with_multipoles(rig, far)[1].places_m) == 1  # so it was seen
 
 

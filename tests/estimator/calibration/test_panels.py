@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.calibration.figures import fitted
+from estimator.calibration.fitted import fitted
 from estimator.calibration.panels import CalibrationPanels, calibration_panels
 from estimator.calibration.report import calibration_report
 from estimator.calibration.residual_groups import residual_groups

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.calibration.report import calibration_report, undetermined_sentence
+from estimator.calibration.report import calibration_report
 from estimator.calibration.result import Calibration
+from estimator.calibration.sentences import undetermined_sentence
 
 pytestmark = pytest.mark.whole
 

@@ -12,7 +12,8 @@ from click.testing import CliRunner
 
 from estimator.calibration.calibrate import Stage
 from estimator.cli.main import main
-from estimator.cli.output import CoilcalCommand, explained_errors, named_number, named_numbers
+from estimator.cli.named import named_number, named_numbers
+from estimator.cli.output import CoilcalCommand, explained_errors
 from estimator.cli.progress import Reporter
 from estimator.errors import CorruptStore, InvalidInput
 from tests.estimator.cli.conftest import run

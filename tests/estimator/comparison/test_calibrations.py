@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from estimator.calibration.result import Calibration
-from estimator.comparison.calibrations import sentences, side_by_side, side_by_side_report
+from estimator.comparison.calibrations import side_by_side
+from estimator.comparison.calibrations_report import sentences, side_by_side_report
 from estimator.errors import InvalidInput
 from tests.estimator.cli.conftest import run
 

@@ -12,7 +12,7 @@ from torch.testing import assert_close
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.elsewhere import computed_on
-from estimator.diagnosis.fit_place import climbing_on
+from estimator.diagnosis.fit_place import FitSetting, fitting_by
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.limits import Limits
@@ -112,7 +112,7 @@ def test_full_fit_of_a_cause_there_climbs_in_single_precision_and_ends_in_double
     near = fitted(plain)
     with far_device() as far:
         for dtype in (torch.float64, torch.float32):
-            with climbing_on(far, dtype):
+            with fitting_by(FitSetting(place=(far, dtype))):
                 there = computed_on(far, fitted, plain)
             assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)
             assert there.observations is plain.observations

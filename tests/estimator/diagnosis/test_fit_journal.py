@@ -12,6 +12,7 @@ import torch
 from estimator.diagnosis import fitting
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fit_journal import FITS, FitJournal, key_of, remembering
+from estimator.diagnosis.fit_place import FitSetting, fitting_by
 from estimator.diagnosis.limits import Limits
 from estimator.inference import secant
 from estimator.json_files import read_json
@@ -112,7 +113,7 @@ def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: 
 
 def test_another_rig_other_readings_and_another_start_are_other_fits(small_rig, session, tmp_path):
     readings = session.observations.calibration
-    with remembering(tmp_path):
+    with remembering(tmp_path) as journal, fitting_by(FitSetting(journal)):
         first = fit_of(small_rig, readings)
         n = len(FitJournal(tmp_path / FITS))
         again = fit_of(small_rig, readings)
@@ -139,6 +140,6 @@ def test_a_fit_on_another_device_or_by_other_rules_is_another(small_rig, small_s
     keys = {
         key_of(small_rig, readings, start, 0.1, some_rules, place)
         for some_rules in (rules, finer)
-        for place in ("", "cuda torch.float32")
+        for place in (None, (torch.device("cuda"), torch.float32))
     }
     assert len(keys) == 4

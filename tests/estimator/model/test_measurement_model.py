@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from estimator.errors import InvalidInput
-from estimator.field.winding import Winding, winding_field
+from estimator.field.winding import Winding
 from estimator.frames import Transform, vector_from_rotation
 from estimator.geometry.kinematics import base_from_flange
 from estimator.model.measurement_model import MeasurementModel
@@ -22,6 +22,7 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.units import MU0_T_M_PER_A
+from tests.by_zones import winding_field
 
 LOOP = "radius_mm: 50.5, wire_radius_mm: 0.5, axial_loops: 1, radial_loops: 1"  # of 50 mm, 0.5 mm behind the face
 COIL = "radius_mm: 51, wire_radius_mm: 0.49, axial_loops: 12, radial_loops: 8"

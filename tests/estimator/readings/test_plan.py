@@ -10,7 +10,8 @@ import torch
 from scipy.stats import qmc
 
 from estimator.errors import InvalidInput
-from estimator.readings.plan import Plan, halton, load_plan, observations_of, plan_and_faults
+from estimator.readings.halton import halton
+from estimator.readings.plan import Plan, load_plan, observations_of, plan_and_faults
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 

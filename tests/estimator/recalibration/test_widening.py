@@ -42,7 +42,7 @@ def test_a_pose_may_be_another_one_and_a_winding_may_not(
     wanted = {
         RADIUS: math.hypot(draws[RADIUS].std(), policy.EXPANSION * best[RADIUS]),
         LOOPS_OF_COIL: policy.LOOPS,
-        HEIGHT: math.hypot(draws[HEIGHT].std(), policy.SHARE_OF_POSE * first.sd),
+        HEIGHT: math.hypot(draws[HEIGHT].std(), first.sd),
     }
     for name, sd in wanted.items():
         prior = widened.parameters[name].prior
@@ -93,7 +93,7 @@ def test_a_cause_that_began_may_go_on_and_noise_may_age(
     gain, noise = widened.parameters["axis_gain[hall].x"].prior, widened.parameters["hall.noise_T"].prior
     assert isinstance(gain, Normal)
     assert gain.mean == 0.012
-    assert gain.sd == pytest.approx(math.hypot(1e-3, policy.SHARE_OF_CAUSE * 0.02), rel=1e-2)
+    assert gain.sd == pytest.approx(math.hypot(1e-3, 0.02), rel=1e-2)
     assert isinstance(noise, LogNormal)
     assert noise.relative_sd == pytest.approx(math.hypot(0.05, policy.SHARE_OF_AGEING * 0.5), rel=1e-2)
 

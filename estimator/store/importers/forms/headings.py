@@ -17,7 +17,6 @@ def _words(text: str) -> frozenset[str]:
 
 
 TIME_WORDS = _words("t time timestamp stamp clock elapsed datetime zeit uhrzeit temps tiempo tid")
-DATE_WORDS = _words("date day datum fecha")
 FIELD_WORDS = _words(
     "b h field bfield mag magnetic magnet magnetometer magneticfield flux density induction hall feld magnetfeld champ gauss tesla"
 )

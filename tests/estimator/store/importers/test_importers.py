@@ -22,20 +22,13 @@ def test_every_format_is_called_with_files_rig_and_currents(tmp_path: Path) -> N
     session = IMPORTERS["axis_scan"]([path], rig, {"coil1": 0.5})
     assert session.hash == read_axis_scan(path, rig, {"coil1": 0.5}).hash
     assert session.observations.field_sensor_T[0, 2].item() == UNITS["G"].to_si
-    for name, importer in IMPORTERS.items():
+    for importer in IMPORTERS.values():
         with pytest.raises(InvalidInput, match=r"must be readable|name"):
-            importer([tmp_path / "none"], rig, {} if name == "readings" else {"coil1": 0.5})
+            importer([tmp_path / "none"], rig, {"coil1": 0.5})
 
 
-@pytest.mark.parametrize("name", ["readings", "mice", "axis_scan"])
+@pytest.mark.parametrize("name", ["mice", "axis_scan"])
 def test_formats_of_one_file_refuse_several(name: str) -> None:
     rig = load_rig(CONFIGS / "goettingen_long.yaml")
     with pytest.raises(InvalidInput, match="takes one file; received 2"):
         IMPORTERS[name]([Path("a"), Path("b")], rig, {})
-
-
-def test_a_readings_file_must_not_be_given_currents(tmp_path: Path) -> None:
-    with pytest.raises(
-        InvalidInput, match="must not be given for a readings CSV, which holds its own; received coil1"
-    ):
-        IMPORTERS["readings"]([tmp_path], load_rig(CONFIGS / "goettingen_long.yaml"), {"coil1": 0.5})
