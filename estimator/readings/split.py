@@ -117,7 +117,7 @@ def thinned(observations: Observations, most: int, seed: int) -> Observations:
 
 def some_distinct(
     key: Float[Tensor, "row column"], most: int, generator: torch.Generator
-) -> Int[Tensor, " row"]:
+) -> Int[Tensor, " distinct"]:
     """The first row of each distinct key, at most so many, in random order."""
     distinct, which = torch.unique(key, dim=0, return_inverse=True)
     rows = torch.arange(len(key))

@@ -110,10 +110,8 @@ class Answer:
         fitted = [cause for cause in others if cause in self.asked.expansion.causes]
         if not fitted:
             return dict(shares)
-        seconds = sum(share for cause, share in shares.items() if cause in self.only_beside)
-        return others | {
-            max(fitted, key=others.__getitem__): max(others[cause] for cause in fitted) + seconds
-        }
+        first = max(fitted, key=others.__getitem__)
+        return others | {first: others[first] + sum(shares.values()) - sum(others.values())}
 
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items
@@ -121,10 +119,10 @@ class Answer:
         own = [i for i, item in enumerate(items) if item.cause in shares]
         with_all = self.asked.samples.one_of(own)
         in_halves = self._in_halves(own)
-        shares = self._as_first(shares)
+        alternatives, shares = tuple(shares), self._as_first(shares)
         listed, whole = [cause for cause in shares if first[cause].is_listed], sum(shares.values())
         likeliest = max(listed, key=shares.__getitem__, default=None)
-        real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, shares).p_imitation
+        real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, alternatives).p_imitation
         of_listed = sum(shares[cause] for cause in listed)
         if likeliest is not None:
             likely = shares[likeliest]
