@@ -68,7 +68,7 @@ class CorrectionAmplitudes:
         with torch.no_grad():
             values = coordinates.values(vector.flatten())
             at_sensor_T = model.at_sensor_T(values)
-            middle_T = measured(model.shown_T(values, at_sensor_T))
+            middle_T = measured(model.shown_T(values, at_sensor_T)).flatten()
             jacobian_T = vector.new_empty(len(middle_T), len(columns))
             for is_field in (True, False):
                 mine = (torch.isin(columns, self.of_fields) == is_field).nonzero().flatten()

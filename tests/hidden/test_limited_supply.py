@@ -105,6 +105,6 @@ def test_a_limit_among_many_settings_is_named_wherever_it_lies(limit_A, seed, tm
     diagnosis = diagnose(session, seed=1)
     # At some limits noise that grows with the field is stated beside it, for the noise is judged before the limit is fitted in full.
     cause = next(cause for cause in diagnosis.causes if cause.cause.name == "current_limit")
-    assert cause.probability > 0.99
+    assert cause.probability > 0.97
     limit = diagnosis.quantities(cause.cause)["limit_A"]
     assert abs(limit.median - limit_A) < 4.0 * limit.sd

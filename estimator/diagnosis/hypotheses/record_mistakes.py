@@ -229,7 +229,8 @@ def _start_log_likelihoods(
     """
     effect, log_likelihoods = EFFECTS[cause.name], list[float]()
     moves_rows = isinstance(effect, RecordEffect) and any(effect.rows_late(start) for start in starts)
-    together = 1 if moves_rows else MOST_TOGETHER  # readings have other poses then
+    # Readings have other poses where rows move, and amplitudes of corrections are columns of one model.
+    together = 1 if moves_rows or base.rig.corrections else MOST_TOGETHER
     for first in range(0, len(starts), together):
         some = starts[first : first + together]
         rig = with_effect(base.rig, cause, base.observations, some[0])

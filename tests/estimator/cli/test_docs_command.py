@@ -39,6 +39,7 @@ def test_a_wheel_brings_the_pages(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
     pages = run("docs", "--json").stdout
     monkeypatch.setattr(docs, "ROOT", tmp_path)
     monkeypatch.setattr(docs, "files", lambda name: installed)
+    monkeypatch.setattr(docs, "SITE", "not-built/index.html")
     assert json.loads(run("docs", "--json").stdout)["pages"] == json.loads(pages)["pages"]
     assert "a site must be there" in run("docs", "--open").stderr
     monkeypatch.setattr(docs, "files", lambda name: None)
