@@ -90,9 +90,8 @@ def _not_of_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
         return f" It includes {instruments}; predict gives the field without it." if of_all else ""
     of_these = _first_few(diagnosis, improvement.not_predicted)
     error = size_with_unit(improvement.after.predicted.vector_T, "T", 3)
-    beside = f" It includes what belongs to this session alone ({of_these})." if of_these else ""
-    without = "Predictions are without it and" if of_these else "Predictions"
-    return f"{beside} {without} miss these readings by {error}{f', with {instruments}' if of_all else ''}."
+    beside = f" It includes what predictions are without ({of_these}): they" if of_these else " Predictions"
+    return f"{beside} miss these readings by {error}{f', with {instruments}' if of_all else ''}."
 
 
 def _in_every_session(diagnosis: Diagnosis, improvement: Improvement) -> list[Cause]:

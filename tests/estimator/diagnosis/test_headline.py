@@ -148,8 +148,8 @@ def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_o
     assert beside_T == pytest.approx(rate_T_per_h * float(hours.square().mean().sqrt()), rel=0.1)
     assert scores.predicted_coverage90 < 0.5 * scores.coverage90
     missed = size_with_unit(scores.predicted.vector_T, "T", 3)
-    alone = "It includes what belongs to this session alone (background_drift)."
-    assert f"{alone} Predictions are without it and miss these readings by {missed}." in words
+    lacking = "It includes what predictions are without (background_drift)"
+    assert f"{lacking}: they miss these readings by {missed}." in words
     assert f"-> {scores.predicted.vector_T * 1e6:.4g} uT" in unseen_line(improvement)
 
 
