@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
-from estimator.diagnosis.budget import NEGLIGIBLE, Budget, budget
+from estimator.diagnosis.budget import Budget, budget
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import on_known_sides
@@ -30,6 +30,8 @@ from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.diagnosis.widening import Widening
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
+
+FEWEST_MOVED = 3.0  # components of unseen readings that a cause should move, for these to tell that it is next to nothing
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,8 @@ class Outcome:
     def checked_by(self, unseen: Observations, seed: int) -> Outcome:
         """The outcome with the error budget, and without causes that account for next to nothing of it or that the corrections replace.
 
-        Where other things move the readings a hundred times as much, unseen ones and those that were asked, what is as small as that may be
-        any of many things. A rig that predicts these readings worse than the one described does not replace it.
+        Where other things move the readings a hundred times as much, what is as small as that may be any of many things. But of a cause
+        that moves few readings they may hold none. A rig that predicts these readings worse than the one described does not replace it.
 
         Args:
             unseen: Readings that no fit has seen; may be empty.
@@ -115,17 +117,20 @@ class Outcome:
         named = [
             each
             for each in self.named
-            if not (shares is not None and shares.is_negligible(each.cause) and self._is_slight(each.cause))
+            if not (
+                shares is not None and shares.is_negligible(each.cause) and self._moves(each.cause, unseen)
+            )
             and not (is_corrected and self.after.has_nothing_of(each.cause))
         ]
         result = replace(scored._naming(named), budget=shares)
         is_open = result.verdict.leaves_something and result.widening is None
         return result.widened(unseen) if is_open else result
 
-    def _is_slight(self, cause: Cause) -> bool:
-        """Whether a cause moves the asked readings next to nothing; a few of them may be all that it moves, none of them unseen."""
+    def _moves(self, cause: Cause, unseen: Observations) -> bool:
+        """Whether a cause should move some components of unseen readings, if as large a share of them as of those that were asked."""
         is_asked = any(item.cause == cause for item in self.answer.asked.dictionary.items)
-        return not is_asked or self.answer.share_of_misfit(cause) < NEGLIGIBLE
+        n_components = int(unseen.is_measured.sum())
+        return not is_asked or self.answer.share_moved(cause) * n_components > FEWEST_MOVED
 
     def _by_names_alone(self, named: Sequence[NamedCause]) -> Outcome:
         """This outcome with nothing but some of its named causes, to be scored and widened anew."""

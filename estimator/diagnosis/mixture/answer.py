@@ -336,10 +336,11 @@ class Answer:
         rest = tuple(i for i in self.asked.leading if i != item and items[i].cause not in taken)
         return Comparison(self.asked, rest, tuple(taken))
 
-    def share_of_misfit(self, cause: Cause) -> float:
-        """Squared change of the asked readings by a listed cause, over the squared misfit of the rig as described."""
-        item, misfit = self.item_of(cause), self.asked.expansion.always.rest(self.asked.dictionary.residual)
-        return float(self.beside_item(item).change(item).square().sum() / misfit.square().sum())
+    def share_moved(self, cause: Cause) -> float:
+        """Share of the asked components that a listed cause moves: the inverse participation ratio of the squares of its change."""
+        item = self.item_of(cause)
+        square = self.beside_item(item).change(item).square()
+        return float(square.sum().square() / square.square().sum() / len(square))
 
     @cached_property
     def comparisons(self) -> tuple[Comparison, ...]:

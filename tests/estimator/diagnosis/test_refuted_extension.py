@@ -12,7 +12,6 @@ from estimator.diagnosis import budget, outcome
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.headline import headline
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.observations import Observations
 from tests.estimator.diagnosis.sessions import session_with
@@ -79,7 +78,6 @@ def test_a_cause_that_is_next_to_nothing_in_unseen_readings_is_told_without_a_na
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(budget, "NEGLIGIBLE", 10.0)
-    monkeypatch.setattr(Answer, "share_of_misfit", lambda self, cause: 0.0)
     diagnosis = diagnose(
         session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(2)
     )
