@@ -15,9 +15,7 @@ MOST_COUNTED = 2  # other names: sessions with more were not counted, and a larg
 MOST_RELATIVE = 8.0  # log Bayes factor of a relative beyond which a name does not get worse
 ENOUGH = 100.0  # log Bayes factor from which on a name is clear, however much more another one has
 LEAST_CLEAR = 0.01  # of that of the other name, or of `ENOUGH`: with less a name does not get worse
-AT_ITS_LINK = (
-    0.7  # share of imitations that act at the link of the cause that they resemble, in the same sessions
-)
+AT_ITS_LINK = 0.7  # share of imitations that act at the link of what they resemble, in the same sessions
 WEIGHTS = (4.0, -0.85, -0.35, 1.9, -1.45, -3.6)  # of the `features` of a name, in its log odds
 
 
