@@ -192,6 +192,7 @@ def _fit_with(plain: Fit, extended: Fit, causes: Collection[Cause]) -> Fit:
         extended.posterior.model.rules,
         tolerance=max(SHARE_OF_WHOLE * whole, policy.ROUGH_TOLERANCE),
         near=extended,
+        ends_exact=False,
     )
 
 

@@ -55,6 +55,7 @@ def climbed(
     tolerance: float,
     place: tuple[torch.device, torch.dtype] | None,
     slopes: Callable[[], FirstOrder | None] = lambda: None,
+    ends_exact: bool = True,
 ) -> Optimum:
     """The highest maximum that is reached from some starts, in a race, as `levenberg_marquardt` gives it where the readings are.
 
@@ -64,6 +65,7 @@ def climbed(
         tolerance: Rise in log density by a further step below which the climb stops.
         place: Device and precision of the climb; None for those of the readings.
         slopes: Gives derivatives of a similar model at the only start; None where there are none.
+        ends_exact: Make the Jacobian anew at the maximum, where many numbers are free.
     """
     readings = posterior.model.circumstances.observations
     there = readings if place is None else readings.to(*place)
@@ -73,5 +75,5 @@ def climbed(
         start = ahead.vector[ahead.log_posterior.argmax()][None].to(start.device)
     if is_worthwhile(posterior, start):
         known = slopes() if there is readings else None
-        return climb_with_secants(posterior, start, tolerance, known)
+        return climb_with_secants(posterior, start, tolerance, known, ends_exact=ends_exact)
     return levenberg_marquardt(posterior, start, tolerance=tolerance, is_race=True)

@@ -301,6 +301,7 @@ def fit_rig(
     tolerance: float | None = None,
     near: Fit | None = None,
     other_start: Mapping[str, Tensor] | None = None,
+    ends_exact: bool = True,
 ) -> Fit:
     """Maximise the posterior density from given values of the parameters and from some draws of the prior; keep the highest maximum.
 
@@ -313,6 +314,7 @@ def fit_rig(
         tolerance: Rise in log density by a further step below which the fit stops; `policy.FINE_TOLERANCE` by default.
         near: Fit of a similar rig to the same readings, whose derivatives hold near the start: it is where the values come from.
         other_start: Values of some parameters that replace those of the start where the density is then higher.
+        ends_exact: Make the Jacobian anew at the maximum; without it curvature and evidence are rough where many numbers are free.
     """
     posterior = LogPosterior.by_rules(Coordinates(rig), observations, rules)
     coordinates = posterior.coordinates
@@ -341,6 +343,7 @@ def fit_rig(
         tolerance,
         setting.place,
         lambda: near.slopes_for(posterior, vector) if near and is_near else None,
+        ends_exact,
     )
     best = optimum.highest()
     if journal is not None:

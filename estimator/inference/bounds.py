@@ -67,14 +67,14 @@ class Inside:
         if not (is_low | is_high).any():
             return step
         free, is_held = step, torch.zeros_like(is_low)
+        of_each = solve_each(precision, self._slopes.mT)
         while True:
             moves = self._slopes @ free
             pushes = ((is_low & (moves < 0.0)) | (is_high & (moves > 0.0))) & ~is_held
             if not pushes.any():
                 return free
             is_held |= pushes
-            constraints = self._slopes[is_held]
-            directions = solve_each(precision, constraints.mT)
+            constraints, directions = self._slopes[is_held], of_each[:, is_held]
             free = step - directions @ least_squares(constraints @ directions, constraints @ step)
 
     def along_bounds(
@@ -94,7 +94,7 @@ class Inside:
 
         lower, upper = coordinates.bounds()
         is_held, target = torch.zeros_like(values, dtype=torch.bool), values.clone()
-        bounded_step = step
+        bounded_step, of_each = step, solve_each(damped, self._slopes.mT)
         # Bounds are curved in these coordinates: solve to first order, then correct with the exact values.
         first_order = (lambda move: values + self._slopes @ move, coordinates.n)
         exact = (after, MOST_CORRECTIONS)
@@ -107,8 +107,7 @@ class Inside:
                 ahead = values + APPROACH * (torch.where(new_values < lower, lower, upper) - values)
                 target = torch.where(is_outside & ~is_held, ahead, target)
                 is_held |= is_outside
-                constraints = self._slopes[is_held]
-                directions = solve_each(damped, constraints.mT)
+                constraints, directions = self._slopes[is_held], of_each[:, is_held]
                 violation = (new_values - target)[is_held]
                 system = constraints @ directions
                 if not (torch.isfinite(system).all() and torch.isfinite(violation).all()):

@@ -46,6 +46,7 @@ def climb_with_secants(
     tolerance: float,
     slopes: FirstOrder | None = None,
     max_iterations: int = 60,
+    ends_exact: bool = True,
 ) -> Optimum:
     """Climb to the nearest maximum of the posterior, as `levenberg_marquardt` does from one start.
 
@@ -58,7 +59,8 @@ def climb_with_secants(
         tolerance: Stop where a Newton step would increase the log density by less than this.
         slopes: Derivatives at the start, which may be those of a similar model; exact ones by default.
         max_iterations: Largest number of steps.
-    Returns: The maximum with its exact curvature and slopes.
+        ends_exact: Make the Jacobian anew before the climb ends.
+    Returns: The maximum with its curvature and slopes, which are exact unless the climb ends otherwise.
     References: Madsen, Nielsen and Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed. (2004), section 3.5; Broyden,
         Math. Comput. 19, 577 (1965).
     """
@@ -76,7 +78,7 @@ def climb_with_secants(
         newton = at.inside.step_of_the_free(model.precision[0], gradient[0])
         promised = float(gradient[0] @ newton)
         is_done = is_at_bound or is_stalled or promised < tolerance or damping > LARGEST_DAMPING
-        if is_exact and (is_done or iteration == max_iterations):
+        if (is_exact or not ends_exact) and (is_done or iteration == max_iterations):
             break
         if is_done or iteration == max_iterations or n_refused == MOST_REFUSED:
             model, is_exact = _Model.about(posterior, at, posterior.to_first_order(at.vector)), True

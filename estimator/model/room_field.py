@@ -192,15 +192,14 @@ def at_one_moment(
     powered = {coil.name: every_point for coil in rig.coils}
     n_moments = max(map(len, rows.values()), default=1) if uses_of(rig, MotionEffect) else 1
     off_A = zero.new_zeros(1, len(rig.coils))
-    moments = [
-        Circumstances(
-            rig, _readings({name: row[min(i, len(row) - 1)][None] for name, row in rows.items()}, off_A)
-        )
-        for i in range(n_moments)
-    ]
-    by_moment = [columns_of(rig, moment) for moment in moments]
-    columns = {label: torch.cat([columns[label] for columns in by_moment]) for label in by_moment[0]}
-    return Sources(rig, moments[0], n_points, None, flange, columns, powered, rules={})
+    first = _readings({name: row[:1] for name, row in rows.items()}, off_A)
+    # Each moment is a session of its own, so that nothing has moved before any of them.
+    places = {name: row[:n_moments].expand(n_moments, 6) for name, row in rows.items()}
+    moments = replace(
+        _readings(places, off_A.expand(n_moments, -1)), whole=first, chosen=every_point.new_zeros(n_moments)
+    )
+    columns = columns_of(rig, Circumstances(rig, moments))
+    return Sources(rig, Circumstances(rig, first), n_points, None, flange, columns, powered, rules={})
 
 
 def _motion_of(

@@ -116,8 +116,8 @@ def run(data_set: DataSet, data: Path, options: argparse.Namespace) -> None:
     for stand_in in diagnosis.findings.stand_ins:
         print(f"  not sure enough to be stated: {diagnosis.label(stand_in)}")
     for cause in diagnosis.sized_causes:
-        others = f", or {', '.join(cause.alternative_names)}" if cause.alternatives else ""
-        print(f"  {cause.name} ({cause.log_bayes_factor:.0f} in log evidence){others}")
+        others = "".join(f", or {name}" for name in cause.alternative_names)
+        print(f"  {cause.name} ({cause.probability:.0%}){others}")
         for key, p in cause.quantities.items():
             print(f"    {key:18} {p.median:12.4g} +- {p.sd:.1g} {p.unit}")
     if (improvement := diagnosis.improvement) is not None:

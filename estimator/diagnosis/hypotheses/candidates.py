@@ -13,9 +13,11 @@ from torch import Tensor
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS
-from estimator.effects.circumstances import SINCE, UNTIL
+from estimator.effects.base import AFTER, Effect
+from estimator.effects.circumstances import SINCE, UNTIL, is_meanwhile
+from estimator.effects.during import During
 from estimator.effects.segments import split_key
-from estimator.effects.stages import MountEffect
+from estimator.effects.stages import MotionEffect, MountEffect
 from estimator.model.cause_columns import cause_columns, causes_beside
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
@@ -138,26 +140,36 @@ def _spells(
 def at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
     """Candidates of one cause, start by start; those without finite columns are left out."""
     effect = EFFECTS[cause.name]
-    if len(starts) > 1 and isinstance(effect, MountEffect) and effect.is_step:
-        return _steps(fit, cause, starts)
+    if len(starts) > 1 and _moves_meanwhile(effect):
+        return _meanwhile(fit, cause, starts)
     is_alike = not isinstance(effect, MountEffect)  # whose columns depend on the start
     groups = filter(None, [starts] if is_alike else [[shapes] for shapes in starts])
     return [candidate for together in groups for candidate in _at_starts(fit, cause, together)]
 
 
-def _steps(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
-    """Candidates of what moves a body at one instant, each the first of them without the readings before its own instant.
+def _moves_meanwhile(effect: Effect) -> bool:
+    """Whether an effect moves a body for a part of a session, and is the same whenever that is."""
+    if isinstance(effect, MountEffect):
+        return effect.is_step
+    return isinstance(effect, During) and isinstance(effect, MotionEffect)
+
+
+def _meanwhile(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:
+    """Candidates of what moves a body for a part of a session, each what would move it always without the readings outside that part.
 
     A reading depends on where the body was when it was taken, so that one prediction serves all instants.
     """
-    hours = fit.circumstances.hours
+    circumstances = fit.circumstances
+    always = {SINCE: 0.0, UNTIL: AFTER * circumstances.duration_h}
 
-    def since(candidate: Candidate, start: dict[str, float]) -> Candidate:
-        is_after = fit.posterior.measured_components((hours >= start[SINCE])[:, None].expand(-1, 3))
-        return replace(candidate.weighed(is_after.to(candidate.shift)), shapes=start)
+    def between(candidate: Candidate, start: dict[str, float]) -> Candidate:
+        instants_h = {key: candidate.shift.new_tensor(start[key]) for key in start if key in always}
+        is_there = is_meanwhile(circumstances.hours, instants_h)
+        rows = fit.posterior.measured_components(is_there[:, None].expand(-1, 3))
+        return replace(candidate.weighed(rows.to(candidate.shift)), shapes=start)
 
-    earliest = min(starts, key=lambda start: start[SINCE])
-    return [since(candidate, start) for candidate in _at_starts(fit, cause, [earliest]) for start in starts]
+    of_whole = {**starts[0], **{key: value for key, value in always.items() if key in starts[0]}}
+    return [between(candidate, start) for candidate in _at_starts(fit, cause, [of_whole]) for start in starts]
 
 
 def _at_starts(fit: Fit, cause: Cause, starts: list[dict[str, float]]) -> list[Candidate]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import MappingProxyType
@@ -45,7 +45,7 @@ class Answer:
         ended_early: Why it ended before all was asked; empty where it did not.
         refused: Causes that full fits do not bear out, so that they were not asked any more.
         rivals: Of stated causes, by full fits in their place.
-        fits: Of the rig with listed causes, by these, as they were made.
+        fits: Those that were made, by the causes and the departures that were taken from the readings.
     """
 
     first: Asked
@@ -55,7 +55,7 @@ class Answer:
     ended_early: str = ""
     refused: frozenset[Cause] = frozenset()
     rivals: Mapping[Cause, tuple[Rival, ...]] = field(default_factory=dict)
-    fits: dict[frozenset[Cause], Fit] = field(default_factory=dict, repr=False, compare=False)
+    fits: dict[tuple[Hashable, ...], Fit] = field(default_factory=dict, repr=False, compare=False)
 
     @property
     def plain(self) -> Fit:
@@ -167,7 +167,7 @@ class Answer:
     def _evidence(self, item: int, leading: Sequence[int]) -> float:
         """Log Bayes factor of an item beside others."""
         others = [i for i in leading if i != item]
-        return float(self.asked.slots.products.gains([*others, item], self.asked.noise)[-1])
+        return self.asked.slots.products.gain(item, others, self.asked.noise)
 
     def _expected(self, own: Sequence[int]) -> float:
         """Probability that halves are expected to give items of a set; as if they were sure of it where none were asked."""
@@ -266,21 +266,31 @@ class Answer:
         if causes == set(asked.expansion.causes) and not has_departures:
             return asked.expansion.fit
         sizes, _ = asked.slots.products.sizes(leading, asked.noise)
-        return asked.expansion.moved(asked.dictionary, leading, sizes).fit
+        return self._once(self._departed, lambda: asked.expansion.moved(asked.dictionary, leading, sizes).fit)
+
+    @property
+    def _departed(self) -> tuple[Hashable, ...]:
+        """What tells the readings without the departures that lead from others."""
+        return self.leading_as_stated, self.asked.noise_number
+
+    def _once(self, key: tuple[Hashable, ...], make: Callable[[], Fit]) -> Fit:
+        """A fit that is made where it is asked for the first time."""
+        if key not in self.fits:
+            self.fits[key] = make()
+        return self.fits[key]
 
     def fit_with(self, causes: Sequence[Cause]) -> Fit:
         """The rig as described with some listed causes, fitted to the readings that were asked."""
-        key = frozenset(causes)
-        if key and key not in self.fits:
-            self.fits[key] = self.fit_to(causes, self.plain.observations)
-        return self.fits[key] if key else self.plain
+        if not causes:
+            return self.plain
+        return self._once((frozenset(causes),), lambda: self.fit_to(causes, self.plain.observations))
 
     def fit_beside_departures(self, causes: Sequence[Cause]) -> Fit:
         """The rig as described with some listed causes, fitted to the readings without the departures that lead."""
         readings = self.leading_fit.observations
         if readings is self.plain.observations:
             return self.fit_with(causes)
-        return self.fit_to(causes, readings)
+        return self._once((frozenset(causes), *self._departed), lambda: self.fit_to(causes, readings))
 
     def fit_to(
         self,

@@ -148,11 +148,10 @@ def climbed(
     pace.tell(0, MOST_EXPANSIONS)
     first = ask(Expansion.of(plain), limits, seed, {}, before)
     known = () if before is None else before.expansion.causes
-    asked, excluded = [first], set[Cause]()
+    last, best, excluded = first, list[Asked](), set[Cause]()
     seen, shapes = {(frozenset[Cause](), False)}, dict[Cause, dict[str, float]]()
     for n in range(1, MOST_EXPANSIONS):
         pace.tell(n, MOST_EXPANSIONS)
-        last = asked[-1]
         some = one_more_of_each_link(last, last.leading, known)
         new = frozenset[Cause]()
         is_beside = any(not last.dictionary.items[i].is_listed for i in some)
@@ -169,13 +168,18 @@ def climbed(
             if not new:
                 break
             excluded |= new  # what the linear model said of the clearest one does not hold
-            asked[-1] = last.without(excluded, seed)
+            last = last.without(excluded, seed)
             continue
         seen.add((causes, is_beside))
-        asked.append(there)
+        best, last = [_likeliest([*best, last])], there
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
-    best = max(asked, key=lambda at: at.log_density + (LIKED_BY if at.is_fitted else 0.0))
-    return first, replace(best, samples=best.slots.sample(SAMPLING, seed, best.leading))
+    there = _likeliest([*best, last])
+    return first, replace(there, samples=there.slots.sample(SAMPLING, seed, there.leading))
+
+
+def _likeliest(asked: Sequence[Asked]) -> Asked:
+    """The one whose leading set is the most probable; one that has all leading causes is preferred. The others need no memory any more."""
+    return max(asked, key=lambda at: at.log_density + (LIKED_BY if at.is_fitted else 0.0))
 
 
 def ask(

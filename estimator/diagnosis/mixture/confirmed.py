@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
@@ -55,42 +57,46 @@ def confirmed(
         limits, seed, n_pairs, on_progress: As in `answer`.
     """
     plain = asked.expansion.plain
-    asked, refused = _borne_out(first, asked, seed)
+    draft = _borne_out(Answer(first, asked, (), {}), seed)
+    asked = draft.asked
     pace = Pace("what leads, in halves of the readings", on_progress)
     numbers = [i for i, largest in enumerate(asked.samples.largest) if largest > NEGLIGIBLE]
     few = asked.dictionary.restricted(numbers)
     readings = as_meant(plain.rig, plain.observations)
     block = blocks_of(readings, plain.rig, seed)
-    of_halves, expected = list[Samples](), list[dict[int, float]]()
     leading = list(asked.leading)
+    few_leading = [numbers.index(item) for item in leading]
     sizes, _ = asked.slots.products.sizes(leading, asked.noise)
-    for i, is_in in enumerate(halves(block, n_pairs, seed)):
+
+    def asked_in(half: tuple[int, np.ndarray]) -> tuple[Samples, dict[int, float]] | None:
         if limits.is_over:
-            break
+            return None
+        i, is_in = half
         pace.tell(i, 2 * n_pairs)
         products = Products(few, weight_of(is_in, readings.is_measured))
         slots = Slots(products, asked.slots.noise, asked.slots.n_slots)
-        of_halves.append(slots.sample(IN_HALVES, seed + i).renumbered(numbers, len(asked.dictionary.items)))
-        few_leading = [numbers.index(item) for item in leading]
-        expected.append(expected_in_half(slots, few_leading, sizes, asked.noise_number))
+        samples = slots.sample(IN_HALVES, seed + i).renumbered(numbers, len(asked.dictionary.items))
+        return samples, expected_in_half(slots, few_leading, sizes, asked.noise_number)
+
+    in_halves = [of_half for of_half in each(asked_in, enumerate(halves(block, n_pairs, seed))) if of_half]
     mean = {
-        item: sum(of_half[few] for of_half in expected) / len(expected)
-        for item, few in zip(leading, map(numbers.index, leading), strict=True)
-        if expected
+        item: sum(expected[few] for _, expected in in_halves) / len(in_halves)
+        for item, few in zip(leading, few_leading, strict=True)
+        if in_halves
     }
     ended_early = limits.words if limits.is_over else ""
-    result = Answer(first, asked, tuple(of_halves), mean, ended_early, refused)
+    samples = tuple(samples for samples, _ in in_halves)
+    result = replace(draft, in_halves=samples, expected=mean, ended_early=ended_early)
     return result if ended_early else with_rivals(result)
 
 
-def _borne_out(first: Asked, asked: Asked, seed: int) -> tuple[Asked, frozenset[Cause]]:
-    """The readings asked without the causes that full fits do not bear out, and these."""
-    refused, draft = frozenset[Cause](), Answer(first, asked, (), {})
+def _borne_out(draft: Answer, seed: int) -> Answer:
+    """The answer without the causes that full fits do not bear out."""
+    asked = draft.asked
     while (cause := _not_borne_out(draft)) is not None:
-        refused |= {cause}
-        asked = asked.without(refused, seed, SAMPLING)
-        draft = Answer(first, asked, (), {}, fits=draft.fits)
-    return asked, refused
+        refused = draft.refused | {cause}
+        draft = replace(draft, asked=asked.without(refused, seed, SAMPLING), refused=refused)
+    return draft
 
 
 def _not_borne_out(answer: Answer) -> Cause | None:

@@ -13,7 +13,7 @@ from torch import Tensor
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.mixture.evidence_kernel import RIDGE, fill_blocks, log_bayes_factors
 from estimator.diagnosis.mixture.items import Dictionary, Item, renumbered
-from estimator.inference.positive_definite import lower_factor
+from estimator.inference.positive_definite import inner_products, lower_factor
 
 
 class Products:
@@ -33,7 +33,7 @@ class Products:
             vectors, n = vectors * weight[:, None], float(weight.square().sum())
             always = Projector.of(always.jacobian * weight[:, None], dictionary.prior_precision)
         followed = always.basis.T @ vectors
-        self.gram = (vectors.T @ vectors - followed.T @ followed).cpu().contiguous()
+        self.gram = (inner_products(vectors) - inner_products(followed)).cpu().contiguous()
         self.n = n - always.jacobian.shape[1]
         self._lay_out(dictionary.items)
 
@@ -93,6 +93,11 @@ class Products:
     def beside(self, chosen: Sequence[int], noise: float) -> Float[Tensor, " item"]:
         """Log Bayes factor of each item beside some others, against these alone."""
         return Beside(self, chosen, noise).evidence()
+
+    def gain(self, item: int, others: Sequence[int], noise: float) -> float:
+        """Log Bayes factor of an item beside some others, against these alone."""
+        beside = Beside(self.among([*others, item]), range(len(others)), noise)
+        return float(beside.evidence()[-1])
 
     def gains(self, chosen: Sequence[int], noise: float) -> list[float]:
         """Log Bayes factor of each of some items beside the others, against these alone."""

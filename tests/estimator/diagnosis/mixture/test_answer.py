@@ -48,7 +48,7 @@ def answered(
     more = SimpleNamespace(
         conditional=lambda chosen, noise: np.array([0.9, 0.1])
     )  # one more item is probable
-    products = SimpleNamespace(gains=lambda chosen, noise: [evidence for _ in chosen])
+    products = SimpleNamespace(gain=lambda item, others, noise: evidence)
     grid = torch.ones(1)
     slots = SimpleNamespace(n_slots=n_slots, conditional=more.conditional, products=products, grid=grid)
     asked.__dict__.update(dictionary=dictionary(ITEMS), samples=with_all, leading=leading, slots=slots)
