@@ -39,10 +39,14 @@ def discrete_gauss(count: Float[Tensor, "*batch"], n_nodes: int) -> DiscreteRule
     """
     if n_nodes == 1:
         return DiscreteRule(torch.zeros_like(count)[..., None], count[..., None])
+    batch = count.shape
+    # What was only expanded along an axis has one rule for all: eigenvalues of each draw's matrix would cost more than its field.
+    count = count[tuple(slice(None) if step else slice(1) for step in count.stride())]
     count = count.clamp(max=LARGEST_COUNT)
     k = torch.arange(1, n_nodes, dtype=count.dtype, device=count.device)
     square = k**2 * (count[..., None] ** 2 - k**2) / (4.0 * (4.0 * k**2 - 1.0))
     off_diagonal = torch.sqrt(square.clamp(min=1e-12))  # a count below n_nodes decouples the surplus nodes
     jacobi = torch.diag_embed(off_diagonal, offset=1) + torch.diag_embed(off_diagonal, offset=-1)
     nodes, vectors = torch.linalg.eigh(jacobi)
-    return DiscreteRule(nodes, count[..., None] * vectors[..., 0, :] ** 2)
+    weights = count[..., None] * vectors[..., 0, :] ** 2
+    return DiscreteRule(nodes.expand(*batch, n_nodes), weights.expand(*batch, n_nodes))

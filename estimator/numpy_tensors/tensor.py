@@ -160,6 +160,9 @@ class Tensor(Arithmetic):
     def new_ones(self, *sizes: Any) -> Tensor:
         return Tensor(np.ones(dims(sizes), self.dtype))
 
+    def stride(self) -> tuple[int, ...]:
+        return tuple(step // self.array.itemsize for step in self.array.strides)
+
     def expand(self, *sizes: Any) -> Tensor:
         sizes = dims(sizes)
         here = (1,) * (len(sizes) - self.ndim) + self.array.shape

@@ -305,16 +305,17 @@ class Answer:
             readings: Of the session, with or without what departures change.
             shapes: Where fits of some causes start; by default at the shapes that are known of them.
         """
-        plain, factors = self.plain, self.asked.expansion.factors
+        plain, known = self.plain, self.asked.expansion
 
         def fitted(more: Mapping[Cause, float]) -> Fit:
             rig = plain.rig
             for cause in causes:
-                at, factor = shapes.get(cause) or self.shapes_of(cause), {**factors, **more}.get(cause, 1.0)
+                at = shapes.get(cause) or self.shapes_of(cause)
+                factor = {**known.factors, **more}.get(cause, 1.0)
                 rig = with_effect(rig, cause, plain.observations, at, factor=factor)
-            return fit_rig(rig, readings, self.asked.expansion.fit.values, plain.posterior.model.rules)
+            return fit_rig(rig, readings, known.fit.values, plain.posterior.model.rules)
 
-        return with_tails(fitted({}), [cause for cause in causes if cause not in factors], fitted)[0]
+        return with_tails(fitted({}), [cause for cause in causes if cause not in known.causes], fitted)[0]
 
     def item_of(self, cause: Cause) -> int:
         """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""

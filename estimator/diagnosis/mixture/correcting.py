@@ -62,7 +62,9 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
         return Correction(extended, (), lacking, refusal, after, of_session=session)
     rules = extended.posterior.model.rules
     tolerance = 0.5 * len(terms.rig.free) * policy.CORRECTED_TO_SD**2
-    fit = final = fit_rig(terms.rig, extended.observations, terms.start, rules, tolerance=tolerance)
+    fit = final = fit_rig(
+        terms.rig, extended.observations, terms.start, rules, tolerance=tolerance, near=extended
+    )
     if after.observations is not extended.observations:
         final = fit_rig(fit.rig, after.observations, fit.values, rules, tolerance=tolerance)
     return Correction(fit, tuple(parts), lacking, "", final, of_session=session)

@@ -41,7 +41,7 @@ class Expansion:
         fit: With the causes that lead, to the readings without the departures that lead.
         departed_T: What these departures change in the measured components.
         log_prior: Of each of these causes at its start, within the listed ones.
-        factors: On the stated widths of these causes' sizes, where fits have compared both: 1, or more where they lie far beyond.
+        factors: On the stated widths of these causes' sizes, where a fit has found them far beyond.
     """
 
     plain: Fit
@@ -219,7 +219,7 @@ class Expansion:
             cleaned = readings.with_field(field_T)
         rules = self.plain.posterior.model.rules
         fit = fit_rig(rig, cleaned, {**self.fit.values, **start}, rules, other_start=self._moved(left))
-        known = {cause: factor for cause, factor in self.factors.items() if cause in listed and factor > 1.0}
+        known = {cause: self.factors[cause] for cause in listed if cause in self.factors}
         fit, more = with_tails(
             fit,
             listed.keys() - known.keys(),
@@ -271,7 +271,7 @@ def with_tails(
         fit: With priors of the stated widths.
         causes: Whose sizes are looked at.
         again: Fits the same with factors on the widths of some causes.
-    Returns: The more probable fit, and the factors of the causes that were large.
+    Returns: The more probable fit, and its factors.
     """
     extent = fit.posterior.model.circumstances.extent
 
@@ -285,7 +285,7 @@ def with_tails(
         return fit, {}
     wide = again(factors)
     is_likelier = wide.log_evidence + len(factors) * LOG_ODDS_OF_WIDEST > fit.log_evidence
-    return (wide, factors) if is_likelier else (fit, dict.fromkeys(factors, 1.0))
+    return (wide, factors) if is_likelier else (fit, {})
 
 
 def _inside(parameter: Parameter, value: float) -> float:

@@ -114,3 +114,15 @@ def test_number_format_is_kept():
         for n in (1, 4):
             rule = discrete_gauss(torch.tensor(9.0, dtype=dtype), n)
             assert rule.nodes.dtype == rule.weights.dtype == dtype
+
+
+def test_a_count_that_was_expanded_has_one_rule_with_the_derivatives_of_all():
+    count = torch.tensor([[30.0], [7.5]], dtype=torch.float64, requires_grad=True)
+    together = discrete_gauss(count.expand(2, 5), 4)
+    assert together.nodes.shape == together.weights.shape == (2, 5, 4)
+    assert together.nodes.stride()[1] == together.weights.stride()[1] == 0
+    apart = discrete_gauss(count.detach().expand(2, 5).contiguous(), 4)
+    assert torch.equal(together.nodes, apart.nodes)
+    assert torch.equal(together.weights, apart.weights)
+    together.weights.sum().backward()
+    assert torch.allclose(count.grad, torch.full_like(count, 5.0))
