@@ -37,13 +37,13 @@ class Asked:
 
     Attributes:
         pool: Columns of every listed cause that the expansion lacks.
-        changes: Of the readings, about this expansion or one nearby.
+        changes: Of the readings, about this expansion or one nearby; None once no other expansion is asked from here, for they are large.
     """
 
     expansion: Expansion
     pool: tuple[Candidate, ...]
     dictionary: Dictionary
-    changes: Changes
+    changes: Changes | None
     slots: Slots
     samples: Samples
 
@@ -146,9 +146,10 @@ def climbed(
     """
     pace = Pace("what leads, in all readings", on_progress)
     pace.tell(0, MOST_EXPANSIONS)
-    first = ask(Expansion.of(plain), limits, seed, {}, before)
+    last = ask(Expansion.of(plain), limits, seed, {}, before)
+    first = replace(last, changes=None)
     known = () if before is None else before.expansion.causes
-    last, best, excluded = first, list[Asked](), set[Cause]()
+    best, excluded = list[Asked](), set[Cause]()
     seen, shapes = {(frozenset[Cause](), False)}, dict[Cause, dict[str, float]]()
     for n in range(1, MOST_EXPANSIONS):
         pace.tell(n, MOST_EXPANSIONS)
@@ -171,7 +172,7 @@ def climbed(
             last = last.without(excluded, seed)
             continue
         seen.add((causes, is_beside))
-        best, last = [_likeliest([*best, last])], there
+        best, last = [replace(_likeliest([*best, last]), changes=None)], there
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
     there = _likeliest([*best, last])
     return first, replace(there, samples=there.slots.sample(SAMPLING, seed, there.leading))
@@ -201,11 +202,11 @@ def ask(
     fit, alone = expansion.fit, expansion.alone
     causes = causes_of(fit.rig, fit, limits)
     led, known = [] if before is None else [before.dictionary.items[i] for i in before.leading], dict(shapes)
-    is_near = before is not None and before.changes.is_near(fit)
+    changes = None if before is None else before.changes
+    is_near = changes is not None and changes.is_near(fit)
     if before is not None and is_near:
-        changes = before.changes
         known = {**places_in(fit, before.dictionary.items), **shapes}
-    else:
+    if changes is None or not is_near:
         changes = Changes.about(expansion, causes)
     here = changes.moved(expansion, causes)
     starts = starts_of(fit, here.pool)
