@@ -20,36 +20,47 @@ from estimator.rig.rig import Cause
 MOSTLY = 0.5  # of what a cause changes in readings: a predicted field that lacks more of it does not have the cause
 
 
-def shown_by_prediction_T(
-    fit: Fit, readings: Observations, values: Values | None = None, beside: Collection[Cause] = ()
-) -> Float[Tensor, "reading 3"]:
-    """What sensors show in the field that a calibration predicts where they stood, in T.
+class PredictedReadings:
+    """What sensors show in the field that a calibration predicts where they stood.
 
-    It may be differentiated in the numbers. Sensors keep their response and their zero. Departures of sensors and movers, instants, drifts
-    and what currents did before are in no predicted field. Inside a winding a prediction has no value: the sensor is given that of the fit.
+    Sensors keep their response and their zero. Departures of sensors and movers, instants, drifts and what currents did before are in no
+    predicted field. Inside a winding a prediction has no value: the sensor is given that of the fit. How finely windings are summed is
+    chosen once, about the fit.
 
     Args:
         fit: The rig and its numbers.
         readings: Where sensors stood, and the currents.
-        values: Other numbers of the same rig; those of the fit by default.
         beside: Departures of sensors and movers that act all the same.
     """
-    rig, values, readings = fit.rig, fit.values if values is None else values, as_meant(fit.rig, readings)
-    for correction in set(rig.corrections).difference(beside):
-        rig = rig.without_cause(correction)
-    own = {name: value for name, value in values.items() if name in rig.parameters}
-    model = MeasurementModel.unruled(rig, readings)
-    n_rows = len(model.every_row)
-    poses = model.world_from_sensor(model.every_row, own)
-    turn = poses.rotation.expand(n_rows, 3, 3)[model.pose_row]
-    places_m = poses.translation_m.expand(n_rows, 3)[model.pose_row]
-    about = {name: value.detach() for name, value in values.items()}
-    room = RoomField(fit.rig, about, places_m, dict(readings.motion))
-    field_T = room.field_by_point_T(values, readings.current_A)
-    shown_T = model.shown_T(own, torch.einsum("nij,...ni->...nj", turn, field_T)).expand(len(readings), 3)
-    if room.is_inside.any():
-        shown_T = torch.where(shown_T.isnan(), fit.model_of(readings).predict(values), shown_T)
-    return shown_T
+
+    def __init__(self, fit: Fit, readings: Observations, beside: Collection[Cause] = ()) -> None:
+        rig, self._fit, self._readings = fit.rig, fit, as_meant(fit.rig, readings)
+        for correction in set(rig.corrections).difference(beside):
+            rig = rig.without_cause(correction)
+        self._model = MeasurementModel.unruled(rig, self._readings)
+        places_m, _ = self._places(fit.values)
+        self._room = RoomField(fit.rig, fit.values, places_m.detach(), dict(self._readings.motion))
+
+    def _places(self, values: Values) -> tuple[Float[Tensor, "reading 3"], Float[Tensor, "reading 3 3"]]:
+        """Where sensors stood and how they were turned, by reading."""
+        model, n_rows = self._model, len(self._model.every_row)
+        own = {name: value for name, value in values.items() if name in model.rig.parameters}
+        poses = model.world_from_sensor(model.every_row, own)
+        places_m, turn = poses.translation_m.expand(n_rows, 3), poses.rotation.expand(n_rows, 3, 3)
+        return places_m[model.pose_row], turn[model.pose_row]
+
+    def shown_T(self, values: Values) -> Float[Tensor, "reading 3"]:
+        """Readings at some numbers of the rig, in T; it may be differentiated in them."""
+        model, readings = self._model, self._readings
+        places_m, turn = self._places(values)
+        field_T = self._room.field_by_point_T(values, readings.current_A, places_m)
+        own = {name: value for name, value in values.items() if name in model.rig.parameters}
+        shown_T = model.shown_T(own, torch.einsum("nij,...ni->...nj", turn, field_T))
+        shown_T = shown_T.expand(len(readings), 3)
+        if self._room.is_inside.any():
+            of_fit_T = self._fit.model_of(readings).predict(values)
+            shown_T = torch.where(shown_T.isnan(), of_fit_T, shown_T)
+        return shown_T
 
 
 def missed_in_any_session_T(fit: Fit, readings: Observations) -> float:
@@ -70,7 +81,7 @@ def missed_in_any_session_T(fit: Fit, readings: Observations) -> float:
     ]
     meant = as_meant(fit.rig, readings)
     with torch.no_grad():
-        error_T = meant.field_sensor_T - shown_by_prediction_T(fit, meant, beside=lasting)
+        error_T = meant.field_sensor_T - PredictedReadings(fit, meant, lasting).shown_T(fit.values)
     return float(error_T.nan_to_num().square().sum(-1).mean().sqrt())
 
 
@@ -82,11 +93,11 @@ def not_predicted(fit: Fit, readings: Observations) -> tuple[Cause, ...]:
         readings: Some of the session.
     """
     meant = as_meant(fit.rig, readings)
-    model, result = fit.model_of(meant), []
+    model, predicted, result = fit.model_of(meant), PredictedReadings(fit, meant), []
 
     def changes_T(values: Values) -> tuple[Tensor, Tensor]:
         with torch.no_grad():
-            return model.predict(values).expand(len(meant), 3), shown_by_prediction_T(fit, meant, values)
+            return model.predict(values).expand(len(meant), 3), predicted.shown_T(values)
 
     read_T, predicted_T = changes_T(fit.values)
     for cause in fit.rig.acting:

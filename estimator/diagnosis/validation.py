@@ -15,7 +15,7 @@ from estimator.derivatives import value_and_jacobian
 from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.predicted_field import not_predicted, shown_by_prediction_T
+from estimator.diagnosis.predicted_field import PredictedReadings, not_predicted
 from estimator.effects.use import as_meant, is_in_field
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.metrics import ErrorMetrics, error_metrics
@@ -172,7 +172,7 @@ def validation_scores(
     shown_T, of_prediction = predicted_T, coverage[0.9]
     if fit.rig.acting:
         with torch.no_grad():
-            shown_T = shown_by_prediction_T(fit, unseen)
+            shown_T = PredictedReadings(fit, unseen).shown_T(fit.values)
         of_prediction = _predicted_coverage90(fit, unseen, covariance, draws)
     is_on = numpy_of((unseen.current_A != 0.0).any(-1))
     errors, predicted = (
@@ -196,12 +196,13 @@ def _predicted_coverage90(
 ) -> float:
     """Share of components inside the 90 % intervals of the predicted field, of some readings."""
     few = unseen.rows(torch.arange(0, len(unseen), 1 + len(unseen) // MOST_COVERED, device=unseen.device))
-    posterior = LogPosterior(fit.posterior.coordinates, fit.model_of(few), few)
+    posterior, predicted = (
+        LogPosterior(fit.posterior.coordinates, fit.model_of(few), few),
+        PredictedReadings(fit, few),
+    )
 
     def shown(vector: Float[Tensor, " coordinate"]) -> Tensor:
-        return posterior.measured_components(
-            shown_by_prediction_T(fit, few, posterior.coordinates.values(vector))
-        )
+        return posterior.measured_components(predicted.shown_T(posterior.coordinates.values(vector)))
 
     if draws is None:
         changing = _coordinates_of_predictions(fit)

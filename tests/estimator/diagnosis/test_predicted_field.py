@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.predicted_field import not_predicted, shown_by_prediction_T
+from estimator.diagnosis.predicted_field import PredictedReadings, not_predicted
 from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause, Rig
@@ -24,7 +24,7 @@ def test_rows_that_were_written_late_are_put_back_first(small_rig: Rig, small_se
     fit = fit_rig(rig, readings, {}, rules)
     meant = as_meant(fit.rig, readings)
     read_T = fit.model_of(meant).predict(fit.values).expand(len(meant), 3)
-    shown_T = shown_by_prediction_T(fit, readings)
+    shown_T = PredictedReadings(fit, readings).shown_T(fit.values)
     is_read = meant.is_measured
     torch.testing.assert_close(shown_T[is_read], read_T[is_read], rtol=1e-4, atol=1e-9)
     assert not_predicted(fit, readings) == ()
