@@ -40,7 +40,7 @@ def stale_poses(fit: Fit, observations: Observations) -> list[Flag]:
     is_repeated = torch.cat(
         (torch.ones_like(order[:1], dtype=torch.bool), (pose[1:] == pose[:-1]).all(dim=1))
     )
-    patterns = list(_each_nth(is_repeated))
+    patterns = [rows for rows in _each_nth(is_repeated) if _makes_stops_longer(rows, is_repeated)]
     if not patterns:
         return []
     log_odds = _log_odds_of_the_pose_after(fit, observations, order)
@@ -69,6 +69,18 @@ def _each_nth(is_repeated: Bool[Tensor, " row"]) -> Iterator[Int[Tensor, " nth"]
         for first in range(apart):
             if bool(is_repeated[first::apart].all()):
                 yield torch.arange(first, n, apart, device=is_repeated.device)
+
+
+def _makes_stops_longer(rows: Int[Tensor, " nth"], is_repeated: Bool[Tensor, " row"]) -> bool:
+    """Whether stops that end with one of some rows have a row more than others: a protocol that reads several times makes all alike."""
+    stop = torch.cumsum(~is_repeated, 0)
+    n_rows, n_of_them = torch.bincount(stop), torch.bincount(stop[rows], minlength=int(stop.max()) + 1)
+    is_last = torch.cat((~is_repeated[1:], torch.ones_like(is_repeated[:1])))
+    ends = stop[rows[is_last[rows]]].unique()
+    is_other = (n_rows > 0) & (n_of_them == 0)
+    if not len(ends) or not is_other.any():
+        return False
+    return float(n_rows[ends].double().mean()) > float(n_rows[is_other].double().mean()) + 0.5
 
 
 def _log_odds_of_the_pose_after(
