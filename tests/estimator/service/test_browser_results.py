@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -70,9 +71,10 @@ def test_alarms_are_one_line_and_a_time_line_and_silence_is_told(
     session_id = begin_session(service.client, upload_rig(service.client, rig_text))
     page.goto(f"{service.url}/#/live/{session_id}")
     page.get_by_text("being measured").wait_for()
-    n = len(small_session.observations)
+    fitted = replace(small_session, observations=small_session.observations.calibration.alone)
+    n = len(fitted.observations)
     for row in range(n):
-        reading = json.loads(lines_of(small_session, small_rig, row, row + 1))
+        reading = json.loads(lines_of(fitted, small_rig, row, row + 1))
         if row in (n - 3, n - 2):
             reading["field_T"] = {
                 name: [-value for value in field_T] for name, field_T in reading["field_T"].items()
