@@ -36,7 +36,7 @@ class Refreshed:
         best: Values at the maximum of the posterior.
         ci90: 90 % credible interval of each free parameter, from posterior draws.
         verdict: Verdict of the diagnosis.
-        causes: Named causes, each with those that it cannot be told from.
+        causes: Named causes, each with those that it cannot be told from, and how many readings were recorded wrongly.
         took_s: Duration of the work.
         places: Sensors, coils and movers that the named causes belong to.
     """
@@ -67,12 +67,15 @@ def refreshed(session: Session, seed: int) -> Refreshed:
     parameters = calibration.summary()["parameters"]
     diagnosis = diagnose(session, seed=seed)
     causes = diagnosis.sized_causes
+    named = [" or ".join([sized.cause.label, *(name for name, _ in sized.others)]) for sized in causes]
+    n_wrong = sum(len(flag.readings) for flag in diagnosis.findings.flags)
+    named += [f"{n_wrong} readings recorded wrongly"] if n_wrong else []
     return Refreshed(
         len(session.observations),
         dict(calibration.best),
         {name: (numbers["ci90"][0], numbers["ci90"][1]) for name, numbers in parameters.items()},
         str(diagnosis.verdict),
-        tuple(" or ".join([sized.cause.label, *(name for name, _ in sized.others)]) for sized in causes),
+        tuple(named),
         time.monotonic() - begin_s,
         tuple(sized.cause.place for sized in causes),
     )

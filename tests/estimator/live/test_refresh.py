@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import multiprocessing
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from estimator.live.refresh import Background, Refreshed
+from estimator.live.refresh import Background, Refreshed, refreshed
 from estimator.store.session import Session
 
 
@@ -116,3 +117,11 @@ def test_an_error_of_the_diagnosis_is_a_sentence_and_the_process_goes_on(small_s
 )
 def test_a_verdict_is_said_in_words(verdict: str, causes: tuple[str, ...], words: str) -> None:
     assert Refreshed(30, {}, {}, verdict, causes, 1.0).words == words
+
+
+def test_readings_that_were_recorded_wrongly_are_told(small_session: Session) -> None:
+    readings = small_session.observations.calibration.alone
+    field_T = readings.field_sensor_T.clone()
+    field_T[[5, 12, 19]] *= 10.0
+    wrong = replace(small_session, observations=readings.with_field(field_T))
+    assert refreshed(wrong, seed=1).causes == ("3 readings recorded wrongly",)
