@@ -14,7 +14,7 @@ Examples:
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:  # what type checkers and editors see; `_MODULES` says the same for the interpreter
+if TYPE_CHECKING:  # what type checkers and editors see; `_NAMES` says the same for the interpreter
     from estimator.batching import batch
     from estimator.calibration.calibrate import Stage, calibrate
     from estimator.calibration.result import Calibration
@@ -82,45 +82,35 @@ __all__ = [
     "superposition",
 ]
 
-_MODULES = {
-    "Calibration": "estimator.calibration.result",
-    "CoilcalError": "estimator.errors",
-    "CorruptStore": "estimator.errors",
-    "Design": "estimator.diagnosis.next_readings.design",
-    "Diagnosis": "estimator.diagnosis.result",
-    "Entry": "estimator.recalibration.log",
-    "Estimate": "estimator.live.stream",
-    "InvalidInput": "estimator.errors",
-    "NextStop": "estimator.planning.next_stop",
-    "Observations": "estimator.readings.observations",
-    "Plan": "estimator.readings.plan",
-    "Planned": "estimator.planning.planned",
-    "Registry": "estimator.recalibration.registry",
-    "Rig": "estimator.rig.rig",
-    "SamplerSettings": "estimator.inference.ensemble",
-    "Session": "estimator.store.session",
-    "Stage": "estimator.calibration.calibrate",
-    "Stream": "estimator.live.stream",
-    "Superposition": "estimator.system.superposition",
-    "System": "estimator.system.system",
-    "SystemField": "estimator.system.system_field",
-    "batch": "estimator.batching",
-    "block_split": "estimator.readings.split",
-    "calibrate": "estimator.calibration.calibrate",
-    "design": "estimator.diagnosis.next_readings.design",
-    "diagnose": "estimator.diagnosis.diagnose",
-    "draw_truth": "estimator.model.simulate",
-    "load_plan": "estimator.readings.plan",
-    "load_rig": "estimator.rig_files.read",
-    "load_session": "estimator.store.session",
-    "next_stop": "estimator.planning.next_stop",
-    "plan": "estimator.planning.plan",
-    "recalibrate": "estimator.recalibration.recalibrate",
-    "register_effect": "estimator.effects",
-    "roll_back": "estimator.recalibration.recalibrate",
-    "simulate": "estimator.model.simulate",
-    "superposition": "estimator.system.superposition",
+_NAMES = {  # of each module
+    "estimator.batching": ("batch",),
+    "estimator.calibration.calibrate": ("Stage", "calibrate"),
+    "estimator.calibration.result": ("Calibration",),
+    "estimator.diagnosis.diagnose": ("diagnose",),
+    "estimator.diagnosis.next_readings.design": ("Design", "design"),
+    "estimator.diagnosis.result": ("Diagnosis",),
+    "estimator.effects": ("register_effect",),
+    "estimator.errors": ("CoilcalError", "CorruptStore", "InvalidInput"),
+    "estimator.inference.ensemble": ("SamplerSettings",),
+    "estimator.live.stream": ("Estimate", "Stream"),
+    "estimator.model.simulate": ("draw_truth", "simulate"),
+    "estimator.planning.next_stop": ("NextStop", "next_stop"),
+    "estimator.planning.plan": ("plan",),
+    "estimator.planning.planned": ("Planned",),
+    "estimator.readings.observations": ("Observations",),
+    "estimator.readings.plan": ("Plan", "load_plan"),
+    "estimator.readings.split": ("block_split",),
+    "estimator.recalibration.log": ("Entry",),
+    "estimator.recalibration.recalibrate": ("recalibrate", "roll_back"),
+    "estimator.recalibration.registry": ("Registry",),
+    "estimator.rig.rig": ("Rig",),
+    "estimator.rig_files.read": ("load_rig",),
+    "estimator.store.session": ("Session", "load_session"),
+    "estimator.system.superposition": ("Superposition", "superposition"),
+    "estimator.system.system": ("System",),
+    "estimator.system.system_field": ("SystemField",),
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:

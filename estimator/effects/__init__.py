@@ -8,48 +8,26 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
+from importlib import import_module
 from importlib.metadata import entry_points
 from types import ModuleType
 
 from estimator.effects.base import Effect
-from estimator.effects.causes import (
-    axes,
-    carried,
-    coil,
-    connections,
-    core,
-    force,
-    formulas,
-    holder,
-    iron,
-    misplaced,
-    mount,
-    noise,
-    pose_record,
-    record,
-    robot,
-    sensor,
-    sensor_history,
-    sensor_parts,
-    superconductor,
-    supply,
-    surroundings,
-    winding,
-)
 from estimator.effects.circumstances import Extent
-from estimator.effects.corrections import current, fields, guides, response
-from estimator.effects.corrections import sensor as sensor_in_time
 from estimator.effects.stages import CurrentEffect
 from estimator.errors import InvalidInput, closest, quoted
 
-# In the order in which a reading comes about. Effects of one stage are applied in this order, and in that within a module.
-CURRENTS = (connections, supply)
-COILS = (winding, coil, core, formulas, carried, superconductor)
-ROOM = (surroundings, iron)
-PLACES = (pose_record, robot, mount, holder, force, misplaced)
-SENSORS = (sensor, sensor_parts, axes, sensor_history)
-RECORD = (record, noise)
-CORRECTIONS = (current, fields, guides, response, sensor_in_time)
+# Modules of `causes` in the order in which a reading comes about, then those of `corrections`. Effects of one stage are applied in this
+# order, and in that within a module.
+CAUSES = (
+    *("connections", "supply"),
+    *("winding", "coil", "core", "formulas", "carried", "superconductor"),
+    *("surroundings", "iron"),
+    *("pose_record", "robot", "mount", "holder", "force", "misplaced"),
+    *("sensor", "sensor_parts", "axes", "sensor_history"),
+    *("record", "noise"),
+)
+CORRECTIONS = ("current", "fields", "guides", "response", "sensor")
 
 
 def _declared(module: ModuleType) -> Iterator[Effect]:
@@ -64,8 +42,8 @@ def _declared(module: ModuleType) -> Iterator[Effect]:
 
 
 EFFECTS: dict[str, Effect] = {}
-for _module in (*CURRENTS, *COILS, *ROOM, *PLACES, *SENSORS, *RECORD, *CORRECTIONS):
-    for _effect in _declared(_module):
+for _module in (*(f"causes.{name}" for name in CAUSES), *(f"corrections.{name}" for name in CORRECTIONS)):
+    for _effect in _declared(import_module(f"{__name__}.{_module}")):
         EFFECTS.setdefault(_effect.name, _effect)  # a module may name those of modules before
 ORDER = {name: i for i, name in enumerate(EFFECTS)}
 ENTRY_POINTS = "coilcal.effects"
