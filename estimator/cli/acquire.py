@@ -92,7 +92,7 @@ def acquire_command(
     from estimator.cli.acquire_task import check_plan, measured, read_task
     from estimator.cli.contents import ending
     from estimator.cli.instruments import Bench
-    from estimator.cli.pilots import Until
+    from estimator.cli.pilots import until
     from estimator.cli.plan_shown import plan_record, plan_text
     from estimator.planning.decision import Limits
     from estimator.store.journal import read_journal
@@ -108,8 +108,8 @@ def acquire_command(
         check_output(out, overwrite, SESSION)
     header, records = read_journal(out) if is_resumed else ({}, [])
     bench = Bench.load(rig_path, devices_path)
-    until = Until(goals, Limits(most_stops, None if minutes is None else 60.0 * minutes))
-    task = read_task(bench, plan_path, question=until if goals else None, **pace)
+    ends = Limits(most_stops, None if minutes is None else 60.0 * minutes)
+    task = read_task(bench, plan_path, question=until(goals, ends) if goals else None, **pace)
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
     if dry_run:
         show(plan_record(task), plan_text(task), as_json)

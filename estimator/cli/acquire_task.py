@@ -104,7 +104,7 @@ def read_task(
     pace = Pace(plan.settle_s, n_readings, longest_settle_s, speeds, limits.slews_A_per_s)
     check_ways(stops, bench.rig, limits, pace, {})
     times_s = durations_s(stops, bench.rig, pace)
-    pilot = question.pilot(bench.rig, candidates, pace, seed) if question is not None else None
+    pilot = question(bench.rig, candidates, pace, seed) if question is not None else None
     return Task(bench, plan, seed, stops, limits, pace, times_s, pilot)
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 from estimator.acquisition.pace import Pace
 from estimator.calibration.result import Calibration
@@ -15,46 +15,15 @@ from estimator.recalibration.recheck import Recheck
 from estimator.recalibration.sequential import Rates
 from estimator.rig.rig import Rig
 
-
-@runtime_checkable
-class Question(Protocol):
-    """What a session shall answer whose stops are chosen while it is measured."""
-
-    def pilot(self, rig: Rig, candidates: Observations, pace: Pace, seed: int) -> Pilot:
-        """What chooses among candidates."""
+Question: TypeAlias = Callable[[Rig, Observations, Pace, int], Pilot]
+"""What a session shall answer whose stops are chosen: who chooses among candidates of a rig, at a pace, with a seed."""
 
 
-@dataclass(frozen=True)
-class Until:
-    """Goals of a session whose stops are chosen while it is measured.
-
-    Attributes:
-        goals: As the user wrote them.
-        ends: Limits of stops and time.
-    """
-
-    goals: tuple[str, ...]
-    ends: Limits
-
-    def pilot(self, rig: Rig, candidates: Observations, pace: Pace, seed: int) -> Pilot:
-        """What chooses among candidates."""
-        return pilot_of(rig, candidates, self.goals, pace, self.ends, seed)
+def until(goals: Sequence[str], ends: Limits) -> Question:
+    """Goals to be reached, as the user wrote them, and limits of stops and time."""
+    return lambda rig, candidates, pace, seed: pilot_of(rig, candidates, goals, pace, ends, seed)
 
 
-@dataclass(frozen=True)
-class StillHolds:
-    """The question whether a calibration still holds.
-
-    Attributes:
-        calibration: The one in use.
-        share: Of the field, that a change is.
-        ends: Limits of stops and time.
-    """
-
-    calibration: Calibration
-    share: float
-    ends: Limits
-
-    def pilot(self, rig: Rig, candidates: Observations, pace: Pace, seed: int) -> Pilot:
-        """What chooses among candidates."""
-        return Recheck(self.calibration, candidates, self.share, pace, self.ends, Rates())
+def still_holds(calibration: Calibration, share: float, ends: Limits) -> Question:
+    """The question whether the calibration in use still holds: whether the field has changed by a share."""
+    return lambda _rig, candidates, pace, _seed: Recheck(calibration, candidates, share, pace, ends, Rates())

@@ -12,7 +12,7 @@ from estimator.cli.acquire_task import check_plan, measured, read_task
 from estimator.cli.contents import ending
 from estimator.cli.instruments import Bench
 from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, show
-from estimator.cli.pilots import StillHolds
+from estimator.cli.pilots import still_holds
 from estimator.errors import InvalidInput
 from estimator.planning.decision import Limits
 from estimator.recalibration.recheck import CHANGED, HOLDS
@@ -54,7 +54,7 @@ def recheck(
     is_resumed = is_growing(out)
     if not is_resumed:
         check_output(out, False, SESSION)
-    question = StillHolds(versions.calibration(), 0.01 * percent, Limits(most_stops))
+    question = still_holds(versions.calibration(), 0.01 * percent, Limits(most_stops))
     task = read_task(bench, plan_path, N_READINGS, LONGEST_SETTLE_S, None, seed, question)
     header, records = read_journal(out) if is_resumed else ({}, [])
     loads = check_plan(task, records, time.time() - header["begin_s"] if records else 0.0)
