@@ -22,20 +22,6 @@ KINDS = {
     "array": "several fixed sensors, a stage carries a coil before them",
     "solenoid": "a long coil, a mapper carries a sensor through it",
 }
-ONE_COIL = (
-    "name", "moved", "motion", "radius_mm", "wire_radius_mm", "axial_loops", "radial_loops", "distance_mm", "reach_mm", "noise_uT",
-    "largest_A", "earth",
-)  # fmt: skip
-WOUND = ("wire_radius_mm", "axial_loops", "radial_loops", "reach_mm", "noise_uT", "largest_A", "earth")
-ASKED: dict[str, tuple[str, ...]] = {
-    "stage": ONE_COIL,
-    "arm": ONE_COIL,
-    "helmholtz": ("name", "radius_mm", *WOUND),
-    "maxwell": ("name", "radius_mm", *WOUND),
-    "cage": ("name", "side_mm", *WOUND),
-    "array": ("name", "n_sensors", "spacing_mm", *ONE_COIL[3:]),
-    "solenoid": ("name", "radius_mm", *WOUND),
-}
 QUESTIONS: dict[str, tuple[type | tuple[str, ...], str]] = {
     "name": (str, "Name of the rig"),
     "moved": (("coil", "sensor"), "What the robot or stage carries; the other one stands still"),
@@ -106,8 +92,9 @@ def init_command(
     is_asked = not (is_quiet or as_json) and can_ask()
     kind = kind or (_asked_kind() if is_asked else "stage")
     given = {key: value for key, value in given.items() if value is not None}
+    asked = asked_of(kind)
     for key in given:
-        if key not in ASKED[kind]:
+        if key not in asked:
             raise InvalidInput(f"--{key.replace('_', '-').lower()} is no answer for --kind {kind}")
     rig_text, plan_text = _texts(kind, given, is_asked)
     rig = rig_from_text(rig_text, str(rig_path))
@@ -133,16 +120,24 @@ def _asked_kind() -> str:
     return answer
 
 
+def asked_of(kind: str) -> list[str]:
+    """What a set-up asks for, in the order of the questions: what it has defaults of. An array always has its coil on a stage."""
+    from estimator.rig_files.set_ups import Kind, defaults_of
+
+    known = defaults_of(Kind(kind)).keys() - ({"moved", "motion"} if kind == "array" else set())
+    return [key for key in QUESTIONS if key in known]
+
+
 def _texts(kind: str, given: dict[str, Any], is_asked: bool) -> tuple[str, str]:
     """Rig file and plan; at a terminal an answer that is refused is asked again."""
     from estimator.rig_files.set_ups import Kind, defaults_of, texts_of
     from estimator.rig_files.starter import check_answer
 
-    answers, defaults, open_keys = dict(given), defaults_of(Kind(kind)), list(ASKED[kind])
+    answers, defaults, asked = dict(given), defaults_of(Kind(kind)), asked_of(kind)
     if not is_asked:
         return texts_of(Kind(kind), answers)
     while True:
-        for key in (key for key in open_keys if key not in answers):
+        for key in (key for key in asked if key not in answers):
             answers[key] = _answer(key, defaults[key], check_answer)
         try:
             return texts_of(Kind(kind), answers)

@@ -12,7 +12,7 @@ import torch
 from click.testing import CliRunner
 
 from estimator.cli import init
-from estimator.cli.init import ASKED, KINDS, QUESTIONS
+from estimator.cli.init import KINDS, QUESTIONS, asked_of
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
@@ -27,9 +27,9 @@ from tests.estimator.cli.conftest import run
 @pytest.mark.parametrize("kind", Kind)
 def test_each_question_is_a_field_of_its_set_up(kind: Kind) -> None:
     defaults = defaults_of(kind)
-    assert set(ASKED[kind]) <= set(defaults)
-    assert set(defaults) - set(ASKED[kind]) <= {"is_opposed", "moved", "motion"}
-    for key in ASKED[kind]:
+    assert set(asked_of(kind)) <= set(defaults)
+    assert set(defaults) - set(asked_of(kind)) <= {"is_opposed", "moved", "motion"}
+    for key in asked_of(kind):
         choices = QUESTIONS[key][0]
         assert (
             defaults[key] in choices
@@ -133,7 +133,7 @@ def test_whoever_sits_at_a_terminal_is_asked_for_the_rest(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     monkeypatch.setattr(init, "can_ask", lambda: True)
-    of_rest = [""] * (len(ASKED["stage"]) - 4)
+    of_rest = [""] * (len(asked_of("stage")) - 4)
     answers = ["", "bench", "sensor", "shift", "pose", *of_rest]  # "shift" is asked again
     arguments = ["init", str(tmp_path), "--radius-mm", "30"]
     result = CliRunner().invoke(main, arguments, input="\n".join(answers) + "\n")
