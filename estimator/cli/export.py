@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes
-from estimator.cli.named import named_number, named_numbers
+from estimator.cli.named import named_motions, named_number
 from estimator.cli.options import PATH, OutputPath, option, result_options
 from estimator.cli.output import CoilcalCommand, show
 from estimator.export.formats import FORMATS
@@ -57,7 +57,6 @@ def export_command(
     from estimator.export.formats import default_path, export
     from estimator.export.request import Grid
     from estimator.store.staging import check_output
-    from estimator.tensors import torch
 
     loaded = [Calibration.load(folder) for folder in folders]
     calibrated: Calibration | System = loaded[0]
@@ -68,17 +67,13 @@ def export_command(
     path = default_path(calibrated.magnet(), to) if out is None else out
     check_output(path, overwrite)
     grid = Grid(*grid_axes(axes).values()) if axes else None
-    motion = {
-        name: torch.tensor(values, dtype=torch.float64)
-        for name, values in (named_numbers(text, "--motion", 6) for text in motions)
-    }
     export(
         calibrated.magnet(),
         to,
         path,
         grid=grid,
         currents_A=named_number(currents, "--current"),
-        motion=motion,
+        motion=named_motions(motions),
         overwrite=overwrite,
     )
     show({"file": str(path), "format": to}, f"{FORMATS[to].words} written to {path}", as_json)

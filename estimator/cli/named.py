@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from estimator.errors import InvalidInput, cut, quoted
 from estimator.units import LARGEST
+
+if TYPE_CHECKING:
+    from estimator.tensors import Tensor
 
 
 def named_numbers(text: str, option: str, count: int) -> tuple[str, list[float]]:
@@ -44,3 +48,11 @@ def named_number(texts: Sequence[str], option: str) -> dict[str, float]:
             raise InvalidInput(f"{option} must name {cut(name)} once; received it again in {quoted(text)}")
         numbers[name] = value
     return numbers
+
+
+def named_motions(texts: Sequence[str]) -> dict[str, Tensor]:
+    """Parse options --motion such as arm1=0,0,0.1,0,0,0 into the six numbers of movers by name; errors as `named_numbers`."""
+    from estimator.tensors import torch
+
+    motions = (named_numbers(text, "--motion", 6) for text in texts)
+    return {name: torch.tensor(values, dtype=torch.float64) for name, values in motions}

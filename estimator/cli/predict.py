@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from estimator.cli.grid import grid_axes, grid_words
-from estimator.cli.named import named_number, named_numbers
+from estimator.cli.named import named_motions, named_number
 from estimator.cli.options import PATH, OutputPath, flag, option, prediction_options, result_options
 from estimator.cli.output import CoilcalCommand, show
 
@@ -87,10 +87,7 @@ def predict_command(
         np.stack(np.meshgrid(*coordinates_m.values(), indexing="ij"), axis=-1).reshape(-1, 3)
     )
     currents_A = named_number(currents, "--current")
-    motion = {
-        name: torch.tensor(values, dtype=torch.float64)
-        for name, values in (named_numbers(text, "--motion", 6) for text in motions)
-    }
+    motion = named_motions(motions)
     n_inside = 0
     with (
         staged(out, overwrite) as new,
