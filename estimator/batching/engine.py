@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from multiprocessing import resource_tracker
 from queue import SimpleQueue
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, cast
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Status
@@ -39,25 +39,14 @@ def _words(error: BaseException | None) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-@runtime_checkable
-class Runner(Protocol):
-    """What makes the calls of a batch."""
-
-    def run(self, calls: Mapping[Hashable, Call], tell: Callable[[Hashable, Any], None]) -> None:
-        """Make every call once, and pass each result, or the exception in its place, to `tell` as it comes."""
-
-
-class ThisProcess:
-    """Makes calls one after another where it is, such as inside a call of another cluster."""
-
-    def run(self, calls: Mapping[Hashable, Call], tell: Callable[[Hashable, Any], None]) -> None:
-        """Make every call once, and pass each result, or the exception in its place, to `tell` as it comes."""
-        for name, (function, arguments) in calls.items():
-            try:
-                result = function(*arguments)
-            except Exception as error:
-                result = RuntimeError(_words(error))
-            tell(name, result)
+def run_here(calls: Mapping[Hashable, Call], tell: Callable[[Hashable, Any], None]) -> None:
+    """Make every call in this process, such as inside a call of another cluster; as `Cluster.run`."""
+    for name, (function, arguments) in calls.items():
+        try:
+            result = function(*arguments)
+        except Exception as error:
+            result = RuntimeError(_words(error))
+        tell(name, result)
 
 
 class Cluster:

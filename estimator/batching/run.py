@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.batching.engine import Runner, ThisProcess, cluster
+from estimator.batching.engine import cluster, run_here
 from estimator.batching.jobs import PLAIN, Job, stacks
 from estimator.batching.result import BatchResult
 from estimator.batching.tables import sessions_of
@@ -96,10 +96,11 @@ def batch(
     paths = list(dict.fromkeys(str(Path(path).absolute()) for path in sessions))
     with (
         only_writer(out),
-        nullcontext(ThisProcess()) if workers == 0 else cluster(workers, scheduler) as connected,
+        nullcontext() if workers == 0 else cluster(workers, scheduler) as connected,
     ):
         folder.mkdir(exist_ok=True)
-        run = _Run(folder, connected, tell or (lambda done, total, words: None))
+        make = run_here if connected is None else connected.run
+        run = _Run(folder, make, tell or (lambda done, total, words: None))
         paths, run.failed = sessions_of(paths, folder.parent / SESSIONS, described_rig, recipe, seed)
         described = run.describe(
             paths, (described_rig, hypotheses, is_each_coil, seed, chosen, (device, precision), as_described)
@@ -122,10 +123,12 @@ class _Run:
         n_new: Number of fits and posteriors made so far.
     """
 
-    def __init__(self, folder: Path, connected: Runner, tell: Callable[[int, int, str], None]) -> None:
+    def __init__(
+        self, folder: Path, make: Callable[..., None], tell: Callable[[int, int, str], None]
+    ) -> None:
         self.failed: dict[str, str] = {}
         self.n_new = 0
-        self._folder, self._cluster, self._tell = folder, connected, tell
+        self._folder, self._make, self._tell = folder, make, tell
         self._done = self._total = 0
 
     def describe(self, paths: Sequence[str], arguments: tuple[Any, ...]) -> list[Job]:
@@ -140,7 +143,7 @@ class _Run:
             for what, why in described[1].items():
                 self._fail(what, why)
 
-        self._cluster.run({path: (describe, (path, *arguments)) for path in paths}, receive)
+        self._make({path: (describe, (path, *arguments)) for path in paths}, receive)
         return jobs
 
     def without_copies(self, jobs: Sequence[Job]) -> list[Job]:
@@ -173,9 +176,7 @@ class _Run:
                 if job not in fitted:
                     self._fail(job.name, reasons.get(job.name, "its result is missing"))
 
-        self._cluster.run(
-            {i: (fit, (stack, str(self._folder))) for i, stack in enumerate(unfinished)}, receive
-        )
+        self._make({i: (fit, (stack, str(self._folder))) for i, stack in enumerate(unfinished)}, receive)
         fitted = {job.name: job.session for job in jobs if self._is_fitted(job)}
         return BatchResult(self._folder, tuple(fitted), self.failed, sessions=fitted)
 
@@ -194,7 +195,7 @@ class _Run:
             else:
                 self._fail(name, failed)
 
-        self._cluster.run(
+        self._make(
             {name: (sampled, (job, str(self._folder), settings)) for name, job in unfinished.items()}, receive
         )
 

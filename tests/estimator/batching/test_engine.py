@@ -10,13 +10,13 @@ import pytest
 from distributed import LocalCluster
 
 from estimator.batching import engine
-from estimator.batching.engine import Runner, ThisProcess, cluster, outcome
+from estimator.batching.engine import Cluster, cluster, outcome, run_here
 from estimator.errors import InvalidInput
 from tests.estimator.batching.calls import deadly, deadly_once, double, refuse, slowly, variable
 from tests.estimator.batching.schedulers import free_address, started, stop
 
 
-def results(where: Runner, calls) -> dict[object, object]:
+def results(where: Cluster, calls) -> dict[object, object]:
     received: dict[object, object] = {}
     where.run(calls, received.__setitem__)
     return received
@@ -34,7 +34,8 @@ def test_each_call_is_heard_of_once_and_a_fault_in_one_leaves_the_others():
 
 
 def test_this_process_makes_calls_as_workers_do():
-    received = results(ThisProcess(), {"a": (double, (2,)), "b": (refuse, (3,)), "c": (double, (4,))})
+    received: dict[object, object] = {}
+    run_here({"a": (double, (2,)), "b": (refuse, (3,)), "c": (double, (4,))}, received.__setitem__)
     assert (received["a"], received["c"]) == (4, 8)
     assert str(received["b"]) == "ValueError: 3 is refused"
 
