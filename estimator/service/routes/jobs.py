@@ -1,20 +1,24 @@
-"""Jobs: followed, cancelled and read."""
+"""Jobs: followed, cancelled and read. Progress is in the file that a job's worker writes; a reader may go on where it left off."""
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import AsyncIterator
+from contextlib import suppress
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from fastapi import Depends, Header, Query, Request
 from fastapi.sse import EventSourceResponse, ServerSentEvent
 from pydantic import BaseModel, Field
 from sqlalchemy import select
+from starlette.concurrency import run_in_threadpool
 from starlette.responses import HTMLResponse, JSONResponse, Response
 
 from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.result import EXTENDED_RIG
-from estimator.errors import CorruptStore
-from estimator.json_files import read_json
+from estimator.errors import CorruptStore, InvalidInput
+from estimator.json_files import json_object, read_json
 from estimator.service.answers import (
     UNCHANGED,
     ListingOf,
@@ -27,7 +31,6 @@ from estimator.service.answers import (
 )
 from estimator.service.core import Core
 from estimator.service.database import now
-from estimator.service.events import events_of
 from estimator.service.job_queue import CANCELLED, DONE, ENDED, RETRY_AFTER_S
 from estimator.service.labels import Labelled, Labels, containing, relabelled
 from estimator.service.ownership import OWN_JOB
@@ -36,8 +39,10 @@ from estimator.service.requests import ID, STREAM, ChangeOf, CoreOf, Id, router_
 from estimator.service.schema import CalibrationRow, Job
 from estimator.service.tasks import DIAGNOSIS, PANELS, TASKS
 from estimator.service.webhooks import announce_end
+from estimator.service.work import PROGRESS
 
 router = router_of("/v1/jobs", "jobs")
+LOOK_EVERY_S = 0.25
 Kind = Literal["calibrate", "diagnose", "recalibrate", "batch", "design"]
 
 
@@ -163,10 +168,42 @@ async def follow_job(
     last_event_id: Annotated[str | None, Header(alias="Last-Event-ID", max_length=20)] = None,
 ) -> AsyncIterator[ServerSentEvent]:
     """Progress of a job as server-sent events: `progress` as it works, and `end` with the job when it has ended."""
-    async for event in events_of(
-        core, first.id, last_event_id, lambda: shown_as(JobInfo, job_of(core, first.id))
-    ):
-        yield event
+    job, lines = first, _Lines(core.jobs.folder(first.id) / PROGRESS)
+    is_number = last_event_id and last_event_id.isascii() and last_event_id.isdecimal()
+    n_known = int(last_event_id or 0) if is_number else 0
+    while not core.is_ending:
+        has_ended = job.state in ENDED  # asked before the file is read, so that no line is missed
+        for number, line in await run_in_threadpool(lines.new):
+            if number > n_known:
+                yield ServerSentEvent(data=line, event="progress", id=str(number))
+        if has_ended:
+            yield ServerSentEvent(data=job, event="end")
+            return
+        await asyncio.sleep(LOOK_EVERY_S)
+        job = await run_in_threadpool(get_job, core, first.id)
+
+
+class _Lines:
+    """Whole lines of a growing file, each with its number."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._end, self._number = path, 0, 0
+
+    def new(self) -> list[tuple[int, dict[str, Any]]]:
+        """Lines since the last call; one that a kill has torn is left out, but counted."""
+        try:
+            with self._path.open("rb") as file:
+                file.seek(self._end)
+                *whole, _ = file.read().split(b"\n")
+        except FileNotFoundError:
+            return []
+        entries = []
+        for line in whole:
+            self._end += len(line) + 1
+            self._number += 1
+            with suppress(InvalidInput):
+                entries.append((self._number, json_object(line, self._path)))
+        return entries
 
 
 def _done(core: Core, job_id: str) -> Job:

@@ -1,9 +1,10 @@
-"""The registry of a rig: which calibration is in use, how it became so, and the way back to an earlier one."""
+"""The registry of a rig: which calibration is in use, how it became so over time, and the way back to an earlier one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -13,7 +14,8 @@ from sqlalchemy import select
 from estimator.recalibration.log import Entry
 from estimator.recalibration.recalibrate import roll_back
 from estimator.recalibration.registry import Registry, RegistryBusy
-from estimator.service.answers import Item, Listing, ListingOf, Page
+from estimator.recalibration.timeline import judged, summary_of, versions_in_use
+from estimator.service.answers import Item, Listing, ListingOf, Page, shown_as
 from estimator.service.core import Core
 from estimator.service.job_queue import RETRY_AFTER_S
 from estimator.service.ownership import OWN_REGISTRY
@@ -26,6 +28,8 @@ from estimator.service.schema import CalibrationRow, Job
 
 router = router_of("/v1/rigs/{rig_id}/registry", "registry")
 Row = TypeVar("Row")
+MOST_SESSIONS = 500  # ten years of weekly ones
+Numbers = Annotated[list[float], Field(min_length=2, max_length=3)]
 
 
 class RegistryInfo(BaseModel):
@@ -173,3 +177,61 @@ def _calibration_id(core: Core, rig_name: str, entry: Entry) -> str | None:
     )
     with core.database.reading() as db:
         return db.scalars(rows.order_by(Job.number)).first()
+
+
+class JudgedSession(BaseModel):
+    """A session that was judged, and what it says of the parameters by itself."""
+
+    session_id: str
+    taken: datetime
+    conclusion: str
+    cause: Annotated[str, Field(description="Of a drift, in words.")]
+    reason: str
+    estimate: Annotated[dict[str, Numbers], Field(description="Value and standard deviation, in SI.")]
+
+
+class PeriodOfUse(BaseModel):
+    """A period in which a version was in use, by the time of readings."""
+
+    version: int
+    begin: datetime
+    end: datetime
+    intervals: Annotated[
+        dict[str, Numbers], Field(description="Lower end, median and upper end of the 90 % interval, in SI.")
+    ]
+
+
+class RegistryHistory(BaseModel):
+    """A registry over time, in order; of many sessions the last ones."""
+
+    rig_name: str
+    current: int | None
+    units: Annotated[dict[str, str], Field(description="Unit of each parameter in SI.")]
+    sessions: list[JudgedSession]
+    periods: list[PeriodOfUse]
+
+
+@router.get("/history")
+def get_history(core: CoreOf, rig_id: Id) -> RegistryHistory:
+    """Every parameter over time: what each session says of it, and the versions in use."""
+    name, registry = registry_of(core, rig_id)
+    entries = registry.entries()
+    table = registry.history()
+    sessions = [(entry, summary_of(entry)) for entry in judged(entries)[-MOST_SESSIONS:]]
+    return RegistryHistory(
+        rig_name=name,
+        current=registry.current,
+        units=dict(zip(table.parameter.values.tolist(), table.unit.values.tolist(), strict=True)),
+        sessions=[
+            JudgedSession(
+                session_id=Path(entry.session).stem,
+                taken=summary.taken,
+                conclusion=summary.conclusion,
+                cause=summary.label,
+                reason=entry.reason,
+                estimate={key: list(numbers) for key, numbers in summary.estimate.items()},
+            )
+            for entry, summary in sessions
+        ],
+        periods=[shown_as(PeriodOfUse, period) for period in versions_in_use(registry, entries)],
+    )
