@@ -104,7 +104,7 @@ def room_wanders() -> None:
     """
 
 
-@correction(Room, Steps, single="background_step", highest=5)
+@correction(Room, Steps, single="background_step")
 def room_steps() -> None:
     """The field of the room jumps.
 

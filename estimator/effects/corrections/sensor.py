@@ -98,7 +98,7 @@ def zero_swings() -> None:
     """
 
 
-@correction(Zero, Steps, single="offset_step", highest=5)
+@correction(Zero, Steps, single="offset_step")
 def zero_steps() -> None:
     """What the sensor shows in no field jumps.
 
