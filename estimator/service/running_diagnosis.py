@@ -10,34 +10,14 @@ import logging
 import threading
 import time
 from collections.abc import Callable, Sequence
-from typing import Protocol, runtime_checkable
 
 from estimator.errors import CoilcalError
-from estimator.live.refresh import Background, Refreshed
-from estimator.store.session import Session
+from estimator.live.refresh import Background
+from estimator.service.watched import Watched
 
 LOOK_EVERY_S = 0.25
 SEED = 0
 log = logging.getLogger("coilcal.service")
-
-
-@runtime_checkable
-class Growing(Protocol):
-    """A session that is watched."""
-
-    @property
-    def is_left(self) -> bool:
-        """Whether nobody watches it any more, or it has ended."""
-
-    @property
-    def waits_since_s(self) -> float | None:
-        """When the session had grown enough for another diagnosis, by the monotonic clock; None if it has not."""
-
-    def so_far(self) -> Session:
-        """Readings of the session up to now; after that the session does not wait any more."""
-
-    def take(self, refreshed: Refreshed) -> None:
-        """Posterior and verdict of readings that `so_far` gave."""
 
 
 class RunningDiagnosis:
@@ -49,7 +29,7 @@ class RunningDiagnosis:
         stopping: Setting it ends the process, whatever that does.
     """
 
-    def __init__(self, sessions: Callable[[], Sequence[Growing]]) -> None:
+    def __init__(self, sessions: Callable[[], Sequence[Watched]]) -> None:
         self._sessions, self.stopping = sessions, threading.Event()
 
     def look(self) -> None:
@@ -59,7 +39,7 @@ class RunningDiagnosis:
                 while self._sessions() and self._turn(background):
                     pass
 
-    def _next(self) -> Growing | None:
+    def _next(self) -> Watched | None:
         """The session that waits longest."""
         waiting = [
             (since_s, session)

@@ -37,7 +37,7 @@ from estimator.service.requests import (
 )
 from estimator.service.schema import RigVersion, SessionRow
 from estimator.service.tokens import Caller
-from estimator.service.watching import Watched
+from estimator.service.watched import Watched
 from estimator.store.importers.readings_csv import write_readings_csv
 from estimator.store.session import load_session
 from estimator.store.zipped import zipped

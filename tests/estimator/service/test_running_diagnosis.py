@@ -15,7 +15,7 @@ from estimator.service import running_diagnosis
 from estimator.service.core import Core
 from estimator.service.live_state import Seen
 from estimator.service.periodic import scheduler_of
-from estimator.service.watching import Watched
+from estimator.service.watched import Watched
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, until, upload_rig
 

@@ -20,7 +20,7 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
 from estimator.service.live_state import REDRAWN_AT, Device, LiveState, updated
-from estimator.service.watching import Watched
+from estimator.service.watched import Watched
 from estimator.store.made import JOURNAL
 from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, until, upload_rig
