@@ -4,7 +4,8 @@
 sensor's zero among them. Each row: seed, flaw, half-width that the raster gives, stops and time over those of the raster, fewest stops of
 any design of the goal alone over those of the raster (the optimum of shares of stops, without held-out ones), why the session ended, what
 it promised, root mean square of the error at fresh points over that (1 or less keeps the promise), share of 2000 fresh components of the
-field within the promised half-width, and processor seconds to decide a stop.
+field within the promised half-width, processor seconds to decide a stop, share of the draws of a calibration with the chosen
+stops below the true value of each number, and the causes that their diagnosis states.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from typing import Any
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from scipy.stats import kstest
 
-from estimator import load_plan, load_rig
+from estimator import Session, calibrate, diagnose, load_plan, load_rig
 from estimator.acquisition.acquire import Choice
 from estimator.acquisition.pace import default_pace, durations_s
 from estimator.model.room_field import RoomField
@@ -29,6 +31,7 @@ from estimator.planning.decision import Limits
 from estimator.planning.information import Expected
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
+from estimator.store.growing import observations_of
 from tests.estimator.planning.measured import World
 from tests.hidden.coil import Winding, blocks_of, circular_field
 from tests.hidden.protocols import Array
@@ -58,6 +61,17 @@ class Truth:
         self.noise_T = 1e-6 * np.exp(rng.uniform(np.log(10.0), np.log(40.0)))
         self.gain = np.array([1.0 + (rng.random() < FLAWED) * rng.uniform(0.01, 0.03), 1.0, 1.0])
         self.background_T = rng.normal(size=3) * EARTH_T / 3.0**0.5
+        named = zip("xyz", self.background_T, strict=True)
+        self.known = {f"background_field[room].{axis}_T": value for axis, value in named}
+        self.known |= {f"sensor_offset[hall].{axis}_T": 0.0 for axis in "xyz"} | {
+            "hall.noise_T": self.noise_T
+        }
+        pose = {name: draw[name] for name in ("x_m", "y_m", "tilt_x_rad", "tilt_y_rad")}
+        pose["z_m"] = self.place_m[2]
+        self.known |= {f"coil1.world_from_coil0.{name}": value for name, value in pose.items()}
+        winding = dict(zip(("axial_loops", "radial_loops"), map(float, loops), strict=True))
+        winding |= {name: sizes[name] for name in ("radius_m", "wire_radius_m")}
+        self.known |= {f"coil1.{name}": value for name, value in winding.items()}
 
     def field_T(self, points_m: Array, displacement_m: Array, current_A: Array) -> Array:
         """Field at world points, the coil displaced in its own frame (Osinde et al., eq 18-22)."""
@@ -89,7 +103,7 @@ def row(rig: Rig, seed: int) -> dict[str, Any]:
         if choice is None:
             break
         entries.append(world.entry(choice, len(entries)))
-    end = pilot.decide(entries)
+    end, session = pilot.decide(entries), Session(pilot.rig, observations_of(entries, pilot.rig), "autopilot")
     visited = pilot.settings.rows(torch.tensor([entry["decision"]["row"] for entry in entries])).alone
     return {
         "seed": seed,
@@ -103,7 +117,24 @@ def row(rig: Rig, seed: int) -> dict[str, Any]:
         **errors(pilot, truth, end.widths[0] * percent, seed),
         "median_s": float(np.median(took_s)),
         "longest_s": max(took_s),
+        "ranks": ranks(session, truth),
+        "named": names(session),
     }
+
+
+def ranks(session: Session, truth: Truth) -> dict[str, float]:
+    """Share of the posterior's draws below the truth, by number of the rig; of equal ones a half."""
+    draws = calibrate(session, as_described=True, seed=1).draws
+    return {
+        name: float((values < truth.known[name]).mean() + 0.5 * (values == truth.known[name]).mean())
+        for name, values in draws.items()
+    }
+
+
+def names(session: Session) -> list[list[str]]:
+    """The sets of causes that a diagnosis of the chosen stops states."""
+    causes = diagnose(session, seed=1, has_corrections=False).causes
+    return [[cause.cause.name, *(other.cause.name for other in cause.alternatives)] for cause in causes]
 
 
 def raster_half_width(rig: Rig, grid: Plan, truth: Truth, seed: int) -> tuple[float, float]:
@@ -172,6 +203,16 @@ def main() -> None:
             print(
                 f"{name}: {len(some)} rigs, goal reached in {len(reached)}, kept in {n_kept} of these, medians {json.dumps(medians)}"
             )
+            n_stated = sum(bool(r["named"]) for r in some)
+            n_right = sum(any("axis_gain" in names for names in r["named"]) for r in some)
+            print(f"  diagnoses of the chosen stops: {n_stated} state a cause, {n_right} the gain")
+    among = [r["ranks"] for r in rows if r["gain"] == 1.0]
+    for name in among[0] if among else ():
+        column = np.array([each[name] for each in among])
+        inside = int((np.abs(column - 0.5) <= 0.45).sum())
+        print(
+            f"  {name}: {inside} of {len(column)} in 90 % intervals, uniform at p {kstest(column, 'uniform').pvalue:.2g}"
+        )
 
 
 if __name__ == "__main__":
