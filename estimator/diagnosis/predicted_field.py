@@ -42,7 +42,7 @@ class PredictedReadings:
         self._room = RoomField(fit.rig, fit.values, places_m.detach(), dict(self._readings.motion))
 
     def _places(self, values: Values) -> tuple[Float[Tensor, "reading 3"], Float[Tensor, "reading 3 3"]]:
-        """Where sensors stood and how they were turned, by reading."""
+        """Places and rotations of the sensors, by reading."""
         model, n_rows = self._model, len(self._model.every_row)
         own = {name: value for name, value in values.items() if name in model.rig.parameters}
         poses = model.world_from_sensor(model.every_row, own)
