@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from estimator.effects import EFFECTS, ORDER
 from estimator.effects.base import Effect, Kind, Theta
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import MotionEffect, RecordEffect
+from estimator.effects.stages import MotionEffect, MountEffect, RecordEffect
 from estimator.errors import InvalidInput
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import Body, Mover
@@ -91,9 +91,11 @@ def shifts_rows(effect: Effect) -> bool:
 def is_in_field(rig: Rig, cause: Cause) -> bool:
     """Whether a cause changes the field that a calibration predicts; else only how readings of it came about.
 
-    Where a mover stands that carries a sensor says where a reading was taken, not what the field is there.
+    Where a mover stands that carries a sensor says where a reading was taken, not what the field is there; so does how a sensor is mounted.
     """
     effect = EFFECTS[cause.name]
+    if isinstance(effect, MountEffect):
+        return any(coil.name == cause.place for coil in rig.coils)
     if isinstance(effect, MotionEffect):
         carriers = [{body.carried_by for body in bodies} for bodies in (rig.coils, rig.sensors)]
         return cause.place in carriers[0] - carriers[1]
