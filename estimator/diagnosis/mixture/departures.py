@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -60,13 +60,13 @@ class Changes:
     Attributes:
         expansion: The fit.
         kinds: All kinds of departures that a session may have.
-        columns: By kind, whitened changes per unit of each amplitude, at each start.
+        columns: By kind, whitened changes per unit of each amplitude, at each start; of a moved expansion they are made one kind at a time.
         pool: Listed causes.
     """
 
     expansion: Expansion
     kinds: tuple[CorrectionKind, ...]
-    columns: tuple[Float[Tensor, "start component amplitude"], ...]
+    columns: Iterable[Float[Tensor, "start component amplitude"]]
     pool: tuple[Candidate, ...]
 
     @classmethod
@@ -116,7 +116,7 @@ class Changes:
             if c.cause in set(causes)
         ]
         pool += candidates(fit, [cause for cause in causes if cause not in known])
-        columns = tuple(torch.stack([moved(start) for start in of_kind]) for of_kind in self.columns)
+        columns = (torch.stack([moved(start) for start in of_kind]) for of_kind in self.columns)
         return Changes(expansion, self.kinds, columns, tuple(pool))
 
 
@@ -237,7 +237,8 @@ def _of_kind(
     value = _best_evidence(fit, columns)
     chosen = value.topk(min(MOST_STARTS, len(value))).indices.tolist()
     share = -math.log(len(kind.starts))
-    return [_up_to(kind, kind.starts[i], columns[i], kind.lowest, share) for i in chosen]
+    # A view would keep the columns of all starts in memory.
+    return [_up_to(kind, kind.starts[i], columns[i].clone(), kind.lowest, share) for i in chosen]
 
 
 def _highest(kind: CorrectionKind) -> int:
