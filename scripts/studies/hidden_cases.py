@@ -36,12 +36,17 @@ def _among(kinds: Sequence[str]) -> Callable[[str], str]:
 
 
 def options_of(
-    words: str | None, kinds: Sequence[str], cases: int, first_seed: int, out: str
+    words: str | None,
+    kinds: Sequence[str],
+    cases: int,
+    first_seed: int,
+    out: str,
+    others: Sequence[str] = (),
 ) -> argparse.ArgumentParser:
-    """Options that these studies have in common; the numbers are defaults."""
+    """Options that these studies have in common; the numbers are defaults, and other kinds may be asked for too."""
     parser = argparse.ArgumentParser(description=words)
     parser.add_argument("--cases", type=int, default=cases, help="number of cases of each kind")
-    parser.add_argument("--kinds", default=",".join(kinds), type=_among(kinds))
+    parser.add_argument("--kinds", default=",".join(kinds), type=_among((*kinds, *others)))
     parser.add_argument("--first-seed", type=int, default=first_seed)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=Path(out))

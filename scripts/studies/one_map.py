@@ -1,8 +1,8 @@
-"""Whether ten diagnoses of one large map agree, each with other readings for the search and others kept unseen; `make one-map` runs it.
+"""Whether ten diagnoses of one map agree, each with other readings for the search and others kept unseen; `make one-map` runs it.
 
-Two maps by six probes are asked: run03 of the measured MICE solenoids (below COILCAL_DATA), and a simulated bore behind a pierced plate
-of iron, with the wrong zero of one probe. The seed of a diagnosis draws which readings the search sees. Of the measured map it also draws
-which readings there are, one in eleven, and the search ends after three causes, for a whole diagnosis takes an hour. Every diagnosis is
+By default two maps by six probes are asked: run03 of the measured MICE solenoids (below COILCAL_DATA), and a simulated bore behind a
+pierced plate of iron, with the wrong zero of one probe; other measured maps by their names (`--kinds maxwell-both-coils,mri4all-gradient`).
+The seed of a diagnosis draws which readings the search sees, and of a large measured map which 800 readings there are. Every diagnosis is
 appended to a file as it ends, so an interrupted study continues.
 """
 
@@ -20,18 +20,19 @@ from pathlib import Path
 import numpy as np
 
 from estimator import Diagnosis, Session, diagnose, load_rig
-from estimator.diagnosis.limits import Limits
 from estimator.readings.split import thinned
 from estimator.store.importers.readings_csv import read_readings_csv
-from scripts.studies.diagnose_real import MICE, session_of
+from scripts.studies.diagnose_real import MICE, MORE, session_of
 from scripts.studies.hidden_cases import Row, gather, options_of
+from scripts.studies.real_data import DATA_SETS
 from tests.hidden.bore_map import SOLENOID, SOLENOID_TEXT, places_m, write_map
 from tests.hidden.coil import blocks_of, circular_field
 from tests.hidden.pierced_sheet import pierced_T
 
 MEASURED, SIMULATED = "mice-run03", "simulated"
 ARMS_MM = {"p0": (0, 0), "p1": (6, 0), "p2": (0, 12), "p3": (-18, 0), "p4": (0, -24), "p5": (30, 0)}
-N_MEASURED, MOST_CAUSES_MEASURED = 800, 3
+N_MEASURED = 800
+MAPS = {data_set.name: data_set for data_set in (*DATA_SETS, *MORE, *MICE)}
 N_PLACES, CURRENT_A = 400, 5.0
 PLATE_HEIGHT_M, OPENING_M = 0.23, 0.055
 OFFSET_T = (20e-6, -10e-6, 15e-6)  # of probe p3
@@ -39,25 +40,25 @@ SEED_OF_MAP = 1
 
 
 def main() -> None:
-    options = options_of(__doc__, (MEASURED, SIMULATED), 10, 1, "out/one_map.jsonl").parse_args()
-    if MEASURED in options.kinds.split(",") and not os.environ.get("COILCAL_DATA"):
+    options = options_of(__doc__, (MEASURED, SIMULATED), 10, 1, "out/one_map.jsonl", tuple(MAPS)).parse_args()
+    if set(options.kinds.split(",")) & set(MAPS) and not os.environ.get("COILCAL_DATA"):
         sys.exit("one_map: COILCAL_DATA must name the folder with the measured maps; it is not set")
     show(gather(options, run_case), options)
 
 
 def run_case(kind: str, seed: int) -> Row:
     """One diagnosis of one of the maps."""
-    session = measured_map(seed) if kind == MEASURED else simulated_map()
-    limits = Limits(most_causes=MOST_CAUSES_MEASURED) if kind == MEASURED else Limits()
+    session = simulated_map() if kind == SIMULATED else measured_map(kind, seed)
     begin = time.perf_counter()
-    diagnosis = diagnose(session, seed=seed, limits=limits)
+    diagnosis = diagnose(session, seed=seed)
     return {**row_of(kind, seed, diagnosis), "seconds": time.perf_counter() - begin}
 
 
-def measured_map(seed: int) -> Session:
-    """Some readings of MICE run03."""
-    data_set = next(data_set for data_set in MICE if data_set.name == MEASURED)
-    session = session_of(data_set, Path(os.environ["COILCAL_DATA"]))
+def measured_map(name: str, seed: int) -> Session:
+    """Some readings of a measured map, or all where they are few."""
+    session = session_of(MAPS[name], Path(os.environ["COILCAL_DATA"]))
+    if len(session.observations) <= N_MEASURED:
+        return session
     some = thinned(session.observations, N_MEASURED, seed)
     return replace(session, observations=replace(some, whole=None, chosen=None))
 
