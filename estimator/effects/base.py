@@ -29,6 +29,7 @@ Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hy
 Starts = tuple[dict[str, float], ...]  # shapes that fits start from, by key
 
 
+LEAST_SHARE = -0.9  # a tenth of what was stated is left
 AFTER = 1.0 + 1e-6  # of the duration of a session: after its last reading
 WHEN = "when it happened in a session that has not begun"  # what a cause with an instant depends on
 
@@ -110,6 +111,11 @@ def normal(key: str, unit: str, sd: float, null: float = 0.0) -> Quantity:
 def pure(**widths: float) -> Quantities:
     """Pure numbers that scatter normally about zero, each with its standard deviation: `pure(excess=0.01)`."""
     return tuple(normal(key, "1", sd) for key, sd in widths.items())
+
+
+def share(**widths: float) -> Quantities:
+    """Relative changes of numbers that stay positive: pure numbers that scatter normally about zero and are never near -1."""
+    return tuple(Quantity(key, "1", Normal(0.0, sd, lower=LEAST_SHARE)) for key, sd in widths.items())
 
 
 def at_least_zero(key: str, unit: str, sd: float) -> Quantity:

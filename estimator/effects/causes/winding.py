@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from estimator.effects.base import Quantity, Starts, Theta, fixed, normal, pure, shape
+from estimator.effects.base import Quantity, Starts, Theta, fixed, normal, pure, shape, share
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import AddedLoops, SidesEffect, WindingEffect
 from estimator.field.loop import FEWEST_STEPS
@@ -30,7 +30,7 @@ def _wire_of_an_open_pitch(circumstances: Circumstances, place: str) -> frozense
 
 # Quantities: of the external radius, of the wire's thickness and of both numbers of loops.
 @WindingEffect.cause(
-    quantities=pure(radius=0.02, wire=0.02, axial_loops=0.03, radial_loops=0.03),
+    quantities=share(radius=0.02, wire=0.02, axial_loops=0.03, radial_loops=0.03),
     unseen=_wire_of_an_open_pitch,
     can_begin=False,
     is_structural=True,
@@ -55,7 +55,7 @@ def _corner_and_wire(circumstances: Circumstances, place: str) -> frozenset[str]
 
 # Quantities: of both sides of the bore, of its corner radius, of the wire's thickness and of both numbers of loops.
 @SidesEffect.cause(
-    quantities=pure(side_x=0.02, side_y=0.02, corner=0.1, wire=0.02, axial_loops=0.03, radial_loops=0.03),
+    quantities=share(side_x=0.02, side_y=0.02, corner=0.1, wire=0.02, axial_loops=0.03, radial_loops=0.03),
     unseen=_corner_and_wire,
     is_structural=True,
 )
@@ -76,7 +76,7 @@ def _is_pitch_fixed(key: str) -> Callable[[Circumstances, str], bool]:
     return lambda circumstances, place: not circumstances.rig.parameters[f"{place}.{key}"].is_free
 
 
-@WindingEffect.cause(quantities=pure(excess=0.02), concerns=_is_pitch_fixed("axial_pitch_m"), can_begin=False)
+@WindingEffect.cause(quantities=share(excess=0.02), concerns=_is_pitch_fixed("axial_pitch_m"), can_begin=False)
 def axial_pitch(winding: Winding, theta: Theta) -> Winding:
     """Turns lie wider along the axis than the wire is thick.
 
@@ -88,7 +88,7 @@ def axial_pitch(winding: Winding, theta: Theta) -> Winding:
 
 
 @WindingEffect.cause(
-    quantities=pure(excess=0.05), concerns=_is_pitch_fixed("radial_pitch_m"), can_begin=False
+    quantities=share(excess=0.05), concerns=_is_pitch_fixed("radial_pitch_m"), can_begin=False
 )
 def radial_pitch(winding: Winding, theta: Theta) -> Winding:
     """Layers lie closer than the wire is thick.
