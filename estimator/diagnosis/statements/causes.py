@@ -50,15 +50,16 @@ def is_only_flagged(diagnosis: Diagnosis) -> bool:
 
 
 def _stated(diagnosis: Diagnosis) -> Iterator[str]:
-    """One sentence for each stated cause, with what else it may be; several places of one cause in one sentence."""
+    """One sentence for each stated cause, with what else it may be; several places of one cause in one, for the least sure of them."""
     for name in dict.fromkeys(named.cause.name for named in diagnosis.causes):
         same = [named for named in diagnosis.causes if named.cause.name == name]
         label = diagnosis.label(same[0].cause)
         if len(same) > 1:
             label = f"{name}[{', '.join(named.cause.place for named in same)}]"
-        least = probability(min(named.probability for named in same))
+        least = min(same, key=lambda named: named.probability)
         share = _share(diagnosis, [named.cause for named in same])
-        words = f"{_family(same[0])}{EFFECTS[name].words} ({label}, {least}){_others(diagnosis, same[0])}."
+        how_sure, others = probability(least.probability), _others(diagnosis, least)
+        words = f"{_family(least)}{EFFECTS[name].words} ({label}, {how_sure}){others}."
         yield f"{_capital(words)}{share}"
 
 

@@ -216,6 +216,15 @@ def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis: 
     assert sized.to_json()["may_be_unknown"]
 
 
+def test_one_cause_at_two_places_is_told_as_sure_as_at_the_less_sure_one(diagnosis: Diagnosis) -> None:
+    (named,) = diagnosis.causes
+    sure = replace(named, probability=0.95, alternatives=(), p_not_in_library=0.05, family=None)
+    less = replace(sure, cause=Cause(named.cause.name, "other"), probability=0.8, p_not_in_library=0.2)
+    for causes in ((sure, less), (less, sure)):
+        first = headline(replace(diagnosis, findings=replace(diagnosis.findings, causes=causes)))[0]
+        assert "80 %), or something not in the library (20 %)" in first
+
+
 def test_what_is_left_beside_a_name_is_told_with_its_best_description(diagnosis: Diagnosis) -> None:
     partly = said_instead(diagnosis, {(OFFSET, WANDERS): 98, (OFFSET,): 2}, [{WANDERS: 0.8, STEPS: 0.2}])
     what, beside, *_ = headline(partly)
