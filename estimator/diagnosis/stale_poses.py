@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.expectation import Expectation, predict_T
+from estimator.diagnosis.expectation import Expectation, distance, predict_T
 from estimator.diagnosis.fitting import Fit
 from estimator.readings.flags import Flag, Reason
 from estimator.readings.observations import Observations
@@ -88,7 +88,7 @@ def _log_odds_of_the_pose_after(
 ) -> Float[Tensor, " row"]:
     """Log odds of each row, in order of time, that it has the pose of the row after or its own, against its own; 0 where both agree.
 
-    A row that was taken at the place of the row before has its own.
+    A row that was taken at the place of the row before has its own. One that fits neither pose was made otherwise.
     """
     after = torch.cat((order[1:], order[-1:]))
     real = {name: motion.index_copy(0, order, motion[after]) for name, motion in observations.motion.items()}
@@ -102,4 +102,5 @@ def _log_odds_of_the_pose_after(
     log_odds = (0.5 * (squares(expected.predicted_T) - squares(there_T))).clamp(max=MOST_OF_ONE)
     log_odds = torch.logaddexp(log_odds, torch.zeros_like(log_odds)) - math.log(2.0)
     is_same = torch.stack([(real[n] == observations.motion[n]).all(dim=1) for n in real]).all(dim=0)
-    return log_odds.masked_fill(is_same, 0.0)[order]
+    is_far = distance(observations.field_sensor_T, there_T, expected.size_T) > policy.NEAR_TO_EXPECTED
+    return log_odds.masked_fill(is_same | is_far, 0.0)[order]

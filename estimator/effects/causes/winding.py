@@ -76,7 +76,9 @@ def _is_pitch_fixed(key: str) -> Callable[[Circumstances, str], bool]:
     return lambda circumstances, place: not circumstances.rig.parameters[f"{place}.{key}"].is_free
 
 
-@WindingEffect.cause(quantities=share(excess=0.02), concerns=_is_pitch_fixed("axial_pitch_m"), can_begin=False)
+@WindingEffect.cause(
+    quantities=share(excess=0.02), concerns=_is_pitch_fixed("axial_pitch_m"), can_begin=False
+)
 def axial_pitch(winding: Winding, theta: Theta) -> Winding:
     """Turns lie wider along the axis than the wire is thick.
 

@@ -36,6 +36,15 @@ def test_each_fifth_row_with_the_pose_before_is_found(small_session: Session) ->
     assert len(flag.readings) > 0.7 * len(stale)
 
 
+def test_rows_that_fit_neither_the_pose_before_nor_that_after_are_not_said_to(small_session: Session) -> None:
+    readings = small_session.observations.calibration
+    fit = fit_of(small_session.rig, readings)
+    motion = readings.motion["arm1"].clone()
+    stale = torch.arange(EVERY, len(readings), EVERY)
+    motion[stale] = readings.motion["arm1"][stale - 1]
+    assert stale_poses(fit, replace(readings, motion={"arm1": motion})) == []
+
+
 def test_the_last_of_three_sensors_at_each_place_has_no_stale_pose(
     small_session: Session, rig_text: str
 ) -> None:
