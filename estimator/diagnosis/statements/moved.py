@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
+from torch import Tensor
 
+from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.panel_records import Moved, Shown
@@ -32,12 +34,15 @@ def impact_sd(fit: Fit, cause: Cause) -> dict[str, float]:
         return {}
     within = fit.covariance[own][:, own]
     shift = fit.covariance[:, own] @ torch.linalg.solve(within, null - fit.vector[own])
-    sd = torch.diagonal(fit.covariance).sqrt()
-    return {
-        name: float(shift[i] / sd[i])
-        for i, name in enumerate(coordinates.names)
-        if not name.startswith(f"{cause.label}.")
-    }
+    names = [name for name in coordinates.names if not name.startswith(f"{cause.label}.")]
+
+    def numbers(vector: Tensor) -> Tensor:
+        values = coordinates.values(vector)
+        return torch.stack([values[name] for name in names], dim=-1)
+
+    slopes = jacobian_of(numbers, fit.vector)  # a winding's parameters are not its coordinates
+    sd = (slopes @ fit.covariance * slopes).sum(-1).sqrt()
+    return dict(zip(names, (slopes @ shift / sd).tolist(), strict=True))
 
 
 MOST_COLUMNS = 6

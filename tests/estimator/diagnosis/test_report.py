@@ -55,7 +55,7 @@ def test_smallest_visible_sizes_are_told_with_their_place_and_what_absorbs_them(
     in_json = diagnosis.to_json()["smallest_visible"]["axis_gain.x"]
     assert in_json["place"] == "hall"
     assert 0.0 <= in_json["share_absorbed"] <= 1.0
-    assert in_json["hidden_in"] in {parameter.name for parameter in diagnosis.rig.free}
+    assert in_json["hidden_in"] in diagnosis.fits.plain.posterior.coordinates.quantities
 
 
 def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong(
