@@ -78,7 +78,9 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
 def _impact_table(diagnosis: Diagnosis) -> Table:
     """How far each cause pulls each parameter, as particle physicists list the pulls of systematic errors."""
     stand_ins = diagnosis.findings.stand_ins
-    causes = sorted(diagnosis.fits.final.rig.effects, key=lambda cause: cause in stand_ins)[:MOST_COLUMNS]
+    before = diagnosis.fits.plain.rig.effects
+    added = [cause for cause in diagnosis.fits.final.rig.effects if cause not in before]
+    causes = sorted(added, key=lambda cause: cause in stand_ins)[:MOST_COLUMNS]
     by_name = {number.shown.name: number for number in moved(diagnosis)}
     rows = []
     for number in (by_name[name] for name in _rig_numbers(diagnosis) if name in by_name):

@@ -255,6 +255,17 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     assert "also has" not in _text(diagnosis)
 
 
+def test_a_cause_that_the_rig_has_anyway_is_not_said_to_have_been_found(diagnosis: Diagnosis) -> None:
+    known = replace(diagnosis, fits=replace(diagnosis.fits, plain=diagnosis.fits.extended))
+    page = as_text(known)
+    assert "What was there anyway" in page
+    assert "What was found" not in page
+    assert "Impact of each cause" not in page
+    assert "What the extension explains" not in [picture.title for picture in pictures(known)]
+    (error,) = (sentence for sentence in headline(known) if "no fit has seen" in sentence)
+    assert re.search(r"the rms error is [\d.]+ µT\.", error)
+
+
 def test_what_a_name_cannot_be_told_from_is_called_so_in_table_figure_and_page(diagnosis: Diagnosis) -> None:
     """Draws have it in a fifth of the slots, though the comparison at the leading set finds it improbable."""
     either = said_instead(diagnosis, {(OFFSET,): 100}, [{OFFSET: 0.8, GAIN: 0.2}])
