@@ -307,7 +307,7 @@ class Calibration(Shown):
                 f"currents must be given by coil, such as {example}; received {quoted(currents_A)}"
             )
         check_known("currents must name coils of the rig", currents_A, names)
-        for name, current_A in currents_A.items():
+        for name, current_A in cast(Mapping[str, object], currents_A).items():
             if not (isinstance(current_A, SupportsFloat) and abs(float(current_A)) <= LARGEST):
                 rule = f"current of {name} must be a number between {-LARGEST:g} and {LARGEST:g}"
                 raise InvalidInput(f"{rule}; received {quoted(current_A)}")
