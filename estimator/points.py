@@ -50,6 +50,7 @@ def given_points(points: Any) -> Points:
         raise InvalidInput(f"points must be numbers, such as {KINDS}; received {quoted(points)}") from error
     if isinstance(points, list | tuple):
         return _rows(torch.from_numpy(array), lambda values, *_: type(points)(numpy_of(values).tolist()))
+    array = array if array.flags.writeable else array.copy()  # as data frames give
     return _rows(torch.from_numpy(array), lambda values, *_: numpy_of(values))
 
 

@@ -44,7 +44,7 @@ from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend
 from estimator.store.files import writing
 from estimator.store.made import check_folder
-from estimator.store.session import Session
+from estimator.store.session import Session, check_session
 
 PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
 
@@ -107,6 +107,7 @@ def calibrate(
     """
     tell = on_stage or (lambda stage: None)
     place, dtype = device_named(device), precision_named(precision)
+    check_session(session)
     besides = _rig_to_fit(session, rig or session.rig, has_integer_counts, as_described)
     rig = besides.rig
     settings = replace(settings or SamplerSettings(), seed=seed)

@@ -26,6 +26,7 @@ from estimator.store.staging import staged
 from estimator.store.tree import Node, read_tree, tree_hash, write_tree
 
 SCHEMA_VERSION = 1
+INSIDE = "calibration"  # folder in that of a diagnosis, `estimator.diagnosis.result`
 POSTERIOR_STORE, SUMMARY_FILE, CHAIN_STORE, REPORT = (
     "posterior.zarr",
     "summary.json",
@@ -80,8 +81,10 @@ def read_parts(folder: Path) -> Parts:
         CorruptStore: A file in it is damaged.
     """
     if not (folder / SUMMARY_FILE).is_file():
+        inner = folder / INSIDE
+        hint = f"; the calibration of this diagnosis is {inner}" if (inner / SUMMARY_FILE).is_file() else ""
         raise InvalidInput(
-            f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY_FILE}); received {folder}"
+            f"calibration must be a folder that coilcal calibrate finished (with {SUMMARY_FILE}); received {folder}{hint}"
         )
     admit(folder / POSTERIOR_STORE, "calibration")
     try:

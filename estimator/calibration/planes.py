@@ -45,10 +45,10 @@ class CoilPlane(NamedTuple):
 
 
 def coil_planes(calibration: Calibration, n_points: int = PLANE_POINTS) -> Iterator[CoilPlane]:
-    """The field of each coil that carried current, of the first few where there are many; without that of the room."""
-    fit, alone = fitted(calibration), calibration.coils_alone()
+    """The field of each coil that carried current, of the first few where there are many."""
+    fit = fitted(calibration)
     for coil, positions_m, winding in islice(sensor_positions(calibration, fit), MOST_COILS):
-        yield coil_plane(alone, coil, positions_m, fit.best, winding, n_points)
+        yield coil_plane(calibration, coil, positions_m, fit.best, winding, n_points)
 
 
 def coil_plane(
@@ -59,10 +59,11 @@ def coil_plane(
     winding: Winding | None,
     n_points: int = PLANE_POINTS,
 ) -> CoilPlane:
-    """The field around a coil, as far as its readings reach.
+    """The field around a coil, without that of the room, as far as its readings reach.
 
     The plane is at most twice as high as wide: beyond that the field is a dipole's and panels get thin.
     """
+    alone = calibration.coils_alone()
     reach = 1.2 * np.nanmax(np.abs(positions_m[:, :2]))
     if winding is None:
         reach = max(reach, 1.2 * float(np.nanmax(np.abs(positions_m))))
@@ -73,10 +74,10 @@ def coil_plane(
         low = min(-1.3 * length_m, max(1.1 * np.nanmin(positions_m[:, 2]), -0.5 * length_m - 2.0 * reach))
         high = max(0.5 * radius_m, min(1.1 * np.nanmax(positions_m[:, 2]), 2.0 * reach))
     x_m, z_m = np.linspace(-reach, reach, n_points), np.linspace(low, high, n_points)
-    field = _field_per_A(calibration, coil, best, _grid(x_m, z_m))
+    field = _field_per_A(alone, coil, best, _grid(x_m, z_m))
     # Half as fine, for it is smooth: draws of an effect that sums over all loops would take minutes.
     coarse_x_m, coarse_z_m = (np.linspace(at[0], at[-1], n_points // 2 + 1) for at in (x_m, z_m))
-    coarse = _relative_half_width(calibration, coil, best, _grid(coarse_x_m, coarse_z_m))
+    coarse = _relative_half_width(alone, coil, best, _grid(coarse_x_m, coarse_z_m))
     coarse = coarse.reshape(len(coarse_z_m), -1)
     nearest = distance_transform_edt(~np.isfinite(coarse), return_distances=False, return_indices=True)
     between = RegularGridInterpolator((coarse_z_m, coarse_x_m), coarse[tuple(nearest)])

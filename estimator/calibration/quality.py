@@ -57,7 +57,9 @@ class Assessment:
 
     def to_json(self) -> dict[str, Any]:
         """Verdict, reasons and next step in the form of `summary.json`."""
-        return {"verdict": str(self.quality), "reasons": list(self.reasons), "next": self.next_step}
+        first, *others = self.reasons  # the first one follows the verdict and a colon
+        reasons = [first, *(reason[:1].upper() + reason[1:] for reason in others)]
+        return {"verdict": str(self.quality), "reasons": reasons, "next": self.next_step}
 
 
 def assessment(

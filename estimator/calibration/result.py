@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar, cast
 
 import numpy as np
 from jaxtyping import Float
@@ -307,10 +307,10 @@ class Calibration(Shown):
                 f"currents must be given by coil, such as {example}; received {quoted(currents_A)}"
             )
         check_known("currents must name coils of the rig", currents_A, names)
-        for name in currents_A:
-            if not abs(currents_A[name]) <= LARGEST:
-                rule = f"current of {name} must lie between {-LARGEST:g} and {LARGEST:g}"
-                raise InvalidInput(f"{rule}; received {currents_A[name]:g}")
+        for name, current_A in cast(Mapping[str, object], currents_A).items():
+            if not (isinstance(current_A, SupportsFloat) and abs(float(current_A)) <= LARGEST):
+                rule = f"current of {name} must be a number between {-LARGEST:g} and {LARGEST:g}"
+                raise InvalidInput(f"{rule}; received {quoted(current_A)}")
         return _kind(like).new_tensor([float(currents_A.get(name, 0.0)) for name in names])
 
 

@@ -47,7 +47,8 @@ def verdict_sentences(calibration: Calibration) -> list[str]:
             "and away from the readings, the width of the prior is left."
         )
     n_fit = len(observations.calibration)
-    sentences.append(f"{n_fit} readings determined {len(summary['point_estimate']['values'])} parameters.")
+    n_free = len(summary["point_estimate"]["values"])
+    sentences.append(f"{n_free} free parameters were fitted to {n_fit} readings.")
     return sentences
 
 

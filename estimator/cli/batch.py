@@ -86,7 +86,7 @@ def batch_command(
         from estimator.batching import batch
         from estimator.batching.page import overview
 
-    from estimator.cli.progress import TimeLeft
+    from estimator.cli.progress import TimeLeft, left_words
     from estimator.inference.ensemble import SamplerSettings
     from estimator.store.files import write_text
 
@@ -97,7 +97,7 @@ def batch_command(
         has_posterior=posterior == "leaders",
         settings=SamplerSettings(target_ess=ess),
         tell=lambda done, total, words: tell_progress(
-            f"{done} of {total}: {words}{time_left.words(done, total)}"
+            f"{done} of {total}: {words}{left_words(time_left.seconds(done, total))}"
         ),
         **options,
     )

@@ -110,7 +110,7 @@ def calibrate_command(
     if not calibration.summary()["is_converged"]:
         click.echo(
             f"coilcal: sampling did not converge in {calibration.summary()['sampling']['steps']} steps; intervals are provisional "
-            "(the same command with more --max-steps continues)",
+            "(the same command with more --max-steps continues; measuring what is not determined helps more: coilcal docs choose-priors)",
             err=True,
         )
     if calibration.summary()["quality"]["verdict"] == "unusable":

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from estimator.store.session import Session
 
 VALIDATION_SHARE = 0.2  # `estimator.store.importers.checked`, which needs torch
+UNDATED = "No date is given, so these readings count as recorded now; --recorded-at says when they were."
 
 
 @click.command("import", cls=CoilcalCommand, takes_derivatives=False)
@@ -71,16 +72,18 @@ def import_command(
     from estimator.cli.proposal import write_recipe
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.common import moment
-    from estimator.store.session import SESSION
+    from estimator.store.session import SESSION, now
     from estimator.store.staging import check_output
 
     check_output(out, overwrite, SESSION)
     recorded_at = how["recorded_at"]
     created = None if recorded_at is None else moment(recorded_at, "--recorded-at")
+    begin = now()
     session, read = _read(paths, load_rig(rig_path), how["kind"], how["currents"], form, yes, not as_json)
+    notes = [] if read is None else notes_of(read)
     if created is not None:
         session = replace(session, created=created)
-    notes = [] if read is None else notes_of(read)
+    is_dated = session.created < begin or created is not None
     proposal = None if read is None else read.proposal
     read = None  # the table of a million readings is not needed beside them
     result, lines = _saved(paths, session, notes, out, overwrite, how["share"], how["seed"])
@@ -91,6 +94,8 @@ def import_command(
             1,
             f"How its columns were read stands in {recipe}; the next file needs no question with --map {recipe}",
         )
+    if not is_dated:
+        lines.append(UNDATED)
     show(result, "\n".join(lines), as_json)
 
 

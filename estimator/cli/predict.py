@@ -47,7 +47,7 @@ HEADER = (
 @option("--level", "Probability of the credible intervals.", float, default=0.9)
 @flag(
     "--coils-alone",
-    "Leave out what is there without current, such as the Earth's field. It widens intervals where no sensor turned.",
+    "Leave out what is there without current, such as the Earth's field. Where no sensor turned, intervals are wider with it.",
 )
 @option("--out", "CSV file to write.", OutputPath(), required=True)
 @prediction_options("points")

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from math import inf
 from typing import TYPE_CHECKING
 
 import click
@@ -19,6 +20,7 @@ if TYPE_CHECKING:
     from estimator.acquisition.acquire import Progress as Visits
     from estimator.calibration.calibrate import Stage
     from estimator.diagnosis.progress import Progress as Fits
+    from estimator.inference.ensemble import Progress as Sampled
 
 LINE_EVERY_S = 30.0  # of a search in a pipe, so that its log stays short
 COUNTED_EVERY_S, UNTOLD_S = 10.0, 2.0  # of work that can be counted; what is done sooner needs no words
@@ -41,7 +43,7 @@ class Reporter:
     def __init__(self, every_s: float = 0.0, first_s: float = 0.0, hidden_s: float = 0.0) -> None:
         self._begin_s, self._every_s, self._hidden_s = time.monotonic(), every_s, hidden_s
         self._printed_s = self._begin_s + first_s - every_s
-        self._what, self._time_left = "", TimeLeft()
+        self._what, self._time_left, self._steps_left = "", TimeLeft(), TimeLeft()
         self.bar: rich.progress.Progress | None = None
         if sys.stderr.isatty() and not is_quiet():
             from rich.console import Console
@@ -110,7 +112,7 @@ class Reporter:
             return
         done, target = sampling.smallest_ess, sampling.target_ess
         words = f"step {sampling.step}, effective samples {done:.0f} of {target:.0f}"
-        words += f", R-hat {sampling.largest_rhat:.4f}{self._time_left.words(done, target)}"
+        words += f", R-hat {sampling.largest_rhat:.4f}{self._sampling_left(sampling)}"
         self.show(words, min(done, target), target, f"  {words}")
 
     def stage(self, words: str) -> None:
@@ -125,9 +127,14 @@ class Reporter:
             return
         target = stage.sampling.target_ess
         done = min(stage.sampling.smallest_ess, target)
-        left = self._time_left.words(done, target)
+        left = self._sampling_left(stage.sampling)
         words = f"{stage.name}: effective samples {done:.0f} of {target:.0f}{left}"
         self.show(words, done, target, f"coilcal: {words}")
+
+    def _sampling_left(self, sampling: Sampled) -> str:
+        """The time left until there are enough effective samples or no more steps, whichever comes first."""
+        samples_s = self._time_left.seconds(sampling.smallest_ess, sampling.target_ess)
+        return left_words(min(samples_s, self._steps_left.seconds(sampling.step, sampling.max_steps)))
 
     def fits(self, progress: Fits) -> None:
         """Show how far a series of fits is."""
@@ -138,7 +145,7 @@ class Reporter:
         """Show that `done` of `total` are done, such as `predicting points`."""
         if what != self._what:
             self._what, self._time_left = what, TimeLeft()
-        words = f"{what}: {done} of {total}{self._time_left.words(done, total)}"
+        words = f"{what}: {done} of {total}{left_words(self._time_left.seconds(done, total))}"
         self.show(words, done, total, f"coilcal: {words}")
 
     def visits(self, progress: Visits) -> None:
@@ -165,8 +172,8 @@ class TimeLeft:
     def __init__(self) -> None:
         self._began: tuple[float, float] | None = None
 
-    def words(self, done: float, target: float) -> str:
-        """The time left if the work goes on as it has, as the end of a line; nothing at the beginning and at the end.
+    def seconds(self, done: float, target: float) -> float:
+        """The time left if the work goes on as it has, in seconds; infinite while that is unknown, 0 at the end.
 
         Args:
             done: How much is done by now; where it falls, something new has begun.
@@ -176,10 +183,14 @@ class TimeLeft:
         if self._began is None or done < self._began[1]:
             self._began = now_s, done
         begin_s, done_before = self._began
-        if not done_before < done < target:
-            return ""
-        left_s = (target - done) * (now_s - begin_s) / (done - done_before)
-        return f", about {duration_words(left_s)} left" if left_s >= LEAST_S else ""
+        if done >= target:
+            return 0.0
+        return (target - done) * (now_s - begin_s) / (done - done_before) if done > done_before else inf
+
+
+def left_words(left_s: float) -> str:
+    """The time left as the end of a line; nothing where it is short or unknown."""
+    return f", about {duration_words(left_s)} left" if LEAST_S <= left_s < inf else ""
 
 
 def fits_words(progress: Fits) -> str:

@@ -50,7 +50,7 @@ from estimator.reporting.numbers import probability
 from estimator.rig.rig import Cause, Rig
 from estimator.side_by_side import meanwhile, one_thread_for_an_operation
 from estimator.store.made import check_folder
-from estimator.store.session import Session
+from estimator.store.session import Session, check_session
 
 
 def diagnose(
@@ -98,6 +98,7 @@ def diagnose(
         InvalidInput: The readings cannot support a fit.
     """
     tell = on_stage or (lambda words: None)
+    check_session(session)
     rig = rig or session.rig
     session.check_rig(rig)
     rig.check_free()

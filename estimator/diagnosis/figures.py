@@ -81,9 +81,9 @@ def budget_pictures(diagnosis: Diagnosis) -> Iterator[Picture]:
 
 def _explained(diagnosis: Diagnosis) -> Iterator[Picture]:
     before, after = diagnosis.fits.plain, diagnosis.fits.extended
-    if not after.rig.effects:
+    labels = [diagnosis.label(cause) for cause in after.rig.effects if cause not in before.rig.effects]
+    if not labels:
         return
-    labels = [diagnosis.label(cause) for cause in after.rig.effects]
     names = " + ".join(labels) if len(labels) <= MOST_IN_TITLE else f"{len(labels)} causes together"
     change_T = predicted_T(after) - predicted_T(before)
     yield Picture(

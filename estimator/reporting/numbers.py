@@ -123,6 +123,8 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
         ('34.57 mT', '91 mm³', '85 mA m²')
         >>> size_with_unit(0.0054, "h"), size_with_unit(2.5, "h")
         ('19 s', '2.5 h')
+        >>> size_with_unit(2.246547e-3, "m3")
+        '2200 cm³'
     """
     if unit == "1" and abs(value) >= 1.0:
         return f"{value:.3g}"
@@ -138,7 +140,7 @@ def _unit_of(value: float, unit: str) -> tuple[float, str]:
     if unit.partition("/")[0] in PREFIXED:
         factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])
     elif unit == "m3":
-        factor, unit = 1e-9, "mm3"
+        factor, unit = (1e-6, "cm3") if abs(value) >= 1e-6 else (1e-9, "mm3")
     elif unit == "h" and abs(value) < 1.0:
         factor, unit = 1.0 / DERIVED_UNITS["h"].to_si, "s"
     return factor, f" {prefix}{unit}".translate(SUPERSCRIPTS)

@@ -93,15 +93,28 @@ class Coordinates:
     @property
     def labels(self) -> tuple[str, ...]:
         """Meaning of each column, in words."""
-        mixed = {
-            "wire_radius_m": "winding thickness",
-            "axial_loops": "turns",
-            "radial_loops": "winding length",
-        }
+        words = {"thickness_m": "winding thickness", "turns": "turns", "length_m": "winding length"}
         return tuple(
-            f"{own.coil} {mixed[own.name.partition('.')[2]]}" if row.sum() > 1.5 else own.label
-            for own, row in zip(self._natural, self._mix, strict=True)
+            own.label if key is None else f"{own.coil} {words[key]}"
+            for own, key in zip(self._natural, self._mixed, strict=True)
         )
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """What each column tells, by its name in `summary.json`: a parameter, or a number that follows from several."""
+        return tuple(
+            own.quantity if key is None else f"{own.coil}.{key}"
+            for own, key in zip(self._natural, self._mixed, strict=True)
+        )
+
+    @property
+    def _mixed(self) -> list[str | None]:
+        """Quantity of a winding that stands in the column of a parameter; None where the parameter itself does."""
+        keys = {"wire_radius_m": "thickness_m", "axial_loops": "turns", "radial_loops": "length_m"}
+        return [
+            keys[own.name.partition(".")[2]] if row.sum() > 1.5 else None
+            for own, row in zip(self._natural, self._mix, strict=True)
+        ]
 
     def values(self, vector: Float[Tensor, "*batch coordinate"]) -> dict[str, Tensor]:
         """Every parameter of the rig; fixed ones have no batch."""

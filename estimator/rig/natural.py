@@ -42,6 +42,11 @@ class Natural:
         return self.name
 
     @property
+    def quantity(self) -> str:
+        """What the coordinate tells, by its name in `summary.json`."""
+        return self.name
+
+    @property
     def coil(self) -> str:
         """Name of the coil that the number belongs to."""
         return self.name.partition(".")[0]
@@ -82,6 +87,11 @@ class ExternalRadius(Natural):
     def label(self) -> str:
         """The rms radius, in words."""
         return f"{self.coil} rms radius"
+
+    @property
+    def quantity(self) -> str:
+        """The rms radius, by its name in `summary.json`."""
+        return f"{self.coil}.rms_radius_m"
 
     def value(self, coordinate: Number, resolve: Resolve) -> Number:
         """The external radius at a rms radius of the loops."""

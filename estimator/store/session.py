@@ -37,6 +37,11 @@ KIND = "coilcal session"
 SEALING = "arrays"  # name under which they are made
 
 
+def now() -> str:
+    """The present time, as sessions write it: in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
 @dataclass(frozen=True)
 class StoredRig:
     """A rig that was read from a store, with the words in which that holds it."""
@@ -66,7 +71,7 @@ class Session(Shown):
     rig: Rig
     observations: Observations
     source: str
-    created: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    created: str = field(default_factory=now)
     truth: Mapping[str, float] = field(default_factory=dict)
     stored_rig: StoredRig | None = field(default=None, repr=False, compare=False)
 
@@ -181,6 +186,18 @@ class Session(Shown):
         group = zarr.open_group(path, mode="w", zarr_format=3)
         write_arrays(group, arrays)
         group.attrs.update({**attributes, "sha256": digest(arrays, attributes)})
+
+
+def check_session(session: object) -> None:
+    """Refuse what is no session, such as its path.
+
+    Raises:
+        InvalidInput: It is none.
+    """
+    if not isinstance(session, Session):
+        raise InvalidInput(
+            f"session must be a Session, as load_session('session.zarr') gives; received {quoted(session)}"
+        )
 
 
 def load_session(path: Path | str) -> Session:

@@ -19,6 +19,7 @@ from estimator.errors import InvalidInput, check_known
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
+from estimator.glance import Glance, Shown
 from estimator.points import given_points
 from estimator.rig.coordinates import Values
 from estimator.system.compiled import CompiledSystem
@@ -28,8 +29,8 @@ from estimator.tensors import Tensor, torch
 Motion = Mapping[str, Float[Tensor, "... 6"]]
 
 
-@dataclass(frozen=True)
-class System:
+@dataclass(frozen=True, repr=False)
+class System(Shown):
     """Coils of one room, each with the model of its calibration.
 
     All calibrations must give poses in the same world frame, such as that of a shared sensor. A constant field of the room is taken from
@@ -73,6 +74,15 @@ class System:
                 if on:
                     by_coil[coil.name] = calibration
         return cls(by_coil)
+
+    def glance(self) -> Glance:
+        """The coils, and how good the calibration of each is."""
+        rows = [
+            (name, calibration.rig.name, calibration.summary().get("quality", {}).get("verdict", ""))
+            for name, calibration in self.calibrations.items()
+        ]
+        sentence = f"System of {len(rows)} {'coil' if len(rows) == 1 else 'coils'} in one room."
+        return Glance(sentence, ("coil", "calibrated on", "verdict"), rows)
 
     @property
     def coils(self) -> tuple[str, ...]:

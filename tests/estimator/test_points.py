@@ -9,6 +9,7 @@ import pytest
 import torch
 import xarray as xr
 
+from estimator import calibrate, diagnose
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.points import given_points
@@ -23,6 +24,13 @@ STILL = {"arm1": [0.0] * 6}
 def expected_T(small_calibration: Calibration) -> np.ndarray:
     points_m = torch.tensor(ROWS, dtype=torch.float64)
     return small_calibration.field(points_m, ON, STILL).numpy()
+
+
+def test_points_of_a_data_frame_may_be_read_only() -> None:
+    """Torch would warn of them, and warnings are errors here."""
+    rows = np.asarray(ROWS)
+    rows.flags.writeable = False
+    assert given_points(rows).points_m.tolist() == ROWS
 
 
 @pytest.mark.parametrize(
@@ -103,6 +111,12 @@ def test_currents_and_motions_of_another_kind_are_refused_with_what_to_pass(
 ) -> None:
     for currents, motion, words in (
         (2.0, None, "currents must be given by coil, such as {'coil1': 2.0}; received 2.0"),
+        (
+            {"coil1": [2.0]},
+            None,
+            "current of coil1 must be a number between -1e+12 and 1e+12; received [2.0]",
+        ),
+        ({"coil1": "2"}, None, "current of coil1 must be a number between -1e+12 and 1e+12; received '2'"),
         (ON, [0.0] * 6, "motion must be given by mover, such as {'arm1': [0, 0, 0.01, 0, 0, 0]}"),
         (ON, {"arm1": "home"}, "motion of arm1 must be six numbers, such as"),
         (ON, {"arm1": 0.0}, "motion of arm1 must be six numbers"),
@@ -110,3 +124,17 @@ def test_currents_and_motions_of_another_kind_are_refused_with_what_to_pass(
         with pytest.raises(InvalidInput) as refusal:
             small_calibration.field(ROWS, currents, motion)  # type: ignore[arg-type]
         assert words in str(refusal.value)
+
+
+def test_a_system_is_shown_in_a_few_lines(small_calibration: Calibration) -> None:
+    system = System.of(small_calibration)
+    assert repr(system).startswith("System of 1 coil in one room.")
+    assert len(repr(system).splitlines()) == 3
+    assert "<td>coil1</td>" in system._repr_html_()
+
+
+@pytest.mark.whole  # with checks of types these calls end earlier
+def test_a_path_is_no_session() -> None:
+    for work in (calibrate, diagnose):
+        with pytest.raises(InvalidInput, match="session must be a Session, as load_session"):
+            work("session.zarr")  # type: ignore[arg-type]

@@ -25,7 +25,7 @@ def test_a_plate_that_the_coil_absorbs_is_told_among_what_could_not_have_shown(t
     last = headline(diagnosis)[-1]
     assert "(iron_plate[room]), up to strength " in last
     assert "% at z = −" in last
-    assert ", which axial loops absorbs by up to " in last
+    assert ", which would move turns by up to " in last
     assert last.endswith("Where nothing of that kind can be, use the rig file as it is.")
     hidden = diagnosis.to_json()["smallest_visible"]["iron_plate.strength"]
     assert hidden["hidden_in"] == "coil1.axial_loops"

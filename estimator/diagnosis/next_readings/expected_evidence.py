@@ -14,12 +14,12 @@ from typing import Any
 
 import torch
 from jaxtyping import Float, Int
-from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector
+from estimator.diagnosis.next_readings.turned import orientation, turned
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations
@@ -103,7 +103,7 @@ def separation(
     fits = list(hypotheses.values())
     more: list[Rows] = []
     if action is not None:
-        more = [Rows.of(fit, action.readings, _turned(fit.rig, action.turned)) for fit in fits]
+        more = [Rows.of(fit, *turned(action.readings, fit.rig, action.turned)) for fit in fits]
     pairs = permutations(range(len(fits)), 2)
     rows = list(zip(seen, more, strict=True)) if more else [(rows_so_far,) for rows_so_far in seen]
     return torch.stack([_distance(fits[j], rows[i], rows[j]) for i, j in pairs])
@@ -134,7 +134,7 @@ def actions(session: Observations, rig: Rig) -> list[Action]:
         for words, rows, currents in programmes
     ]
     for sensor in rig.sensors:
-        if _orientation(rig, sensor.name) is None:
+        if orientation(rig, sensor.name) is None:
             continue
         for axis, turn in (("x", (1.0, 0.0, 0.0)), ("z", (0.0, 0.0, 1.0))):
             quarter = tuple(0.5 * torch.pi * part for part in turn)
@@ -221,22 +221,3 @@ def continued(
         recorded_segment=joined(history.segment, history.segment[-1:].expand(n)),
     )
     return whole.rows(torch.arange(len(history), len(history) + n))
-
-
-def _orientation(rig: Rig, sensor: str) -> str | None:
-    """Prefix of the rotation by which a sensor can be turned; None where the rotation is free or absent."""
-    for block in ("world_from_sensor", "flange_from_sensor"):
-        names = [f"{sensor}.{block}.{key}" for key in ("rx_rad", "ry_rad", "rz_rad")]
-        if all(name in rig.parameters and not rig.parameters[name].is_free for name in names):
-            return f"{sensor}.{block}"
-    return None
-
-
-def _turned(rig: Rig, turned: Mapping[str, tuple[float, float, float]]) -> Rig:
-    for sensor, turn_rad in turned.items():
-        prefix = _orientation(rig, sensor)
-        names = [f"{prefix}.{key}" for key in ("rx_rad", "ry_rad", "rz_rad")]
-        rotation = Rotation.from_rotvec([rig.parameters[name].value for name in names])
-        new_rad = (rotation * Rotation.from_rotvec(turn_rad)).as_rotvec()
-        rig = rig.with_values(dict(zip(names, new_rad.tolist(), strict=True)))
-    return rig

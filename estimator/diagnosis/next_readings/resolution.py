@@ -97,7 +97,7 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
     factor = fit.projector.factor
     shifts = factor @ (factor.T @ (fit.jacobian.T @ columns))
     moved_sd = shifts.abs() / torch.diagonal(fit.covariance).sqrt()[:, None]
-    names = fit.posterior.coordinates.names
+    names = fit.posterior.coordinates.quantities
     of_noise = torch.tensor([name.endswith(".noise_T") for name in names], device=moved_sd.device)
     moved_sd[of_noise] = 0.0
     begin = 0

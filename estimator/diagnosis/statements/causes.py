@@ -137,12 +137,15 @@ def answer(sized: SizedCause) -> Answer:
 
 def found_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     """Quantities of the causes of the extended rig that are sure enough."""
-    named = [cause for cause in diagnosis.fits.final.rig.effects if cause not in diagnosis.findings.stand_ins]
+    sure = [cause for cause in diagnosis.fits.final.rig.effects if cause not in diagnosis.findings.stand_ins]
+    before = diagnosis.fits.plain.rig.effects
     caption = (
         "Quantities of the causes in the extended rig (rig_extended.yaml). A difference, such as x − z, is listed where the readings know "
         "it better than either quantity."
     )
-    yield from _sizes_tables(diagnosis, named, "What was found", caption)
+    yield from _sizes_tables(diagnosis, [c for c in sure if c not in before], "What was found", caption)
+    known = "Quantities of the causes that were fitted before anything was asked: those of the rig file, and what no laboratory is without."
+    yield from _sizes_tables(diagnosis, [c for c in sure if c in before], "What was there anyway", known)
 
 
 def stand_in_tables(diagnosis: Diagnosis) -> Iterator[Table]:

@@ -72,7 +72,9 @@ def gained(diagnosis: Diagnosis) -> Iterator[str]:
     errors_T = [improvement.before.errors.vector_T, errors.vector_T]
     before, after = (size_with_unit(error_T, "T", 3) for error_T in errors_T)
     unseen = f"On {len(improvement.before.log_density)} readings that no fit has seen the rms error"
-    if not improvement.is_significant and errors_T[1] > CLEAR_FALL * errors_T[0]:
+    if diagnosis.fits.extended.rig.acting == diagnosis.fits.plain.rig.acting:
+        gain = f"is {after}"  # what is left of a difference tells nothing
+    elif not improvement.is_significant and errors_T[1] > CLEAR_FALL * errors_T[0]:
         gain = f"does not fall clearly: {before} before, {after} after"
     elif errors_T[1] >= errors_T[0]:  # causes that scatter predict no reading better
         told = f"log predictive density {improvement.elpd_difference:+.0f}"

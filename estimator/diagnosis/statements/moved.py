@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import torch
+from torch import Tensor
 
+from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.panel_records import Moved, Shown
@@ -32,12 +34,15 @@ def impact_sd(fit: Fit, cause: Cause) -> dict[str, float]:
         return {}
     within = fit.covariance[own][:, own]
     shift = fit.covariance[:, own] @ torch.linalg.solve(within, null - fit.vector[own])
-    sd = torch.diagonal(fit.covariance).sqrt()
-    return {
-        name: float(shift[i] / sd[i])
-        for i, name in enumerate(coordinates.names)
-        if not name.startswith(f"{cause.label}.")
-    }
+    names = [name for name in coordinates.names if not name.startswith(f"{cause.label}.")]
+
+    def numbers(vector: Tensor) -> Tensor:
+        values = coordinates.values(vector)
+        return torch.stack([values[name] for name in names], dim=-1)
+
+    slopes = jacobian_of(numbers, fit.vector)  # a winding's parameters are not its coordinates
+    sd = (slopes @ fit.covariance * slopes).sum(-1).sqrt()
+    return dict(zip(names, (slopes @ shift / sd).tolist(), strict=True))
 
 
 MOST_COLUMNS = 6
@@ -73,7 +78,9 @@ def _moved_table(diagnosis: Diagnosis) -> Table:
 def _impact_table(diagnosis: Diagnosis) -> Table:
     """How far each cause pulls each parameter, as particle physicists list the pulls of systematic errors."""
     stand_ins = diagnosis.findings.stand_ins
-    causes = sorted(diagnosis.fits.final.rig.effects, key=lambda cause: cause in stand_ins)[:MOST_COLUMNS]
+    before = diagnosis.fits.plain.rig.effects
+    added = [cause for cause in diagnosis.fits.final.rig.effects if cause not in before]
+    causes = sorted(added, key=lambda cause: cause in stand_ins)[:MOST_COLUMNS]
     by_name = {number.shown.name: number for number in moved(diagnosis)}
     rows = []
     for number in (by_name[name] for name in _rig_numbers(diagnosis) if name in by_name):

@@ -12,7 +12,7 @@ from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.readings.flags import COMPONENTS
 from estimator.readings.observations import SECONDS_PER_HOUR
-from estimator.reporting.numbers import displays, quantity_words, size_with_unit
+from estimator.reporting.numbers import Display, displays, quantity_words, size_with_unit
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
 
@@ -69,12 +69,12 @@ def _is_hidden(visible: Visible) -> bool:
 
 
 def _hidden(diagnosis: Diagnosis, visible: Visible) -> str:
-    """A quantity, where and up to what size it stays unseen, and which number of the rig absorbs it."""
-    number = displays([parameter.name for parameter in diagnosis.rig.free])[visible.hidden_in].words
+    """A quantity, where and up to what size it stays unseen, and which number of the rig it moves."""
+    number = _display(diagnosis, [visible.hidden_in])[visible.hidden_in].words
     size = f"{quantity_words(visible.key)} {size_with_unit(visible.hidden_size, visible.unit)}"
     return (
         f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {f'{size} {where(visible.hidden_at)}'.rstrip()}, which "
-        f"{number} absorbs by up to {visible.hidden_sd:.0f} of its standard deviations"
+        f"would move {number} by up to {visible.hidden_sd:.0f} standard deviations"
     )
 
 
@@ -143,5 +143,10 @@ def where(at: Mapping[str, float]) -> str:
 def absorbing(diagnosis: Diagnosis, quantities: Sequence[Visible]) -> str:
     """Free numbers of the rig that follow more than half of what some quantities of a cause change; a dash where none do."""
     names = dict.fromkeys(name for visible in quantities for name in visible.absorbed_by)
-    display = displays([parameter.name for parameter in diagnosis.rig.free])
-    return ", ".join(display[name].words if name in display else name for name in names) or "—"
+    display = _display(diagnosis, names)
+    return ", ".join(display[name].words for name in names) or "—"
+
+
+def _display(diagnosis: Diagnosis, names: Iterable[str]) -> dict[str, Display]:
+    """Words of some numbers beside those of all free ones."""
+    return displays(list(dict.fromkeys([*(parameter.name for parameter in diagnosis.rig.free), *names])))

@@ -22,6 +22,7 @@ from estimator.tensors import Tensor, torch
 from estimator.units import LARGEST, UNITS
 
 SKIP = "leave such lines out with --skip-bad-lines"
+ZERO = "write 0 where no current flowed, for these readings tell the room's field from the coil's"
 CONVERT = "convert the column, or name another one in its place with --column 'HEADER=NAME'"
 OVERLOAD = 9e36  # SCPI instruments send 9.9e37 for an overload and 9.91e37 for no number
 # Words of instruments and programs for a value that is missing, in lower case.
@@ -130,7 +131,8 @@ class Table:
             is_bad |= np.isnan(values)
         values = values * to_si
         rule = f"{text} must be a finite number"
-        self.refuse_rows(quantity, is_bad, rule, lambda row: quoted(refused.get(row, "")))
+        cure = f"{ZERO}, or {SKIP}" if quantity.endswith("_current") and not refused else SKIP
+        self.refuse_rows(quantity, is_bad, rule, lambda row: quoted(refused.get(row, "")), cure)
         if self.columns[quantity].numbers is not None:
             rule = f"{text} must lie between {-LARGEST / to_si:g} and {LARGEST / to_si:g}"
             is_beyond = np.abs(values) > LARGEST
@@ -175,6 +177,7 @@ class Table:
         is_refused: npt.NDArray[np.bool_],
         rule: str,
         received: Callable[[int], str],
+        cure: str = SKIP,
     ) -> None:
         """Note one fault of rows, with the first places and their number.
 
@@ -183,6 +186,7 @@ class Table:
             is_refused: Whether a row is at fault.
             rule: What the cells must be.
             received: What stands in a row.
+            cure: What to do where other rows are right.
         """
         rows = np.flatnonzero(is_refused).tolist()
         if self.skips_bad:
@@ -191,7 +195,7 @@ class Table:
             column = self.header[quantity].column + 1 or None
             words = [received(row) for row in rows[:MOST_PLACES]]
             lines = [int(self.lines[row]) for row in rows]
-            cure = SKIP if len(rows) < len(self.lines) else f"no row has: {CONVERT}"
+            cure = cure if len(rows) < len(self.lines) else f"no row has: {CONVERT}"
             self.faults.note(fault_at(self.path, lines, rule, words, cure, column))
 
     def word_counts(self, quantity: str) -> dict[str, int]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from estimator.calibration.figures import pictures
+from estimator.calibration.figures import field_picture, pictures
 from estimator.calibration.planes import coil_planes
 from estimator.calibration.result import Calibration
 from estimator.effects.attach import with_effect
@@ -80,8 +80,10 @@ def test_field_of_a_coil_is_without_that_of_the_room(small_calibration: Calibrat
     given = {"x_T": 1e-3, "y_T": 0.0, "z_T": 2e-3}
     rig = with_effect(small_calibration.rig, room, small_calibration.observations, given, is_free=False)
     best = {**small_calibration.best, **{f"{room.label}.{key}": value for key, value in given.items()}}
-    (alone,), (beside,) = (
-        coil_planes(each) for each in (small_calibration, replace(small_calibration, rig=rig, best=best))
-    )
+    calibrations = (small_calibration, replace(small_calibration, rig=rig, best=best))
+    (alone,), (beside,) = map(coil_planes, calibrations)
     np.testing.assert_allclose(beside.field_T_per_A, alone.field_T_per_A, rtol=1e-9)
     np.testing.assert_allclose(beside.relative, alone.relative, rtol=1e-9)
+    planes = [field_picture(each, "coil1").plot.args for each in calibrations]
+    for of_one, of_other in zip(planes[0][2:4], planes[1][2:4], strict=True):
+        np.testing.assert_allclose(of_one, of_other, rtol=1e-9)

@@ -120,3 +120,13 @@ def test_another_schema_version_is_refused(stored: Path) -> None:
     )
     with pytest.raises(CorruptStore, match="calibration schema_version must be 1; received 2"):
         Calibration.load(stored)
+
+
+def test_the_folder_of_a_diagnosis_is_refused_with_the_calibration_in_it(tmp_path: Path) -> None:
+    inner = tmp_path / "calibration"
+    inner.mkdir()
+    (inner / "summary.json").touch()
+    with pytest.raises(
+        InvalidInput, match=f"received {tmp_path}; the calibration of this diagnosis is {inner}"
+    ):
+        Calibration.load(tmp_path)

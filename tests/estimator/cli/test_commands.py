@@ -256,7 +256,7 @@ def test_without_json_the_summary_is_a_table(workspace: Path, tmp_path: Path) ->
     assert result.exit_code == 4
     *_, last = result.stderr.splitlines()
     assert last == (
-        "coilcal: sampling did not converge in 20 steps; intervals are provisional (the same command with more --max-steps continues)"
+        "coilcal: sampling did not converge in 20 steps; intervals are provisional (the same command with more --max-steps continues; measuring what is not determined helps more: coilcal docs choose-priors)"
     )
     notes, _, table = result.stdout.partition("\n\n")
     assert notes.startswith(("good: ", "suspect: "))

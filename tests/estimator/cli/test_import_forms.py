@@ -78,6 +78,13 @@ def test_a_recipe_reads_the_next_file_without_a_question(folder: Path) -> None:
     assert (folder / "session.columns.yaml").exists()
 
 
+@pytest.mark.usefixtures("folder")
+def test_readings_without_a_date_are_said_to_count_as_of_now() -> None:
+    undated = "No date is given, so these readings count as recorded now"
+    assert undated in run(*CALL, "--yes").stdout
+    assert undated not in run(*CALL, "--yes", "--overwrite", "--recorded-at", "2026-03-01").stdout
+
+
 def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     answers = iter((False, True))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from math import inf
+
 import pytest
 
 from estimator.acquisition.acquire import Progress as Visits
 from estimator.calibration.calibrate import Stage
 from estimator.cli import progress
-from estimator.cli.progress import COUNTED_EVERY_S, LINE_EVERY_S, UNTOLD_S, Reporter, TimeLeft
+from estimator.cli.progress import COUNTED_EVERY_S, LINE_EVERY_S, UNTOLD_S, Reporter, TimeLeft, left_words
 from estimator.diagnosis.next_readings.stops import CHOOSING
 from estimator.diagnosis.progress import Pace, Progress
 from estimator.inference.ensemble import Progress as Sampled
@@ -59,14 +61,22 @@ def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_time_left_follows_from_what_was_done_since_the_beginning(now_s: list[float]) -> None:
     left = TimeLeft()
-    assert left.words(50.0, 250.0) == ""
+    assert left.seconds(50.0, 250.0) == inf
     now_s[0] += 10.0
-    assert left.words(100.0, 250.0) == ", about 30 s left"
-    assert left.words(250.0, 250.0) == ""
-    assert left.words(0.0, 100.0) == ""  # something new
+    assert left.seconds(100.0, 250.0) == 30.0
+    assert left.seconds(250.0, 250.0) == 0.0
+    assert left.seconds(0.0, 100.0) == inf  # something new
     now_s[0] += 1.0
-    assert left.words(1.0, 100.0) == ", about 1 min 39 s left"
-    assert left.words(99.9, 100.0) == ""
+    assert left_words(left.seconds(1.0, 100.0)) == ", about 1 min 39 s left"
+    assert left_words(left.seconds(99.9, 100.0)) == ""
+
+
+def test_sampling_ends_with_its_steps(now_s: list[float], capsys: pytest.CaptureFixture[str]) -> None:
+    with Reporter() as reporter:
+        for step, n_effective in ((16_000, 109.0), (18_000, 125.0)):
+            reporter.calibration(Stage("sampling", Sampled(step, 20_000, n_effective, 2000.0, 1.16)))
+            now_s[0] += 60.0
+    assert capsys.readouterr().err.endswith("R-hat 1.1600, about 1 min 0 s left\n")
 
 
 def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(

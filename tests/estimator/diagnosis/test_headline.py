@@ -42,7 +42,6 @@ from tests.estimator.diagnosis.small_fits import OFFSET_T
 pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("names_are_right")]
 
 
-COUNT = "coil1.axial_loops"
 TRUE_Z_M = -0.0425  # of the small session
 
 
@@ -68,13 +67,13 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     near = {"axis": 0.0, "distance_m": 0.035}
     far = {"axis": 2.0, "distance_m": -0.19}
     plate = Visible(
-        Cause("iron_plate", "room"), "strength", "1", 0.01, 0.5, near, 0.1, (), 740.0, COUNT, 0.5, far
+        Cause("iron_plate", "room"), "strength", "1", 0.01, 0.5, near, 0.1, (), 740.0, "coil1.turns", 0.5, far
     )
     left_open = replace(calm.left_open, next_measurements=(), visible=(*calm.left_open.visible, plate))
     last = headline(replace(calm, left_open=left_open))[-1]
     assert last.startswith("These readings could not have shown, for example: ")
     assert (
-        "(iron_plate[room]), up to strength 50 % at z = −190 mm, which axial loops absorbs by up to 740 of its standard deviations"
+        "(iron_plate[room]), up to strength 50 % at z = −190 mm, which would move turns by up to 740 standard deviations"
         in last
     )
     assert 2 <= last.count(", which ") <= 4  # of the room, a coil, a sensor and a mover one each

@@ -102,4 +102,4 @@ def test_a_rig_with_a_doubtful_cause_gives_no_good_calibration(small_calibration
     assert (told["verdict"], told["reasons"]) == ("suspect", [words])
     assert "Tell the causes apart first" in told["next"]
     twice = doubted(doubted(small_calibration, [words]), [words]).summary()["quality"]
-    assert twice["reasons"] == [words, words]
+    assert twice["reasons"] == [words, words[0].upper() + words[1:]]

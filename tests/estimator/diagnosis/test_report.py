@@ -55,7 +55,7 @@ def test_smallest_visible_sizes_are_told_with_their_place_and_what_absorbs_them(
     in_json = diagnosis.to_json()["smallest_visible"]["axis_gain.x"]
     assert in_json["place"] == "hall"
     assert 0.0 <= in_json["share_absorbed"] <= 1.0
-    assert in_json["hidden_in"] in {parameter.name for parameter in diagnosis.rig.free}
+    assert in_json["hidden_in"] in diagnosis.fits.plain.posterior.coordinates.quantities
 
 
 def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong(
@@ -253,6 +253,17 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     assert str(Role.NAMED) not in [text.get_text() for text in race.legends[0].get_texts()]
     assert f"rig_extended.yaml also has {label}: it predicts better" in _text(unexplained)
     assert "also has" not in _text(diagnosis)
+
+
+def test_a_cause_that_the_rig_has_anyway_is_not_said_to_have_been_found(diagnosis: Diagnosis) -> None:
+    known = replace(diagnosis, fits=replace(diagnosis.fits, plain=diagnosis.fits.extended))
+    page = as_text(known)
+    assert "What was there anyway" in page
+    assert "What was found" not in page
+    assert "Impact of each cause" not in page
+    assert "What the extension explains" not in [picture.title for picture in pictures(known)]
+    (error,) = (sentence for sentence in headline(known) if "no fit has seen" in sentence)
+    assert re.search(r"the rms error is [\d.]+ µT\.", error)
 
 
 def test_what_a_name_cannot_be_told_from_is_called_so_in_table_figure_and_page(diagnosis: Diagnosis) -> None:

@@ -204,8 +204,11 @@ def test_with_whole_counts_they_are_the_last_columns_as_they_are():
 
 
 def test_labels_name_every_coil_and_what_is_not_natural_keeps_its_name():
-    labels = Coordinates(rig(RIGS["two coils, both natural"])).labels
+    both = Coordinates(rig(RIGS["two coils, both natural"]))
+    labels = both.labels
     assert {"coil1 turns", "coil2 turns", "coil1 rms radius", "coil2 winding length"} <= set(labels)
+    assert {"coil1.turns", "coil2.rms_radius_m", "coil1.thickness_m", "hall.noise_T"} <= set(both.quantities)
+    assert "coil1.axial_loops" not in both.quantities
     assert len(set(labels)) == len(labels)
     assert Coordinates(rig(RIGS["wire fixed, counts free"])).labels == (
         "coil1 rms radius",

@@ -310,7 +310,7 @@ def test_what_a_cause_hides_in_is_where_a_fit_without_it_goes(cause, key, share)
         fit_rig(fit.rig, readings, at(fit.rig, 40.0), fit.posterior.model.rules)
         for readings in (flawed, right)
     )
-    names = fit.posterior.coordinates.names
+    names = fit.posterior.coordinates.quantities
     sd = fit.covariance.diagonal().sqrt()
     moved = dict(zip(names, ((there.vector - here.vector) / sd).abs().tolist(), strict=True))
     assert moved[visible.hidden_in] == pytest.approx(visible.hidden_sd, rel=0.25, abs=0.1)

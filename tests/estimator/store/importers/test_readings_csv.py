@@ -163,7 +163,10 @@ def test_the_earliest_date_is_that_of_the_session(tmp_path: Path, rig: Rig) -> N
         ((HEADER + ",arm1_rx_rad,arm1_rz_rad", ROW + ",0,0"), "columns must include arm1_ry_rad;"),
         ((HEADER, ROW, NEXT[:-5]), "8 cells like the header; received 7"),
         ((HEADER, ROW, NEXT + ",1"), "8 cells like the header; received 9"),
-        ((HEADER, ROW, NEXT.replace("3,", ",", 1)), "coil1_current_A must be a finite number; received ''"),
+        (
+            (HEADER, ROW, NEXT.replace("3,", ",", 1)),
+            "coil1_current_A must be a finite number; received ''; write 0 where no current flowed",
+        ),
         ((HEADER, ROW, NEXT.replace("0.02", "inf")), "arm1_y_m must be a finite number; received 'inf'"),
         ((HEADER, ROW, NEXT.replace("1e-3", "1_0")), "Bx_T must be a finite number; received '1_0'"),
         ((HEADER, ROW, NEXT.replace("1e-3", "1e-3 T")), "Bx_T must be a finite number; received '1e-3 T'"),
