@@ -134,7 +134,7 @@ def with_rivals(answer: Answer) -> Answer:
     own, fits = answer.fit_beside_departures(stated), each(fit_of, pairs)
     rivals: dict[Cause, tuple[Rival, ...]] = {}
     for (cause, other), fit in zip(pairs, fits, strict=True):
-        fitted = rival(other, fit, own)
+        fitted = rival(other, fit, cause, own)
         if fitted.odds > ALTERNATIVE:
             rivals[cause] = (*rivals.get(cause, ()), fitted)
     return replace(answer, rivals=rivals)

@@ -288,6 +288,18 @@ def with_tails(
     return (wide, factors) if is_likelier else (fit, {})
 
 
+def log_odds_of_width(fit: Fit, cause: Cause) -> float:
+    """Log prior odds of the widths that a cause's sizes have in a fit, against the stated ones."""
+    quantities = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
+    parameters = fit.rig.parameters
+    is_wide = any(
+        (prior := parameters[f"{cause.label}.{q.key}"].prior) is not None and prior.sd > q.prior.sd
+        for q in quantities
+        if not q.is_shape
+    )
+    return LOG_ODDS_OF_WIDEST if is_wide else 0.0
+
+
 def _inside(parameter: Parameter, value: float) -> float:
     """The nearest value at which a fit may start."""
     if parameter.is_positive:

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.comparison import Comparison
+from estimator.diagnosis.mixture.expansion import log_odds_of_width
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
@@ -81,13 +82,19 @@ def contenders(comparison: Comparison, stated: Cause, others: Collection[Cause])
     return [Contender(c, comparison.best_item(c), log_prior(c)) for c in able[:MOST_RIVALS]]
 
 
-def rival(contender: Contender, fit: Fit, stated: Fit) -> Rival:
-    """A contender, judged by its fit and that with the stated cause."""
+def rival(contender: Contender, fit: Fit, stated: Cause, own: Fit) -> Rival:
+    """A contender, judged by its fit and that with the stated cause; sizes beyond their stated widths have the prior of those.
+
+    Args:
+        contender, fit: A cause in the place of the stated one, and the fit with it.
+        stated, own: The stated one, and the fit with that.
+    """
     prefix = f"{contender.cause.label}."
     shapes = {
         name.removeprefix(prefix): float(value)
         for name, value in fit.values.items()
         if name.startswith(prefix)
     }
-    log_odds = fit.log_evidence + contender.log_prior - stated.log_evidence
+    widths = log_odds_of_width(fit, contender.cause) - log_odds_of_width(own, stated)
+    log_odds = fit.log_evidence - own.log_evidence + contender.log_prior + widths
     return Rival(contender.cause, contender.item, log_odds, shapes)

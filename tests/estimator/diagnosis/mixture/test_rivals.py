@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import pytest
 
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture import confirmed as confirmed_module
 from estimator.diagnosis.mixture import rivals as rivals_module
 from estimator.diagnosis.mixture.confirmed import with_rivals
+from estimator.diagnosis.mixture.priors import WIDTHS
 from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
@@ -60,7 +62,8 @@ def test_contenders_have_half_of_the_evidence_and_are_not_in_the_set(answer):
 
 
 def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
-    """Of causes with far less evidence too, so that there are some; a start that the fit keeps has its share of the prior."""
+    """Of causes with far less evidence too, so that there are some; a start that the fit keeps has its share of the prior, and so has a
+    size that only the widest prior allows."""
     monkeypatch.setattr(rivals_module, "LEAST_EVIDENCE", -10.0)
     monkeypatch.setattr(confirmed_module, "ALTERNATIVE", 0.0)
     compared = with_rivals(answer)
@@ -74,4 +77,16 @@ def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
                 q.is_shape and not q.is_fixed for q in EFFECTS[rival.cause.name].quantities(extent)
             )
             log_prior = 0.0 if has_free_shape else -math.log(n_starts)
+            log_prior += width_prior(other, rival.cause) - width_prior(own, first)
             assert rival.log_odds == pytest.approx(other.log_evidence + log_prior - own.log_evidence, abs=0.2)
+
+
+def width_prior(fit: Fit, cause: Cause) -> float:
+    """Log prior odds of the width of a cause's sizes in a fit, against the stated width."""
+    widths = dict(WIDTHS)
+    for quantity in EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent):
+        prior = fit.rig.parameters[f"{cause.label}.{quantity.key}"].prior
+        if not quantity.is_shape and prior is not None:
+            factor = round(prior.sd / quantity.prior.sd, 6)
+            return math.log(widths[factor] / widths[1.0])
+    return 0.0
