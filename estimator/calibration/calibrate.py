@@ -168,7 +168,7 @@ def calibrate(
     calibration = Calibration(rig, session.observations, start.best(), draws, log_prob, {})
     of_amplitudes = start.summary(readings)
     summary_json = {
-        **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence")),
+        **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence"), samples.is_converged),
         "fitted_besides": [cause.label for cause in besides.added],
         "notes": [*warnings, *notes(besides)],
         "is_converged": samples.is_converged,

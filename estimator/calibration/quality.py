@@ -63,7 +63,10 @@ class Assessment:
 
 
 def assessment(
-    calibration: Calibration, errors: Mapping[str, Any], next_degree_log_evidence: float | None = None
+    calibration: Calibration,
+    errors: Mapping[str, Any],
+    next_degree_log_evidence: float | None = None,
+    is_converged: bool = True,
 ) -> Assessment:
     """Judge a calibration by its errors, its noise and its priors.
 
@@ -71,6 +74,7 @@ def assessment(
         calibration: Readings, draws and best values.
         errors: `rmse` and `coverage90` of its summary, by role; unseen readings count where there are any.
         next_degree_log_evidence: Of harmonics of one degree more in coils without a winding, where there are such coils.
+        is_converged: Sampling has reached its targets.
     """
     role = "validation" if errors["rmse"]["validation"] else "calibration"
     error, coverage90 = errors["rmse"][role], errors["coverage90"][role]
@@ -121,6 +125,11 @@ def assessment(
             "Run coilcal diagnose, which names it or says that it cannot."
         )
         return Assessment(Quality.SUSPECT, tuple(reasons), words)
+    if not is_converged:
+        reason = "sampling did not converge, so its intervals are provisional."
+        return Assessment(
+            Quality.SUSPECT, (reason,), "Run the same command with more steps: it goes on from here."
+        )
     return Assessment(
         Quality.GOOD,
         (

@@ -29,19 +29,22 @@ COVERAGE_ROWS = (
 
 
 def summary(
-    session: Session, calibration: Calibration, next_degree_log_evidence: float | None = None
+    session: Session,
+    calibration: Calibration,
+    next_degree_log_evidence: float | None = None,
+    is_converged: bool = True,
 ) -> dict[str, Any]:
     """Whether it can be used, parameters with credible intervals, loop counts, errors, coverage and the origin of the readings.
 
     Args:
         session: Origin of the readings.
         calibration: Readings, draws and best values.
-        next_degree_log_evidence: See `assessment`.
+        next_degree_log_evidence, is_converged: See `assessment`.
     Returns: Numbers and words as JSON holds them; None stands for 'does not apply'.
     """
     rig, errors = calibration.rig, _errors(calibration)
     return {
-        "quality": assessment(calibration, errors, next_degree_log_evidence).to_json(),
+        "quality": assessment(calibration, errors, next_degree_log_evidence, is_converged).to_json(),
         "parameters": _parameters(rig, calibration.draws),
         "prior_tension": _prior_tension(rig, calibration.draws),
         "loop_counts": _loop_counts(rig, calibration.draws),

@@ -50,6 +50,13 @@ def test_a_session_of_its_own_rig_is_good(small_calibration) -> None:
     assert "Good: it misses" in calibration_report(small_calibration, "test")
 
 
+def test_what_has_not_converged_is_not_good(small_session: Session) -> None:
+    few = SamplerSettings(16, target_ess=1e6, largest_rhat=1.0001, max_steps=60)
+    quality = calibrate(small_session, settings=few, seed=1).summary()["quality"]
+    assert quality["verdict"] == "suspect"
+    assert quality["reasons"] == ["sampling did not converge, so its intervals are provisional."]
+
+
 def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(
     small_session: Session, tmp_path: Path
 ) -> None:

@@ -188,7 +188,7 @@ def test_a_level_outside_0_to_1_is_refused(
     ("currents_A", "motion", "message"),
     [
         ({"coil2": 1.0}, None, r"currents must name coils of the rig \(coil1\); received 'coil2'"),
-        ({"coil1": float("nan")}, None, "current of coil1 must lie between .*; received nan"),
+        ({"coil1": float("nan")}, None, "current of coil1 must be a number between .*; received nan"),
         (ON, {"arm2": [0.0] * 6}, r"motion must name movers of the rig \(arm1\); received 'arm2'"),
         (ON, {"arm1": [0.0] * 5 + [float("inf")]}, "motion of arm1 must be six numbers between .*; received"),
     ],
