@@ -102,7 +102,7 @@ def lost_signs(rig: Rig, observations: Observations, fit: Fit | None = None) -> 
         key=lambda signed: float((signed.off_T / signed.size_T).median()),
     )
     field_T = best.of_coil_T.norm(dim=2).sum(dim=1)
-    agrees_at_all = best.off_T < (policy.FIELD_BUT_FOR_ITS_SIGN * field_T).clamp(min=_noise_T(best))
+    agrees_at_all = best.off_T < (policy.FIELD_BUT_FOR_ITS_SIGN * field_T).maximum(_noise_T(observations, best))
     for i in lacking:
         is_clear, is_reversed = best.log_odds[:, i] > LEAST_LOG_ODDS, best.signs[:, i] < 0.0
         agrees = is_clear & agrees_at_all
@@ -122,12 +122,23 @@ def lost_signs(rig: Rig, observations: Observations, fit: Fit | None = None) -> 
     return result
 
 
-def _noise_T(signed: _Signed) -> float:
+def _noise_T(observations: Observations, signed: _Signed) -> Float[Tensor, " reading"]:
     """Size up to which an error is noise: twice the median where fields are weak, for those of a wrong model grow with the field."""
     field_T = signed.of_coil_T.norm(dim=2).sum(dim=1)
     has_field = field_T > 0.0
     is_weak = has_field & (field_T <= field_T[has_field].median())
-    return 2.0 * float(signed.off_T[is_weak].median())
+    return 2.0 * _median_of_sensor(signed.off_T, observations, is_weak)
+
+
+def _median_of_sensor(
+    off_T: Float[Tensor, " reading"], observations: Observations, is_chosen: Bool[Tensor, " reading"]
+) -> Float[Tensor, " reading"]:
+    """Median error over some readings of the sensor that each belongs to; 0 where it has none of them."""
+    median_T = torch.zeros_like(off_T)
+    for sensor in observations.sensor[is_chosen].unique():
+        is_own = observations.sensor == sensor
+        median_T[is_own] = off_T[is_own & is_chosen].median()
+    return median_T
 
 
 def _is_at_random(
@@ -201,7 +212,7 @@ def _signed(
         each_off_T = (rest_T[:, None] - by_choice_T).norm(dim=2)
         off_T, chosen = each_off_T.min(dim=1)
         before, signs = signs, choices[chosen]
-        size_T = off_by * largest_T + off_T[is_measured.any(dim=1)].median()
+        size_T = off_by * largest_T + _median_of_sensor(off_T, observations, is_measured.any(dim=1))
         size_T = size_T.clamp(min=LEAST_SIZE * float(size_T.max()))
         design = torch.cat(((signs[:, :, None] * of_coil_T).mT, constant), dim=2) / size_T[:, None, None]
         design = design.flatten(0, 1)
