@@ -28,7 +28,9 @@ from estimator.rig.rig import Rig
 MOST_COILS = 6  # without signs, all combinations of which are tried in each reading
 MOST_TURNS = 20  # of choosing signs and fitting
 OF_NOMINAL, OF_FITTED = 0.05, 0.01  # shares of its field that a rig as described, or fitted, may well be off
-LEAST_LOG_ODDS = policy.NEAR_TO_EXPECTED**2 / 2.0  # of a sign against the other, from which a reading tells whether signs were lost
+LEAST_LOG_ODDS = (
+    policy.NEAR_TO_EXPECTED**2 / 2.0
+)  # of a sign against the other, from which a reading tells whether signs were lost
 MEDIAN_OF_THREE = 1.538  # of the length of three normal errors
 LEAST_SIZE = 1e-3  # of such an error, over the largest one
 FEWEST_RUNS = 3  # fewer stretches with the other sign are causes of the library: `current_sign_since`, `current_sign_spell`
@@ -102,7 +104,9 @@ def lost_signs(rig: Rig, observations: Observations, fit: Fit | None = None) -> 
         key=lambda signed: float((signed.off_T / signed.size_T).median()),
     )
     field_T = best.of_coil_T.norm(dim=2).sum(dim=1)
-    agrees_at_all = best.off_T < (policy.FIELD_BUT_FOR_ITS_SIGN * field_T).maximum(_noise_T(observations, best))
+    agrees_at_all = best.off_T < (policy.FIELD_BUT_FOR_ITS_SIGN * field_T).maximum(
+        _noise_T(observations, best)
+    )
     for i in lacking:
         is_clear, is_reversed = best.log_odds[:, i] > LEAST_LOG_ODDS, best.signs[:, i] < 0.0
         agrees = is_clear & agrees_at_all
