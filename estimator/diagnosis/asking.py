@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
+
+import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.hypotheses.far_elsewhere import far_elsewhere, refit_outside
 from estimator.diagnosis.hypotheses.record_mistakes import (
     RecordMistake,
     leaves_much_of_the_field,
-    refit_outside,
     without_record_mistakes,
 )
 from estimator.diagnosis.limits import Limits
@@ -18,6 +21,7 @@ from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.scatter import BesideScatter, answer_beside_scatter
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.progress import OnProgress
+from estimator.diagnosis.verdict import ALTERNATIVE, Alternative, NamedCause
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Cause
 
@@ -41,10 +45,20 @@ def asked_beside_mistakes(
 ) -> Asking:
     """What the readings say beside mistakes of the record; without such mistakes where they are doubtful.
 
-    A geometry that is refused is that of the record: it counts unless a mistake of the record puts it right.
+    A geometry that is refused is that of the record: it counts unless a mistake of the record, or another place of a body, puts it right.
+    Where such a place explains the readings better than mistakes of the record do, there are none, and the place is a cause.
     """
     tell("looking for mistakes of the record")
     base, mistakes = without_record_mistakes(plain)
+    if mistakes or refusal is not None:
+        elsewhere = far_elsewhere(plain, refusal)
+        if elsewhere and elsewhere[0].log_evidence > base.log_evidence:
+            named = _named(plain, elsewhere)
+            tell(f"asking what is wrong beside {named.cause.label}")
+            asked = _asked(elsewhere[0], [], limits, seed, tell, on_progress)
+            if not _are_doubtful([named], asked.said.answer):
+                stated = (named, *asked.said.scattering)
+                return asked._replace(said=replace(asked.said, scattering=stated))
     if refusal is not None:
         base = refit_outside(base, refusal)
     tell("asking what is wrong")
@@ -70,7 +84,16 @@ def _asked(
     return Asking(said, mistakes, smallest_visible(base, pool), indistinguishable(base, pool))
 
 
-def _are_doubtful(mistakes: Sequence[RecordMistake], answer: Answer) -> bool:
+def _named(plain: Fit, elsewhere: Sequence[Fit]) -> NamedCause:
+    """The best of other places of bodies, with those that explain the readings nearly as well."""
+    evidence = torch.tensor([fit.log_evidence for fit in elsewhere], dtype=torch.float64)
+    causes, shares = [fit.rig.effects[-1] for fit in elsewhere], torch.softmax(evidence, 0).tolist()
+    others = zip(causes[1:], shares[1:], strict=True)
+    alternatives = tuple(Alternative(cause, share, None) for cause, share in others if share > ALTERNATIVE)
+    return NamedCause(causes[0], shares[0], alternatives, elsewhere[0].log_evidence - plain.log_evidence)
+
+
+def _are_doubtful(mistakes: Sequence[RecordMistake | NamedCause], answer: Answer) -> bool:
     """Whether undoing the mistakes of the record may only have made the readings fit a wrong model.
 
     It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.record_mistakes import leaves_much_of_the_field, rules_and_refusal
+from estimator.diagnosis.hypotheses.far_elsewhere import rules_and_refusal
+from estimator.diagnosis.hypotheses.record_mistakes import leaves_much_of_the_field
 from estimator.diagnosis.lost_signs import lost_signs
 from estimator.diagnosis.result import Diagnosis, Question
 from estimator.diagnosis.robust_fit import robust_values

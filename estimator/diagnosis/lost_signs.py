@@ -28,7 +28,10 @@ from estimator.rig.rig import Rig
 MOST_COILS = 6  # without signs, all combinations of which are tried in each reading
 MOST_TURNS = 20  # of choosing signs and fitting
 OF_NOMINAL, OF_FITTED = 0.05, 0.01  # shares of its field that a rig as described, or fitted, may well be off
-LEAST_RATIO = 2.0  # of the change by a sign to the error that a reading may well have, from which the nearer sign counts
+LEAST_LOG_ODDS = (
+    policy.NEAR_TO_EXPECTED**2 / 2.0
+)  # of a sign against the other, from which a reading tells whether signs were lost
+MEDIAN_OF_THREE = 1.538  # of the length of three normal errors
 LEAST_SIZE = 1e-3  # of such an error, over the largest one
 FEWEST_RUNS = 3  # fewer stretches with the other sign are causes of the library: `current_sign_since`, `current_sign_spell`
 
@@ -38,12 +41,14 @@ class _Signed(NamedTuple):
 
     Attributes:
         signs: Of each current, 1 as recorded.
+        log_odds: Of each of them against the other sign, at normal errors.
         size_T: Size of the error that each reading may well have.
         off_T: Error of each reading.
         of_coil_T: Field of each coil, as fitted, with the recorded current.
     """
 
     signs: Float[Tensor, "reading coil"]
+    log_odds: Float[Tensor, "reading coil"]
     size_T: Float[Tensor, " reading"]
     off_T: Float[Tensor, " reading"]
     of_coil_T: Float[Tensor, "reading coil 3"]
@@ -98,24 +103,46 @@ def lost_signs(rig: Rig, observations: Observations, fit: Fit | None = None) -> 
         (_signed(observations, *expected_T, lacking, off_by, at_mean) for at_mean in (False, True)),
         key=lambda signed: float((signed.off_T / signed.size_T).median()),
     )
-    field_T = best.of_coil_T.norm(dim=2)
+    field_T = best.of_coil_T.norm(dim=2).sum(dim=1)
+    agrees_at_all = best.off_T < (policy.FIELD_BUT_FOR_ITS_SIGN * field_T).maximum(
+        _noise_T(observations, best)
+    )
     for i in lacking:
-        ratio = 2.0 * field_T[:, i] / best.size_T
-        is_clear, is_reversed = ratio > policy.NEAR_TO_EXPECTED, best.signs[:, i] < 0.0
-        agrees = is_clear & (best.off_T < policy.FIELD_BUT_FOR_ITS_SIGN * field_T.sum(dim=1))
+        is_clear, is_reversed = best.log_odds[:, i] > LEAST_LOG_ODDS, best.signs[:, i] < 0.0
+        agrees = is_clear & agrees_at_all
         n_clear, n_reversed = int(is_clear.sum()), int((is_reversed & is_clear).sum())
         least = policy.LEAST_OF_A_SIGN * n_clear
         if not least < n_reversed < n_clear - least or int(agrees.sum()) < n_clear - least:
             continue
         if not _is_at_random(observations, is_clear, is_reversed):
             continue
-        result.undecided.update((~is_clear & (current_A[:, i] != 0.0)).nonzero().flatten().tolist())
+        is_likely = best.log_odds[:, i] > policy.CLEAR_LOG_EVIDENCE
+        result.undecided.update((~is_likely & (current_A[:, i] != 0.0)).nonzero().flatten().tolist())
         words = f"was read while the current of {rig.coils[i].name} flowed the other way, for its sign is not recorded"
-        is_told = is_reversed & (ratio > LEAST_RATIO)
+        is_told = is_reversed & is_likely
         for sensor in observations.sensor[is_told].unique().tolist():
             readings = (is_told & (observations.sensor == sensor)).nonzero().flatten().tolist()
             result.flags.append(Flag.of(observations, Reason.OTHERWISE, words, None, readings))
     return result
+
+
+def _noise_T(observations: Observations, signed: _Signed) -> Float[Tensor, " reading"]:
+    """Size up to which an error is noise: twice the median where fields are weak, for those of a wrong model grow with the field."""
+    field_T = signed.of_coil_T.norm(dim=2).sum(dim=1)
+    has_field = field_T > 0.0
+    is_weak = has_field & (field_T <= field_T[has_field].median())
+    return 2.0 * _median_of_sensor(signed.off_T, observations, is_weak)
+
+
+def _median_of_sensor(
+    off_T: Float[Tensor, " reading"], observations: Observations, is_chosen: Bool[Tensor, " reading"]
+) -> Float[Tensor, " reading"]:
+    """Median error over some readings of the sensor that each belongs to; 0 where it has none of them."""
+    median_T = torch.zeros_like(off_T)
+    for sensor in observations.sensor[is_chosen].unique():
+        is_own = observations.sensor == sensor
+        median_T[is_own] = off_T[is_own & is_chosen].median()
+    return median_T
 
 
 def _is_at_random(
@@ -186,10 +213,10 @@ def _signed(
     for _ in range(MOST_TURNS):
         rest_T = measured_T - constant @ room_T
         by_choice_T = torch.einsum("kc,ncj->nkj", choices * gain, of_coil_T)
-        chosen = (rest_T[:, None] - by_choice_T).norm(dim=2).argmin(dim=1)
+        each_off_T = (rest_T[:, None] - by_choice_T).norm(dim=2)
+        off_T, chosen = each_off_T.min(dim=1)
         before, signs = signs, choices[chosen]
-        off_T = (rest_T - by_choice_T[torch.arange(n), chosen]).norm(dim=1)
-        size_T = off_by * largest_T + off_T[is_measured.any(dim=1)].median()
+        size_T = off_by * largest_T + _median_of_sensor(off_T, observations, is_measured.any(dim=1))
         size_T = size_T.clamp(min=LEAST_SIZE * float(size_T.max()))
         design = torch.cat(((signs[:, :, None] * of_coil_T).mT, constant), dim=2) / size_T[:, None, None]
         design = design.flatten(0, 1)
@@ -197,4 +224,9 @@ def _signed(
         gain, room_T = solution[:n_coils], solution[n_coils:]
         if bool((signs == before).all()):
             break
-    return _Signed(signs, size_T, off_T, gain[:, None] * of_coil_T)
+    squares = (MEDIAN_OF_THREE * each_off_T / size_T[:, None]).square()
+    log_odds = torch.zeros_like(signs)
+    for i in lacking:
+        either = [squares[:, choices[:, i] == sign].amin(dim=1) for sign in (1.0, -1.0)]
+        log_odds[:, i] = 0.5 * (either[0] - either[1]).abs()
+    return _Signed(signs, log_odds, size_T, off_T, gain[:, None] * of_coil_T)

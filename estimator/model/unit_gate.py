@@ -90,7 +90,9 @@ def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
     try:
         given = _agreement(rig, observations)
     except InvalidInput as refusal:
-        why = f"{refusal}; until then coilcal calibrate refuses them"
+        why = (
+            f"{refusal}; until then coilcal calibrate refuses them, and coilcal diagnose looks for the cause"
+        )
     if given is not None and given.is_plausible and given.correlation > GOOD_PATTERN and not given.far:
         return []
     is_wrong_size = given is not None and not given.is_plausible

@@ -25,7 +25,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.expectation import predict_T
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fitting import fit_rig
-from estimator.diagnosis.hypotheses.record_mistakes import rules_and_refusal
+from estimator.diagnosis.hypotheses.far_elsewhere import rules_and_refusal
 from estimator.diagnosis.result import Question
 from estimator.diagnosis.single_readings import suspects_of
 from estimator.effects import EFFECTS

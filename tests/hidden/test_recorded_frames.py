@@ -25,8 +25,13 @@ def test_fields_in_the_axes_of_the_base_are_named() -> None:
     assert gain["before"]["vector_T"] > 500e-6
 
 
-def test_a_sensor_elsewhere_on_its_holder_is_no_other_frame() -> None:
-    session = checked(read_readings_csv(CASES / "holder_20mm.csv", load_rig(CASES / "rig_pose.yaml"))).session
+@pytest.mark.parametrize("holder_mm", [20, 35, 50])
+def test_a_sensor_elsewhere_on_its_holder_is_no_mistake_of_the_record(holder_mm: int) -> None:
+    """At 50 mm the nominal place of the sensor is in the winding at three poses."""
+    path = CASES / f"holder_{holder_mm}mm.csv"
+    session = checked(read_readings_csv(path, load_rig(CASES / "rig_pose.yaml"))).session
     diagnosis = diagnose(session, seed=1)
     assert not diagnosis.record_mistakes
     assert [cause.cause.name for cause in diagnosis.causes] == ["sensor_misplaced"]
+    size_m = float(diagnosis.fits.final.values["sensor_misplaced[hall].z_m"])
+    assert size_m == pytest.approx(1e-3 * holder_mm, abs=1e-3)

@@ -11,8 +11,7 @@ from tests.hidden.reported import KINDS, draw_reported
 pytestmark = pytest.mark.whole
 
 
-# Currents without a sign need fields that are larger than that: test_flagged_rows.py.
-@pytest.mark.parametrize("kind", [kind for kind in FLAWS if kind != "unsigned_currents"])
+@pytest.mark.parametrize("kind", FLAWS)
 def test_the_answer_holds_the_flaw_and_right_rows_stay(kind: str) -> None:
     row = run_case(kind, 561_901, sigma=12.0, row_sigma=12.0)
     assert is_held(row), row

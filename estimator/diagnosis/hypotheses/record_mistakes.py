@@ -27,12 +27,9 @@ from estimator.diagnosis.hypotheses.instants import (
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import SINCE, UNTIL
-from estimator.effects.stages import MotionEffect, RecordEffect
+from estimator.effects.stages import RecordEffect
 from estimator.effects.use import shifts_rows, uses_of
-from estimator.errors import InvalidInput
-from estimator.field.winding_shape import Rule
 from estimator.inference.likelihood import LogPosterior
-from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.readings.split import spread
 from estimator.rig.coordinates import Coordinates
@@ -54,48 +51,6 @@ class RecordMistake:
     cause: Cause
     log_bayes_factor: float
     twins: tuple[tuple[Cause, float], ...]
-
-
-def rules_and_refusal(rig: Rig, observations: Observations) -> tuple[Mapping[str, Rule], InvalidInput | None]:
-    """Quadrature rules of a rig, and why its geometry is refused, unless no sensor stands inside a winding at nominal values.
-
-    A wrong frame or sign in the record may be what puts sensors there. The rules then are those of the first mistake that puts them
-    right, and the fit of the record as it is serves for comparison alone.
-
-    Raises:
-        InvalidInput: No mistake of the record puts the geometry right.
-    """
-    try:
-        return MeasurementModel.build(rig, observations).rules, None
-    except InvalidInput as error:
-        refusal = error
-    circumstances = MeasurementModel.unruled(rig, observations).circumstances
-    for name, effect in EFFECTS.items():
-        if effect.is_record_mistake and isinstance(effect, (MotionEffect, RecordEffect)):
-            for place in effect.places(rig):
-                for start in effect.starts(circumstances, place):
-                    mistaken = with_effect(rig, Cause(name, place), observations, start)
-                    try:
-                        return MeasurementModel.build(mistaken, observations).rules, refusal
-                    except InvalidInput:
-                        continue
-    raise refusal
-
-
-def refit_outside(base: Fit, refusal: InvalidInput) -> Fit:
-    """The fit with rules of its own geometry, where mistakes of the record that were undone put the sensors outside the windings.
-
-    Raises:
-        InvalidInput: They do not; the refusal as it was.
-    """
-    if not base.rig.effects:
-        raise refusal
-    fitted = base.rig.with_values({p.name: float(base.values[p.name]) for p in base.rig.free})
-    try:
-        rules = MeasurementModel.build(fitted, base.observations).rules
-    except InvalidInput:
-        raise refusal from None
-    return fit_rig(base.rig, base.observations, base.values, rules)
 
 
 def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:

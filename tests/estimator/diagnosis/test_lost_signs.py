@@ -45,13 +45,19 @@ def rig() -> Rig:
 
 
 def measured(
-    loses: tuple[int, ...], seed: int = 1, *, is_in_order: bool = False, by_size: bool = False
+    loses: tuple[int, ...],
+    seed: int = 1,
+    *,
+    is_in_order: bool = False,
+    by_size: bool = False,
+    is_one_way: bool = False,
+    share: float = 1.0,
 ) -> tuple[Observations, np.ndarray]:
-    """Readings with the signs of some coils lost, and the currents that flowed."""
+    """Readings with the signs of some coils lost, and the currents that flowed, a share of the usual ones."""
     rng = np.random.default_rng(seed)
     place_m = rng.uniform([-0.08, -0.05, 0.0], [0.08, 0.05, 0.06], (N, 3))
-    current_A = rng.uniform(0.5, 2.0, (N, 2))
-    flowed_A = current_A * rng.choice([-1.0, 1.0], (N, 2))
+    current_A = share * rng.uniform(0.5, 2.0, (N, 2))
+    flowed_A = current_A * (1.0 if is_one_way else rng.choice([-1.0, 1.0], (N, 2)))
     if is_in_order:  # forth in the first half and back in the second
         flowed_A[:, 0] = np.where(np.arange(N) < N / 2, 1.0, -1.0) * current_A[:, 0]
     if by_size:
@@ -100,6 +106,28 @@ def test_the_readings_in_which_a_current_flowed_back_are_told_by_coil_and_line(
         assert len(flag.readings) > 0.9 * len(flowed_back), "only far from the coil nobody can say"
         assert flag.lines[0] == flag.readings[0] + 2
         assert "readings between lines" in told([flag], ["hall"])
+
+
+@pytest.mark.parametrize(("share", "least_told"), [(0.15, 0.6), (0.08, 0.4)])
+def test_fields_far_below_that_of_the_earth_tell_them_too(share: float, least_told: float) -> None:
+    """25 and 13 uT, beside 47 uT of the Earth and a noise of 5 uT for each component."""
+    told, n_flowed_back = list[bool](), 0
+    for seed in range(4):
+        readings, flowed_A = measured((0, 1), seed, share=share)
+        flags = sorted(lost_signs(rig(), readings).flags, key=lambda flag: flag.words)
+        assert len(flags) == 2
+        for flag, flowed_back in zip(flags, (flowed_A < 0.0).T, strict=True):
+            told += flowed_back[list(flag.readings)].tolist()
+            n_flowed_back += int(flowed_back.sum())
+    assert sum(told) > least_told * n_flowed_back
+    assert sum(told) > 0.98 * len(told)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.15, 0.08, 0.02])
+def test_currents_that_flow_one_way_are_not_accused(share: float) -> None:
+    for seed in range(6):
+        readings, _ = measured((), seed, is_one_way=True, share=share)
+        assert lost_signs(rig(), readings).flags == []
 
 
 def test_signs_that_alternate_by_size_at_each_stop_are_told_too() -> None:

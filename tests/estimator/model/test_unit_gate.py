@@ -86,6 +86,7 @@ def test_a_sensor_that_nominally_stands_in_the_winding_is_no_wrong_unit(readings
     assert f"1 of {len(readings)} poses do not, the first at reading 3:" in told
     (told,) = check_units(rig(), replace(moved, line=torch.arange(len(readings)) + 2), "a.csv")
     assert "the first in line 5:" in told
+    assert told.endswith("and coilcal diagnose looks for the cause (a.csv).")
 
 
 @pytest.mark.parametrize("wild_T", [-0.26624, 9.999])
