@@ -116,7 +116,7 @@ def lost_signs(rig: Rig, observations: Observations, fit: Fit | None = None) -> 
             continue
         if not _is_at_random(observations, is_clear, is_reversed):
             continue
-        is_likely = best.log_odds[:, i] > policy.CLEAR_LOG_EVIDENCE
+        is_likely = best.log_odds[:, i] > math.log(policy.MUCH_MORE_PROBABLE)
         result.undecided.update((~is_likely & (current_A[:, i] != 0.0)).nonzero().flatten().tolist())
         words = f"was read while the current of {rig.coils[i].name} flowed the other way, for its sign is not recorded"
         is_told = is_reversed & is_likely
