@@ -6,6 +6,7 @@ sensor are fitted in turn to the nominal field of each coil, as in clustering by
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
