@@ -28,6 +28,6 @@ def test_a_plate_that_the_coil_absorbs_is_told_among_what_could_not_have_shown(t
     assert ", which would move turns by up to " in last
     assert last.endswith("Where nothing of that kind can be, use the rig file as it is.")
     hidden = diagnosis.to_json()["smallest_visible"]["iron_plate.strength"]
-    assert hidden["hidden_in"] == "coil1.axial_loops"
+    assert hidden["hidden_in"] == "coil1.turns"
     assert hidden["hidden_at"]["axis"] == 2.0  # across the coil's axis
     assert hidden["hidden_size"] > 10.0 * hidden["size"]  # the smallest visible size is that of another place
