@@ -23,9 +23,7 @@ from estimator.store.session import Session
 
 COVERAGE_DRAWS = 200
 COVERAGE_READINGS = 20_000  # their 60,000 components tell a share of 90 % to 0.1 %
-COVERAGE_ROWS = (
-    1_000  # readings at once: departures of sensors hold dozens of numbers for each and every draw
-)
+COVERAGE_ROWS = 1_000  # readings at once: departures of sensors hold dozens of numbers for each, by draw
 
 
 def summary(

@@ -57,8 +57,8 @@ def asked_beside_mistakes(
             tell(f"asking what is wrong beside {named.cause.label}")
             asked = _asked(elsewhere[0], [], limits, seed, tell, on_progress)
             if not _are_doubtful([named], asked.said.answer):
-                stated = (named, *asked.said.scattering)
-                return asked._replace(said=replace(asked.said, scattering=stated))
+                stated = (named, *asked.said.given)
+                return asked._replace(said=replace(asked.said, given=stated))
     if refusal is not None:
         base = refit_outside(base, refusal)
     tell("asking what is wrong")

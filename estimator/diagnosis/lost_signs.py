@@ -29,9 +29,7 @@ from estimator.rig.rig import Rig
 MOST_COILS = 6  # without signs, all combinations of which are tried in each reading
 MOST_TURNS = 20  # of choosing signs and fitting
 OF_NOMINAL, OF_FITTED = 0.05, 0.01  # shares of its field that a rig as described, or fitted, may well be off
-LEAST_LOG_ODDS = (
-    policy.NEAR_TO_EXPECTED**2 / 2.0
-)  # of a sign against the other, from which a reading tells whether signs were lost
+LEAST_LOG_ODDS = policy.NEAR_TO_EXPECTED**2 / 2.0  # of a sign, from which a reading tells if signs were lost
 MEDIAN_OF_THREE = 1.538  # of the length of three normal errors
 LEAST_SIZE = 1e-3  # of such an error, over the largest one
 FEWEST_RUNS = 3  # fewer stretches with the other sign are causes of the library: `current_sign_since`, `current_sign_spell`

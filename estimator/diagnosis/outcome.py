@@ -81,7 +81,7 @@ class Outcome:
         answer = said.answer
         named = [*named_by(answer), *said.stated]
         scatter, pull = scatter_of(answer.leading_fit), pull_of(answer.leading_fit)
-        is_sure = len(said.stated) == len(said.scattering)
+        is_sure = len(said.stated) == len(said.given)
         leaves = answer.leaves_something or scatter.is_probable or pull.is_probable or not is_sure
         if leaves:
             verdict = _leaving_something(named)

@@ -25,9 +25,7 @@ from estimator.readings.split import spread
 from estimator.rig.rig import Cause, Rig
 
 PLACE = ("x_m", "y_m", "z_m")
-WIDENED = policy.WIDER_PRIORS[
-    -1
-]  # of stated widths of a millimetre and a degree: centimetres are plausible then
+WIDENED = policy.WIDER_PRIORS[-1]  # of widths of a millimetre and a degree: centimetres are plausible then
 SHIFTS_M = (0.02, -0.02, 0.05, -0.05)  # along each axis, at which rules are looked for
 
 

@@ -27,23 +27,23 @@ MOST_SCATTERING = 2  # causes of scatter, one after the other
 
 @dataclass(frozen=True)
 class BesideScatter:
-    """What the readings say, and the causes of scatter that the rig was given for it.
+    """What the readings say, and the causes that the rig was given for it: of scatter, or of a body that sits far off.
 
     Attributes:
         answer: With them.
-        scattering: How probable each is, if nothing acts that no list holds.
+        given: How probable each is, if nothing acts that no list holds.
     """
 
     answer: Answer
-    scattering: tuple[NamedCause, ...]
+    given: tuple[NamedCause, ...]
 
     @property
     def stated(self) -> list[NamedCause]:
-        """The causes of scatter that are rather there than something unlisted that looks like scatter."""
+        """The given causes that are rather there than something unlisted that looks like them."""
         names = self.answer.evidence_of_names
         strongest = max(names, default=0.0)
         stated = []
-        for cause in self.scattering:
+        for cause in self.given:
             standing = Standing(cause.log_bayes_factor, strongest, n_others=len(names))
             real = 1.0 - standing.p_imitation
             others = tuple(replace(a, probability=real * a.probability) for a in cause.alternatives)

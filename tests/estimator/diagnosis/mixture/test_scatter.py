@@ -65,7 +65,7 @@ def test_wild_readings_here_and_there_are_outliers_beside_which_a_cause_keeps_it
     is_wild = torch.rand(len(readings), 3, generator=torch.Generator().manual_seed(1)) < 0.06
     off = with_wrong(rig, readings, OFFSET, {"x_T": 40e-6, "y_T": -30e-6})
     said, outcome = said_of(rig, wild(off, is_wild))
-    (scattering,) = said.scattering
+    (scattering,) = said.given
     assert scattering.cause == OUTLIERS
     assert scattering.probability > 0.9
     assert scattering.log_bayes_factor > 20.0
@@ -89,7 +89,7 @@ def test_a_mover_that_does_not_stop_where_it_says_is_told_from_noise(
     from_there = replace(readings.alone, motion={"arm1": motion})
     moved_T = predicted_T(truth, from_there) - predicted_T(truth, readings)
     said, outcome = said_of(rig, readings.with_field(readings.field_sensor_T + moved_T))
-    (scattering,) = said.scattering
+    (scattering,) = said.given
     assert scattering.cause == JITTER
     sd_m = float(said.answer.plain.values["position_jitter[arm1].sd_m"])
     assert sd_m == pytest.approx(6e-4, rel=0.25)
@@ -113,7 +113,7 @@ def test_a_burst_is_unexplained(rig: Rig, readings: Observations) -> None:
 
 def test_even_noise_has_no_cause_of_scatter(rig: Rig, readings: Observations) -> None:
     said, outcome = said_of(rig, readings)
-    assert said.scattering == ()
+    assert said.given == ()
     assert outcome.verdict is Verdict.NOTHING_FOUND
 
 
