@@ -1,4 +1,4 @@
-"""Whether the halves of a session agree with the fit to all of it: by current, by time and by place, and by the response of each sensor.
+"""Whether the halves of a session agree with the fit to all of it: by current, by time and by place; and what each sensor shows of its field.
 
 A fit follows what it can, so a wrong model may leave little. Fits to two halves then find different numbers, which the Chow test sees
 without knowing the noise: it asks whether derivatives of the prediction that are switched on in one half explain the residuals.
@@ -42,6 +42,8 @@ def _tests(fit: LinearFit) -> Iterator[tuple[str, Tensor]]:
             f"what {sensor.name} shows is turned, stretched or shifted beside the field that the fit predicts"
         )
         yield words, fit.rows(torch.stack(columns))
+    words = "readings have a share of the field that the same sensor read before"
+    yield words, fit.rows(torch.stack(_fields_before(fit)))
     if fit.jacobian.shape[1] > MOST_COLUMNS:
         return
     for words, is_in in _halves(rig, observations):
@@ -49,6 +51,19 @@ def _tests(fit: LinearFit) -> Iterator[tuple[str, Tensor]]:
         if LEAST_IN_HALF <= share <= 1.0 - LEAST_IN_HALF:
             constant = torch.stack([_on_axis(is_in.to(torch.float64), axis) for axis in range(3)])
             yield words, torch.cat((fit.derivatives(is_in), fit.rows(constant)), dim=1)
+
+
+def _fields_before(fit: LinearFit) -> list[Tensor]:
+    """For each sensor, at its readings, the field that the fit predicts for the one before; nothing at those of others."""
+    rig, observations = fit.posterior.model.rig, fit.posterior.model.circumstances.observations
+    columns = []
+    for i in range(len(rig.sensors)):
+        rows = torch.nonzero(observations.sensor == i)[:, 0]
+        rows = rows[torch.argsort(observations.time_s[rows], stable=True)]
+        before = torch.zeros_like(fit.predicted_T)
+        before[rows[1:]] = fit.predicted_T[rows[:-1]]
+        columns.append(before)
+    return columns
 
 
 def _halves(rig: Rig, observations: Observations) -> Iterator[tuple[str, Bool[Tensor, " reading"]]]:

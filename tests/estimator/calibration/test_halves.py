@@ -88,6 +88,14 @@ def test_an_axis_with_a_wrong_gain_and_a_turned_sensor_are_seen() -> None:
     assert found(turned)[0][1] < 1e-6
 
 
+def test_a_share_of_the_field_before_is_told_by_its_name() -> None:
+    made = readings(4)
+    before_T = torch.roll(made.field_sensor_T, 1, dims=0)
+    before_T[0] = 0.0
+    told = found(made.with_field(made.field_sensor_T + 0.01 * before_T))
+    assert "the same sensor read before" in told[0][0] and told[0][1] < 1e-3
+
+
 def test_missing_components_and_few_readings_are_no_obstacle() -> None:
     made = readings(3)
     field_T = made.field_sensor_T.clone()
