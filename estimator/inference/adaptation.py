@@ -15,10 +15,10 @@ from scipy.special import logsumexp
 
 from estimator.inference.bend import Bend
 from estimator.inference.proposal import DEGREES_OF_FREEDOM, MixtureProposal, WhiteShape
-from estimator.inference.straightening import Straightening, n_coefficients
+from estimator.inference.straightening import Straightening, most_coefficients
 
 ROUNDS = 9
-# Draws of a round: two for each coefficient of a map, between these numbers. Twenty coordinates need 3120; more have no products.
+# Draws of a round: two for each coefficient that a map may have, between these numbers; twenty coordinates need 3120.
 FEWEST_DRAWS, DRAWS_PER_COEFFICIENT, MOST_DRAWS = 1000, 2, 3200
 # Efficiency at which a proposal is left as it is: at once, and where straightening brings no more. To fit on costs more than it brings.
 ENOUGH, FAIR = 0.9, 0.75
@@ -48,7 +48,7 @@ def adapted(
         Stat. 17, 295 (2008), truncated weights.
     """
     best, best_efficiency = proposal, 0.0
-    size = int(np.clip(DRAWS_PER_COEFFICIENT * n_coefficients(proposal.n), FEWEST_DRAWS, MOST_DRAWS))
+    size = int(np.clip(DRAWS_PER_COEFFICIENT * most_coefficients(proposal.n), FEWEST_DRAWS, MOST_DRAWS))
     vectors, log_targets, log_weight = np.empty((0, proposal.n + proposal.counts.shape[1])), *np.empty((2, 0))
     n_without_gain, straightening = 0, None
     for _ in range(ROUNDS):

@@ -3,11 +3,14 @@
 Where weighted draws lie tells of a law with the noise of counting. Their log densities have no noise, so a thousand of them give a few
 hundred coefficients of a map. The map turns whitened coordinates into straight ones: each is scaled, less a quadratic function of those
 before it. Its coefficients are those with which a normal law of straight coordinates comes nearest to the posterior's log densities.
+Only those terms count that log densities show, as where a sensor's zero depends on a field times an angle: of all, which are thousands
+in thirty coordinates, most are nothing but the noise of what no map explains.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -18,7 +21,40 @@ from estimator.inference.bend import LARGEST_CURVATURE, Bend
 ITERATIONS, HALVINGS, LEAST_GAIN = 10, 4, 0.02
 LEAST_NOISE = 1e-3  # variance of log densities that no map of this kind explains
 FARTHEST = 100.0  # whitened units: what a bend threw farther has squares beyond the range of numbers, and tells nothing of the middle
-MOST_PRODUCTS = 20  # coordinates up to which products of different ones are fitted; above it squares
+MOST_WHOLE = 20
+# Terms of more coordinates: as many are added at once, this often, for so many effective points each, where they are so clear.
+ADDED, TIMES, POINTS_PER_TERM, CLEAR_SD = 100, 3, 4.0, 2.0
+
+
+class Terms(NamedTuple):
+    """Terms of quadratic functions: products of two entries of the vector (1, coordinates), in the order of `coordinate`.
+
+    Attributes:
+        coordinate: The one that a term is subtracted from.
+        first, second: Numbers of the entries; 0 is the constant, and no other is larger than `coordinate`.
+    """
+
+    coordinate: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+
+    @classmethod
+    def all(cls, n: int) -> Terms:
+        """Offset, slopes and products of each of n coordinates."""
+        pairs = [np.tril_indices(i + 1) for i in range(n)]
+        coordinate = np.repeat(np.arange(n), [len(first) for first, _ in pairs])
+        return cls(coordinate, *(np.concatenate(each) for each in zip(*pairs, strict=True)))
+
+    @classmethod
+    def offsets(cls, n: int) -> Terms:
+        """An offset of each of n coordinates alone."""
+        none = np.zeros(n, dtype=int)
+        return cls(np.arange(n), none, none)
+
+    def of(self, i: int) -> slice:
+        """Numbers of the terms of one coordinate."""
+        begin, end = np.searchsorted(self.coordinate, (i, i + 1))
+        return slice(int(begin), int(end))
 
 
 @dataclass(frozen=True)
@@ -28,12 +64,20 @@ class Straightening:
     Attributes:
         bend: Quadratic functions that are subtracted.
         spread: Standard deviation of each straightened coordinate, shape (n,).
-        coefficients: What both were made of.
+        terms: Of these functions.
+        coefficients: What both were made of: log scales, then those of the terms.
     """
 
     bend: Bend
     spread: np.ndarray
+    terms: Terms
     coefficients: np.ndarray
+
+    @classmethod
+    def none(cls, n: int) -> Straightening:
+        """The identity."""
+        terms = Terms.offsets(n)
+        return cls(Bend.none(n), np.ones(n), terms, np.zeros(n + len(terms.coordinate)))
 
     @classmethod
     def fitted(
@@ -60,22 +104,56 @@ class Straightening:
             >>> round(found.bend.curvature[1, 0, 0], 2)
             np.float64(0.5)
         """
-        n = white.shape[1]
-        begin = cls(Bend.none(n), np.ones(n), np.zeros(n_coefficients(n))) if begin is None else begin
+        begin = cls.none(white.shape[1]) if begin is None else begin
         is_near = (np.abs(white) < FARTHEST).all(1) & (weight > 0.0)
         if not is_near.any():
             return begin
         weight = weight[is_near] / weight[is_near].sum()
-        problem = _Problem(white[is_near], log_density[is_near], weight, row[is_near])
-        coefficients = begin.coefficients
-        residual = problem.residual(coefficients)
+        problem = _Problem(white[is_near], log_density[is_near], weight, row[is_near], begin.terms)
+        coefficients = problem.descended(begin.coefficients)
+        for _ in range(TIMES):
+            problem, coefficients = problem.with_more(coefficients)
+            coefficients = problem.descended(coefficients)
+        return problem.straightening(coefficients)
+
+
+def most_coefficients(n: int) -> int:
+    """Number of coefficients of a map of n coordinates with all terms."""
+    return n + len(Terms.all(n).coordinate)
+
+
+class _Problem:
+    """Residuals of log densities, and their derivatives by the coefficients."""
+
+    def __init__(
+        self, white: np.ndarray, log_density: np.ndarray, weight: np.ndarray, row: np.ndarray, terms: Terms
+    ) -> None:
+        self.white, self.log_density, self.weight, self.row, self.terms = (
+            white,
+            log_density,
+            weight,
+            row,
+            terms,
+        )
+        self.n = white.shape[1]
+        self.entries = np.concatenate((np.ones((len(white), 1)), white), axis=1)
+        _, self.group = np.unique(row, return_inverse=True)
+        share = weight / np.bincount(self.group, weight)[self.group]
+        self.mean_of_group = csr_array((share, (self.group, np.arange(len(white)))))
+        self.n_effective = 1.0 / float((weight**2).sum())
+        self.penalty = np.where(terms.second > 0, LARGEST_CURVATURE**-2, 1.0)
+        self.penalty = np.concatenate((np.ones(self.n), self.penalty))
+
+    def descended(self, coefficients: np.ndarray) -> np.ndarray:
+        """Coefficients after Gauss-Newton steps from some others."""
+        residual = self.residual(coefficients)
         for _ in range(ITERATIONS):
-            variance = float(weight @ residual**2)
-            step = problem.step(coefficients, residual, max(variance, LEAST_NOISE))
+            variance = float(self.weight @ residual**2)
+            step = self.step(coefficients, residual, max(variance, LEAST_NOISE))
             for halving in range(HALVINGS):
                 there = coefficients + 0.5**halving * step
-                residual_there = problem.residual(there)
-                variance_there = float(weight @ residual_there**2)
+                residual_there = self.residual(there)
+                variance_there = float(self.weight @ residual_there**2)
                 if variance_there < variance:
                     break
             else:
@@ -83,48 +161,20 @@ class Straightening:
             coefficients, residual = there, residual_there
             if variance_there > (1.0 - LEAST_GAIN) * variance:
                 break
-        return problem.straightening(coefficients)
-
-
-def n_coefficients(n: int) -> int:
-    """Number of coefficients of a map of n coordinates."""
-    return int(_sizes(n).sum())
-
-
-def _sizes(n: int) -> np.ndarray:
-    """Coefficients of each coordinate: log scale, offset, slopes, products."""
-    return np.array([2 + i + len(_pairs(n, i)[0]) for i in range(n)])
-
-
-def _pairs(n: int, i: int) -> tuple[np.ndarray, np.ndarray]:
-    """The products in coordinate i of n: of all that come before it, or of each with itself."""
-    return np.tril_indices(i) if n <= MOST_PRODUCTS else (np.arange(i), np.arange(i))
-
-
-class _Problem:
-    """Residuals of log densities, and their derivatives by the coefficients."""
-
-    def __init__(
-        self, white: np.ndarray, log_density: np.ndarray, weight: np.ndarray, row: np.ndarray
-    ) -> None:
-        self.white, self.log_density, self.weight = white, log_density, weight
-        self.n = white.shape[1]
-        _, self.group = np.unique(row, return_inverse=True)
-        share = weight / np.bincount(self.group, weight)[self.group]
-        self.mean_of_group = csr_array((share, (self.group, np.arange(len(white)))))
-        sizes = _sizes(self.n)
-        self.ends = np.cumsum(sizes)
-        is_product = np.concatenate([np.arange(size) >= 2 + i for i, size in enumerate(sizes)])
-        self.penalty = np.where(is_product, LARGEST_CURVATURE**-2, 1.0)
+        return coefficients
 
     def residual(self, coefficients: np.ndarray) -> np.ndarray:
         """Log densities less those of the normal law, less the mean of each tuple."""
-        total = self.log_density.copy()
         with np.errstate(over="ignore", invalid="ignore"):
-            for i in range(self.n):
-                straight, _ = self._straight(i, coefficients)
-                total += 0.5 * straight**2 - coefficients[self._begin(i)]
+            total = self.log_density + 0.5 * (self.straight(coefficients) ** 2).sum(1)
         return self._centred(total[:, None])[:, 0]
+
+    def straight(self, coefficients: np.ndarray) -> np.ndarray:
+        """Straight coordinates of the points."""
+        subtracted = [
+            self._features(of) @ coefficients[self.n :][of] for of in map(self.terms.of, range(self.n))
+        ]
+        return np.asarray(np.exp(coefficients[: self.n]) * self.white - np.stack(subtracted, axis=1))
 
     def step(self, coefficients: np.ndarray, residual: np.ndarray, noise: float) -> np.ndarray:
         """Gauss-Newton step of the coefficients.
@@ -132,45 +182,55 @@ class _Problem:
         Args:
             noise: Variance of the residuals that no coefficients explain.
         """
-        columns = []
-        for i in range(self.n):
-            straight, features = self._straight(i, coefficients)
-            scaled = np.exp(coefficients[self._begin(i)]) * self.white[:, i]
-            columns += [(1.0 - straight * scaled)[:, None], straight[:, None] * features]
-        jacobian = self._centred(np.concatenate(columns, axis=1))
-        n_effective = 1.0 / float((self.weight**2).sum())
-        root = np.sqrt((n_effective / noise) * self.weight)
+        straight = self.straight(coefficients)
+        scaled = np.exp(coefficients[: self.n]) * self.white
+        of_terms = straight[:, self.terms.coordinate] * self._features(slice(None))
+        jacobian = self._centred(np.concatenate((1.0 - straight * scaled, of_terms), axis=1))
+        root = np.sqrt((self.n_effective / noise) * self.weight)
         weighted = root[:, None] * jacobian
         information = weighted.T @ weighted  # of one array, which NumPy computes by half
         information.flat[:: len(self.penalty) + 1] += self.penalty
         slope = weighted.T @ (root * residual) - self.penalty * coefficients
         return np.asarray(cho_solve(cho_factor(information), slope))
 
+    def with_more(self, coefficients: np.ndarray) -> tuple[_Problem, np.ndarray]:
+        """The problem with the terms too that the residuals show most clearly, and coefficients of which these are zero."""
+        every = Terms.all(self.n)
+        first, second = np.tril_indices(self.n + 1)
+        products = self.entries[:, first] * self.entries[:, second]
+        residual, straight = self.residual(coefficients), self.straight(coefficients)
+        score = (self.weight[:, None] * residual[:, None] * straight).T @ products
+        square = (self.weight[:, None] * straight**2).T @ products**2
+        noise = max(float(self.weight @ residual**2), LEAST_NOISE)
+        is_before = first <= np.arange(self.n)[:, None]  # in the order of `every`
+        clear = self.n_effective / noise * (score**2 / square)[is_before]
+        known = set(zip(*self.terms, strict=True))
+        clear[[term in known for term in zip(*every, strict=True)]] = 0.0
+        most = min(ADDED, max(int(self.n_effective / POINTS_PER_TERM) - len(known), 0))
+        best = np.argsort(-clear)[:most]
+        best = best[clear[best] > CLEAR_SD**2]
+        terms = [np.concatenate((mine, more[best])) for mine, more in zip(self.terms, every, strict=True)]
+        order = np.argsort(terms[0], kind="stable")
+        of_terms = np.concatenate((coefficients[self.n :], np.zeros(len(best))))[order]
+        problem = _Problem(
+            self.white, self.log_density, self.weight, self.row, Terms(*(each[order] for each in terms))
+        )
+        return problem, np.concatenate((coefficients[: self.n], of_terms))
+
     def straightening(self, coefficients: np.ndarray) -> Straightening:
         """The map that coefficients stand for; its scales become spreads of what is not scaled."""
-        bend = Bend.none(self.n)
-        spread = np.empty(self.n)
-        for i in range(self.n):
-            mine = coefficients[self._begin(i) : self.ends[i]]
-            spread[i] = np.exp(-mine[0])
-            unscaled = spread[i] * mine[1:]
-            bend.offset[i], bend.slope[i, :i] = unscaled[0], unscaled[1 : 1 + i]
-            first, second = _pairs(self.n, i)
-            bend.curvature[i, first, second] = unscaled[1 + i :]
-        return Straightening(bend, spread, coefficients)
+        spread = np.exp(-coefficients[: self.n])
+        whole = np.zeros((self.n, self.n + 1, self.n + 1))
+        coordinate, first, second = self.terms
+        whole[coordinate, first, second] = spread[coordinate] * coefficients[self.n :]
+        bend = Bend(whole[:, 1:, 1:], whole[:, 1:, 0], whole[:, 0, 0])
+        return Straightening(bend, spread, self.terms, coefficients)
 
-    def _begin(self, i: int) -> int:
-        return int(self.ends[i - 1]) if i else 0
-
-    def _straight(self, i: int, coefficients: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Straight coordinate i, and what its offset, slopes and products multiply."""
-        before = self.white[:, :i]
-        first, second = _pairs(self.n, i)
-        features = np.concatenate(
-            (np.ones((len(before), 1)), before, before[:, first] * before[:, second]), axis=1
+    def _features(self, terms: slice) -> np.ndarray:
+        """What some terms multiply their coefficients by."""
+        return np.asarray(
+            self.entries[:, self.terms.first[terms]] * self.entries[:, self.terms.second[terms]]
         )
-        mine = coefficients[self._begin(i) : self.ends[i]]
-        return np.exp(mine[0]) * self.white[:, i] - features @ mine[1:], features
 
     def _centred(self, columns: np.ndarray) -> np.ndarray:
         """Columns less the weighted mean of each tuple."""
