@@ -115,7 +115,8 @@ def show_sampling(result: dict[str, Any], target_ess: float) -> None:
     plain = next(row for name, row in result["rows"].items() if name.startswith("emcee"))
     for name, row in result["rows"].items():
         rate = row["ess_per_s"]
-        reached = spread(row["seconds"], ".1f") if row["is_reached"] else f"about {target_ess / rate[0]:.0f}"
+        reached = "not reached" if rate[0] == 0.0 else f"about {target_ess / rate[0]:.0f}"
+        reached = spread(row["seconds"], ".1f") if row["is_reached"] else reached
         print(
             f"{name:50} {row['evaluations']:11d} {row['smallest_ess']:12.0f} {row['largest_rhat']:6.3f} "
             f"{row['smallest_ess'] / row['evaluations']:14.4f} "
