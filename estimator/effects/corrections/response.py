@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from itertools import combinations_with_replacement
 
 from jaxtyping import Float
@@ -170,19 +169,11 @@ def _levels_of_largest(circumstances: Circumstances, place: str) -> Starts:
     return tuple({"above_T": level_T} for level_T in (0.0, *_levels(largest_T)))
 
 
-def _is_above(circumstances: Circumstances, starts: Sequence[dict[str, float]]) -> Tensor:
-    """For each level 1 at readings above it, else 0."""
-    shown_T = circumstances.observations.field_sensor_T.abs().amax(-1)
-    levels_T = shown_T.new_tensor([start["above_T"] for start in starts])
-    return (shown_T > levels_T[:, None]).to(circumstances.hours)
-
-
 @correction(
     Gain,
     AboveLevel,
     shapes=lambda extent: (fixed("above_T", "T", 0.0, 2.0 * extent.largest_field_T),),
     starts=_levels_of_largest,
-    factors=_is_above,
     counts=DIFFERENT,
 )
 def gain_steps(field_sensor_T: Components) -> Tensor:
