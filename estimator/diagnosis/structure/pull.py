@@ -17,7 +17,8 @@ from estimator.diagnosis.linear import log_mean_exp
 from estimator.diagnosis.structure.doubt import Doubt
 from estimator.rig.parameters import LogNormal, Normal
 
-LEAST_KNOWN = 1e-3  # share of the knowledge of a number that the readings have; below, they say nothing of it
+# Share of the knowledge of a number that the readings have; with less the first order does not hold: products of numbers bend it.
+LEAST_KNOWN = 0.1
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,9 @@ def pull_of(fit: Fit) -> Pull:
         value = float(fit.values[name])
         widths = prior.distance(value)
         width = value * prior.relative_sd if isinstance(prior, LogNormal) else prior.sd
-        known = min(max(1.0 - (fit.value_sd(name) / width) ** 2, LEAST_KNOWN), 1.0)
+        known = 1.0 - (fit.value_sd(name) / width) ** 2
+        if known < LEAST_KNOWN:
+            continue
         own = [_log_bayes_factor(widths, known, wider) for wider in policy.WIDER_PRIORS]
         evidence += own
         if max(own) > most.log_bayes_factor:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -13,7 +14,11 @@ from estimator.diagnosis.structure.pull import pull_of
 from estimator.effects.attach import with_effect
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause
+from estimator.rig_files.read import load_rig
+from estimator.store.importers.readings_csv import read_readings_csv
 from tests.estimator.diagnosis.sessions import RIG, plain_fit
+from tests.estimator.diagnosis.small_fits import fit_of
+from tests.hidden.reported import draw_reported
 
 pytestmark = pytest.mark.whole
 PLACE, SD_M = "coil1.world_from_coil0.x_m", 1.5e-5  # the readings know it to 0.9e-5
@@ -37,6 +42,14 @@ def test_a_number_outside_its_prior_is_told_with_the_number() -> None:
     assert pull.is_probable
     assert pull.name == PLACE
     assert pull.widths == pytest.approx(7.0, abs=0.5)  # though the fit has gone only a part of that way
+
+
+def test_numbers_that_weak_fields_hardly_tell_are_not_pulled(tmp_path: Path) -> None:
+    """Fields near the noise tell of a product of numbers: along the bend of what they leave open each number lies off a little."""
+    draw_reported("recorded_frame", 565_008, 12.0, 12.0).right.write(tmp_path)
+    session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
+    readings = session.observations.calibration
+    assert not pull_of(fit_of(session.rig, readings)).is_probable
 
 
 def test_an_amplitude_of_a_correction_is_no_number_of_the_rig_file() -> None:
