@@ -170,7 +170,7 @@ def calibrate(
     summary_json = {
         **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence"), samples.is_converged),
         "fitted_besides": [cause.label for cause in besides.added],
-        "notes": [*warnings, *notes(besides)],
+        "notes": [*warnings, *notes(besides, session.observations)],
         "is_converged": samples.is_converged,
         "has_integer_counts": lattice.coordinates.n_counts > 0,
         "sampling": _sampling(samples),

@@ -8,18 +8,23 @@ from typing import Any
 from estimator.effects import EFFECTS
 from estimator.effects.everywhere import WithEverywhere
 from estimator.effects.stages import RoomEffect
+from estimator.readings.digits import steps_T
+from estimator.readings.observations import Observations
+from estimator.reporting.numbers import size_with_unit
 from estimator.rig.rig import Cause
 
+COARSE = 3.0  # times the noise: a step of the last digit from which on rounding is most of what scatters
 POSE = "_from_"  # part of the names of a pose
 ROOM_AND_ZERO = ("background_field[", "sensor_offset[")  # beginnings of their names
 ONLY_THE_SUM = "Where no sensor turns, only the sum of the room's field and of a sensor's zero is known"
 
 
-def notes(described: WithEverywhere) -> list[str]:
-    """Sentences on what no laboratory is without, on gains that count as exact, and on iron that the rig file says nothing of.
+def notes(described: WithEverywhere, observations: Observations) -> list[str]:
+    """Sentences on what no laboratory is without, on gains that count as exact, on iron that is not described, and on coarse digits.
 
     Args:
         described: The rig that was fitted.
+        observations: What it was fitted to.
     """
     sentences = []
     if described.added:
@@ -48,6 +53,12 @@ def notes(described: WithEverywhere) -> list[str]:
         sentences.append(
             "The rig file describes no iron: a steel plate or frame near a coil changes its turns and sizes, and may leave no misfit."
         )
+    for sensor, step_T in zip(rig.sensors, steps_T(observations, len(rig.sensors)), strict=True):
+        if step_T > COARSE * rig.parameters[f"{sensor.name}.noise_T"].value:
+            sentences.append(
+                f"{sensor.name} reads in steps of {size_with_unit(step_T, 'T', 3)}, more than its noise: what is rounded away is no noise "
+                "where fields change by less than a step. Record more digits."
+            )
     return sentences
 
 

@@ -113,7 +113,7 @@ def _readings(
         rest.append(f"  {told(flags, sensors)}")
     record = {"readings": readings_record(read.table), "flagged": [flag.to_json(sensors) for flag in flags]}
     if is_rig_right and not faults:
-        told_besides = [*warnings, *notes(with_everywhere(rig, session.observations))]
+        told_besides = [*warnings, *notes(with_everywhere(rig, session.observations), session.observations)]
         rest, record = [*rest, *(f"  {note}" for note in told_besides)], {**record, "notes": told_besides}
         record["warnings"] = warnings
     return [f"{path}: {first}", *rest], record, faults

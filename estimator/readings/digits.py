@@ -104,6 +104,13 @@ def step_of(values_T: Codes) -> float:
     return 0.0
 
 
+def steps_T(observations: Observations, n_sensors: int) -> list[float]:
+    """The largest step in which a component of each sensor was written down, in T; 0 where there is none."""
+    fields_T = observations.field_sensor_T.cpu().numpy().astype(np.float64)
+    sensor = observations.sensor.cpu().numpy()
+    return [max(map(step_of, fields_T[sensor == i].T)) for i in range(n_sensors)]
+
+
 def _codes(values_T: Codes, step_T: float) -> Codes:
     """Values in steps of the last digit; where there is none, in units so small that equality is equality."""
     return np.round(values_T / step_T) if step_T else values_T / 1e-12

@@ -12,9 +12,11 @@ from estimator.diagnosis.statements.gain import misses
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN
 from estimator.effects import EFFECTS
-from estimator.reporting.numbers import displays, odds, probability
+from estimator.readings.digits import steps_T
+from estimator.reporting.numbers import displays, odds, probability, size_with_unit
 from estimator.reporting.page import Table
 
+MOST_OF_NOISE = 2.5  # times the noise: a step whose rounding, a step over root 12, has three quarters of it
 MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
 MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
 MOST_ALTERNATIVES = 4  # other answers that a doubt lists
@@ -28,6 +30,7 @@ def unexplained(diagnosis: Diagnosis) -> str:
         why = f"the readings alone would put {name} {widths:.2g} widths of its prior from what the rig file states"
     elif findings.scatter.is_probable and not findings.answer.leaves_something:
         why = f"how far readings miss depends on {findings.scatter.along.removeprefix('one circumstance, ')}"
+        why += _rounded(diagnosis)
     else:
         why = misses(diagnosis)
     is_probable = any(entry.first.is_listed for entry in findings.answer.beside) or bool(
@@ -35,6 +38,17 @@ def unexplained(diagnosis: Diagnosis) -> str:
     )
     unknown = "no cause is sure enough to be stated" if is_probable else "no known cause explains it"
     return f"Something is wrong, and {unknown}: {why}."
+
+
+def _rounded(diagnosis: Diagnosis) -> str:
+    """Sensors whose last digit is coarser than their noise allows; empty where there are none."""
+    fit = diagnosis.fits.plain
+    sensors = fit.rig.sensors
+    return "".join(
+        f", and {sensor.name} reads in steps of {size_with_unit(step_T, 'T', 3)}, whose rounding is most of its noise"
+        for sensor, step_T in zip(sensors, steps_T(fit.observations, len(sensors)), strict=True)
+        if step_T > MOST_OF_NOISE * float(fit.values[f"{sensor.name}.noise_T"])
+    )
 
 
 def p_nothing(diagnosis: Diagnosis) -> float:

@@ -1,11 +1,16 @@
-"""A calibration says what it takes for granted: exact gains, and no iron near its coils."""
+"""A calibration says what it takes for granted: exact gains, no iron near its coils, and digits finer than the noise."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
+import torch
 
 from estimator.calibration.notes import notes, told_by_data
 from estimator.effects.everywhere import WithEverywhere
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.conftest import RIG
 
@@ -18,13 +23,43 @@ KNOWN = RIG.replace("{prior: {normal: {mean: 51, sd: 1}}}", "51").replace(
 )
 
 
+def readings(rig: Rig, step_T: float = 0.0) -> Observations:
+    """Thirty readings of each sensor, in steps."""
+    field_T = 1e-3 * torch.rand(30, 3, generator=torch.Generator().manual_seed(1)).double()
+    field_T = (field_T / step_T).round() * step_T if step_T else field_T
+    n, index = len(field_T), torch.zeros(30, dtype=torch.int64)
+    made = Observations(
+        torch.arange(n).double(),
+        index,
+        torch.zeros(n, len(rig.coils)).double(),
+        {},
+        field_T,
+        index > 0,
+        index,
+        {},
+    )
+    return replace(made, sensor=index % len(rig.sensors))
+
+
+def told_of(text: str, step_T: float = 0.0) -> list[str]:
+    rig = rig_from_text(text)
+    return notes(WithEverywhere(rig), readings(rig, step_T))
+
+
+@pytest.mark.parametrize(("step_uT", "is_told"), [(0.0, False), (30.0, False), (100.0, True)])
+def test_steps_of_the_last_digit_that_exceed_the_noise_are_told(step_uT: float, is_told: bool) -> None:
+    """Of a sensor with 20 uT."""
+    told = [note for note in told_of(RIG, 1e-6 * step_uT) if "reads in steps of 100 µT" in note]
+    assert bool(told) is is_told
+
+
 @pytest.mark.parametrize(
     ("text", "is_told"),
     [(RIG, True), (RIG + FIELD, True), (RIG + PLATE, False), (KNOWN, False)],
     ids=["nothing described", "a field of the room", "a plate", "a winding that is known"],
 )
 def test_iron_that_turns_and_sizes_would_absorb_is_told_where_none_is_described(text, is_told) -> None:
-    told = [note for note in notes(WithEverywhere(rig_from_text(text))) if "describes no iron" in note]
+    told = [note for note in told_of(text) if "describes no iron" in note]
     assert bool(told) is is_told
 
 
@@ -34,7 +69,7 @@ def test_room_against_zero_is_one_note_and_no_warning_for_each_axis() -> None:
     room, zero = f"  background_field[room]: {free}\n", f"  sensor_offset[hall]: {free}\n"
 
     def told(*effects: str) -> bool:
-        return any("only the sum" in note for note in notes(WithEverywhere(rig_from_text("".join(effects)))))
+        return any("only the sum" in note for note in told_of("".join(effects)))
 
     assert told(RIG, "effects:\n", room, zero)
     assert not told(RIG, "effects:\n", room)
