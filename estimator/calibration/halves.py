@@ -10,6 +10,7 @@ from collections.abc import Iterator
 
 import torch
 from jaxtyping import Bool, Float
+from scipy import stats
 from torch import Tensor
 
 from estimator.calibration.linear_fit import Disagreement, LinearFit
@@ -28,6 +29,27 @@ def disagreements(fit: LinearFit) -> list[Disagreement]:
     p_values = {words: float(fit.p_values(columns[None])[0]) for words, columns in _tests(fit)}
     adjusted = [Disagreement(words, min(1.0, len(p_values) * p_value)) for words, p_value in p_values.items()]
     return sorted(adjusted, key=lambda each: each.p_value)
+
+
+def unseen(fit: LinearFit, beyond: LinearFit) -> Disagreement:
+    """Whether readings that took no part in a fit are missed by more than noise and the fit's own uncertainty.
+
+    Args:
+        fit: To the readings that it has seen.
+        beyond: The same model and values at the readings that it has not seen.
+    References: Chow, Econometrica 28 (1960) 591 (equality of coefficients where the second set is small).
+    """
+    n, n_seen = len(beyond.sigma_T), len(fit.sigma_T)
+    precision = fit.jacobian.mT @ fit.jacobian
+    step = torch.linalg.solve(precision, fit.jacobian.mT @ fit.residual)  # nothing at the best values
+    jacobian, residual = beyond.jacobian[:n], beyond.residual[:n] - beyond.jacobian[:n] @ step
+    followed = jacobian.mT @ residual
+    square = residual.square().sum() - followed @ torch.linalg.solve(
+        precision + jacobian.mT @ jacobian, followed
+    )
+    ratio = float(square / n / (fit.left_square / n_seen))
+    words = "unseen readings are missed by more than the noise and the intervals of the fit"
+    return Disagreement(words, float(stats.f.sf(ratio, n, n_seen)))
 
 
 def _tests(fit: LinearFit) -> Iterator[tuple[str, Tensor]]:

@@ -114,6 +114,11 @@ class LinearFit:
         left: Tensor = self.residual - self._followed @ (self._followed.mT @ self.residual)
         return left
 
+    @property
+    def left_square(self) -> float:
+        """Square of what the fit leaves, in units of the noise."""
+        return float(self._left.square().sum())
+
     def p_values(self, columns: Float[Tensor, "start row column"]) -> np.ndarray:
         """Probability that noise has as large a share of its square along columns, less what the fit follows, for each start."""
         size = columns.norm(dim=-2, keepdim=True)
@@ -122,7 +127,7 @@ class LinearFit:
         square, axes = torch.linalg.eigh(columns.mT @ columns)
         along = (axes.mT @ (columns.mT @ self._left)[..., None])[..., 0]
         is_left = square > RANK_TOLERANCE
-        share = torch.where(is_left, along.square() / square, 0.0).sum(-1) / self._left.square().sum()
+        share = torch.where(is_left, along.square() / square, 0.0).sum(-1) / self.left_square
         n_columns = is_left.sum(-1).numpy()
         n_left = len(self.residual) - self._followed.shape[1]
         can_tell = (n_columns > 0) & (n_columns < n_left)

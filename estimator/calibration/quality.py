@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from estimator.calibration import policy
-from estimator.calibration.halves import disagreements
+from estimator.calibration.halves import disagreements, unseen
 from estimator.calibration.linear_fit import Disagreement, LinearFit
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.patterns import clearest_pattern
@@ -101,6 +101,7 @@ def assessment(
     reasons = [
         *_misfit(error["vector_T"], expected_T),
         *_disagreement(fit),
+        *_missed_unseen(fit, calibration),
         *tensions((p for p in rig.free if not p.name.endswith(".noise_T")), medians),
     ]
     if coverage90 is not None and coverage90 < policy.LEAST_COVERAGE90:
@@ -209,6 +210,15 @@ def _misfit(error_T: float, expected_T: float) -> list[str]:
 def _disagreement(fit: LinearFit) -> list[str]:
     """The half of the session that disagrees most with the rest."""
     return list(map(_told, filter(_is_clear, disagreements(fit)[:1])))
+
+
+def _missed_unseen(fit: LinearFit, calibration: Calibration) -> list[str]:
+    """Unseen readings, where there are any."""
+    observations = calibration.observations.validation
+    if not bool(observations.is_measured.any()):
+        return []
+    beyond = unseen(fit, LinearFit.of(calibration.rig, observations, calibration.best))
+    return list(map(_told, filter(_is_clear, [beyond])))
 
 
 def _pattern(fit: LinearFit) -> list[str]:

@@ -9,7 +9,7 @@ import pytest
 import torch
 from scipy import stats
 
-from estimator.calibration.halves import disagreements
+from estimator.calibration.halves import disagreements, unseen
 from estimator.calibration.linear_fit import LinearFit
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
@@ -95,6 +95,21 @@ def test_a_share_of_the_field_before_is_told_by_its_name() -> None:
     told = found(made.with_field(made.field_sensor_T + 0.01 * before_T))
     assert "the same sensor read before" in told[0][0]
     assert told[0][1] < 1e-3
+
+
+def unseen_p_value(seed: int, shift_T: float = 0.0) -> float:
+    """Half of the readings fitted, the other half shifted."""
+    made = readings(seed)
+    is_seen = torch.arange(len(made)) % 2 == 0
+    moved = made.with_field(made.field_sensor_T + shift_T).rows(~is_seen)
+    values = {**RIG.nominal_values(), **TRUTH}
+    return unseen(LinearFit.of(RIG, made.rows(is_seen), values), LinearFit.of(RIG, moved, values)).p_value
+
+
+def test_unseen_readings_agree_as_often_as_stated_and_not_where_they_are_shifted() -> None:
+    p_values = [unseen_p_value(100 + seed) for seed in range(60)]
+    assert stats.kstest(p_values, "uniform").pvalue > 1e-3
+    assert unseen_p_value(1, shift_T=20e-6) < 1e-3
 
 
 def test_missing_components_and_few_readings_are_no_obstacle() -> None:
