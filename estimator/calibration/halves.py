@@ -1,4 +1,4 @@
-"""Whether halves of a session agree with the fit to all of it: by current, by time and by place; and what each sensor shows of its field.
+"""Whether halves of a session agree with the fit to all of it, by current, by time and by place; likewise unseen readings.
 
 A fit follows what it can, so a wrong model may leave little. Fits to two halves then find different numbers, which the Chow test sees
 without knowing the noise: it asks whether derivatives of the prediction that are switched on in one half explain the residuals.

@@ -135,7 +135,8 @@ def assessment(
         Quality.GOOD,
         (
             f"it misses {_share(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves {_size(expected_T)}, "
-            "halves of the session agree, no cause of the library shows clearly, and no number is far from what is expected.",
+            f"halves of the session{' and unseen readings' if role == 'validation' else ''} agree, no cause of the library shows clearly, "
+            "and no number is far from what is expected.",
         ),
         "Run coilcal diagnose to look closer for what a fit may have followed.",
     )
