@@ -25,6 +25,7 @@ ENOUGH, FAIR = 0.9, 0.75
 WORTH = 1.1  # a round of straightening gains where it multiplies the efficiency by as much
 PATIENCE = 2  # rounds of straightening without a gain: while few draws weigh, the efficiency of one round says little
 LATE_ROUNDS = 2  # whose draws are straightened; those of earlier rounds lie farther off
+MOST_POINTS_LOST = 5.0  # points for each effective one, of those that tell of a bend
 WIDENED, WIDE_SHARE = 2.0, 0.3  # share of draws from a wider law, which sees tails that the proposal misses
 LARGEST = 1e30  # coordinate of a draw that counts: squares of squares must stay numbers
 COMPONENTS, ITERATIONS = 6, 20
@@ -74,7 +75,7 @@ def adapted(
         log_weight = np.concatenate((log_weight, log_target - log_drawn))
         if n_without_gain < PATIENCE:
             late = slice(-LATE_ROUNDS * size, None)
-            fresh, weight = vectors[late], _truncated(log_weight[late])
+            fresh, weight = vectors[late], _tempered(log_weight[late])
             straightening = _straightening(proposal, fresh, log_targets[late], weight, straightening)
             proposal = _straightened(proposal, straightening, fresh, weight)
         else:
@@ -122,6 +123,16 @@ def _truncated(log_weight: np.ndarray) -> np.ndarray:
     weight = np.exp(log_weight - log_weight.max())
     weight = np.minimum(weight, weight.mean() * np.sqrt(len(weight)))
     return np.asarray(weight / weight.sum())
+
+
+def _tempered(log_weight: np.ndarray) -> np.ndarray:
+    """Truncated weights, of a power of the weights where few points have them all: log densities tell of a bend wherever the points lie."""
+    weight = _truncated(log_weight)
+    n_possible = int(np.isfinite(log_weight).sum())
+    while float((weight**2).sum()) * n_possible > MOST_POINTS_LOST:
+        log_weight = 0.5 * log_weight
+        weight = _truncated(log_weight)
+    return weight
 
 
 def _straightening(

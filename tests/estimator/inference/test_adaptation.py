@@ -47,6 +47,28 @@ def test_bent_posterior_is_straightened():
     assert fitted.weight[1] > fitted.weight[0]
 
 
+def test_posterior_that_hardly_any_draw_hits_is_straightened_too():
+    """Twenty coordinates, five of them bent by twice their widths: of a thousand draws one or two have all the weight."""
+    n, bends = 20, [(19, 0, 1), (18, 2, 3), (17, 4, 5), (16, 6, 7), (15, 8, 9)]
+
+    def log_bent(vectors: np.ndarray) -> np.ndarray:
+        straight = vectors[:, :n].copy()
+        for bent, j, k in bends:
+            straight[:, bent] -= 2.0 * vectors[:, j] * vectors[:, k]
+        return -0.5 * (straight**2).sum(1)
+
+    alone = CountMixture(
+        torch.tensor([[7.0]]).double(),
+        torch.ones(1).double(),
+        torch.zeros(1, n).double(),
+        torch.eye(n)[None].double(),
+    )
+    laplace = MixtureProposal(alone)
+    fitted, _ = adapted(laplace, log_bent, np.random.RandomState(0))
+    assert efficiency(laplace, log_bent) < 0.01
+    assert efficiency(fitted, log_bent) > 0.7
+
+
 def test_good_proposal_is_left_as_it_is():
     laplace = MixtureProposal(LAPLACE)
     normal, _ = adapted(laplace, lambda v: -0.5 * (v[:, :N] ** 2).sum(1), np.random.RandomState(0))
