@@ -14,8 +14,7 @@ from scipy import stats
 from torch import Tensor
 
 from estimator.calibration.linear_fit import Disagreement, LinearFit
-from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig
+from estimator.effects.circumstances import Circumstances
 
 MOST_COLUMNS = 300  # of derivatives; coils without a winding have more, and are asked by their response alone
 LEAST_IN_HALF = 0.1  # of the readings
@@ -68,7 +67,7 @@ def _tests(fit: LinearFit) -> Iterator[tuple[str, Tensor]]:
     yield words, fit.rows(torch.stack(_fields_before(fit)))
     if fit.jacobian.shape[1] > MOST_COLUMNS:
         return
-    for words, is_in in _halves(rig, observations):
+    for words, is_in in _halves(fit.posterior.model.circumstances):
         share = float(is_in.to(torch.float64).mean())
         if LEAST_IN_HALF <= share <= 1.0 - LEAST_IN_HALF:
             constant = torch.stack([_on_axis(is_in.to(torch.float64), axis) for axis in range(3)])
@@ -88,8 +87,9 @@ def _fields_before(fit: LinearFit) -> list[Tensor]:
     return columns
 
 
-def _halves(rig: Rig, observations: Observations) -> Iterator[tuple[str, Bool[Tensor, " reading"]]]:
+def _halves(circumstances: Circumstances) -> Iterator[tuple[str, Bool[Tensor, " reading"]]]:
     """Halves of the readings, and what is said where fits to the two disagree."""
+    rig, observations = circumstances.rig, circumstances.observations
     current_A = observations.current_A
     yield "readings without current disagree with the others", (current_A == 0.0).all(dim=1)
     for i, coil in enumerate(rig.coils):
@@ -109,6 +109,11 @@ def _halves(rig: Rig, observations: Observations) -> Iterator[tuple[str, Bool[Te
                     f"readings with a large {name} disagree with those with a small one",
                     _above_median(column),
                 )
+        for axis, side in zip("xyz", circumstances.approach(mover.name).unbind(1), strict=True):
+            yield (
+                f"readings that {mover.name} came to along its {axis} from one side disagree with the others",
+                side > 0.0,
+            )
     if len(rig.sensors) > 1:
         for i, sensor in enumerate(rig.sensors):
             yield f"readings of {sensor.name} disagree with those of the others", observations.sensor == i

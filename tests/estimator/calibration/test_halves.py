@@ -11,6 +11,7 @@ from scipy import stats
 
 from estimator.calibration.halves import disagreements, unseen
 from estimator.calibration.linear_fit import LinearFit
+from estimator.effects.circumstances import Circumstances
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_from_text
@@ -76,6 +77,15 @@ def test_a_half_that_is_shifted_is_told_by_its_name(size_T: float) -> None:
     assert (
         found(changed(made, late, shift_T))[0][0] == "the first half of the session disagrees with the second"
     )
+
+
+def test_a_mover_that_leans_to_the_side_of_its_last_move_is_told_with_the_axis() -> None:
+    made = readings(5)
+    side = Circumstances(RIG, made).approach(RIG.movers[0].name)[:, 2]
+    shift_T = 20e-6 * side[:, None] * torch.tensor([[1.0, -1.0, 1.0]], dtype=torch.float64)
+    told = found(made.with_field(made.field_sensor_T + shift_T))
+    assert "came to along its z" in told[0][0]
+    assert told[0][1] < 1e-3
 
 
 def test_an_axis_with_a_wrong_gain_and_a_turned_sensor_are_seen() -> None:
