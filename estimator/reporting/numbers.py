@@ -17,7 +17,8 @@ from estimator.units import DERIVED_UNITS, UNITS, split_quotient
 
 PREFIXES = ((1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"))
 EVEN = 0.3  # of log evidence, about 4 to 3
-SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT", "m3": "mm3", "h": "s"}
+SHOWN_IN = {"m": "mm", "rad": "mrad", "T": "uT", "m3": "cm3", "h": "s"}
+BALL = "cubed radius of a ball"  # what pieces of iron have in m3: of the ball that answers as they do, whose volume is 4 pi / 3 times that
 PREFIXED = ("T", "m", "rad", "A", "A m2", "s")  # units, and numerators of units, that take a prefix
 SUPERSCRIPTS = str.maketrans("23", "²³")
 
@@ -47,7 +48,7 @@ class Display:
 def displays(names: Sequence[str]) -> dict[str, Display]:
     """Short names and display units of parameters: lengths in mm, angles in mrad, fields in µT.
 
-    A name is cut to its quantity if that is unique among the names.
+    A name is cut to its quantity if that is unique among the names. Pieces of iron are told by the ball that answers as they do.
 
     Examples:
         >>> displays(["coil1.radius_m", "coil1.world_from_coil.tilt_x_rad"])["coil1.radius_m"]
@@ -56,11 +57,16 @@ def displays(names: Sequence[str]) -> dict[str, Display]:
         ['axial loops', 'hall noise (µT)', 'probe noise (µT)']
         >>> displays(["coil1.degree1_cos0_T_per_A"])["coil1.degree1_cos0_T_per_A"].label
         'degree1 cos0 (µT/A)'
+        >>> displays(["iron_body[room].volume_m3"])["iron_body[room].volume_m3"].label
+        'cubed radius of a ball (cm³)'
     """
 
     def candidates(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
         """Parts of a name, the shortest choice first."""
-        parts = tuple(split_quotient(name)[0].split("."))
+        words, unit, _ = split_quotient(name)
+        parts = tuple(words.split("."))
+        if unit and unit.symbol == "m3":
+            parts = (*parts[:-1], BALL)
         return parts[-1:], (parts[0], parts[-1]), parts
 
     choices = {name: candidates(name) for name in names}
@@ -88,14 +94,13 @@ def quantity_words(key: str, beside: Collection[str] = ()) -> str:
         beside: Keys of all quantities of its cause; one without a unit is called a gain where another one would have the same name.
 
     Examples:
-        >>> quantity_words("drift_x_T_per_h"), quantity_words("moment_x_A_m2")
-        ('drift x', 'moment x')
+        >>> quantity_words("drift_x_T_per_h"), quantity_words("volume_m3")
+        ('drift x', 'cubed radius of a ball')
         >>> quantity_words("x", ["x", "x_T"]), quantity_words("x_T", ["x", "x_T"])
         ('gain x', 'x')
     """
-    if key == "volume_m3":  # of `iron_body`, in files that others read
-        return "radius cubed"
-    words = split_quotient(key)[0].replace("_", " ")
+    name, unit, _ = split_quotient(key)
+    words = BALL if unit and unit.symbol == "m3" else name.replace("_", " ")
     return f"gain {words}" if f"{key}_T" in beside else words
 
 
@@ -147,23 +152,28 @@ def _unit_of(value: float, unit: str) -> tuple[float, str]:
 
 
 def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
-    """A value with its interval, in the unit of its order, to the first digit of the interval's half-width; alone where it was set.
+    """A value with its interval, in the unit of the larger one's order, to the first digit of the half-width; alone where it was set.
 
     Examples:
         >>> interval_with_unit(-2.0, -2.0, -2.0, "1"), interval_with_unit(0.13831, 0.13831, 0.13831, "h")
         ('−2', '497.9 s')
         >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-4, -2.12e-4, -2.07e-4, "T")
         ('0.9 % (0.3 to 1.5 %)', '−210 µT (−212 to −207 µT)')
-        >>> interval_with_unit(2.0, 1.5, 2.4, "1")
-        '2.0 (1.5 to 2.4)'
+        >>> interval_with_unit(2.0, 1.5, 2.4, "1"), interval_with_unit(-3.8e-5, -0.0285, 0.0277, "rad")
+        ('2.0 (1.5 to 2.4)', '0 mrad (−28 to 28 mrad)')
+        >>> interval_with_unit(42e-6, 19e-6, 134e-6, "m3")
+        '42 cm³ (19 to 134 cm³), a ball of 35 mm radius'
     """
-    factor, symbol = _unit_of(value, unit)
-    half_width = 0.5 * (high - low) / factor
+    half_width = 0.5 * (high - low)
+    factor, symbol = _unit_of(max(abs(value), half_width), unit)
+    ball = f", a ball of {size_with_unit(math.cbrt(value), 'm')} radius" if unit == "m3" else ""
     if half_width <= 0.0:
-        return f"{value / factor:.4g}{symbol}".replace("-", "−")
-    decimals = max(0, -math.floor(math.log10(half_width)))
-    middle, lower, upper = (f"{end / factor:.{decimals}f}" for end in (value, low, high))
-    return f"{middle}{symbol} ({lower} to {upper}{symbol})".replace("-", "−")
+        return f"{value / factor:.4g}{symbol}{ball}".replace("-", "−")
+    decimals = max(0, -math.floor(math.log10(half_width / factor)))
+    middle, lower, upper = (
+        f"{round(end / factor, decimals) + 0.0:.{decimals}f}" for end in (value, low, high)
+    )
+    return f"{middle}{symbol} ({lower} to {upper}{symbol}){ball}".replace("-", "−")
 
 
 def microtesla(value_T: float) -> str:
@@ -229,13 +239,15 @@ def to_digit_of(sd: float, value: float) -> str:
     """A value rounded to the second digit of a standard deviation; to six digits if that is zero.
 
     Examples:
-        >>> to_digit_of(0.0312, 50.98123), to_digit_of(0.0, 0.00049), to_digit_of(0.1, -0.001)
-        ('50.981', '0.00049', '0.00')
+        >>> to_digit_of(0.0312, 50.98123), to_digit_of(0.0, 0.00049), to_digit_of(0.1, -0.001), to_digit_of(352.0, 418.6)
+        ('50.981', '0.00049', '0.00', '420')
     """
     if sd == 0.0 or not math.isfinite(sd):
         return f"{value:.6g}".replace("-", "−")
-    digits = max(0, 1 - math.floor(math.log10(float(f"{sd:.1e}"))))
-    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no minus sign before a zero
+    digits = 1 - math.floor(math.log10(float(f"{sd:.1e}")))
+    return f"{round(value, digits) + 0.0:.{max(0, digits)}f}".replace(
+        "-", "−"
+    )  # + 0.0: no minus sign before a zero
 
 
 def plain(text: str) -> str:

@@ -120,7 +120,7 @@ def where(at: Mapping[str, float]) -> str:
     """Place and instants among the shapes of a cause, in words; empty where there are none.
 
     Examples:
-        >>> where({"x_m": 0.01, "y_m": -0.02, "z_m": 0.0, "since_h": 0.5})
+        >>> where({"x_m": 0.01, "y_m": -0.02, "z_m": -1e-6, "since_h": 0.5})
         'at (10, −20, 0) mm, from 1800 s on'
         >>> where({"axis": 2.0, "distance_m": -0.041})
         'at z = −41 mm'
@@ -132,7 +132,7 @@ def where(at: Mapping[str, float]) -> str:
         axis, distance_m = (at[key] for key in PLANE)
         words.append(f"at {COMPONENTS[int(axis)]} = {1e3 * distance_m:.0f} mm")
     if all(key in at for key in PLACE):
-        words.append(f"at ({', '.join(f'{1e3 * at[key]:.0f}' for key in PLACE)}) mm")
+        words.append(f"at ({', '.join(f'{round(1e3 * at[key])}' for key in PLACE)}) mm")
     if SINCE in at:
         words.append(f"from {SECONDS_PER_HOUR * at[SINCE]:.0f} s on")
     if UNTIL in at:

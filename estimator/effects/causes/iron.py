@@ -247,7 +247,8 @@ IRON = (
 def iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """A piece of iron in the room answers the coils.
 
-    One small piece of iron in the room.
+    One small piece of iron in the room. Its `volume_m3` is the cubed radius of a ball of iron that answers likewise, whose own
+    volume is 4 pi / 3 times that.
     """
     return _dipole_of_body(per_ampere, points_m, theta)
 
