@@ -20,7 +20,7 @@ from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
 from estimator.glance import Glance, Shown
 from estimator.model.room_field import RoomField, some_at_a_time
-from estimator.points import given_motion, given_points
+from estimator.points import FIELD, GRADIENT, given_motion, given_points
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import MotionKind
 from estimator.rig.coordinates import Coordinates
@@ -77,7 +77,7 @@ class Calibration(Shown):
         given = given_points(points_m)
         room = self.room(given.points_m, motion)
         field_T = room.field_T(self.best_values(given.points_m), self.currents(currents_A, given.points_m))
-        return cast(Kind, given.answer(field_T, "magnetic flux density", "T"))
+        return cast(Kind, given.answer(field_T, FIELD))
 
     def gradient(
         self, points_m: Kind, currents_A: Mapping[str, float], motion: Mapping[str, Any] | None = None
@@ -89,7 +89,7 @@ class Calibration(Shown):
         given = given_points(points_m)
         room = self.room(given.points_m, motion)
         values, current_A = self.best_values(given.points_m), self.currents(currents_A, given.points_m)
-        return cast(Kind, given.answer(room.gradient_T_per_m(values, current_A), "field gradient", "T/m"))
+        return cast(Kind, given.answer(room.gradient_T_per_m(values, current_A), GRADIENT))
 
     def field_interval(
         self,
@@ -133,15 +133,12 @@ class Calibration(Shown):
         points_m = given.points_m
         room, current_A = self.room(points_m, motion), self.currents(currents_A, points_m)
         predict = room.gradient_T_per_m if is_gradient else room.field_T
-        draws, shape = self.draw_values(INTERVAL_DRAWS, points_m), (3, 3) if is_gradient else (3,)
-        values = some_at_a_time(lambda drawn: predict(drawn, current_A), draws, len(points_m), 1 + len(shape))
-        name, unit = ("field gradient", "T/m") if is_gradient else ("magnetic flux density", "T")
-        ends = self.ends(values, (len(points_m), *shape), level)
+        draws, what = self.draw_values(INTERVAL_DRAWS, points_m), GRADIENT if is_gradient else FIELD
+        n_axes = len(what.axes)
+        values = some_at_a_time(lambda drawn: predict(drawn, current_A), draws, len(points_m), 1 + n_axes)
+        ends = self.ends(values, (len(points_m), *[3] * n_axes), level)
         lower, upper = (
-            cast(
-                Kind,
-                given.answer(end, f"{which} end of the {100.0 * level:g} % interval of the {name}", unit),
-            )
+            cast(Kind, given.answer(end, what.end_of_interval(which, level)))
             for which, end in zip(("lower", "upper"), ends, strict=True)
         )
         return lower, upper

@@ -43,7 +43,7 @@ class System(Shown):
         >>> from estimator import calibrate, load_session
         >>> system = System.of(calibrate(load_session("arm1.zarr")), calibrate(load_session("arm2.zarr")))  # doctest: +SKIP
         >>> here = system.at(points_m, {"arm1": joints1_rad, "arm2": joints2_rad})  # doctest: +SKIP
-        >>> here.field_T(system.currents({"coil1": 3.0}))  # doctest: +SKIP
+        >>> here.field_T({"coil1": 3.0})  # doctest: +SKIP
     """
 
     calibrations: Mapping[str, Calibration]
@@ -122,13 +122,14 @@ class System(Shown):
         """The system with its movers in given poses; results can be differentiated in points and motion.
 
         Args:
-            points_m: Points in the world frame, as `Calibration.field` takes them. Answers of `SystemField` are tensors.
+            points_m: Points in the world frame, as `Calibration.field` takes them; answers of `SystemField` are of their kind, in
+                double precision.
             motion: Joint values or displacement of each mover: six numbers, or six per point. A mover that reports displacements defaults
                 to zero.
         Raises:
             InvalidInput: An unknown mover, or a mover that carries a coil and has no motion.
         """
-        points_m, motion = given_points(points_m).points_m, motion or {}
+        points, motion = given_points(points_m), motion or {}
         movers = sorted({mover.name for part in self.parts for mover in part.rig.movers})
         check_known("motion must name movers of the system", motion, movers)
         rooms = []
@@ -136,8 +137,8 @@ class System(Shown):
             part_motion = {
                 mover.name: motion[mover.name] for mover in part.rig.movers if mover.name in motion
             }
-            rooms.append(part.room(points_m, part_motion))
-        return SystemField(self, tuple(rooms))
+            rooms.append(part.room(points.points_m.double(), part_motion))
+        return SystemField(self, tuple(rooms), points)
 
     def compiled(self) -> CompiledSystem:
         """These coils in machine code, for a point in microseconds; without intervals and derivatives in the pose.

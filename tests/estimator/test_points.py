@@ -82,10 +82,48 @@ def test_labelled_points_are_answered_with_labels_and_units(
     assert unnamed.dims == ("i", "component")
 
 
-def test_a_system_takes_the_same_points(small_calibration: Calibration, expected_T: np.ndarray) -> None:
+@pytest.mark.parametrize("kind", [list, np.asarray, torch.tensor, xr.DataArray])
+def test_a_system_answers_in_the_kind_of_its_points_whatever_else_is_given(
+    kind: Any, small_calibration: Calibration, expected_T: np.ndarray
+) -> None:
     system = System.of(small_calibration)
-    here = system.at(ROWS, STILL)
-    np.testing.assert_allclose(here.field_T(system.currents(ON)).numpy(), expected_T)
+    for points, rows in ((kind(ROWS), expected_T), (kind(ROWS)[1], expected_T[1])):
+        here = system.at(points, STILL)
+        assert type(here.actuation()) is type(points)
+        for currents in (ON, [2.0], np.array([2.0]), system.currents(ON)):
+            field_T = here.field_T(currents)
+            assert type(field_T) is type(points)
+            np.testing.assert_allclose(np.asarray(field_T), rows, rtol=1e-5)
+        lower, upper = here.gradient_interval_T_per_m([[2.0], [1.0]])
+        assert type(upper) is type(lower) is type(points)
+        assert np.shape(upper) == (2, *rows.shape, 3)
+        wanted_A = here.currents_for_field(here.field_T([1.5]), most_A=np.float64(5.0))
+        np.testing.assert_allclose(np.asarray(wanted_A)[..., 0], 1.5, rtol=1e-5)
+        moment, force_N = [0.0, 0.0, 1.0], here.force_N([0.0, 0.0, 1.0], [2.0])
+        np.testing.assert_allclose(
+            np.asarray(here.currents_for_force(moment, force_N))[..., 0], 2.0, rtol=1e-4
+        )
+
+
+def test_a_system_labels_what_it_answers(small_calibration: Calibration) -> None:
+    rows = xr.DataArray(np.array(ROWS), dims=("stop", "axis"), coords={"stop": [7, 8]})
+    here = System.of(small_calibration).at(rows, STILL)
+    matrix = here.actuation()
+    assert (matrix.dims, list(matrix.coil.values)) == (("stop", "row", "coil"), ["coil1"])
+    field_T = here.field_T([[1.0], [2.0]])
+    np.testing.assert_allclose(
+        matrix.sel(row="Bz", coil="coil1"), field_T.sel(batch0=0, component="z"), rtol=1e-9
+    )
+    assert here.currents_for_field(field_T).dims == ("batch0", "stop", "coil")
+
+
+@pytest.mark.parametrize("currents", [[1.0, 2.0], 3.0, "on"])
+def test_currents_that_are_not_one_for_each_coil_are_refused(
+    currents: Any, small_calibration: Calibration
+) -> None:
+    here = System.of(small_calibration).at(ROWS, STILL)
+    with pytest.raises(InvalidInput, match=r"a number for each coil \(coil1\), or given by coil"):
+        here.field_T(currents)
 
 
 @pytest.mark.parametrize(
