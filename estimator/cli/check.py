@@ -41,14 +41,19 @@ def check_command(rig_path: Path, path: Path | None, form: FormOptions, as_json:
     from estimator.cli.instruments import device_faults
     from estimator.cli.understood import rig_lines, rig_record
     from estimator.errors import in_order
+    from estimator.rig_files.numbers import Numbers
     from estimator.rig_files.read import rig_and_faults
+    from estimator.rig_files.unlikely import unlikely_lengths
 
-    rig, faults = rig_and_faults(rig_path)
+    numbers = Numbers()
+    rig, faults = rig_and_faults(rig_path, numbers)
     if rig is not None:
         faults = in_order([*faults, *device_faults(rig_path, rig.devices)])
     lines, record = [], {}
     if rig is not None and not faults:
-        lines, record = [f"{rig_path}: {rig_lines(rig)[0]}", *rig_lines(rig)[1:]], {"rig": rig_record(rig)}
+        unlikely = unlikely_lengths(numbers)
+        lines = [f"{rig_path}: {rig_lines(rig)[0]}", *rig_lines(rig)[1:], *(f"  {each}" for each in unlikely)]
+        record = {"rig": rig_record(rig), "unlikely": unlikely}
     if path is not None and rig is not None:
         further, about, file_faults = _file(path, rig, form, is_rig_right=not faults)
         faults = [*faults, *file_faults]
@@ -145,8 +150,7 @@ def _tell(faults: list[InvalidInput], lines: list[str], record: dict[str, Any], 
     if faults:
         told.append(f"{len(faults)} {'mistake' if len(faults) == 1 else 'mistakes'}")
     else:
-        doubt = "are not" if record.get("flagged") else "may not be" if record.get("warnings") else ""
-        lines.append(f"the form is right, the readings {doubt}" if doubt else "nothing is wrong")
+        lines.append(_in_all(record))
     entries = [
         {
             "message": _without_place(fault),
@@ -157,6 +161,14 @@ def _tell(faults: list[InvalidInput], lines: list[str], record: dict[str, Any], 
         for fault in faults
     ]
     show({"faults": entries, **record}, "\n".join(map(printable, [*lines, *told])), as_json)
+
+
+def _in_all(record: dict[str, Any]) -> str:
+    """What files without a mistake are like, in a few words."""
+    doubt = "are not" if record.get("flagged") else "may not be" if record.get("warnings") else ""
+    doubts = [f"the readings {doubt}"] if doubt else []
+    doubts += ["lengths of the rig file may not be"] if record.get("unlikely") else []
+    return f"the form is right, {' and '.join(doubts)}" if doubts else "nothing is wrong"
 
 
 def _where(fault: InvalidInput) -> str:

@@ -14,10 +14,10 @@ from jaxtyping import Bool, Float, Int
 
 from estimator.errors import InvalidInput, listed
 from estimator.model.measurement_model import MeasurementModel
+from estimator.model.unlikely_motion import cure, unlikely_motion
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
-from estimator.units import split_unit
 
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0
@@ -77,10 +77,11 @@ def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
         rig: Its nominal values are what readings are compared with.
         observations: Readings; at most `MOST_READINGS` of them are compared.
         where: File or session that messages name.
-    Returns: Sentences on what does not fit and may have a cause.
+    Returns: Sentences on what does not fit and may have a cause, and on positions that are unlikely.
     Raises:
         InvalidInput: Fields, currents, positions or angles of all readings are in another unit.
     """
+    told = unlikely_motion(rig, observations, where)
     chosen = torch.arange(len(observations))
     if len(observations) > MOST_READINGS:
         index = np.random.default_rng(0).choice(len(observations), MOST_READINGS, replace=False)
@@ -94,17 +95,17 @@ def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
             f"{refusal}; until then coilcal calibrate refuses them, and coilcal diagnose looks for the cause"
         )
     if given is not None and given.is_plausible and given.correlation > GOOD_PATTERN and not given.far:
-        return []
+        return told
     is_wrong_size = given is not None and not given.is_plausible
     _refuse_motion(rig, observations, is_wrong_size, where)
     if given is None:
-        return [f"Units could not be compared with the rig's nominal model: {why} ({where})."]
+        return [*told, f"Units could not be compared with the rig's nominal model: {why} ({where})."]
     if is_wrong_size and given.is_certain:
         raise InvalidInput(
             f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: "
             f"{_likely(given.ratio)} ({where})"
         )
-    return _warnings(given, observations, chosen, where)
+    return [*told, *_warnings(given, observations, chosen, where)]
 
 
 def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, where: str) -> None:
@@ -132,22 +133,17 @@ def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, wh
             raise InvalidInput(
                 f"{kind} of the movers must be in {'metres' if kind == 'positions' else 'radians'}; they look like "
                 f"{'degrees' if unit == 'deg' else unit}: divided by {1.0 / factor:.4g} they fit the rig's nominal model; "
-                f"{_cure(rig.movers[0].columns[0 if kind == 'positions' else -1], unit)} ({where})"
+                f"{cure(rig.movers[0].columns[0 if kind == 'positions' else -1], unit)} ({where})"
             )
 
 
 def _likely(ratio: float) -> str:
     unit, factor = min(FIELD_UNITS.items(), key=lambda item: abs(np.log(ratio / item[1])))
     if 1.0 / 3.0 < ratio / factor < 3.0:
-        return f"fields look like {unit} (or currents are too small by {factor:g}); {_cure('Bx', unit)}"
+        return f"fields look like {unit} (or currents are too small by {factor:g}); {cure('Bx', unit)}"
     if 1.0 / 3.0 < ratio * 1e3 < 3.0:
-        return f"currents look like mA (or fields are too small by 1000); {_cure('COIL_current', 'mA')}"
+        return f"currents look like mA (or fields are too small by 1000); {cure('COIL_current', 'mA')}"
     return "check units, currents and the nominal pose"
-
-
-def _cure(column: str, unit: str) -> str:
-    name = f"{split_unit(column)[0]}_{unit}"
-    return f"if so, name them so in the file, or with --column 'HEADER={name}' when they are imported"
 
 
 def _warnings(

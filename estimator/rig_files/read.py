@@ -39,13 +39,13 @@ def rig_from_text(text: str, file: str = "rig") -> Rig:
     return read_rig(Section.from_text(text, file))
 
 
-def rig_and_faults(path: Path | str) -> tuple[Rig | None, list[InvalidInput]]:
-    """A rig file with all that is wrong in it, in the order of its lines.
+def rig_and_faults(path: Path | str, numbers: Numbers | None = None) -> tuple[Rig | None, list[InvalidInput]]:
+    """A rig file with all that is wrong in it, in the order of its lines; `numbers` gets its numbers with their places.
 
     Returns: The rig, in which NaN stands for each number that could not be read; None where it is not clear what the rig consists of.
         Only without faults may it be used for more than its names.
     """
-    faults, numbers = Faults(is_collected=True), Numbers()
+    faults, numbers = Faults(is_collected=True), numbers or Numbers()
     rig = None
     with faults.noting():
         rig = read_rig(Section.from_file(Path(path), faults), numbers)

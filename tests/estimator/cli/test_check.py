@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from drivers import entries
+from estimator.model.unit_gate import check_units
+from estimator.model.unlikely_motion import unlikely_motion
+from estimator.rig_files.numbers import Numbers
+from estimator.rig_files.read import rig_and_faults
+from estimator.rig_files.unlikely import unlikely_lengths
+from estimator.store.session import load_session
 from tests.estimator.cli.conftest import run
 
 
@@ -242,3 +249,68 @@ def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(workspace: 
     assert flag["readings"] == list(range(12, 21))
     words = "repeats the reading before to the last digit while place or current change, in lines 13 to 21"
     assert words in run("check", workspace / "rig.yaml", path).stdout
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "words"),
+    [
+        (
+            "radius_mm: {prior: {normal: {mean: 51, sd: 1}}}",
+            "radius_m: {prior: {normal: {mean: 51, sd: 1}}}",
+            ": 51 m is unlikely, usual are 1 mm to 2 m; if 51 mm is meant, write radius_mm (RIG, line 9).",
+        ),
+        (
+            "wire_radius_mm: 0.98",
+            "wire_radius_um: 0.98",
+            "wire_radius_um: 0.00098 mm is unlikely, usual are 0.01 mm to 20 mm; if 0.98 mm is meant, write wire_radius_mm",
+        ),
+        (
+            "noise_uT: 5",
+            "noise_uT: 5\n    world_from_sensor: {z_m: 50}",
+            "z_m: 50 m is unlikely, usual is at most 10 m; if 50 mm is meant, write z_mm",
+        ),
+    ],
+)
+def test_a_length_of_another_unit_is_told_with_its_place_and_its_cure(
+    right: str, wrong: str, words: str, workspace: Path, tmp_path: Path
+) -> None:
+    rig = tmp_path / "rig.yaml"
+    text = (workspace / "rig.yaml").read_text(encoding="utf-8")
+    assert right in text
+    rig.write_text(text.replace(right, wrong), encoding="utf-8")
+    result = run("check", rig)
+    assert result.exit_code == 0
+    assert words.replace("RIG", str(rig)) in result.stdout
+    assert result.stdout.splitlines()[-1] == "the form is right, lengths of the rig file may not be"
+    assert len(json.loads(run("check", rig, "--json").stdout)["unlikely"]) == 1
+
+
+@pytest.mark.usefixtures("in_workspace")
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [
+        (
+            1e3,
+            "arm1_x_m is -40 m in line 2 and 33 more: movers of laboratories stay within 10 m; they look like mm; if so,",
+        ),
+        (
+            1e-3,
+            "arm1 moves by 0.08 mm at most: hardly any field changes so near; positions may be in m; if so,",
+        ),
+    ],
+)
+def test_positions_of_another_unit_are_told(factor: float, words: str) -> None:
+    session = load_session("session.zarr")
+    motion = {"arm1": session.observations.motion["arm1"] * factor}
+    wrong = replace(session.observations, motion=motion)
+    assert unlikely_motion(session.rig, wrong, "a.csv")[0].startswith(words)
+    assert not unlikely_motion(session.rig, session.observations, "a.csv")
+    if factor < 1.0:  # positions that are too large are refused where a smaller unit fits them
+        assert check_units(session.rig, wrong, "a.csv")[0].startswith(words)
+
+
+@pytest.mark.parametrize("path", sorted(Path("configs").glob("*.yaml")), ids=lambda path: path.stem)
+def test_no_length_of_a_known_rig_is_unlikely(path: Path) -> None:
+    numbers = Numbers()
+    assert rig_and_faults(path, numbers)[1] == []
+    assert unlikely_lengths(numbers) == []

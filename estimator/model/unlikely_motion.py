@@ -1,0 +1,65 @@
+"""Positions of movers that no laboratory has, most likely by a wrong unit. They may be true, so they are told and not refused."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+from estimator.units import split_unit
+
+FARTHEST_M = 10.0  # that a mover of a laboratory stands from its reference: a thousandth is a stage's travel
+LEAST_TRAVEL_M = (
+    5e-4  # of all movers together, where one moves at all: a thousand times as much is an arm's reach
+)
+
+
+def unlikely_motion(rig: Rig, observations: Observations, where: str) -> list[str]:
+    """Sentences on positions beyond any laboratory, and on travels too small for what moves, with the lines and the cure.
+
+    Args:
+        rig: Its movers; joint angles are no lengths.
+        observations: Their positions.
+        where: File or session that messages name.
+    """
+    return [*_too_far(rig, observations, where), *_too_little(rig, observations, where)]
+
+
+def _too_far(rig: Rig, observations: Observations, where: str) -> Iterator[str]:
+    for mover in (mover for mover in rig.movers if mover.table is None):
+        position_m = observations.motion[mover.name][:, :3]
+        is_far = (position_m.abs() > FARTHEST_M).any(dim=1)
+        if not bool(is_far.any()):
+            continue
+        row = int(is_far.nonzero()[0])
+        axis = int(position_m[row].abs().argmax())
+        first = f"reading {row + 1}" if observations.line is None else f"line {int(observations.line[row])}"
+        more = f" and {int(is_far.sum()) - 1} more" if int(is_far.sum()) > 1 else ""
+        column = mover.columns[axis]
+        yield (
+            f"{column} is {float(position_m[row, axis]):.4g} m in {first}{more}: movers of laboratories stay within {FARTHEST_M:g} m; "
+            f"they look like mm; {cure(column, 'mm')} ({where})."
+        )
+
+
+def _too_little(rig: Rig, observations: Observations, where: str) -> Iterator[str]:
+    travels_m = {
+        mover: float(
+            (motion := observations.motion[mover.name][:, :3]).amax(dim=0).sub(motion.amin(dim=0)).max()
+        )
+        for mover in rig.movers
+        if mover.table is None
+    }
+    farthest = max(travels_m, key=travels_m.__getitem__, default=None)
+    is_all = len(travels_m) == len(rig.movers)  # an arm that reports angles may move everything
+    if farthest is not None and is_all and 0.0 < travels_m[farthest] < LEAST_TRAVEL_M:
+        yield (
+            f"{farthest.name} moves by {1e3 * travels_m[farthest]:.3g} mm at most: hardly any field changes so near; "
+            f"positions may be in m; {cure(farthest.columns[0], 'm')} ({where})."
+        )
+
+
+def cure(column: str, unit: str) -> str:
+    """What to do about a column whose numbers are in another unit."""
+    name = f"{split_unit(column)[0]}_{unit}"
+    return f"if so, name them so in the file, or with --column 'HEADER={name}' when they are imported"
