@@ -59,7 +59,7 @@ def summary(
 
 def _parameters(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, Any]:
     result = {}
-    for name, values in {**draws, **_derived(rig, draws)}.items():
+    for name, values in {**draws, **derived_numbers(rig, draws)}.items():
         diagnostics = convergence(values.T[:, :, None])
         lower, median, upper = np.quantile(values, [0.05, 0.5, 0.95])
         result[name] = {
@@ -85,7 +85,7 @@ def _prior_tension(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, float
     return {name: value for name, value in distance_sd.items() if abs(value) > policy.TENSION_SD}
 
 
-def _derived(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def derived_numbers(rig: Rig, draws: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """Turns, length, thickness, and rms radius or sides of the mean loop, of every coil with a free winding: data determine these best."""
     derived = {}
     for coil in rig.wound:

@@ -126,12 +126,12 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
         ('12 µT', '0.17 %', '320 µT/h')
         >>> size_with_unit(0.0345678, "T", 4), size_with_unit(9.1e-8, "m3"), size_with_unit(0.085, "A m2")
         ('34.57 mT', '91 mm³', '85 mA m²')
-        >>> size_with_unit(0.0054, "h"), size_with_unit(2.5, "h")
-        ('19 s', '2.5 h')
+        >>> size_with_unit(0.0054, "h"), size_with_unit(2.5, "h"), size_with_unit(1.0, "1")
+        ('19 s', '2.5 h', '100 %')
         >>> size_with_unit(2.246547e-3, "m3")
         '2200 cm³'
     """
-    if unit == "1" and abs(value) >= 1.0:
+    if unit == "1" and abs(value) > 1.0:
         return f"{value:.3g}"
     factor, symbol = _unit_of(value, unit)
     return f"{float(f'{value / factor:.{digits}g}'):g}{symbol}"
@@ -140,7 +140,7 @@ def size_with_unit(value: float, unit: str, digits: int = 2) -> str:
 def _unit_of(value: float, unit: str) -> tuple[float, str]:
     """The unit of a value's order: its size in `unit`, and its symbol behind a space; nothing for numbers of one and more."""
     if unit == "1":
-        return (0.01, " %") if abs(value) < 1.0 else (1.0, "")
+        return (0.01, " %") if abs(value) <= 1.0 else (1.0, "")
     factor, prefix = 1.0, ""
     if unit.partition("/")[0] in PREFIXED:
         factor, prefix = next((p for p in PREFIXES if abs(value) >= p[0]), PREFIXES[-1])

@@ -14,12 +14,17 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from estimator.calibration.summary import derived_numbers
+from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.rig.rig import Cause
 
 MOST_ABSORBING, LEAST_ABSORBING = 3, 0.2  # numbers that are told, and how far each must move over the first
+Hidden = tuple[
+    Tensor, dict[str, Any]
+]  # how what stays unseen moves the coordinates of a fit, and what of it is told
 
 
 @dataclass(frozen=True)
@@ -37,6 +42,7 @@ class Visible:
         hidden_in: The number that it would move most.
         hidden_size: The size at which it does, distance from the null.
         hidden_at: Shapes of the start at which it does.
+        hidden_shift, hidden_from: How far it moves that number, in SI, and from where.
     """
 
     cause: Cause
@@ -51,6 +57,8 @@ class Visible:
     hidden_in: str = ""
     hidden_size: float = 0.0
     hidden_at: Mapping[str, float] = field(default_factory=dict)
+    hidden_shift: float = 0.0
+    hidden_from: float = 0.0
 
     @property
     def is_visible(self) -> bool:
@@ -68,19 +76,10 @@ class Visible:
             "absorbed_by": list(self.absorbed_by),
             "hidden_sd": self.hidden_sd,
             "hidden_in": self.hidden_in,
+            "hidden_shift": self.hidden_shift,
             "hidden_size": self.hidden_size,
             "hidden_at": dict(self.hidden_at),
         }
-
-    def hidden_like(self, other: Visible) -> Visible:
-        """This smallest size with what another start hides."""
-        return replace(
-            self,
-            hidden_sd=other.hidden_sd,
-            hidden_in=other.hidden_in,
-            hidden_size=other.hidden_size,
-            hidden_at=other.hidden_at,
-        )
 
 
 def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
@@ -89,6 +88,7 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
     To first order, a change of the readings by a column x moves the numbers of the fit by (J^T J + L)^-1 J^T x.
     """
     best: dict[tuple[Cause, str], Visible] = {}
+    hides: dict[tuple[Cause, str], Hidden] = {}
     if not pool:
         return []
     columns = torch.cat([candidate.columns for candidate in pool], dim=1)
@@ -109,27 +109,35 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
             most = int(moves.argmax()) if len(names) else 0
             unseen = min(size, prior_sd)
             hidden_sd = unseen * float(moves[most]) if len(names) else 0.0
-            known = best.get((candidate.cause, key))
-            if known is None or size < known.size:
+            asked = (candidate.cause, key)
+            if asked not in best or size < best[asked].size:
                 share = 1.0 - min(n_sigma / float(lengths[begin + i]), 1.0) ** 2
                 order = torch.argsort(moves, descending=True)[:MOST_ABSORBING].tolist() if len(names) else []
                 leading = [j for j in order if float(moves[j]) > LEAST_ABSORBING * float(moves[order[0]])]
                 by = tuple(names[j] for j in leading) if share > policy.MUCH_ABSORBED else ()
-                here = Visible(
-                    candidate.cause, key, candidate.units[i], size, prior_sd, candidate.shapes, share, by
-                )
-                known = here if known is None else here.hidden_like(known)
-            if hidden_sd > known.hidden_sd:
-                known = replace(
-                    known,
-                    hidden_sd=hidden_sd,
-                    hidden_in=names[most],
-                    hidden_size=unseen,
-                    hidden_at=candidate.shapes,
-                )
-            best[candidate.cause, key] = known
+                best[asked] = Visible(*asked, candidate.units[i], size, prior_sd, candidate.shapes, share, by)
+            if hidden_sd > (hides[asked][1]["hidden_sd"] if asked in hides else 0.0):
+                told = {"hidden_in": names[most], "hidden_size": unseen, "hidden_at": candidate.shapes}
+                hides[asked] = unseen * shifts[:, begin + i], {"hidden_sd": hidden_sd, **told}
         begin += len(candidate.keys)
-    return list(best.values())
+    return list((best | _with_hidden(fit, best, hides)).values())
+
+
+def _with_hidden(
+    fit: Fit, best: Mapping[tuple[Cause, str], Visible], hides: Mapping[tuple[Cause, str], Hidden]
+) -> dict[tuple[Cause, str], Visible]:
+    """Smallest visible sizes with what stays unseen, and how far that moves a number, by how it moves the coordinates of the fit."""
+    if not hides:
+        return {}
+    vectors = torch.cat((fit.vector[None], fit.vector + torch.stack([shift for shift, _ in hides.values()])))
+    values = fit.posterior.coordinates.values(vectors)
+    free = {name: numpy_of(value) for name, value in values.items() if value.ndim}
+    numbers = free | derived_numbers(fit.rig, free)
+    told = {}
+    for i, (asked, (_, hidden)) in enumerate(hides.items(), start=1):
+        start, there = (float(numbers[hidden["hidden_in"]][row]) for row in (0, i))
+        told[asked] = replace(best[asked], **hidden, hidden_shift=there - start, hidden_from=start)
+    return told
 
 
 def indistinguishable(fit: Fit, pool: Sequence[Candidate]) -> list[tuple[Cause, ...]]:

@@ -15,6 +15,7 @@ from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import Display, displays, quantity_words, size_with_unit
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
+from estimator.units import split_quotient
 
 PLACE = ("x_m", "y_m", "z_m")  # keys of a place
 PLANE = ("axis", "distance_m")  # keys of a plane: the axis across it, and where it crosses that axis
@@ -69,12 +70,16 @@ def _is_hidden(visible: Visible) -> bool:
 
 
 def _hidden(diagnosis: Diagnosis, visible: Visible) -> str:
-    """A quantity, where and up to what size it stays unseen, and which number of the rig it moves."""
+    """A quantity, where and up to what size it stays unseen, which number of the rig absorbs it, and how wrong that may be."""
     number = _display(diagnosis, [visible.hidden_in])[visible.hidden_in].words
     size = f"{quantity_words(visible.key)} {size_with_unit(visible.hidden_size, visible.unit)}"
+    unit = split_quotient(visible.hidden_in)[1]
+    # Of turns a share is told; of a gain that is the same.
+    shift = abs(visible.hidden_shift) / (1.0 if unit else max(1.0, abs(visible.hidden_from)))
+    wrong = size_with_unit(shift, unit.symbol if unit else "1")
     return (
-        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {f'{size} {where(visible.hidden_at)}'.rstrip()}, which "
-        f"would move {number} by up to {visible.hidden_sd:.0f} standard deviations"
+        f"{EFFECTS[visible.cause.name].words} ({visible.cause.label}), up to {f'{size} {where(visible.hidden_at)}'.rstrip()}: "
+        f"{number} would absorb it, and be wrong by up to {wrong} ({visible.hidden_sd:.0f} standard deviations)"
     )
 
 

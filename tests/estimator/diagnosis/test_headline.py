@@ -67,16 +67,29 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     near = {"axis": 0.0, "distance_m": 0.035}
     far = {"axis": 2.0, "distance_m": -0.19}
     plate = Visible(
-        Cause("iron_plate", "room"), "strength", "1", 0.01, 0.5, near, 0.1, (), 740.0, "coil1.turns", 0.5, far
+        Cause("iron_plate", "room"),
+        "strength",
+        "1",
+        0.01,
+        0.5,
+        near,
+        0.1,
+        (),
+        740.0,
+        "coil1.turns",
+        0.5,
+        far,
+        -3.6,
+        36.0,
     )
     left_open = replace(calm.left_open, next_measurements=(), visible=(*calm.left_open.visible, plate))
     last = headline(replace(calm, left_open=left_open))[-1]
     assert last.startswith("These readings could not have shown, for example: ")
     assert (
-        "(iron_plate[room]), up to strength 50 % at z = −190 mm, which would move turns by up to 740 standard deviations"
+        "(iron_plate[room]), up to strength 50 % at z = −190 mm: turns would absorb it, and be wrong by up to 10 % (740 standard deviations)"
         in last
     )
-    assert 2 <= last.count(", which ") <= 4  # of the room, a coil, a sensor and a mover one each
+    assert 2 <= last.count(" would absorb it, ") <= 4  # of the room, a coil, a sensor and a mover one each
     assert last.endswith("Where nothing of that kind can be, use the rig file as it is.")
     nothing = replace(left_open, visible=())
     assert headline(replace(calm, left_open=nothing))[-1] == (

@@ -314,6 +314,10 @@ def test_what_a_cause_hides_in_is_where_a_fit_without_it_goes(cause, key, share)
     sd = fit.covariance.diagonal().sqrt()
     moved = dict(zip(names, ((there.vector - here.vector) / sd).abs().tolist(), strict=True))
     assert moved[visible.hidden_in] == pytest.approx(visible.hidden_sd, rel=0.25, abs=0.1)
+    there_here = (fit.posterior.coordinates.values(each.vector) for each in (there, here))
+    turns = [float(at["coil1.axial_loops"] * at["coil1.radial_loops"]) for at in there_here]
+    if visible.hidden_in == "coil1.turns":
+        assert turns[0] - turns[1] == pytest.approx(visible.hidden_shift, rel=0.25)
     told = {name: far for name, far in moved.items() if not name.endswith(".noise_T")}
     assert max(told.values()) == pytest.approx(moved[visible.hidden_in], rel=0.25, abs=0.1)
 
