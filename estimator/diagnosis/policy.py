@@ -301,9 +301,12 @@ MOVED_SD = 1.0
 LISTED_IMPACT_SD = 0.3
 """Standard deviations that a cause must move a number of the rig for its impact to be listed. For a reader. Study: not in it."""
 
-LEAST_COVERAGE90, MOST_COVERAGE90 = 0.8, 0.97
-"""Share of unseen components in 90 % intervals outside which the report warns. By judgement: blocks share what a model gets wrong, so the
-share scatters by some per cent. Study: not in it."""
+MISCOVERED_SE = 3.0
+"""Standard errors of a share, of as many as there are unseen readings, by which 90 % intervals hold too few of their components to be said.
+Statistics: one right model in 700 is told to be too sure, if the components of a reading share their error. Study: not in it."""
+
+MOST_COVERAGE90 = 0.97
+"""Share of unseen components in 90 % intervals above which the report warns that they are too wide. By judgement. Study: not in it."""
 
 LEAST_MISFIT_TOLD = 0.1
 """Squared error of the rig as described beyond the noise, over that of the noise, from which on an error budget is told. By judgement:

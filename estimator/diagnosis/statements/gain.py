@@ -81,7 +81,15 @@ def gained(diagnosis: Diagnosis) -> Iterator[str]:
         gain = f"does not fall ({before} before, {after} after), but how far they miss is told better: {told}"
     else:
         gain = f"falls from {before} to {after}"
-    yield f"{unseen} {gain}.{_not_of_the_field(diagnosis, improvement)}"
+    yield f"{unseen} {gain}{_too_sure(extended)}.{_not_of_the_field(diagnosis, improvement)}"
+
+
+def _too_sure(extended: ValidationScores) -> str:
+    """Says that intervals hold clearly too few of the components of unseen readings; empty where they do not."""
+    standard_error = math.sqrt(0.9 * 0.1 / len(extended.log_density))
+    if extended.coverage90 > 0.9 - policy.MISCOVERED_SE * standard_error:
+        return ""
+    return f", and 90 % intervals hold only {percent(extended.coverage90)} of their components: they are too narrow"
 
 
 def _not_of_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
@@ -119,9 +127,11 @@ def validation_warnings(diagnosis: Diagnosis) -> Iterator[str]:
     improvement = diagnosis.improvement
     if improvement is None:
         yield "No readings were kept out of the fits, so the extension is not validated."
-    elif not policy.LEAST_COVERAGE90 < improvement.after.coverage90 < policy.MOST_COVERAGE90:
+    elif improvement.after.coverage90 > policy.MOST_COVERAGE90:
         share = percent(improvement.after.coverage90)
-        yield f"The 90 % predictive intervals of the extended model contain {share} of the components of unseen readings."
+        yield f"The 90 % predictive intervals contain {share} of the components of unseen readings: they are too wide."
+    elif not diagnosis.fits.extended.rig.acting and (words := _too_sure(improvement.after)):
+        yield f"Of readings that no fit has seen{words.removeprefix(', and')}."
 
 
 def unseen_line(improvement: Improvement) -> str:

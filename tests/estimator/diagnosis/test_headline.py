@@ -176,6 +176,22 @@ def test_an_error_that_does_not_fall_is_not_said_to_fall(diagnosis: Diagnosis) -
     assert not any("falls from" in sentence for sentence in told)
 
 
+def test_intervals_that_hold_too_few_unseen_readings_are_told_with_their_error(diagnosis: Diagnosis) -> None:
+    improvement = diagnosis.improvement
+    assert improvement is not None
+    n = len(improvement.after.log_density)
+
+    def told(coverage90: float) -> str:
+        after = replace(improvement.after, coverage90=coverage90)
+        fits = replace(diagnosis.fits, improvement=replace(improvement, after=after))
+        return " ".join(headline(replace(diagnosis, fits=fits)))
+
+    narrow = 0.9 - 3.5 * (0.09 / n) ** 0.5
+    words = f", and 90 % intervals hold only {100.0 * narrow:.0f} % of their components: they are too narrow."
+    assert words in told(narrow)
+    assert "too narrow" not in told(0.9 - 2.5 * (0.09 / n) ** 0.5)
+
+
 def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(
     diagnosis: Diagnosis,
 ) -> None:
