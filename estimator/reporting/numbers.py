@@ -114,7 +114,7 @@ def summary(values: Num[np.ndarray, " draw"], display: Display) -> str:
     if are_counts(values, display):
         counts, number = np.unique(values, return_counts=True)
         best = int(number.argmax())
-        return f"{counts[best]:.0f} ({100.0 * number[best] / len(values):.0f} %)"
+        return f"{counts[best]:.0f} ({probability(number[best] / len(values))})"
     return f"{with_sd(float(np.median(values)), float(values.std()))} {display.unit}".strip()
 
 

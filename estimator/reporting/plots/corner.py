@@ -192,7 +192,7 @@ def _dash(colour: str) -> str:
 def _wrapped(label: str, cell_in: float) -> str:
     """A label in lines no longer than a panel, so that it does not reach into the label beside it."""
     most = max(6, int(PANEL_SHARE * cell_in * POINTS_PER_INCH / (LETTER * LABEL_SIZE)))
-    return "\n".join(textwrap.wrap(label, most))
+    return "\n".join(textwrap.wrap(label.replace("[", " ["), most))
 
 
 def _x_axis(ax: Axes, column: _Column, label: str) -> None:

@@ -20,6 +20,7 @@ from estimator.reporting.plots.field_map import draw_winding
 from estimator.reporting.plots.style import BLACK, ERROR_MAP, SIDE_AND_DATA, WINDING_EDGE, figure, styled
 
 Vectors = Float[np.ndarray, "reading 3"]
+SMALLEST_DISC = 0.015  # of a panel's width: places nearly in a line have cells that nobody would see
 CELLS_ACROSS = 24
 MOST_LAYERS = 40
 SAME_LAYER = 0.01
@@ -151,7 +152,8 @@ def _discs(
 ) -> EllipseCollection:
     """Draw one disc per cell, nearly as large as the cell."""
     if ax.get_aspect() != "auto":
-        cell_mm = np.full(2, cell_mm.min())
+        low_mm, high_mm = ax.get_xlim()
+        cell_mm = np.full(2, max(cell_mm.min(), SMALLEST_DISC * (high_mm - low_mm)))
     size, n = 0.92 * cell_mm, len(values)
     discs = EllipseCollection(
         [size[0]] * n,

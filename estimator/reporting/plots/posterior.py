@@ -51,7 +51,7 @@ def traces(chains: Mapping[str, Num[np.ndarray, "step walker"]], title: str = ""
         title: Rig and date.
     """
     n_rows = (len(chains) + 1) // 2
-    fig = figure(10.0, 0.8 + 1.25 * n_rows, title)
+    fig = figure(10.0, 0.8 + 1.4 * n_rows, title)
     grid = fig.subplots(n_rows, 2, squeeze=False, sharex=True)
     for ax in grid.flat[len(chains) :]:
         ax.set_axis_off()
@@ -59,7 +59,6 @@ def traces(chains: Mapping[str, Num[np.ndarray, "step walker"]], title: str = ""
         _trace(ax, chains[name], display)
     for ax in grid[-1]:
         ax.set_xlabel("step")
-    fig.align_ylabels()
     return fig
 
 
@@ -119,7 +118,9 @@ def _trace(ax: Axes, chain: np.ndarray, display: Display) -> None:
         ax.plot(first, values[first, walker], color=GREY, lw=0.4)
     ax.plot(step, quantiles[2], color=BLACK, lw=1.2)
     ax.set_xlim(0.0, max(1.0, len(values) - 1.0))
-    ax.set_ylabel(display.label, fontsize=8)
+    ax.set_title(
+        display.label, fontsize=8, loc="left", pad=3
+    )  # beside a panel so low, names of causes would overlap
 
 
 def _bars(ax: Axes, height: float, scaled: np.ndarray, colours: tuple[str, str]) -> None:

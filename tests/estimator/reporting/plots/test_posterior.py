@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 
 from estimator.reporting.page import Picture
 from estimator.reporting.plots import interval_summary, traces
@@ -30,6 +31,22 @@ def test_traces_give_every_parameter_a_panel(words: Callable[[Axes | Figure], st
     )
     text = words(fig)
     assert all(label in text for label in ("radius (mm)", "x (mm)", "y (mm)", "step", "rig, 2026-01-01"))
+
+
+@pytest.mark.parametrize("width_in", [10.0, 5.0])
+def test_names_of_traces_do_not_overlap(width_in: float) -> None:
+    causes = ("background_field[room]", "sensor_offset[hall]")
+    fig = traces({f"{cause}.{axis}_T": chain() for cause in causes for axis in "xyz"})
+    fig.set_size_inches(width_in, fig.get_figheight())
+    fig.draw_without_rendering()
+    boxes = [
+        text.get_window_extent()
+        for ax in fig.axes
+        for text in (ax.yaxis.label, *(child for child in ax.get_children() if isinstance(child, Text)))
+        if text.get_text()
+    ]
+    assert len(boxes) == 6
+    assert not any(box.overlaps(other) for i, box in enumerate(boxes) for other in boxes[i + 1 :])
 
 
 def test_traces_of_many_parameters_leave_room_in_a_page_of_a_megabyte() -> None:
