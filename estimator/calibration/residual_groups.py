@@ -13,6 +13,7 @@ from estimator.calibration.result import Calibration
 
 FEWEST = 5  # readings of a group
 MOST_CURRENTS = 8  # settings that are told one by one; more are told by their thirds
+SAME_SETTING = 0.01  # of a coil's largest current: what a meter shows of one setting scatters
 N_HEIGHTS = 3
 
 
@@ -64,12 +65,14 @@ def residual_groups(calibration: Calibration) -> list[Group]:
 
 
 def _by_value(current_A: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    values = np.unique(np.round(current_A, 6))
-    if len(values) < 2:
+    order = np.argsort(current_A)
+    gaps_A = np.diff(current_A[order])
+    settings = np.split(order, np.flatnonzero(gaps_A > SAME_SETTING * np.abs(current_A).max()) + 1)
+    if len(settings) < 2:
         return
-    if len(values) <= MOST_CURRENTS:
-        for value in values:
-            yield f"{value + 0.0:g} A", np.isclose(current_A, value, atol=1e-6)
+    if len(settings) <= MOST_CURRENTS:
+        for rows in settings:
+            yield f"{current_A[rows].mean() + 0.0:.4g} A", np.isin(np.arange(len(current_A)), rows)
         return
     edges = np.quantile(current_A, np.linspace(0.0, 1.0, N_HEIGHTS + 1))
     for low, high in pairwise(edges):
