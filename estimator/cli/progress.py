@@ -104,8 +104,11 @@ class Reporter:
         if stage.name != self._what:
             self._what = stage.name
             self.say(stage.name)
-        for direction in stage.open_directions:
-            self.say(f"  not determined by the data: {direction.words}")
+        if stage.open_directions:
+            from estimator.calibration.notes import told_by_data
+
+            for direction in told_by_data(map(vars, stage.open_directions), ()):
+                self.say(f"  not determined by the data: {direction['words']}")
         sampling = stage.sampling
         if sampling is None:
             self.show(stage.name)

@@ -17,9 +17,16 @@ from estimator.inference.laplace import OpenDirection
 from estimator.store.growing import StopReadings
 from tests.estimator.cli.conftest import terminal
 
+ROOM_OR_ZERO = {"background_field[room].x_T": 0.7, "sensor_offset[hall].x_T": -0.7}  # which a note tells of
 STAGES = (
     Stage("point estimate"),
-    Stage("Laplace", open_directions=(OpenDirection("coil1 thickness", 3.0, {"coil1 thickness": 1.0}),)),
+    Stage(
+        "Laplace",
+        open_directions=(
+            OpenDirection("coil1 thickness", 3.0, {"coil1 thickness": 1.0}),
+            OpenDirection("room or zero", 9.0, ROOM_OR_ZERO),
+        ),
+    ),
     Stage("sampling", Sampled(50, 1000, 120.0, 2000.0, 1.0123)),
     Stage("sampling", Sampled(100, 1000, 250.0, 2000.0, 1.0071)),
 )
