@@ -52,10 +52,10 @@ class Symptoms:
         size = self.lack_of_fit
         source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
         against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would give {size.noise_T * 1e6:.3g} µT ({source})"
-        sentences = [f"The residual is {against}: {_against_noise(size)} (p = {_p(size.p_value)})."]
+        sentences = [f"The residual is {against}: {_against_noise(size)} ({_p(size.p_value)})."]
         n, striking = len(self.structure), [t for t in self.structure if t.p_value < policy.SIGNIFICANT]
         if striking:
-            names = "; ".join(f"{test.covariate.name} (p = {_p(test.p_value)})" for test in striking[:4])
+            names = "; ".join(f"{test.covariate.name} ({_p(test.p_value)})" for test in striking[:4])
             sentences.append(f"It has structure along {len(striking)} of {n} covariates: {names}.")
         else:
             sentences.append(f"It has no structure along any of {n} covariates.")
@@ -78,4 +78,10 @@ def _against_noise(size: LackOfFit) -> str:
 
 
 def _p(value: float) -> str:
-    return "below 0.0001" if value < 1e-4 else f"{value:.2g}"
+    """A p-value, or that it is below what matters.
+
+    Examples:
+        >>> _p(0.0312), _p(1e-9)
+        ('p = 0.031', 'p < 0.0001')
+    """
+    return "p < 0.0001" if value < 1e-4 else f"p = {value:.2g}"
