@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.inference.likelihood import LogPosterior
@@ -17,17 +18,42 @@ DIFFERENCE_STEP = 1e-4
 
 @dataclass(frozen=True)
 class Innovation:
-    """Difference of new readings from the prediction by all earlier ones (innovation of a Kalman filter).
+    """New readings beside what is expected of them (innovations of a Kalman filter).
 
     Attributes:
-        difference_T: Measured minus expected, in the order of components of `LogPosterior`.
-        covariance_T2: Covariance of the difference: noise plus uncertainty of the parameters.
+        difference_T: Measured less what the readings before all of these let expect, by component as in `LogPosterior`.
+        sigma_T: Noise of each component.
+        jacobian_T: Change of each with the coordinates.
+        covariance: Of the coordinates before these readings.
         expected_T: Expected field of each reading.
     """
 
     difference_T: Float[Tensor, " component"]
-    covariance_T2: Float[Tensor, "component component"]
+    sigma_T: Float[Tensor, " component"]
+    jacobian_T: Float[Tensor, "component coordinate"]
+    covariance: Float[Tensor, "coordinate coordinate"]
     expected_T: Float[Tensor, "reading 3"]
+
+    def one_by_one(
+        self, readings: Sequence[Int[Tensor, "..."]]
+    ) -> Iterator[tuple[Float[Tensor, "..."], Float[Tensor, "..."]]]:
+        """Difference of each reading from its prediction by all before it, those of this update too, and its covariance.
+
+        Readings that arrive together share the error of the coordinates: beside a common prediction all are off alike.
+
+        Args:
+            readings: Components of each, in order of arrival.
+        """
+        covariance = self.covariance
+        moved = covariance.new_zeros(len(covariance))
+        for components in readings:
+            jacobian_T = self.jacobian_T[components]
+            shared = jacobian_T @ covariance
+            spread_T2 = shared @ jacobian_T.mT + torch.diag(self.sigma_T[components].square())
+            difference_T = self.difference_T[components] - jacobian_T @ moved
+            yield difference_T, spread_T2
+            gain = torch.linalg.solve(spread_T2, shared).mT
+            moved, covariance = moved + gain @ difference_T, covariance - gain @ shared
 
 
 @dataclass(frozen=True)
@@ -60,8 +86,8 @@ class Linearisation:
     def innovation(self, posterior: LogPosterior, step: Tensor, covariance: Tensor) -> Innovation:
         """Innovation of the readings at a small step from the point."""
         expected_T = posterior.measured_components(self.expected_T) + self.jacobian_T @ step
-        covariance_T2 = self.jacobian_T @ covariance @ self.jacobian_T.mT + torch.diag(self.sigma_T**2)
-        return Innovation(posterior.measured_T - expected_T, covariance_T2, self.expected_T)
+        difference_T = posterior.measured_T - expected_T
+        return Innovation(difference_T, self.sigma_T, self.jacobian_T, covariance, self.expected_T)
 
     def gradient_and_information(self, posterior: LogPosterior, point: Tensor) -> tuple[Tensor, Tensor]:
         """Contribution of the readings to gradient and information of the log likelihood; information on the noise is the expected one."""

@@ -111,13 +111,12 @@ class Watch:
         mask = readings.is_measured
         row_of = torch.arange(len(readings))[:, None].expand(-1, 3)[mask]
         axis_of = torch.arange(3).expand(len(readings), 3)[mask]
+        each = [(row_of == row).nonzero().flatten() for row in range(len(readings))]
         raised = []
-        for row in range(len(readings)):
-            of_reading = (row_of == row).nonzero().flatten()
+        for row, (difference_T, covariance_T2) in enumerate(innovation.one_by_one(each)):
+            of_reading = each[row]
             if not len(of_reading):
                 continue
-            difference_T = innovation.difference_T[of_reading]
-            covariance_T2 = innovation.covariance_T2[of_reading][:, of_reading]
             sensor, number = self._sensors[int(readings.sensor[row])], first + row
             raised += self._improbable(difference_T, covariance_T2, sensor, number)
             for i, axis in enumerate(axis_of[of_reading].tolist()):

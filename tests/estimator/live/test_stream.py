@@ -6,6 +6,7 @@ import statistics
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
@@ -13,9 +14,10 @@ from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.live.stream import Stream
 from estimator.model.simulate import simulate
-from estimator.readings.plan import Plan
+from estimator.readings.plan import Plan, load_plan
+from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
+from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.store.session import Session
 
 
@@ -43,6 +45,20 @@ def test_what_comes_at_once_counts_as_what_comes_one_by_one(small_session: Sessi
     for name, interval in together.intervals.items():
         assert single.intervals[name].value == pytest.approx(interval.value, abs=0.05 * interval.sd)
         assert single.intervals[name].sd == pytest.approx(interval.sd, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_noise_raises_no_alarm_where_readings_arrive_together(seed: int) -> None:
+    """Early ones share an error of the prediction, which ten numbers that are hardly known make."""
+    rig = load_rig("configs/paper_simulation.yaml")
+    coordinates = Coordinates(rig, integer_counts=True)
+    truth = coordinates.values(coordinates.sample_prior(np.random.default_rng(seed), 1)[0])
+    known = {name: float(truth[name]) for name in coordinates.names}
+    readings = simulate(rig, load_plan("configs/plans/paper_grid.yaml", rig), known, seed=seed)
+    stream = Stream(rig)
+    for rows in torch.arange(66).split([10, 10, 12, 34]):
+        stream.update(readings.rows(rows))
+    assert stream.alarms == ()
 
 
 def test_a_current_that_drops_in_mid_session_raises_an_alarm_that_dates_it(

@@ -31,8 +31,12 @@ def watched(rig: Rig, change: torch.Tensor, seed: int, expected_T: torch.Tensor 
             {},
         )
         here_T = field_T if expected_T is None else expected_T[number][None]
-        spread_T2 = SIGMA_T**2 * torch.eye(3, dtype=torch.float64)
-        watch.look(Innovation(SIGMA_T * noise[number], spread_T2, here_T), readings, number + 1)
+        sigma_T, known = (
+            torch.full((3,), SIGMA_T, dtype=torch.float64),
+            torch.zeros(1, 1, dtype=torch.float64),
+        )
+        innovation = Innovation(SIGMA_T * noise[number], sigma_T, known.expand(3, 1), known, here_T)
+        watch.look(innovation, readings, number + 1)
     return watch.alarms
 
 
@@ -68,3 +72,17 @@ def test_one_improbable_reading_is_one_alarm(small_rig: Rig) -> None:
     (alarm,) = watched(small_rig, change, 3)
     assert (alarm.since, alarm.at) == (50, 50)
     assert "reading 50 is improbable" in alarm.words
+
+
+def test_readings_that_arrive_together_are_expected_by_those_before_them() -> None:
+    """One after the other they are independent: the factors of their joint density multiply."""
+    generator = torch.Generator().manual_seed(4)
+    jacobian_T, root = (torch.randn(n, 3, generator=generator, dtype=torch.float64) for n in (9, 3))
+    sigma_T, covariance = torch.full((9,), 0.1, dtype=torch.float64), root @ root.mT
+    difference_T = torch.randn(9, generator=generator, dtype=torch.float64)
+    innovation = Innovation(difference_T, sigma_T, jacobian_T, covariance, torch.zeros(4, 3).double())
+    joint_T2 = jacobian_T @ covariance @ jacobian_T.mT + torch.diag(sigma_T.square())
+    each = list(innovation.one_by_one(torch.arange(9).split([3, 1, 2, 3])))
+    chi2 = sum(float(d @ torch.linalg.solve(spread, d)) for d, spread in each)
+    assert chi2 == pytest.approx(float(difference_T @ torch.linalg.solve(joint_T2, difference_T)))
+    assert sum(float(spread.logdet()) for _, spread in each) == pytest.approx(float(joint_T2.logdet()))
