@@ -16,7 +16,7 @@ from estimator.field.winding import Winding, winding_field_per_ampere
 from estimator.field.winding_shape import Rule
 from estimator.frames import Transform
 from estimator.geometry.motion import pose_of
-from estimator.rig.bodies import POSE_KEYS, Coil
+from estimator.rig.bodies import POSE_KEYS, Coil, MotionKind
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
@@ -28,9 +28,11 @@ Numbers = tuple[float, ...]
 
 
 def _described(rig: Rig, coil: Coil) -> Numbers:
-    """Winding and pose of a coil as the rig file describes them."""
+    """Winding, and pose in the room or on the flange, as the rig file describes them; at no displacement for a mover that reports these."""
     nominal = rig.nominal_values()
     block = "world_from_coil" if coil.carried_by is None else "flange_from_coil"
+    if coil.carried_by is not None and rig.mover(coil.carried_by).motion is MotionKind.DISPLACEMENT:
+        block = "world_from_coil0"
     winding = (nominal[f"{coil.name}.{field.name}"] for field in fields(Winding))
     pose = (nominal[f"{coil.name}.{block}.{key}"] for key in POSE_KEYS)
     return (*winding, *pose)

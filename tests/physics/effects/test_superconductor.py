@@ -75,6 +75,18 @@ def test_what_is_left_does_not_know_the_current():
     assert np.abs(added_T(OFF, {"filament_magnetisation[coil]": {"susceptibility": 0.5}}, RIG)).max() == 0.0
 
 
+def test_coils_that_a_stage_carries_together_are_where_they_stand_in_the_room():
+    """A stage that reports displacements knows no place of its flange: both coils have the same one."""
+    on_stage = RIG.replace("{motion: pose}}", "{motion: pose}, stage: {motion: displacement}}")
+    for name in ("  coil: {", "  other: {"):
+        on_stage = on_stage.replace(name, f"{name}carried_by: stage, ")
+    on_stage = on_stage.replace("world_from_coil:", "world_from_coil0:")
+    at, screened = readings(BORE_M, (0.0, 1.0)), {"filament_magnetisation[coil]": {"susceptibility": 0.25}}
+    in_the_room_T = added_T(at, screened, RIG)
+    at.motion["stage"] = 0.0 * at.motion["mapper"]
+    assert_same_field(added_T(at, screened, on_stage), in_the_room_T, 1e-9)
+
+
 def test_coil_that_another_arm_carries_is_not_screened():
     """Its field changes with every pose; what it leaves behind is not known."""
     apart = RIG.replace("other: {", "other: {carried_by: arm, ").replace(
