@@ -13,11 +13,12 @@ from estimator.calibration import policy
 from estimator.calibration.quality import assessment
 from estimator.calibration.result import Calibration
 from estimator.inference.convergence import convergence
+from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import Coil, SidedCoil
-from estimator.rig.coordinates import nominal_tensors
+from estimator.rig.coordinates import Coordinates, nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
@@ -170,29 +171,27 @@ def _errors(calibration: Calibration) -> dict[str, Any]:
             for i, sensor in enumerate(calibration.rig.sensors)
             if (is_own := observations.sensor.numpy() == i).any()
         }
-        result["coverage90"][role] = _coverage(calibration, model, observations)
+        result["coverage90"][role] = coverage90_of(calibration, model, observations)
     return result
 
 
-def _coverage(calibration: Calibration, model: MeasurementModel, observations: Observations) -> float:
+def coverage90_of(calibration: Calibration, model: MeasurementModel, observations: Observations) -> float:
     """Share of measured components inside the central 90 % of the posterior predictive distribution, of some of many readings."""
-    values = calibration.draw_values(COVERAGE_DRAWS)
-    n_draws = min(COVERAGE_DRAWS, calibration.log_prob.size)
-    noise_T = torch.stack(
-        [values[f"{s.name}.noise_T"].expand(n_draws) for s in calibration.rig.sensors], dim=-1
-    )
+    values, coordinates = calibration.draw_values(COVERAGE_DRAWS), Coordinates(calibration.rig, True)
+    drawn = coordinates.vector({name: values[name] for name in coordinates.names})
+    posterior = LogPosterior(coordinates, model, observations)
     numbers = torch.arange(len(observations))
     if len(observations) > COVERAGE_READINGS:
         generator = torch.Generator().manual_seed(0)
         numbers = torch.randperm(len(observations), generator=generator)[:COVERAGE_READINGS].sort().values
     inside = 0
     for part in numbers.split(COVERAGE_ROWS):
-        sigma_T = noise_T[:, observations.sensor[part], None]
+        of_part = posterior.part(part)
         with torch.no_grad():
-            predicted = model.part(part).predict(values)  # without a batch where only noise is free
-        away = (observations.field_sensor_T[part] - predicted) / sigma_T
+            away = of_part.whitened(drawn)
+            share, ratio = of_part.contamination(values)
         # Probability of less than was measured, over draws and noise.
-        below = torch.special.ndtr(away).mean(0)
+        below = torch.lerp(torch.special.ndtr(away), torch.special.ndtr(away / ratio), share).mean(0)
         inside += int(((below >= 0.05) & (below <= 0.95)).sum())
     return inside / int(observations.is_measured[numbers].sum())
 

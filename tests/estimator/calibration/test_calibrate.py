@@ -16,10 +16,14 @@ import torch
 from estimator.calibration import summary
 from estimator.calibration.calibrate import Stage, calibrate
 from estimator.calibration.result import Calibration
+from estimator.effects.attach import with_effect
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.inference import interpolated
 from estimator.inference.ensemble import SamplerSettings
-from estimator.rig.rig import Rig
+from estimator.model.measurement_model import MeasurementModel
+from estimator.model.simulate import simulate
+from estimator.readings.plan import Plan
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.emcee_backend import ZarrBackend
 from estimator.store.session import Session
@@ -190,6 +194,22 @@ def test_a_large_session_has_the_same_draws_by_interpolation_and_coverage_of_som
     n_inside = 60.0 * large.summary()["coverage90"]["calibration"]
     assert n_inside == pytest.approx(round(n_inside), abs=1e-9)
     assert n_inside == pytest.approx(54.0, abs=4 * math.sqrt(60 * 0.09))
+
+
+@pytest.mark.parametrize(
+    ("cause", "sizes"), [("noise_misstated", {"factor": 3.0}), ("outliers", {"share": 0.1, "ratio": 100.0})]
+)
+def test_coverage_knows_all_of_the_scatter(
+    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], cause: str, sizes: dict[str, float]
+) -> None:
+    hidden = {f"{cause}[hall].{key}": size for key, size in sizes.items()}
+    readings = simulate(small_rig, replace(small_plan, repeats=10), small_truth, 5, hidden).calibration.alone
+    rig = with_effect(small_rig.with_values(small_truth), Cause(cause, "hall"), readings, sizes, False)
+    best = rig.nominal_values()
+    draws = {parameter.name: np.full((1, 9), best[parameter.name]) for parameter in rig.free}
+    calibration = Calibration(rig, readings, best, draws, np.zeros((1, 9)), {})
+    coverage90 = summary.coverage90_of(calibration, MeasurementModel.build(rig, readings), readings)
+    assert coverage90 == pytest.approx(0.9, abs=4 * math.sqrt(0.09 / (3 * len(readings))))
 
 
 def test_real_valued_loops_are_asked_for_by_name(small_session: Session, small_rig: Rig) -> None:
