@@ -115,10 +115,11 @@ class Recheck(Pilot):
             self._entries, self._readings = [], []
         for entry in entries[len(self._entries) :]:
             self._entries.append(entry)
-            readings = observations_of([entry], self.rig)
-            usable = readings.rows(readings.is_measured.any(-1)).alone
-            if len(usable):
-                self._readings.append(self.expansion.whitened(usable))
+            readings = observations_of(self._entries, self.rig)  # currents and moves before may act on
+            is_new = torch.arange(len(readings)) >= len(readings) - len(observations_of([entry], self.rig))
+            usable = is_new & readings.is_measured.any(-1)
+            if usable.any():
+                self._readings.append(self.expansion.whitened(readings.rows(usable)))
 
     def _innovations(self) -> Innovations:
         """All readings so far, in their order."""

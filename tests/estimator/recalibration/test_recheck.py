@@ -13,6 +13,7 @@ import torch
 from estimator.acquisition.acquire import Choice
 from estimator.acquisition.pace import default_pace
 from estimator.calibration.result import Calibration
+from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput
 from estimator.model.hide import with_hidden
 from estimator.model.measurement_model import MeasurementModel
@@ -23,7 +24,7 @@ from estimator.readings.plan import Plan
 from estimator.recalibration.recheck import CHANGED, HOLDS, UNDECIDED, Finding, Recheck
 from estimator.recalibration.sequential import Rates
 from estimator.rig.coordinates import nominal_tensors
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.store.growing import StopReadings
 
 NOISE_T = 5e-6
@@ -128,6 +129,28 @@ def test_what_changed_is_named_with_its_size(
     assert len(entries) < 15
     (size,) = [words.split(" by ")[1] for words in end.leading if words.startswith(f"{name} by ")]
     assert float(size.split()[0]) == pytest.approx({**moved, **hidden}[name], rel=0.5)
+
+
+def test_what_the_calibration_knows_of_the_currents_before_is_no_change(
+    small_rig: Rig, small_truth: dict[str, float], stops: Observations
+) -> None:
+    """A core keeps 3 % of the last current, as the rig says."""
+    memory, sizes = Cause("current_remanence", "coil1"), {"share": 0.03}
+    rig = with_effect(small_rig.with_values(small_truth), memory, stops, sizes, is_free=False)
+    best, rng = rig.nominal_values(), np.random.default_rng(7)
+    spread = {p.name: 0.0 if p.is_count else 1e-5 for p in rig.free}
+    draws = {name: best[name] + sd * rng.normal(size=(1, 400)) for name, sd in spread.items()}
+    pilot = recheck(Calibration(rig, stops, best, draws, np.zeros((1, 400)), {}), stops)
+    rows = rng.permutation(len(stops))[:20]
+    visited = replace(stops.rows(torch.from_numpy(rows)).alone, time_s=torch.arange(20.0).double())
+    world = World(pilot, stops, {})
+    world.field_T = torch.zeros(len(stops), 3, dtype=torch.float64)
+    world.field_T[rows] = MeasurementModel.build(rig, visited).predict(nominal_tensors(rig))
+    entries = [
+        world.entry(Choice(row, False, 0, 0.0, 0.0, {"decision": {"row": row}}), number, 3)
+        for number, row in enumerate(rows.tolist())
+    ]
+    assert pilot.decide(entries).outcome != CHANGED
 
 
 @pytest.mark.whole
