@@ -50,6 +50,7 @@ UNITS: dict[str, Unit] = {
 DERIVED_UNITS = {
     "A_m2": Unit("A m2", "moment", 1.0),
     "m3": Unit("m3", "volume", 1.0),
+    "cm3": Unit("cm3", "volume", 1e-6),
     "mm3": Unit("mm3", "volume", 1e-9),
     "h": Unit("h", "time", 3600.0),
 }

@@ -180,6 +180,8 @@ def _sizes_tables(diagnosis: Diagnosis, causes: Sequence[Cause], title: str, cap
 def _size_row(label: str, quantity: str, name: str, interval: Interval) -> list[str]:
     shown = interval.display(name)
     sizes = shown.with_sd(interval.median, interval.sd), shown.interval(interval.ci90, interval.sd)
+    if interval.sd == 0.0:
+        sizes = f"{interval.median * shown.factor:.3g}", "not sampled"
     return [label, quantity, *sizes, shown.unit or interval.unit]
 
 

@@ -10,7 +10,14 @@ POSES = ["coil1.world_from_coil0.x_m", "coil1.flange_from_coil.x_m", "coil2.flan
 
 @pytest.mark.parametrize(
     ("name", "unit", "factor"),
-    [("c.radius_m", "mm", 1e3), ("c.spin_rad", "mrad", 1e3), ("s.noise_T", "µT", 1e6), ("c.gain", "", 1.0)],
+    [
+        ("c.radius_m", "mm", 1e3),
+        ("c.spin_rad", "mrad", 1e3),
+        ("s.noise_T", "µT", 1e6),
+        ("iron_body[room].volume_m3", "cm³", 1e6),
+        ("e.tau_h", "s", 3600.0),
+        ("c.gain", "", 1.0),
+    ],
 )
 def test_the_suffix_of_a_name_sets_the_unit_shown(name: str, unit: str, factor: float) -> None:
     display = displays([name])[name]
