@@ -168,12 +168,15 @@ def _given(so_far: SoFar, products: Products, unseen: Unseen, leading: int | Non
     All quantities at once would spread stops over what does not limit the goal: in the linear model of the paper's coil, a sixth more.
     """
     asked, every = so_far.own.clone(), so_far.model.every
-    given = products.information + products.prior
     if leading is not None:
-        column = (~so_far.own).nonzero().flatten()[so_far.model.is_asked][leading]
-        asked[column] = True  # it has that share of its usual variance
-        given[column, column] += (1.0 / unseen.weight[leading] - 1.0) / unseen.prior_sd[leading].square()
-    precision = given[asked][:, asked].expand(len(every.at), -1, -1)
+        asked[(~so_far.own).nonzero().flatten()[so_far.model.is_asked][leading]] = True
+    precision = products.precision_of_draws[:, asked][..., asked]
+    if leading is not None:
+        place = int((asked & ~so_far.own)[asked].nonzero())
+        certainty = 1.0 / torch.linalg.inv(precision)[:, place, place]
+        # The first stop lessens a variance by its square times what the stop adds, whatever the law: a normal one stands for it.
+        share = unseen.sd[leading].square() / unseen.variance[leading]
+        precision[:, place, place] += (share - 1.0) * certainty
     return replace(every.only(asked), precision=precision)
 
 

@@ -87,6 +87,12 @@ class Unseen:
         """Probability with which a promise counts with each quantity."""
         return torch.where(self.is_usual, 1.0, self.probability)
 
+    @property
+    def variance(self) -> Float[Tensor, " cause"]:
+        """Variance of each quantity, which is none or normal: that of its size, and that of whether it is there."""
+        is_there = self.weight * (self.sd.square() + (1.0 - self.weight) * self.size.square())
+        return is_there.clamp(min=1e-12 * self.prior_sd.square())
+
     def mean_square(self, growth: float = 1.0) -> Float[Tensor, " cause"]:
         """Mean square of each quantity, given the readings.
 
