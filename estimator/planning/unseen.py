@@ -76,10 +76,14 @@ class Unseen:
         return cls(errors, certainty.rsqrt(), size, prior_sd, is_usual)
 
     @property
+    def log_evidence(self) -> Float[Tensor, " cause"]:
+        """Log evidence for each quantity against none."""
+        return 0.5 * (self.size / self.sd).square() + (self.sd / self.prior_sd).log()
+
+    @property
     def probability(self) -> Float[Tensor, " cause"]:
         """Probability that each quantity is there rather than none."""
-        exponent = (0.5 * (self.size / self.sd).square()).clamp(max=MOST_EXPONENT)
-        odds = ODDS * (self.sd / self.prior_sd) * torch.exp(exponent)
+        odds = ODDS * self.log_evidence.clamp(max=MOST_EXPONENT).exp()
         return odds / (1.0 + odds)
 
     @property
