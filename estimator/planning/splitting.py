@@ -119,7 +119,7 @@ class Split:
     def _of_pair(
         self, right: int, rival: int, size: float
     ) -> tuple[Float[Tensor, ""], Float[Tensor, " stop"]]:
-        """The same where one cause is right and another is fitted in its place, as a mean over the draws."""
+        """Expected log evidence where one cause is right and another is fitted in its place, as a mean over the draws."""
         chosen = torch.cat((self.own, torch.tensor([rival, right])))
         covariance = torch.linalg.inv(self.precision[:, chosen][..., chosen])
         is_right = torch.zeros(len(covariance), 1, len(chosen)).to(covariance)
