@@ -33,7 +33,8 @@ def measured() -> tuple[Autopilot, list[dict[str, Any]]]:
     )
     truth = {"coil1.radius_m": 0.0505, "coil1.world_from_coil0.z_m": -0.041}
     hidden = {"cross_axis[hall].xz": 0.01}
-    world, entries = World.of(pilot.rig, pilot, truth, 2e-5, 1, hidden), []
+    world = World.of(pilot.rig, pilot, truth, 2e-5, 1, hidden)
+    entries: list[dict[str, Any]] = []
     for number in range(N_CHOSEN):
         choice = pilot.choose(entries)
         assert choice is not None
