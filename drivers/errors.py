@@ -36,3 +36,7 @@ class Refused(DriverError, ValueError):
         ...
         drivers.errors.Refused: supply.current_A must be within -5 and 5; received 7
     """
+
+
+class BroughtToRest(Refused):
+    """The rig was brought to rest before; it takes no command until it is opened anew."""

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from types import FrameType, TracebackType
 from typing import NoReturn
 
-from drivers.errors import DriverError, Refused
+from drivers.errors import BroughtToRest, DriverError, Refused
 
 _LOG = logging.getLogger(__name__)
 
@@ -56,11 +56,11 @@ class Interlock:
         """Refuse a command after a fault; waits first until the rig is at rest, so that nothing interferes.
 
         Raises:
-            Refused: The rig has tripped.
+            BroughtToRest: The rig has tripped.
         """
         if self.reason is not None:
             self._has_acted.wait()
-            raise Refused(
+            raise BroughtToRest(
                 f"the rig must be opened anew before it can continue; it was brought to rest because {self.reason}"
             )
 

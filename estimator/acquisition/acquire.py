@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple, TypeAlias
 
-from drivers.errors import Refused
+from drivers.errors import BroughtToRest, Refused
 from estimator.acquisition.pace import ANSWER_S, Pace, durations_s
 from estimator.acquisition.visit import Instruments, Visit
 from estimator.readings.observations import Observations
@@ -135,6 +135,8 @@ def acquire(
         while (choice := choose(journal.entries, refused)) is not None:
             try:
                 visit.go_to(stops, choice.row)
+            except BroughtToRest:  # whatever the stop
+                raise
             except Refused as refusal:
                 if not is_chosen or len(refused) + 1 >= MOST_REFUSED:
                     raise

@@ -111,6 +111,7 @@ class Autopilot(Pilot):
             return f"limit of {longest_s / 60.0:.3g} minutes; {so_far}"
         is_certain = misfit.rest_T == 0.0 or misfit.distance_sd > CERTAIN_SD
         is_large = self.so_far.n_fitted > 2 * judged.n_unknown
+        is_certain &= judged.split is None
         if is_judged and is_certain and is_large and float(judged.later.max()) > FLOOR_GAIN * worst:
             rest = f" by {1e6 * misfit.rest_T:.3g} µT" if misfit.rest_T else ""
             like = f", as for example {judged.cause} would" if judged.is_sure else ""

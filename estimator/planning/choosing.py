@@ -1,4 +1,7 @@
-"""Which stop is next: one held out, one again, one without current, or the one of greatest expected gain by second."""
+"""Which stop is next: one held out, one again, one without current, or the one of greatest expected gain by second.
+
+The gain is that of causes which are to be told apart, where there are any; else that of the goals.
+"""
 
 from __future__ import annotations
 
@@ -68,9 +71,14 @@ class Chooser:
         if n % OFF_EVERY == OFF and len(off):
             nearest = int(off[self.next_s(rows)[off].argmin()])
             return nearest, "no current: shows fields that are not of the coils", 0.0
-        by_s = torch.where(allowed, Design(judged.expected).gains() / self.next_s(rows), -torch.inf)
+        if judged.split is None:
+            on = f", most of it on {judged.cause.partition(' of ')[0]}" if judged.is_most else ""
+            gains, reason = Design(judged.expected).gains(), f"informs: greatest expected gain by second{on}"
+        else:
+            gains, reason = judged.split.gains, f"splits: tells {' from '.join(judged.split.names)}"
+        by_s = torch.where(allowed, gains / self.next_s(rows), -torch.inf)
         best = int(by_s.argmax())
-        return best, "informs: greatest expected gain by second", float(by_s[best])
+        return best, reason, float(by_s[best])
 
     def next_s(self, rows: Sequence[int]) -> Float[Tensor, " stop"]:
         """Expected duration of each candidate, were it next.

@@ -56,7 +56,8 @@ class Decision(Decided):
     Attributes:
         widths: Half-width of the 90 % interval of each goal over its target, widened by what the readings contradict.
         misfit_T: Root mean square of what held-out readings show beyond noise and uncertainty.
-        gain_per_s: Expected fall of the logarithm of the criterion, by second of travel, ramps and readings; 0 where it is not why.
+        gain_per_s: Expected fall of the logarithm of the criterion, or expected log evidence between causes that are told apart, by
+            second of travel, ramps and readings; 0 where it is not why.
         n_candidates: Number of stops to choose from.
         left: Stops that are expected to be still needed.
         cause: The ordinary cause that may do most unseen, with the size that the readings give it.

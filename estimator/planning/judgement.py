@@ -18,6 +18,7 @@ from torch import Tensor
 
 from estimator.planning.information import Expected, widths_of
 from estimator.planning.so_far import Products, SoFar
+from estimator.planning.splitting import Split
 from estimator.planning.unseen import SURE, Unseen
 from estimator.store.growing import observations_of
 
@@ -77,9 +78,11 @@ class Judged:
         misfit: What the readings contradict.
         cause: The quantity of an ordinary cause that widens most, with the size that the readings give it; empty without goals or causes.
         is_sure: Whether it is there for certain.
+        is_most: Whether it widens the least known goal more than the fit does.
         stated: Causes that not even all stops could exclude, taken as the rig file states them.
         expected: The linearised model with that quantity, given the readings.
         n_unknown: Parameters of the fit.
+        split: Causes that explain the readings equally well, where further stops would tell them apart.
     """
 
     widths: Float[Tensor, " goal"]
@@ -87,9 +90,11 @@ class Judged:
     misfit: Misfit
     cause: str
     is_sure: bool
+    is_most: bool
     stated: tuple[str, ...]
     expected: Expected
     n_unknown: int
+    split: Split | None
 
     @property
     def is_reached(self) -> bool:
@@ -111,13 +116,16 @@ def judge(so_far: SoFar) -> Judged:
         unseen = Unseen.of(products.information, products.score, products.prior, wanted, own, so_far.is_usual)
         return unseen.among(model.is_asked)
 
-    def widths(wanted: Sequence[Tensor], unseen: Unseen, growth: float = 1.0) -> Tensor:
+    def variances(wanted: Sequence[Tensor], unseen: Unseen, growth: float = 1.0) -> tuple[Tensor, Tensor]:
         grown = (prior + growth * (precision - prior)).expand(len(wanted[0]) if wanted else 1, -1, -1)
-        by_fit = widths_of(wanted, widest, grown).median(-1).values
-        factor = replace(misfit, n_grown=growth).factor(so_far.n_fitted, n_unknown)
+        by_fit = widths_of(wanted, widest, grown).median(-1).values.square()
         by_causes = unseen.variances(unseen.mean_square(growth), widest)
-        most = by_causes.amax(-1) if by_causes.shape[-1] else torch.zeros_like(by_fit)
-        return noise * torch.maximum(factor * by_fit, (by_fit.square() + most).sqrt())
+        return by_fit, by_causes.amax(-1) if by_causes.shape[-1] else torch.zeros_like(by_fit)
+
+    def widths(wanted: Sequence[Tensor], unseen: Unseen, growth: float = 1.0) -> Tensor:
+        by_fit, by_cause = variances(wanted, unseen, growth)
+        factor = replace(misfit, n_grown=growth).factor(so_far.n_fitted, n_unknown)
+        return noise * torch.maximum(factor**2 * by_fit, by_fit + by_cause).sqrt()
 
     wanted, unseen = list(model.alone.wanted), unseen_by([rows[0] for rows in model.every.wanted])
     now = widths(wanted, unseen)
@@ -126,6 +134,7 @@ def judge(so_far: SoFar) -> Judged:
         wanted, unseen = [rows[None, :, own] for rows in here], unseen_by(here)
         now = widths(wanted, unseen)
     leading = _leading(unseen, widest, now)
+    by_fit, by_cause = variances(wanted, unseen)
     cause, is_sure = _words(so_far, unseen, leading)
     stated = dict.fromkeys(name.rpartition(".")[0] for name in _names(so_far, ~model.is_asked))
     return Judged(
@@ -134,9 +143,11 @@ def judge(so_far: SoFar) -> Judged:
         misfit,
         cause,
         is_sure,
+        bool((by_cause > by_fit)[int(now.argmax())]),
         tuple(stated),
         _given(so_far, products, unseen, leading),
         n_unknown,
+        Split.of(so_far, products, unseen),
     )
 
 
@@ -168,12 +179,15 @@ def _given(so_far: SoFar, products: Products, unseen: Unseen, leading: int | Non
     All quantities at once would spread stops over what does not limit the goal: in the linear model of the paper's coil, a sixth more.
     """
     asked, every = so_far.own.clone(), so_far.model.every
-    given = products.information + products.prior
     if leading is not None:
-        column = (~so_far.own).nonzero().flatten()[so_far.model.is_asked][leading]
-        asked[column] = True  # it has that share of its usual variance
-        given[column, column] += (1.0 / unseen.weight[leading] - 1.0) / unseen.prior_sd[leading].square()
-    precision = given[asked][:, asked].expand(len(every.at), -1, -1)
+        asked[(~so_far.own).nonzero().flatten()[so_far.model.is_asked][leading]] = True
+    precision = products.precision_of_draws[:, asked][..., asked]
+    if leading is not None:
+        place = int((asked & ~so_far.own)[asked].nonzero())
+        certainty = 1.0 / torch.linalg.inv(precision)[:, place, place]
+        # The first stop lessens a variance by its square times what the stop adds, whatever the law: a normal one stands for it.
+        share = unseen.sd[leading].square() / unseen.variance[leading]
+        precision[:, place, place] += (share - 1.0) * certainty
     return replace(every.only(asked), precision=precision)
 
 

@@ -59,6 +59,8 @@ class Products:
         sigma_T: Noise of each component.
         is_held_out: Of each component.
         prior, gradient: Precision of the priors, and the gradient of their logarithm.
+        precision_of_draws: That of priors and readings of the fit at each draw of the candidates' model. With that of the estimate, the
+            direction that readings hardly see would be another one at each draw, and every stop would seem to show it.
     """
 
     columns: Float[Tensor, "component all"]
@@ -67,6 +69,7 @@ class Products:
     is_held_out: Bool[Tensor, " component"]
     prior: Float[Tensor, "all all"]
     gradient: Float[Tensor, " all"]
+    precision_of_draws: Float[Tensor, "draw all all"]
 
     @cached_property
     def information(self) -> Float[Tensor, "all all"]:
@@ -217,17 +220,19 @@ class SoFar:
 
     def products(self) -> Products:
         """The readings to first order about the estimate."""
-        at = self._beside(self.fit.vector[None])
-        gradient, prior = (part[0] for part in prior_gradient_and_precision(self.coordinates, at))
-        gradient, prior = gradient[self.known], prior[self.known][:, self.known]
+        at = torch.cat((self._beside(self.fit.vector[None]), self._at))
+        gradients, priors = prior_gradient_and_precision(self.coordinates, at)
+        gradient, priors = gradients[0, self.known], priors[:, self.known][..., self.known]
         readings = self.readings
         if readings is None:
             nothing = gradient[:0]
             columns = torch.zeros(0, len(gradient), dtype=gradient.dtype)
-            return Products(columns, nothing, nothing, nothing.bool(), prior, gradient)
+            return Products(columns, nothing, nothing, nothing.bool(), priors[0], gradient, priors[1:])
         posterior = LogPosterior.by_rules(self.coordinates, readings, self.rules)
-        first = posterior.to_first_order(at[0])
-        columns = (first.jacobian_T / first.sigma_T[:, None])[:, self.known]
-        residual = (posterior.measured_T - first.predicted_T) / first.sigma_T
+        first = posterior.to_first_order(at)
+        columns = (first.jacobian_T / first.sigma_T[..., None])[..., self.known]
+        residual = (posterior.measured_T - first.predicted_T[0]) / first.sigma_T[0]
         is_held_out = posterior.measured_components(readings.is_validation[:, None].expand(-1, 3))
-        return Products(columns, residual, first.sigma_T, is_held_out, prior, gradient)
+        fitted = columns[1:, ~is_held_out]
+        precisions = priors[1:] + fitted.mT @ fitted
+        return Products(columns[0], residual, first.sigma_T[0], is_held_out, priors[0], gradient, precisions)

@@ -76,16 +76,26 @@ class Unseen:
         return cls(errors, certainty.rsqrt(), size, prior_sd, is_usual)
 
     @property
+    def log_evidence(self) -> Float[Tensor, " cause"]:
+        """Log evidence for each quantity against none."""
+        return 0.5 * (self.size / self.sd).square() + (self.sd / self.prior_sd).log()
+
+    @property
     def probability(self) -> Float[Tensor, " cause"]:
         """Probability that each quantity is there rather than none."""
-        exponent = (0.5 * (self.size / self.sd).square()).clamp(max=MOST_EXPONENT)
-        odds = ODDS * (self.sd / self.prior_sd) * torch.exp(exponent)
+        odds = ODDS * self.log_evidence.clamp(max=MOST_EXPONENT).exp()
         return odds / (1.0 + odds)
 
     @property
     def weight(self) -> Float[Tensor, " cause"]:
         """Probability with which a promise counts with each quantity."""
         return torch.where(self.is_usual, 1.0, self.probability)
+
+    @property
+    def variance(self) -> Float[Tensor, " cause"]:
+        """Variance of each quantity, which is none or normal: that of its size, and that of whether it is there."""
+        is_there = self.weight * (self.sd.square() + (1.0 - self.weight) * self.size.square())
+        return is_there.clamp(min=1e-12 * self.prior_sd.square())
 
     def mean_square(self, growth: float = 1.0) -> Float[Tensor, " cause"]:
         """Mean square of each quantity, given the readings.

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import torch
 
-from drivers.errors import DeviceFault, Refused
+from drivers.errors import BroughtToRest, DeviceFault, Refused
 from drivers.guarded import GuardedSource
 from drivers.interlock import Interlock
 from drivers.protocols import ReadingFlag
@@ -262,3 +262,24 @@ def test_a_stop_of_a_plan_that_is_refused_ends_the_run_and_so_do_many_chosen_one
         assert not read_journal(run.folder)[1]
         assert run.devices.sources["coil1"].told[-1] == ("off",)
     assert n_asked == MOST_REFUSED
+
+
+class Tripped(MemoryArm):
+    """Belongs to a rig that its watch has brought to rest."""
+
+    def move_to(self, base_from_flange: Any, *, speed_m_per_s: float, timeout_s: float) -> None:
+        raise BroughtToRest("the rig must be opened anew before it can continue")
+
+
+def test_a_rig_that_was_brought_to_rest_refuses_no_single_stop(run: Run) -> None:
+    told, asked = list[Refused](), list[int]()
+    run.devices.arms["arm1"] = Tripped()
+
+    def choose(entries: Sequence[Mapping[str, Any]], refused: Sequence[int]) -> Choice:  # noqa: ARG001
+        asked.append(len(entries))
+        return Choice(0, False, 0, 1.0, 1.0, {})
+
+    with pytest.raises(BroughtToRest):
+        run.measure(choose=choose, on_refused=told.append)
+    assert asked == [0]
+    assert not told

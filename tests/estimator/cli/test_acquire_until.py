@@ -13,7 +13,15 @@ import pytest
 from estimator.store.journal import JOURNAL, read_journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.conftest import refused, run
-from tests.estimator.cli.test_acquire import bring_home, call, gone_on, is_off, quicker, running
+from tests.estimator.cli.test_acquire import (
+    bring_home,
+    call,
+    copy_without_devices,
+    gone_on,
+    is_off,
+    quicker,
+    running,
+)
 from tests.estimator.cli.test_rig_simulator import START_S
 from tests.program import PROGRAM, ROOT
 
@@ -106,6 +114,14 @@ def test_the_dry_run_names_candidates_and_goals(folder: Path, tmp_path: Path) ->
     dry = run(*call(folder, tmp_path / "s.zarr", *UNTIL, "--dry-run"))
     assert "54 stops to choose from" in dry.stdout
     assert GOAL in dry.stdout
+
+
+def test_a_goal_out_of_reach_is_refused_before_an_instrument_is_opened(folder: Path, tmp_path: Path) -> None:
+    copy_without_devices(folder, tmp_path)
+    out, beyond = tmp_path / "s.zarr", GOAL.replace("0.5 %", "0.000001 %")
+    said = refused(run(*call(tmp_path, out, "--until", beyond)))
+    assert "must be within reach of the candidate stops" in said
+    assert not out.exists()
 
 
 def test_neither_plan_nor_goal_is_refused(folder: Path, tmp_path: Path) -> None:

@@ -158,3 +158,13 @@ def test_ordinary_causes_are_those_that_one_moment_shows(small_rig: Rig, small_p
     assert all(
         not any(q.is_shape for q in EFFECTS[name].quantities(EFFECTS[name].extent_of(()))) for name in names
     )
+
+
+@pytest.mark.parametrize("size", [0.0, 2.0, 3.5])
+def test_the_variance_of_what_may_be_there_is_that_of_its_draws(size: float) -> None:
+    one = torch.ones(1, dtype=torch.float64)
+    unseen = Unseen([], 0.1 * one, 0.1 * size * one, 1.0 * one, one == 0.0)
+    rng = np.random.default_rng(4)
+    is_there = rng.random(400_000) < float(unseen.probability)
+    drawn = is_there * (0.1 * size + 0.1 * rng.normal(size=len(is_there)))
+    assert float(unseen.variance) == pytest.approx(drawn.var(), rel=0.02)
