@@ -86,7 +86,8 @@ def _log_density(
     error_T: Float[Tensor, "own axis"], scale_T: Float[Tensor, "own axis"]
 ) -> Float[Tensor, " own"]:
     density = torch.distributions.StudentT(policy.DEGREES_OF_ERRORS, 0.0, scale_T).log_prob(error_T)
-    return density.sum(dim=1)
+    summed: Tensor = density.sum(dim=1)
+    return summed
 
 
 def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Settings:
