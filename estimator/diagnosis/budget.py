@@ -20,6 +20,7 @@ from jaxtyping import Float
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.use import as_meant
+from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
 from estimator.side_by_side import each
@@ -206,9 +207,13 @@ def _squares(fit: Fit, unseen: Observations) -> Squares:
 
 
 def _noise(fit: Fit, unseen: Observations) -> Squares:
-    """Squared length of the error vector that the noise leaves, in T^2."""
+    """Squared length of the error vector that the noise leaves, as it is recorded, in T^2."""
+    meant = as_meant(fit.rig, unseen)
+    posterior = LogPosterior(fit.posterior.coordinates, fit.model_of(meant), meant)
     with torch.no_grad():
-        by_sensor_T = fit.posterior.sigma_T(fit.vector)
-    n_measured = unseen.is_measured.sum(-1)
-    noise: Squares = (by_sensor_T[unseen.sensor].square() * n_measured).numpy()
+        share, ratio = posterior.contamination(fit.values)
+        squares = posterior.component_sigma_T(fit.vector).square() * (1.0 + share * (ratio.square() - 1.0))
+    by_component = squares.new_zeros(len(meant), 3)
+    by_component[meant.is_measured] = squares
+    noise: Squares = by_component.sum(-1).numpy()
     return noise

@@ -40,7 +40,10 @@ class Expectation:
         for sensor in self.observations.sensor.unique():
             own = self.observations.sensor == sensor
             typical_T = SD_OF_MEDIAN * errors_T[own].nanmedian()
-            share = SD_OF_MEDIAN * (errors_T[own] / field_T[own, None].clamp(min=1e-12)).nanmedian()
+            shows = own & (
+                field_T > typical_T
+            )  # weaker fields, as without a current, have any share of an error
+            share = SD_OF_MEDIAN * (errors_T[shows] / field_T[shows, None]).nanmedian().nan_to_num(0.0)
             size_T[own] = torch.maximum(typical_T, share * field_T[own]).clamp(min=digit_T)
         return size_T
 

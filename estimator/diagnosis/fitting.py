@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.special import log_ndtr
 
 from estimator.derivatives import jacobian_of
 from estimator.diagnosis import policy
@@ -22,7 +23,7 @@ from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import Use
 from estimator.field.winding_shape import Rule
 from estimator.inference.laplace import log_evidence
-from estimator.inference.levenberg_marquardt import Optimum
+from estimator.inference.levenberg_marquardt import Optimum, prior_gradient
 from estimator.inference.likelihood import FirstOrder, LogPosterior
 from estimator.inference.positive_definite import inverse, solve
 from estimator.model.measurement_model import MeasurementModel
@@ -74,7 +75,26 @@ class Fit:
     @cached_property
     def log_evidence(self) -> float:
         """Laplace evidence with normalised priors of the effects, up to a constant that rigs share if they differ only in effects."""
-        return float(log_evidence(self.optimum)[0]) + sum(_log_normaliser(p) for p in _of_effects(self.rig))
+        normalisers = sum(_log_normaliser(p) for p in _of_effects(self.rig))
+        return float(log_evidence(self.optimum)[0]) + normalisers + self._log_share_inside
+
+    @property
+    def _log_share_inside(self) -> float:
+        """Log share of Laplace's normal law that lies inside the bounds of the effects' priors, one coordinate at a time.
+
+        At a bound the density may rise beyond it. The law has its maximum there, and is as much higher.
+        """
+        coordinates, own = self.posterior.coordinates, {p.name for p in _of_effects(self.rig)}
+        rows = [i for i, p in enumerate(coordinates.parameters) if p.name in own and not p.is_positive]
+        lower, upper = (bound[rows] for bound in coordinates.bounds())
+        rise, sd = torch.zeros_like(lower), torch.diagonal(self.covariance)[rows].sqrt()
+        if bool((is_held := self._is_at_bound[rows]).any()):
+            gradient = self.posterior.gradient(self.vector) + prior_gradient(coordinates, self.vector)
+            rise = torch.where(is_held, gradient[rows] * sd, 0.0)
+        to_lower, to_upper = (((bound - self.vector[rows]) / sd - rise) for bound in (lower, upper))
+        near, far = torch.minimum(to_upper, -to_lower), torch.minimum(to_lower, -to_upper)
+        log_share = log_ndtr(near) + torch.log1p(-torch.exp(log_ndtr(far) - log_ndtr(near)))
+        return float((0.5 * rise.square() + log_share).sum())
 
     @cached_property
     def values(self) -> dict[str, Tensor]:

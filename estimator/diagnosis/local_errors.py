@@ -26,6 +26,7 @@ NEIGHBOURS = 12  # readings beside one, whose errors tell what a wrong model doe
 FEWEST_NEIGHBOURS = 5
 LENGTHS = (1.0, 5.0)  # over which errors may change, in distances of the farthest neighbour
 ROUGHNESSES = (1e-4, 1e-1)  # variance of what does not follow the settings, over that of what does
+N_WAYS = 2 + len(LENGTHS) * len(ROUGHNESSES)  # in which errors of a wrong model may lie
 MOST_OFF = 10.0  # of a neighbour's error from their median, in median distances from that
 MOST_OF_A_STOP = 36  # readings of one stop that are passed over in search of others
 SAME_STOP = (
@@ -47,32 +48,46 @@ def log_density_of_wrong_model(expected: Expectation) -> Float[Tensor, " reading
     Args:
         expected: Of the readings.
     """
-    errors_T = expected.observations.field_sensor_T - expected.predicted_T
-    is_measured = ~errors_T.isnan()
-    result = torch.zeros_like(expected.size_T)
-    for sensor in expected.observations.sensor.unique().tolist():
-        own = in_time(expected.observations, sensor)
-        own_T, size_T = errors_T[own].nan_to_num(0.0), expected.size_T[own, None].expand(-1, 3)
-        densities = [(own_T, size_T)]
-        if len(own) > FEWEST_NEIGHBOURS:
-            neighbours = _Neighbours.of(torch.from_numpy(_settings(expected.observations, own)).to(own_T))
-            densities = [(own_T, torch.maximum(SD_OF_MEDIAN * neighbours.median(own_T.abs()), size_T))]
-            for length, roughness in product(LENGTHS, ROUGHNESSES):
-                off_T = own_T - neighbours.kriged(own_T, length, roughness)
-                least_T = 0.5 * off_T.abs().median(dim=0).values.clamp(min=LEAST_T)
-                densities.append(
-                    (off_T, SD_OF_MEDIAN * torch.maximum(neighbours.median(off_T.abs()), least_T))
-                )
-        each = torch.stack([_log_density(off_T, wide_T, is_measured[own]) for off_T, wide_T in densities])
-        result[own] = torch.logsumexp(each, dim=0) - math.log(len(densities))
-    return result
+    observations = expected.observations
+    errors_T = observations.field_sensor_T - expected.predicted_T
+    by_way = errors_T.new_zeros(N_WAYS, len(errors_T))
+    for sensor in observations.sensor.unique().tolist():
+        in_order = in_time(observations, sensor)
+        alike: dict[tuple[int, ...], list[int]] = {}
+        for axis in range(3):
+            rows = in_order[~errors_T[in_order, axis].isnan()]
+            if len(rows):
+                alike.setdefault(tuple(rows.tolist()), []).append(axis)
+        for numbers, axes in alike.items():
+            own = in_order.new_tensor(numbers)
+            own_T, size_T = errors_T[own][:, axes], expected.size_T[own, None].expand(-1, len(axes))
+            by_way[:, own] += _log_densities(_settings(observations, own), own_T, size_T)
+    return torch.logsumexp(by_way, dim=0) - math.log(N_WAYS)
+
+
+def _log_densities(
+    settings: Settings, own_T: Float[Tensor, "own axis"], size_T: Float[Tensor, "own axis"]
+) -> Float[Tensor, "way own"]:
+    """Log density of errors of some axes in each way, by neighbours in which the same axes were measured."""
+    if len(own_T) <= FEWEST_NEIGHBOURS:
+        return _log_density(own_T, size_T).expand(N_WAYS, -1)
+    neighbours = _Neighbours.of(torch.from_numpy(settings).to(own_T))
+    widest_T = torch.maximum(SD_OF_MEDIAN * neighbours.median(own_T.abs()), size_T)
+    densities = [_log_density(own_T, size_T), _log_density(own_T, widest_T)]
+    for length, roughness in product(LENGTHS, ROUGHNESSES):
+        off_T = own_T - neighbours.kriged(own_T, length, roughness)
+        least_T = 0.5 * off_T.abs().median(dim=0).values.clamp(min=LEAST_T)
+        wide_T = SD_OF_MEDIAN * torch.maximum(neighbours.median(off_T.abs()), least_T)
+        densities.append(_log_density(off_T, wide_T))
+    return torch.stack(densities)
 
 
 def _log_density(
-    error_T: Float[Tensor, "reading 3"], scale_T: Float[Tensor, "reading 3"], is_measured: Tensor
-) -> Float[Tensor, " reading"]:
+    error_T: Float[Tensor, "own axis"], scale_T: Float[Tensor, "own axis"]
+) -> Float[Tensor, " own"]:
     density = torch.distributions.StudentT(policy.DEGREES_OF_ERRORS, 0.0, scale_T).log_prob(error_T)
-    return torch.where(is_measured, density, 0.0).sum(dim=1)
+    summed: Tensor = density.sum(dim=1)
+    return summed
 
 
 def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Settings:
@@ -108,8 +123,8 @@ class _Neighbours(NamedTuple):
         return cls(at, nearest.gather(1, order), is_other.gather(1, order))
 
     def kriged(
-        self, error_T: Float[Tensor, "reading 3"], length: float, roughness: float
-    ) -> Float[Tensor, "reading 3"]:
+        self, error_T: Float[Tensor, "reading axis"], length: float, roughness: float
+    ) -> Float[Tensor, "reading axis"]:
         """Error of each reading by those of its neighbours, for a Gaussian process of mean zero that is smooth in the settings.
 
         Args:
@@ -122,8 +137,12 @@ class _Neighbours(NamedTuple):
         return torch.cat([self._kriged(error_T, part, length, roughness) for part in parts])
 
     def _kriged(
-        self, error_T: Float[Tensor, "reading 3"], rows: Int[Tensor, " row"], length: float, roughness: float
-    ) -> Float[Tensor, "row 3"]:
+        self,
+        error_T: Float[Tensor, "reading axis"],
+        rows: Int[Tensor, " row"],
+        length: float,
+        roughness: float,
+    ) -> Float[Tensor, "row axis"]:
         neighbours, counts = self.rows[rows], self.counts[rows]
         there, here = self.at[neighbours], self.at[rows][:, None]
         to_here = torch.cdist(there, here) * counts[:, :, None]
@@ -134,13 +153,13 @@ class _Neighbours(NamedTuple):
         kriged_T: Tensor = (weights * _limited(error_T[neighbours])).sum(dim=1)
         return kriged_T
 
-    def median(self, size_T: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading 3"]:
+    def median(self, size_T: Float[Tensor, "reading axis"]) -> Float[Tensor, "reading axis"]:
         """Median size at the neighbours of each reading; 0 where it has none."""
         beside_T = size_T[self.rows].masked_fill(~self.counts[:, :, None], torch.nan)
         return beside_T.nanmedian(dim=1).values.nan_to_num(0.0)
 
 
-def _limited(error_T: Float[Tensor, "row neighbour 3"]) -> Float[Tensor, "row neighbour 3"]:
+def _limited(error_T: Float[Tensor, "row neighbour axis"]) -> Float[Tensor, "row neighbour axis"]:
     """Errors of neighbours without those that are far from the others: rows that are wrong themselves."""
     middle_T = error_T.median(dim=1, keepdim=True).values
     most_T = MOST_OFF * (error_T - middle_T).abs().median(dim=1, keepdim=True).values

@@ -156,8 +156,9 @@ def follow_a_column(columns: Float[Tensor, "own column"], chosen: Bool[Tensor, "
 
 
 def would_show(mistake: Mistake, expected: Expectation, magnified: float = 1.0) -> Bool[Tensor, " reading"]:
-    """Readings that a mistake would change by far, with errors that are magnified."""
-    off = distance(expected.predicted_T, mistake.expected_T, magnified * expected.size_T)
+    """Readings that a mistake would change by far in what was measured, with errors that are magnified."""
+    predicted_T = expected.predicted_T.masked_fill(~expected.observations.is_measured, torch.nan)
+    off = distance(predicted_T, mistake.expected_T, magnified * expected.size_T)
     return off > policy.FAR_FROM_EXPECTED
 
 

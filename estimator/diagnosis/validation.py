@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 from jaxtyping import Float
+from scipy import stats
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
@@ -95,12 +96,20 @@ class Improvement:
     @property
     def is_significant(self) -> bool:
         """Whether the elpd rises by more than chance explains."""
-        return self.elpd_difference > policy.LEAST_IMPROVEMENT_SE * self.elpd_se
+        return self.elpd_difference > self._by_chance(policy.LEAST_IMPROVEMENT_SE)
 
     @property
     def is_loss(self) -> bool:
         """Whether the elpd falls by more than chance explains."""
-        return self.elpd_difference < -policy.LEAST_LOSS_SE * self.elpd_se
+        return self.elpd_difference < -self._by_chance(policy.LEAST_LOSS_SE)
+
+    def _by_chance(self, least_se: float) -> float:
+        """What a difference exceeds by chance as often as a normal number so many of its standard errors.
+
+        The standard error of few readings is itself uncertain: their mean over it follows Student's t.
+        """
+        freedom = max(len(self.before.log_density) - 1, 1)
+        return self.elpd_se * float(stats.t.isf(stats.norm.sf(least_se), freedom))
 
 
 def improvement_of(

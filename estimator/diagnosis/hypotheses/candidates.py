@@ -55,6 +55,10 @@ class Candidate:
         """Whether it changes no prediction at its start."""
         return float(self.shift.abs().max()) < NO_CHANGE
 
+    def cannot_be_negative(self, subset: tuple[int, ...]) -> bool:
+        """Whether some of its quantities are a single one that starts at the lower bound of its prior."""
+        return len(subset) == 1 and subset[0] in self.one_sided
+
     def weighed(self, weight: Float[Tensor, " component"]) -> Candidate:
         """The candidate with each component's weight multiplied."""
         return replace(self, shift=self.shift * weight, columns=self.columns * weight[:, None])

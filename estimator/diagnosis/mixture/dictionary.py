@@ -67,7 +67,7 @@ def _listed_item(one: Offered, stack: _Stack, extent: Extent) -> Item:
         widths=widths,
         shift=None if candidate.is_at_null else stack.number_of(candidate.shift),
         log_prior=math.log(priors.LISTED) + one.log_prior,
-        is_one_sided=not of_shapes and len(one.subset) == 1 and one.subset[0] in candidate.one_sided,
+        is_one_sided=not of_shapes and candidate.cannot_be_negative(one.subset),
         log_prior_of_start=one.start.log_prior,
         is_chosen=any(q.is_shape and q.is_fixed for q in effect.quantities(extent)),
     )

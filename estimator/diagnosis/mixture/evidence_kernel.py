@@ -131,7 +131,7 @@ def log_bayes_factors(blocks, freed, score, begin, columns, widths, first, is_on
 
 
 @compiled
-def log_bayes_factors_of_choices(gram, score, prior_sd, begin, columns, factors, result):  # type: ignore[no-untyped-def]
+def log_bayes_factors_of_choices(gram, score, prior_sd, begin, columns, factors, is_one_sided, result):  # type: ignore[no-untyped-def]
     """Log Bayes factor of some of the columns of each candidate alone, at some width.
 
     Args:
@@ -141,6 +141,7 @@ def log_bayes_factors_of_choices(gram, score, prior_sd, begin, columns, factors,
         begin: First of the columns of each choice, and last their number.
         columns: Of all choices, one after the other.
         factors: On the stated widths, by choice.
+        is_one_sided: By candidate and choice, whether its only quantity cannot be negative.
         result: By candidate and choice; overwritten.
     """
     most = gram.shape[1]
@@ -155,4 +156,5 @@ def log_bayes_factors_of_choices(gram, score, prior_sd, begin, columns, factors,
                 own[a] = score[i, chosen[a]]
                 widths[a] = prior_sd[i, chosen[a]] * factors[choice]
             some = widths[: len(chosen)]
-            result[i, choice] = _log_bayes_factor(rest, own, some, False, factor, reached)
+            one_sided = is_one_sided[i, choice]
+            result[i, choice] = _log_bayes_factor(rest, own, some, one_sided, factor, reached)

@@ -238,6 +238,7 @@ def _weighed(fit: Fit, starts: Sequence[Start]) -> dict[Cause, list[_Weighed]]:
             np.cumsum([0, *(len(subset) for subset, _ in choices)]),
             np.array([column for subset, _ in choices for column in subset]),
             np.array([width for _, width in choices]),
+            np.array([[pool[i].cannot_be_negative(subset) for subset, _ in choices] for i in some]),
             values,
         )
         values += started.cpu().numpy()[:, None] + np.array(log_priors)

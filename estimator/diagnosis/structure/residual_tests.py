@@ -60,23 +60,25 @@ class Structure:
 
 
 def lack_of_fit(fit: Fit) -> LackOfFit:
-    """Compare the residuals with the noise of repeats or, without repeats, with that of the rig file."""
-    residual_T = fit.residual / fit.whitening_per_T
+    """Compare the residuals with the noise of repeats or, where a sensor lacks these, with that of the rig file, each sensor by its own."""
+    residual_T, sensor = fit.residual / fit.whitening_per_T, fit.posterior.sensor
     rms_T = float(residual_T.square().mean().sqrt())
     repeats = _repeats(fit.observations)
-    n, n_fitted = len(residual_T), fit.jacobian.shape[1]
-    if repeats is not None and n - n_fitted > repeats[1]:
-        noise_T, n_free = repeats
-        mean_square = max(n * rms_T**2 - n_free * noise_T**2, 0.0) / (n - n_fitted - n_free)
-        p_value = float(stats.f.sf(mean_square / noise_T**2, n - n_fitted - n_free, n_free))
-        return LackOfFit(rms_T, noise_T, "repeats", p_value)
+    n, n_fitted = len(residual_T), float(fit.projector.basis.square().sum())  # priors fix the rest
+    if repeats is not None and n - n_fitted > (n_free := repeats[1]):
+        noise_T = repeats[0][sensor]
+        squares = float((residual_T / noise_T).square().sum())
+        mean_square = max(squares - n_free, 0.0) / (n - n_fitted - n_free)
+        p_value = float(stats.f.sf(mean_square, n - n_fitted - n_free, n_free))
+        return LackOfFit(rms_T, float(noise_T.square().mean().sqrt()), "repeats", p_value)
     expected_T, width = _specified(fit)
-    ratio = math.log(rms_T / expected_T)
+    squares = float((residual_T / expected_T[sensor]).square().sum())
     if width == 0.0:
-        p_value = float(stats.chi2.sf(n * rms_T**2 / expected_T**2, n - n_fitted))
+        p_value = float(stats.chi2.sf(squares, n - n_fitted))
     else:
+        ratio = 0.5 * math.log(squares / n)
         p_value = float(stats.norm.sf(ratio / math.hypot(width, 1.0 / math.sqrt(2.0 * n))))
-    return LackOfFit(rms_T, expected_T, "specification", p_value)
+    return LackOfFit(rms_T, float(expected_T[sensor].square().mean().sqrt()), "specification", p_value)
 
 
 def structure(fit: Fit, seed: int = 0) -> list[Structure]:
@@ -163,8 +165,11 @@ def _p_values(
     return torch.from_numpy(np.asarray(stats.beta.sf(share.clamp(max=1.0).numpy(), shape, 0.5 * n - shape)))
 
 
-def _repeats(observations: Observations) -> tuple[float, int] | None:
-    """Noise of a component and its degrees of freedom, from repeats by one sensor at one pose and current; None where there are few."""
+def _repeats(observations: Observations) -> tuple[Float[Tensor, " sensor"], int] | None:
+    """Noise of a component of each sensor, and the degrees of freedom of all, from repeats at one pose and current.
+
+    None where a sensor that was read has few.
+    """
     key = torch.cat(
         [
             observations.sensor[:, None].to(torch.float64),
@@ -174,25 +179,25 @@ def _repeats(observations: Observations) -> tuple[float, int] | None:
         dim=1,
     )
     _, group = torch.unique(key, dim=0, return_inverse=True)
-    total = n_free = 0.0
+    total, n_free = torch.zeros(2, int(observations.sensor.max()) + 1, dtype=torch.float64)
     for axis in range(3):
         read = observations.is_measured[:, axis]
         value, group_read = observations.field_sensor_T[read, axis], group[read]
         number = torch.bincount(group_read, minlength=int(group.max()) + 1).to(torch.float64)
         mean = torch.zeros_like(number).index_add(0, group_read, value) / number.clamp(min=1.0)
-        total += float((value - mean[group_read]).square().sum())
-        n_free += float((number - 1.0).clamp(min=0.0).sum())
-    if n_free < policy.FEWEST_REPEATS or total == 0.0:
+        share = 1.0 - 1.0 / number[group_read]
+        total.index_add_(0, observations.sensor[read], (value - mean[group_read]).square())
+        n_free.index_add_(0, observations.sensor[read], share)
+    are_read = observations.sensor.unique()
+    if bool((n_free[are_read] < policy.FEWEST_REPEATS - 0.5).any() or (total[are_read] == 0.0).any()):
         return None
-    return math.sqrt(total / n_free), int(n_free)
+    return torch.sqrt(total / n_free), round(float(n_free.sum()))
 
 
-def _specified(fit: Fit) -> tuple[float, float]:
-    """Rms noise of the components by the rig file, and the relative standard deviation of its prior."""
+def _specified(fit: Fit) -> tuple[Float[Tensor, " sensor"], float]:
+    """Noise of the components of each sensor by the rig file, and the smallest relative standard deviation of their priors."""
     nominal = fit.rig.nominal_values()
     parameters = [fit.rig.parameters[f"{sensor.name}.noise_T"] for sensor in fit.rig.sensors]
-    count = fit.posterior.n_by_sensor
     expected = [nominal[p.name] if p.prior is None else p.prior.centre for p in parameters]
     widths = [p.prior.relative_sd for p in parameters if isinstance(p.prior, LogNormal)]
-    square = sum(float(n) * value**2 for n, value in zip(count, expected, strict=True))
-    return math.sqrt(square / float(count.sum())), min(widths, default=0.0)
+    return fit.vector.new_tensor(expected), min(widths, default=0.0)

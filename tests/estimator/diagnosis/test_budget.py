@@ -9,6 +9,8 @@ import torch
 
 from estimator.diagnosis.budget import Budget, _orders, budget
 from estimator.diagnosis.fitting import Fit
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
@@ -92,6 +94,17 @@ def test_there_is_none_where_the_rig_as_described_misses_no_more_than_noise(
     assert budget(plain, wider, readings.validation, seed=1) is None
     assert budget(plain, plain, readings.validation, seed=1) is None
     assert budget(plain, wider, readings.rows(torch.arange(0)), seed=1) is None
+
+
+def test_noise_is_that_of_the_record(small_rig: Rig, small_session: Session) -> None:
+    """A clean session in millitesla, which the rig knows, has a thousand times the noise, and no misfit."""
+    tesla = small_session.observations
+    readings = tesla.with_field(1e3 * tesla.field_sensor_T)
+    (place,) = EFFECTS["unit_error"].places(small_rig)
+    unit = {"field_factor": 1e3, "current_factor": 1.0}
+    rig = with_effect(small_rig, Cause("unit_error", place), readings, unit)
+    plain, wider = (fit_of(rig, readings.calibration, *some) for some in ((), (GAIN,)))
+    assert budget(plain, wider, readings.validation, seed=1) is None
 
 
 @pytest.mark.parametrize("n", [1, 3])

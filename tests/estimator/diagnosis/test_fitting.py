@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 import torch
 
@@ -10,7 +13,7 @@ from estimator.effects.attach import with_effect
 from estimator.inference import secant
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.weighed import weighed
-from tests.estimator.diagnosis.small_fits import fit_of
+from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 
 def test_what_is_left_does_not_depend_on_where_the_climb_stopped(small_rig, small_session):
@@ -135,3 +138,32 @@ def test_a_fit_has_nothing_of_a_cause_that_is_not_there(small_rig, small_session
     shift_T = 5.0 * without.posterior.sigma_T(without.vector)[0]
     moved = fit_of(small_rig, readings.with_field(readings.field_sensor_T + shift_T), zero)
     assert not moved.has_nothing_of(zero)
+
+
+def test_evidence_at_a_bound_is_that_of_the_side_where_the_prior_is(small_rig, small_session):
+    """Iron at a known place, where readings differ as no iron makes them: its volume stays at zero, which gains no evidence."""
+    body, observations = Cause("iron_body", "room"), small_session.observations
+    place_m = {"x_m": 0.03, "y_m": -0.05, "z_m": 0.05}
+    iron = with_wrong(small_rig, observations, body, {**place_m, "volume_m3": 3e-6})
+    readings = observations.with_field(2.0 * observations.field_sensor_T - iron.field_sensor_T)
+    without = fit_of(small_rig, readings)
+    rig = with_effect(small_rig, body, readings, place_m)
+    rig = rig.with_parameters(replace(rig.parameters[f"{body.label}.{key}"], prior=None) for key in place_m)
+    rules = without.posterior.model.rules
+    held = fit_rig(rig, readings, without.values, rules)
+    volume = rig.parameters[f"{body.label}.volume_m3"]
+    assert float(held.values[volume.name]) < 1e-3 * volume.prior.sd
+    nodes, weights = (torch.from_numpy(each) for each in np.polynomial.legendre.leggauss(12))
+    half = 2.5 * held.value_sd(volume.name)
+    sizes = half * (1.0 + nodes)
+    fixed = rig.with_parameters([replace(volume, prior=None)])
+    evidence = [
+        fit_rig(fixed.with_values({volume.name: size}), readings, without.values, rules).log_evidence
+        for size in sizes.tolist()
+    ]
+    rises = torch.tensor(evidence, dtype=torch.float64) - without.log_evidence
+    density = torch.exp(volume.prior.log_density(sizes) + volume.prior.log_normaliser + rises)
+    exact = float((half * weights * density).sum().log())
+    missed_by_laplace = held.log_evidence - without.log_evidence - exact
+    assert missed_by_laplace == pytest.approx(0.0, abs=0.1)
+    assert bool((rises.diff() < 0.0).all())  # the density falls from the bound on

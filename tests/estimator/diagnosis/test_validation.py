@@ -109,6 +109,15 @@ def test_difference_and_its_error_are_sums_over_readings(improvement):
     )
 
 
+def test_few_readings_know_their_own_error_too_little_to_refute(improvement):
+    """Two normal differences lie more than three of their standard errors below zero in one case of ten."""
+    few = replace(improvement.before, log_density=improvement.before.log_density[:2])
+    lost = replace(improvement, elpd_difference=-6.0, elpd_se=1.0)
+    assert lost.is_loss
+    assert not replace(lost, before=few).is_loss
+    assert not replace(lost, before=few, elpd_difference=6.0).is_significant
+
+
 def test_parameters_that_stood_in_for_the_cause_move_back(improvement, fits, small_truth):
     before, after = fits
     assert set(improvement.moved_sd) == set(small_truth)

@@ -11,7 +11,10 @@ import torch
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.diagnosis.mixture import priors
-from estimator.diagnosis.mixture.listed import present_items, starts_of
+from estimator.diagnosis.mixture.dictionary import dictionary
+from estimator.diagnosis.mixture.evidence import Products
+from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.mixture.listed import _weighed, present_items, starts_of
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.mixture.weighed import weighed
@@ -63,3 +66,19 @@ def test_a_place_between_starts_is_found(
     found_m = torch.tensor([item.start[key] for key in PLACE_M], dtype=torch.float64)
     assert value > 20.0
     assert float((found_m - place_m).norm()) < 0.3 * nearest_m
+
+
+def test_a_place_that_explains_by_negative_iron_is_not_preferred(
+    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+):
+    """Readings that differ from the rig's as iron does, with the other sign, offer no iron that they would call sure."""
+    truth = small_rig.with_values(small_truth)
+    readings = small_session.observations.calibration
+    iron = with_wrong(truth, readings, BODY, {**PLACE_M, "volume_m3": 3e-5})
+    fit = fit_of(truth, readings.with_field(2.0 * readings.field_sensor_T - iron.field_sensor_T))
+    starts = starts_of(fit, candidates(fit, [BODY]))
+    best = max(of_start.best for of_start in _weighed(fit, starts)[BODY])
+    made = dictionary(Expansion.of(fit), present_items(starts), [])
+    log_prior = torch.tensor([item.log_prior for item in made.items], dtype=torch.float64)
+    exact = Products(made).beside([], 1.0) + log_prior - math.log(priors.LISTED)
+    assert best == pytest.approx(float(exact.max()), abs=0.01)

@@ -1,11 +1,37 @@
 from __future__ import annotations
 
+from itertools import product
+
 import pytest
 import torch
 
-from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.residual_tests import lack_of_fit, structure
+from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
+from estimator.rig_files.read import rig_from_text
+from estimator.store.session import Session
 from tests.estimator.diagnosis.sessions import plain_fit
+from tests.estimator.diagnosis.small_fits import fit_of, predicted_T
+
+QUIET_T, LOUD_T = 5e-6, 200e-6
+TWO_PROBES = """
+schema_version: 1
+name: two probes
+movers:
+  arm1: {motion: displacement}
+coils:
+  coil1:
+    carried_by: arm1
+    radius_mm: {prior: {normal: {mean: 51, sd: 1}}}
+    wire_radius_mm: 0.98
+    axial_loops: 12
+    radial_loops: 3
+    world_from_coil0: {z_mm: -60}
+sensors:
+  quiet: {noise_uT: 5}
+  loud: {noise_uT: 200, world_from_sensor: {x_mm: 10}}
+"""
 
 
 def with_noise(fit: Fit, seed: int) -> Fit:
@@ -54,6 +80,41 @@ def test_noise_is_taken_from_repeats_where_there_are_any() -> None:
 def test_lack_of_fit_is_seen_against_repeats() -> None:
     hidden = (("sensor_offset.z_T", 60e-6),)
     assert lack_of_fit(plain_fit(hidden, (3.0, 3.0, -3.0))).p_value < 1e-6
+
+
+def two_probes(n_repeats: int) -> Fit:
+    """A quiet probe that is read ten times at each place, and one with forty times its noise that is read so many times."""
+    rig = rig_from_text(TWO_PROBES)
+    place_m = 0.02 * torch.tensor(list(product((-1.0, 0.0, 1.0), repeat=3)), dtype=torch.float64)
+    motion = {"arm1": torch.nn.functional.pad(place_m.repeat(10 + n_repeats, 1), (0, 3))}
+    sensor = torch.tensor([0] * 270 + [1] * 27 * n_repeats)
+    n = len(sensor)
+    none, time_s = torch.zeros(n, dtype=torch.int64), torch.arange(n, dtype=torch.float64)
+    current_A, field_T = torch.full((n, 1), 3.0, dtype=torch.float64), torch.zeros(n, 3, dtype=torch.float64)
+    readings = Observations(time_s, sensor, current_A, motion, field_T, none.bool(), none, {})
+    noise_T = torch.tensor([QUIET_T, LOUD_T], dtype=torch.float64)[sensor][:, None]
+    normal = torch.randn(n, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
+    return fit_of(rig, readings.with_field(predicted_T(rig, readings) + noise_T * normal))
+
+
+@pytest.mark.parametrize(("n_repeats", "noise_from"), [(1, "specification"), (10, "repeats")])
+def test_each_sensor_is_held_against_its_own_noise(n_repeats: int, noise_from: str) -> None:
+    """Repeats of a quiet sensor do not say that a loud one misses; nor does its noise hide what the quiet one does."""
+    size = lack_of_fit(fit := two_probes(n_repeats))
+    assert size.noise_from == noise_from
+    assert size.p_value > 0.01
+    wrong = Fit(fit.posterior, fit.optimum)
+    wrong.__dict__["residual"] = fit.residual.where(fit.posterior.sensor == 1, 1.5 * fit.residual)
+    assert lack_of_fit(wrong).p_value < 1e-4
+
+
+def test_numbers_that_priors_hold_cost_no_degree_of_freedom(small_rig: Rig, small_session: Session) -> None:
+    """One reading of a rig with as many free numbers as it has components."""
+    readings = small_session.observations
+    one = readings.rows(torch.tensor([3]))
+    fit = fit_rig(small_rig, one, {}, fit_of(small_rig, readings).posterior.model.rules)
+    assert fit.jacobian.shape[1] == len(fit.residual)
+    assert 0.001 < lack_of_fit(fit).p_value < 1.0
 
 
 def test_probabilities_do_not_depend_on_the_size_of_the_noise() -> None:
