@@ -45,7 +45,7 @@ def _too_far(rig: Rig, observations: Observations, where: str) -> Iterator[str]:
 def _too_little(rig: Rig, observations: Observations, where: str) -> Iterator[str]:
     travels_m = {
         mover: float(
-            (motion := observations.motion[mover.name][:, :3]).amax(dim=0).sub(motion.amin(dim=0)).max()
+            ((motion := observations.motion[mover.name][:, :3]).amax(dim=0) - motion.amin(dim=0)).max()
         )
         for mover in rig.movers
         if mover.table is None

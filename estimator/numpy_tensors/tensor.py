@@ -263,6 +263,13 @@ class Tensor(Arithmetic):
         """The lower one of two in the middle."""
         return Tensor(np.sort(self.array, axis=None)[(self.array.size - 1) // 2])
 
+    def nanmedian(self, dim: Whole) -> SimpleNamespace:
+        """The lower one of two in the middle, of those that are numbers; nan where none is."""
+        in_order = np.sort(self.array, axis=dim)  # numbers first
+        n = np.sum(~np.isnan(in_order), axis=dim, keepdims=True)
+        middle = np.take_along_axis(in_order, np.maximum(n - 1, 0) // 2, axis=dim)
+        return SimpleNamespace(values=Tensor(np.squeeze(middle, axis=dim)))
+
     def norm(self, dim: Any = EVERY_DIM, keepdim: object = False) -> Tensor:
         return Tensor(np.sqrt(np.sum(np.square(self.array), axis=dim, keepdims=keepdim)))  # type: ignore[call-overload]
 

@@ -91,6 +91,7 @@ CALLS = {
         t.from_numpy(CUBE).index_select(-1, t.tensor([3, 0])),
         t.searchsorted(t.tensor([1.0, 2.0, 3.0]), t.tensor([2.0, 9.0]), right=True),
         t.cummax(t.from_numpy(NUMBERS), dim=0).values,
+        t.from_numpy(np.where(NUMBERS > 0.0, NUMBERS, np.nan)).nanmedian(dim=0).values,
         t.isin(t.from_numpy(NUMBERS), t.tensor([1, 9])),
         t.full((3,), 9).scatter_reduce(0, t.tensor([0, 0, 2]), t.tensor([5, 4, 7]), "amin"),
         t.from_numpy(CUBE).masked_fill(t.from_numpy(CUBE) > 0.0, t.nan).nan_to_num(),

@@ -58,8 +58,9 @@ def test_what_is_new_about_readings_is_noise_of_the_size_it_says(small_session: 
     white = []
     for end in range(8, len(observations) + 1):
         new = running.update(observations.rows(torch.arange(end)).alone, 1)
-        factor = torch.linalg.cholesky(new.covariance_T2)
-        white.append(torch.linalg.solve_triangular(factor, new.difference_T[:, None], upper=False)[:, 0])
+        [(difference_T, covariance_T2)] = new.one_by_one([torch.arange(len(new.difference_T))])
+        factor = torch.linalg.cholesky(covariance_T2)
+        white.append(torch.linalg.solve_triangular(factor, difference_T[:, None], upper=False)[:, 0])
     standard = torch.cat(white)
     assert len(standard) == 60
     assert abs(float(standard.mean())) < 0.4
