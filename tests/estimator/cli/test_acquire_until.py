@@ -92,13 +92,13 @@ def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(folder: Path,
 def test_a_stop_that_the_arm_refuses_is_skipped_and_told(folder: Path, tmp_path: Path) -> None:
     bring_home(folder)
     out, devices, narrow = tmp_path / "session.zarr", folder / "devices.yaml", tmp_path / "narrow.yaml"
-    # The joints of the simulated arm are the numbers of its pose; its controller refuses the places on one side.
-    limits = "    joint_low_rad: [-7, -7, -7, -7, -7, -7]\n    joint_high_rad: [7, 0.03, 7, 7, 7, 7]\n"
+    # The joints of the simulated arm are the numbers of its pose; its controller refuses the places on two sides.
+    limits = "    joint_low_rad: [-7, -0.03, -7, -7, -7, -7]\n    joint_high_rad: [7, 0.03, 7, 7, 7, 7]\n"
     narrow.write_text(devices.read_text().replace("    arm: ur3e\n", f"    arm: ur3e\n{limits}"))
     result = gone_on(folder, out, *UNTIL, "--most-stops", 8, "--devices", narrow)
     assert result.exit_code == 0, result.stderr
     assert (
-        "a stop was refused, another one is chosen: arm.joint_2_rad must be within -7 and 0.03"
+        "a stop was refused, another one is chosen: arm.joint_2_rad must be within -0.03 and 0.03"
         in result.stderr
     )
     decisions = [entry["decision"] for entry in read_journal(out)[1]]

@@ -37,7 +37,7 @@ def truth_rig(small_rig: Rig, small_truth: dict[str, float]) -> Rig:
 @pytest.fixture(scope="module")
 def wrong_zero(truth_rig: Rig, small_session: Session) -> Observations:
     """The small session with a sensor offset of eight times the noise."""
-    return with_wrong(truth_rig, small_session.observations, OFFSET, {"z_T": 40e-6})
+    return with_wrong(truth_rig, small_session.observations, OFFSET, {"z_T": 60e-6})
 
 
 @pytest.fixture(scope="module")
