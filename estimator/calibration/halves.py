@@ -111,7 +111,7 @@ def _halves(circumstances: Circumstances) -> Iterator[tuple[str, Bool[Tensor, " 
                 )
         for axis, side in zip("xyz", circumstances.approach(mover.name).unbind(1), strict=True):
             yield (
-                f"readings that {mover.name} came to along its {axis} from one side disagree with the others",
+                f"readings that {mover.name} reached upwards along its {axis} axis disagree with the others",
                 side > 0.0,
             )
     if len(rig.sensors) > 1:

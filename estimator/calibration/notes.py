@@ -8,12 +8,11 @@ from typing import Any
 from estimator.effects import EFFECTS
 from estimator.effects.everywhere import WithEverywhere
 from estimator.effects.stages import RoomEffect
-from estimator.readings.digits import steps_T
+from estimator.readings.digits import coarse_steps_T
 from estimator.readings.observations import Observations
 from estimator.reporting.numbers import size_with_unit
 from estimator.rig.rig import Cause
 
-COARSE = 3.0  # times the noise: a step of the last digit from which on rounding is most of what scatters
 POSE = "_from_"  # part of the names of a pose
 ROOM_AND_ZERO = ("background_field[", "sensor_offset[")  # beginnings of their names
 ONLY_THE_SUM = "Where no sensor turns, only the sum of the room's field and of a sensor's zero is known"
@@ -53,12 +52,13 @@ def notes(described: WithEverywhere, observations: Observations) -> list[str]:
         sentences.append(
             "The rig file describes no iron: a steel plate or frame near a coil changes its turns and sizes, and may leave no misfit."
         )
-    for sensor, step_T in zip(rig.sensors, steps_T(observations, len(rig.sensors)), strict=True):
-        if step_T > COARSE * rig.parameters[f"{sensor.name}.noise_T"].value:
-            sentences.append(
-                f"{sensor.name} reads in steps of {size_with_unit(step_T, 'T', 3)}, more than its noise: what is rounded away is no noise "
-                "where fields change by less than a step. Record more digits."
-            )
+    noise_T = [rig.parameters[f"{sensor.name}.noise_T"].value for sensor in rig.sensors]
+    sentences += [
+        f"{rig.sensors[i].name} reads in steps of {size_with_unit(step_T, 'T', 3)}, coarser than its noise of "
+        f"{size_with_unit(noise_T[i], 'T', 3)}: readings are off by up to half a step, and alike where the field hardly changes. "
+        "Record more digits."
+        for i, step_T in coarse_steps_T(observations, noise_T).items()
+    ]
     return sentences
 
 

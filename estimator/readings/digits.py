@@ -10,7 +10,7 @@ each n-th.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from math import lgamma
 
@@ -34,6 +34,7 @@ MUCH_MOVED = 3.0  # times the usual change of settings between readings: from th
 FEWEST_FILLED_IN = 3  # consecutive readings
 FEWEST_EACH_NTH = 3  # rows that repeat the one before
 MOST_BY_CHANCE = 1e-3  # stretches in which a reading is repeated as often, expected where the sensor works
+COARSE = 2.5  # times the noise: a step whose rounding, a step over root 12, is three quarters of it
 FEWEST_CODES = 30  # different ones beside a bit that is stuck: 30 coins that fall alike
 
 WORDS = {
@@ -104,11 +105,17 @@ def step_of(values_T: Codes) -> float:
     return 0.0
 
 
-def steps_T(observations: Observations, n_sensors: int) -> list[float]:
-    """The largest step in which a component of each sensor was written down, in T; 0 where there is none."""
+def coarse_steps_T(observations: Observations, noise_T: Sequence[float]) -> dict[int, float]:
+    """Steps in which the components of some sensors are written down, by their numbers: where rounding is most of what scatters.
+
+    Args:
+        observations: Readings.
+        noise_T: Of each sensor, one standard deviation of a component.
+    """
     fields_T = observations.field_sensor_T.cpu().numpy().astype(np.float64)
     sensor = observations.sensor.cpu().numpy()
-    return [max(map(step_of, fields_T[sensor == i].T)) for i in range(n_sensors)]
+    steps_T = {i: max(map(step_of, fields_T[sensor == i].T)) for i in range(len(noise_T))}
+    return {i: step_T for i, step_T in steps_T.items() if step_T > COARSE * noise_T[i]}
 
 
 def _codes(values_T: Codes, step_T: float) -> Codes:

@@ -12,11 +12,10 @@ from estimator.diagnosis.statements.gain import misses
 from estimator.diagnosis.structure.pull import pull_of
 from estimator.diagnosis.verdict import UNKNOWN
 from estimator.effects import EFFECTS
-from estimator.readings.digits import steps_T
+from estimator.readings.digits import coarse_steps_T
 from estimator.reporting.numbers import displays, odds, probability, size_with_unit
 from estimator.reporting.page import Table
 
-MOST_OF_NOISE = 2.5  # times the noise: a step whose rounding, a step over root 12, has three quarters of it
 MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
 MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
 MOST_ALTERNATIVES = 4  # other answers that a doubt lists
@@ -43,11 +42,10 @@ def unexplained(diagnosis: Diagnosis) -> str:
 def _rounded(diagnosis: Diagnosis) -> str:
     """Sensors whose last digit is coarser than their noise allows; empty where there are none."""
     fit = diagnosis.fits.plain
-    sensors = fit.rig.sensors
+    noise_T = [float(fit.values[f"{sensor.name}.noise_T"]) for sensor in fit.rig.sensors]
     return "".join(
-        f", and {sensor.name} reads in steps of {size_with_unit(step_T, 'T', 3)}, whose rounding is most of its noise"
-        for sensor, step_T in zip(sensors, steps_T(fit.observations, len(sensors)), strict=True)
-        if step_T > MOST_OF_NOISE * float(fit.values[f"{sensor.name}.noise_T"])
+        f", and {fit.rig.sensors[i].name} reads in steps of {size_with_unit(step_T, 'T', 3)}, whose rounding is most of its noise"
+        for i, step_T in coarse_steps_T(fit.observations, noise_T).items()
     )
 
 

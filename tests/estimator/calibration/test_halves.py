@@ -84,7 +84,7 @@ def test_a_mover_that_leans_to_the_side_of_its_last_move_is_told_with_the_axis()
     side = Circumstances(RIG, made).approach(RIG.movers[0].name)[:, 2]
     shift_T = 20e-6 * side[:, None] * torch.tensor([[1.0, -1.0, 1.0]], dtype=torch.float64)
     told = found(made.with_field(made.field_sensor_T + shift_T))
-    assert "came to along its z" in told[0][0]
+    assert "reached upwards along its z axis" in told[0][0]
     assert told[0][1] < 1e-3
 
 

@@ -11,27 +11,15 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
+from tests.estimator.conftest import RIG
 from tests.estimator.diagnosis.sessions import plain_fit
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T
 
 QUIET_T, LOUD_T = 5e-6, 200e-6
-TWO_PROBES = """
-schema_version: 1
-name: two probes
-movers:
-  arm1: {motion: displacement}
-coils:
-  coil1:
-    carried_by: arm1
-    radius_mm: {prior: {normal: {mean: 51, sd: 1}}}
-    wire_radius_mm: 0.98
-    axial_loops: 12
-    radial_loops: 3
-    world_from_coil0: {z_mm: -60}
-sensors:
-  quiet: {noise_uT: 5}
-  loud: {noise_uT: 200, world_from_sensor: {x_mm: 10}}
-"""
+TWO_PROBES = RIG.replace(
+    "  hall:\n    noise_uT: 5\n",
+    "  quiet: {noise_uT: 5}\n  loud: {noise_uT: 200, world_from_sensor: {x_mm: 10}}\n",
+)
 
 
 def with_noise(fit: Fit, seed: int) -> Fit:
