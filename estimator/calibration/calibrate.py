@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import platform
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -74,6 +74,7 @@ def calibrate(
     settings: SamplerSettings | None = None,
     has_integer_counts: bool = True,
     as_described: bool = False,
+    near: Mapping[str, float] | None = None,
     device: str = "cpu",
     precision: str = "double",
     on_stage: Callable[[Stage], None] | None = None,
@@ -95,6 +96,8 @@ def calibrate(
         has_integer_counts: False treats free loop counts as real numbers.
         as_described: Fit the rig as it is described. Otherwise a field of the room, such as the Earth's, and the zero of each sensor are
             fitted too where the rig does not mention them, and the currents tell them from the fields of the coils.
+        near: Values of the free parameters near the maximum, where they are known, as from a fit of these readings. Nelder-Mead, which
+            searches for them from many starts, is left out then, unless coils without a winding are calibrated.
         device: Where the readings are predicted, such as `cuda`; sampling itself and all reports stay on the processor.
         precision: `double`, or `single` for the predictions of readings; densities and fits are in double precision all the same.
         on_stage: Called as the work proceeds.
@@ -114,7 +117,8 @@ def calibrate(
     wanted, settings = settings, settings.for_rig(len(rig.free) - len(free_amplitudes(rig)))
     folder = None if out is None else Path(out)
     computed = [] if (device, precision) == ("cpu", "double") else [device, precision]
-    fingerprint = _fingerprint(session, rig, settings, has_integer_counts, computed)
+    begun = [] if near is None else [json.dumps(dict(near))]
+    fingerprint = _fingerprint(session, rig, settings, has_integer_counts, [*computed, *begun])
     backend = _unfinished_chain(folder, fingerprint, overwrite)
     observations = as_meant(rig, session.observations).calibration
     warnings = check_units(rig, as_meant(rig, session.observations), session.source)
@@ -144,6 +148,7 @@ def calibrate(
             seed,
             lambda p: LogPosterior(Coordinates(rig, has_integer_counts), p.model, readings),
             lambda name, undetermined: tell(Stage(name, open_directions=undetermined)),
+            near,
         )
     lattice = start.posterior
 
@@ -259,12 +264,12 @@ def _is_finished(folder: Path) -> bool:
 
 
 def _fingerprint(
-    session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool, computed: Sequence[str]
+    session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool, besides: Sequence[str]
 ) -> str:
     """Hash of everything that decides the steps of a chain; the targets that stop it do not."""
     decisive = {"walkers": settings.n_walkers, "every": settings.check_every, "seed": settings.seed}
     parts = [session.hash, rig.hash, json.dumps(decisive), str(has_integer_counts), json.dumps(versions())]
-    return hashlib.sha256("\n".join([*parts, *computed]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([*parts, *besides]).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:

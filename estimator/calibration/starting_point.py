@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -97,6 +97,7 @@ def starting_point_with_counts(
     seed: int,
     lattice_of: Callable[[LogPosterior], LogPosterior],
     tell: Callable[[str, tuple[OpenDirection, ...]], None],
+    near: Mapping[str, float] | None = None,
 ) -> StartingPoint:
     """The maximum and the mixture over whole loop counts, where all free parameters are sampled.
 
@@ -106,9 +107,11 @@ def starting_point_with_counts(
         seed: Of starts, thinning and tuples.
         lattice_of: The same density with whole-numbered counts in the last columns.
         tell: Called with the name of each stage and what the data do not determine.
+        near: Values of the free parameters near the maximum, where they are known.
     """
     coordinates = posterior.coordinates
-    estimate = point_estimate(posterior, observations, seed)
+    begin = None if near is None else coordinates.vector(near)
+    estimate = point_estimate(posterior, observations, seed, begin)
     with torch.no_grad():
         values = coordinates.values(estimate.vector)
     posterior = LogPosterior(coordinates, posterior.model.choose_rules(values), observations)

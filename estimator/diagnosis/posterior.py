@@ -45,6 +45,7 @@ def extended_posterior(
     rig: Rig,
     widening: Widening | None,
     *,
+    near: Mapping[str, float] | None = None,
     out: Path | None = None,
     seed: int = 0,
     device: str = "cpu",
@@ -60,7 +61,7 @@ def extended_posterior(
         session: Readings; those marked as validation are kept out.
         rig: The extended rig.
         widening: Of its fit; None where nothing remains unexplained.
-        out, seed, on_stage: As in `calibrate`; what `out` holds is replaced.
+        near, out, seed, on_stage: As in `calibrate`; what `out` holds is replaced.
         device, precision: Likewise, where the posterior is sampled.
     Returns: The calibrated model. Where it is widened, `summary()["widening"]` holds the factor by which the standard deviation of each
         parameter grew; loop counts are real numbers where too many are plausible.
@@ -72,6 +73,7 @@ def extended_posterior(
             out=out,
             overwrite=True,
             as_described=True,
+            near=near,
             seed=seed,
             settings=LONG_ENOUGH,
             device=device,
@@ -157,6 +159,7 @@ def with_posterior(
             session,
             result.extended_rig,
             result.left_open.widening,
+            near={name: float(value) for name, value in result.fits.final.values.items()},
             out=out,
             seed=result.question.seed,
             device=device,

@@ -45,7 +45,12 @@ class PointEstimate:
         return self.fit.vector[0]
 
 
-def point_estimate(posterior: LogPosterior, observations: Observations, seed: int) -> PointEstimate:
+def point_estimate(
+    posterior: LogPosterior,
+    observations: Observations,
+    seed: int,
+    near: Float[Tensor, " coordinate"] | None = None,
+) -> PointEstimate:
     """Find the maximum of the posterior.
 
     Nelder-Mead starts from the nominal values and from draws of the prior. Its simplexes are a quarter of the prior wide, so that
@@ -55,8 +60,11 @@ def point_estimate(posterior: LogPosterior, observations: Observations, seed: in
         posterior: Density with continuous counts over all readings.
         observations: The same readings.
         seed: Seed of starts and thinning.
+        near: Coordinates near the maximum, where they are known: only the climb from there is made.
     References: Nelder and Mead, Comput. J. 7, 308 (1965); docs/paper.md, Solvers.
     """
+    if near is not None:
+        return PointEstimate(levenberg_marquardt(posterior, near[None]), 0, 1, 1)
     rng = np.random.default_rng(seed)
     coordinates = posterior.coordinates
     thinned = thinned_posterior(posterior, observations, rng)

@@ -429,3 +429,13 @@ def test_an_output_below_a_file_is_refused_before_the_work(small_session: Sessio
         with pytest.raises(InvalidInput, match=r"output must be writable; .* is not: "):
             calibrate(small_session, out=out, on_stage=stages.append)
     assert not stages
+
+
+def test_known_values_near_the_maximum_spare_the_search(
+    small_session: Session, tiny: Rig, tiny_calibration: Calibration
+) -> None:
+    known = calibrate(small_session, tiny, settings=QUICK, near=tiny_calibration.best)
+    assert known.summary()["point_estimate"]["nelder_mead_evaluations"] == 0
+    assert known.best[DISTANCE] == pytest.approx(tiny_calibration.best[DISTANCE], abs=1e-9)
+    was, now = (c.summary()["parameters"][DISTANCE]["sd"] for c in (tiny_calibration, known))
+    assert now == pytest.approx(was, rel=0.2)
