@@ -19,9 +19,8 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 
-MOST_READINGS = (
-    1500  # of which the tests take evenly spaced ones; more would find what is too small to matter
-)
+# The tests take evenly spaced readings; more would find what is too small to matter
+MOST_READINGS = 1500
 RANK_TOLERANCE = 1e-10  # of the square of a column, less what the fit follows
 
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import click
 
-MOST_PROCESSES = (
-    1024  # threads or workers; no computer has more processors, and a million threads end the program
-)
+# Threads or workers: no computer has more processors, and a million threads end the program
+MOST_PROCESSES = 1024
 
 Decorator = Callable[[Callable[..., Any]], Callable[..., Any]]
 PATH = click.Path(path_type=Path)

@@ -16,9 +16,8 @@ from estimator.errors import CoilcalError, InvalidInput, quoted
 
 INTERVAL = re.compile(r"(?P<number>\d+(\.\d+)?)(?P<unit>[smhd])")
 SECONDS = {"s": 1.0, "m": 60.0, "h": 3600.0, "d": 86400.0}
-LONGEST_WAIT_S = (
-    1.0  # a signal that comes in the instant before waiting begins is only seen when the wait ends
-)
+# A signal that comes in the instant before waiting begins is only seen when the wait ends
+LONGEST_WAIT_S = 1.0
 
 
 def interval_s(text: str) -> float:

@@ -27,9 +27,8 @@ from estimator.side_by_side import each
 
 MOST_IN_ALL_ORDERS = 3  # causes; of more in one order and its reverse
 NEGLIGIBLE = 0.01  # share of the misfit
-SHARE_OF_WHOLE = (
-    1e-3  # of the rise in log density that all causes bring, at which fits with some of them stop
-)
+# Fits with some of the causes stop at this share of the rise in log density that all of them bring
+SHARE_OF_WHOLE = 1e-3
 N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
 Squares = Float[np.ndarray, " reading"]
 

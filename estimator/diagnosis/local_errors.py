@@ -29,9 +29,8 @@ ROUGHNESSES = (1e-4, 1e-1)  # variance of what does not follow the settings, ove
 N_WAYS = 2 + len(LENGTHS) * len(ROUGHNESSES)  # in which errors of a wrong model may lie
 MOST_OFF = 10.0  # of a neighbour's error from their median, in median distances from that
 MOST_OF_A_STOP = 36  # readings of one stop that are passed over in search of others
-SAME_STOP = (
-    1e-4  # change of every setting, over its range, up to which a reading is of the stop of the one before
-)
+# A reading is of the same stop as the one before up to this change of every setting, over its range
+SAME_STOP = 1e-4
 ROWS_AT_ONCE = 20_000
 LEAST_DISTANCE = 1e-9  # of settings, over their ranges
 LEAST_T = 1e-12  # size of errors, where a model has none

@@ -19,9 +19,8 @@ from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 
-LEAST_SHARE = (
-    1e-12  # of a variance: what rounding may leave of a direction of a correlation matrix, or make negative
-)
+# Share of a variance that rounding may leave of a direction of a correlation matrix, or make negative
+LEAST_SHARE = 1e-12
 
 
 class Drawn(NamedTuple):

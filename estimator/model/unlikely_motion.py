@@ -9,9 +9,8 @@ from estimator.rig.rig import Rig
 from estimator.units import split_unit
 
 FARTHEST_M = 10.0  # that a mover of a laboratory stands from its reference: a thousandth is a stage's travel
-LEAST_TRAVEL_M = (
-    5e-4  # of all movers together, where one moves at all: a thousand times as much is an arm's reach
-)
+# Travel of all movers together, where one moves at all: a thousand times as much is an arm's reach
+LEAST_TRAVEL_M = 5e-4
 
 
 def unlikely_motion(rig: Rig, observations: Observations, where: str) -> list[str]:

@@ -18,9 +18,8 @@ from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 from estimator.units import UNITS, split_unit
 
-N_POINTS = (
-    64  # that fill a workspace evenly, beside its corners; the mean over them is known to a few per cent
-)
+# Points that fill a workspace evenly, beside its corners; the mean over them is known to a few per cent
+N_POINTS = 64
 MOST_POINTS = 2000  # of a workspace that is given as a list
 EXAMPLES = (
     "'field 0.2 % in box x_mm=-50:50 y_mm=-50:50 z_mm=-25:25', 'field 5 uT worst in ball r_mm=30 z_mm=10', "

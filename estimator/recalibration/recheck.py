@@ -21,9 +21,8 @@ from estimator.recalibration.sequential import Innovations, Rates
 from estimator.store.growing import observations_of
 from estimator.tensors import Tensor, torch
 
-LIKELY = (
-    20.0  # a change is named beside the leading one where its likelihood is at most so many times smaller
-)
+# A change is named beside the leading one where its likelihood is at most so many times smaller
+LIKELY = 20.0
 MOST_NAMED = 5
 HOLDS, CHANGED, UNDECIDED = "holds", "changed", "undecided"
 

@@ -33,9 +33,8 @@ MOST_FILES = 100_000
 MOST_METADATA_BYTES = 8_000_000
 MOST_NUMBERS = 300_000_000  # in all arrays, and in one chunk: 2.4 GB
 FEW_NUMBERS = 20_000_000  # 160 MB, which a store may claim whatever it holds
-MOST_PER_BYTE = (
-    25  # of a chunk; measured readings take more than a byte a number, and zeros of many movers hardly any
-)
+# Numbers of a chunk for each byte: measured readings take more than a byte a number, zeros of many movers hardly any
+MOST_PER_BYTE = 25
 MOST_REPEATS = 999_999_999
 
 

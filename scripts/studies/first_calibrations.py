@@ -27,9 +27,8 @@ from estimator.store.importers.readings_csv import read_readings_csv
 from scripts.studies.hidden_cases import share_and_interval
 from tests.hidden.first_session import FirstSession, first_session
 
-FAR_SD = (
-    4.0  # from the median, beyond which the truth shows that an interval is false: 1 in 16000 for a right one
-)
+# An interval is false where the truth is further from the median: 1 in 16000 for a right one
+FAR_SD = 4.0
 LEAST_PROBABILITY = 1e-3  # of the true loop counts
 N_DRAWS = 400
 

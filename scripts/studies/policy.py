@@ -51,9 +51,8 @@ FACTORS = (0.5, 2.0)
 SPLIT = ("background_field", "axis_gain[hall]")  # what a design is to tell apart
 HIDDEN = {"unchanged": {}, "drifted": {"sensor_offset.x_T": 60e-6}, "moved": {"background_field.x_T": 8e-6}}
 SETTINGS = SamplerSettings(n_walkers=32, target_ess=200.0, max_steps=1500)
-VISIBLE_CHANGE = (
-    1e-3  # of a log evidence, and of a standard deviation: rounding of optimisers that stop elsewhere
-)
+# Change of a log evidence, and in standard deviations: rounding of optimisers that stop elsewhere
+VISIBLE_CHANGE = 1e-3
 
 
 def main() -> None:

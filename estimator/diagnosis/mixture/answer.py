@@ -27,9 +27,8 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 
 STATED = 0.9  # probability from which on a cause is stated
-OUTWEIGHS = (
-    2.0  # times the evidence of what all slots leave, from which on a cause is stated where they are full
-)
+# Where all slots are full a cause is stated from so many times the evidence of what they leave
+OUTWEIGHS = 2.0
 ASKED = 0.2  # probability of a cause from which on a set is made about it
 
 

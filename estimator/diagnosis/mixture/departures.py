@@ -25,9 +25,8 @@ SAME = 1e-2  # of the square of columns: what a listed cause leaves of those tha
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
 MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and at all together
-NEAR = (
-    0.02  # of the rms field, between predictions about which causes and departures change the readings alike
-)
+# Causes and departures change readings alike about two predictions that differ by this share of the rms field
+NEAR = 0.02
 
 
 @dataclass(frozen=True)

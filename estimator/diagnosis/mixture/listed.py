@@ -24,9 +24,8 @@ from estimator.effects.circumstances import UNTIL
 from estimator.rig.parameters import Uniform
 from estimator.rig.rig import Cause
 
-WITHIN = (
-    12.0  # of the log posterior of the best item of a cause: what is further below cannot matter beside it
-)
+# Items of a cause whose log posterior is further below that of its best item cannot matter beside it
+WITHIN = 12.0
 MOST_PER_CAUSE, MOST_OF_FAINT = 10, 2
 STARTS_OF_MANY = 8  # that are offered of a cause with more starts than items
 FAINT = (

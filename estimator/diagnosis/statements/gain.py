@@ -18,9 +18,8 @@ from estimator.reporting.numbers import percent, size_with_unit
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
 
-MOSTLY = (
-    0.75  # of the squares beyond the noise, for one component to be told: a fit spreads some over the others
-)
+# A component is told that has this share of the squares beyond the noise: a fit spreads some over the others
+MOSTLY = 0.75
 CLEAR_FALL = 0.8  # of an rms error: no chance of 50 readings, though intervals that are widened may make them no more probable
 MOST_BESIDE = 3  # causes that a prediction lacks, one by one
 

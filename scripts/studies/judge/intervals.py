@@ -12,9 +12,8 @@ from estimator.readings.metrics import HALF_WIDTH_90
 from scripts.studies.judge.handed_out import HandedOut
 from scripts.studies.judge.truth import Truth
 
-FALSE_SD = (
-    4.0  # one right interval in 16,000 misses by more: a study of a thousand statements has none by chance
-)
+# One right interval in 16,000 misses by more: a study of a thousand statements has none by chance
+FALSE_SD = 4.0
 LEAST_JOINT = 1e-6  # of the distance of all numbers together, whose density is not quite normal
 LEAST_COUNT = 1e-3  # probability of a true loop count below which a posterior excludes it
 

@@ -21,9 +21,8 @@ CALIBRATE = "calibrate"
 SURE = 0.99  # a probability beyond which a loop count is stated as a fact
 MOST_MISSED = 1.5  # of the noise: what held-out readings of a good model may miss by
 COVERAGE_SLACK = 0.01
-SCATTERED_SHARE = (
-    0.026  # of components that the random numbers of two hundred draws put on the other side of an end
-)
+# Share of components that the random numbers of two hundred draws put on the other side of an end
+SCATTERED_SHARE = 0.026
 LUCKY_SD = 4.0
 LAST_OF_A_DISTANCE = 0.1
 TOLD_APART = 0.01  # of a constant's square: with more beside the currents, readings tell it from the coils

@@ -15,9 +15,8 @@ SIZE = re.compile(
     rf"(?P<number>[-−+]?\d[\d.,]*(?:e[-+]?\d+)?)\s*(?:(?P<prefix>[munµμ]?)(?P<unit>{UNITS})\b|(?P<percent>%))?"
 )
 LAST_DIGIT = 0.5 + 1e-6  # of the last printed digit: what rounding explains
-SUMMED = (
-    3e-4  # of an error: a difference of fields a hundred times as large, which quadrature has to a millionth
-)
+# Share of an error: it is a difference of fields a hundred times as large, which quadrature has to a millionth
+SUMMED = 3e-4
 
 
 @dataclass(frozen=True)

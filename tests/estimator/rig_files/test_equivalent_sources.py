@@ -65,9 +65,8 @@ def test_it_comes_back_to_the_last_digit(amplitudes: str, written: str) -> None:
 WITH_MULTIPOLES = TEXT.replace(
     "spacing_mm: 6", "spacing_mm: 6\n    multipoles_mm: [[0, 0, 12], [-6, 5.5, -3]]"
 )
-HASH = (
-    "fb4df752b6bff2b7fe7694d12e7dd1c630715e6f06f360a8c749fc119b9f9bb7"  # of TEXT before there were multipoles
-)
+# The hash of TEXT before there were multipoles
+HASH = "fb4df752b6bff2b7fe7694d12e7dd1c630715e6f06f360a8c749fc119b9f9bb7"
 
 
 def test_multipoles_have_eight_amplitudes_each_and_come_back() -> None:
