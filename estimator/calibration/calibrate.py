@@ -113,8 +113,8 @@ def calibrate(
     check_session(session)
     besides = _rig_to_fit(session, rig or session.rig, has_integer_counts, as_described)
     rig = besides.rig
-    settings = replace(settings or SamplerSettings(), seed=seed)
-    wanted, settings = settings, settings.for_rig(len(rig.free) - len(free_amplitudes(rig)))
+    wanted = replace(settings or SamplerSettings(), seed=seed)
+    settings = wanted.for_rig(len(rig.free) - len(free_amplitudes(rig)))
     folder = None if out is None else Path(out)
     computed = [] if (device, precision) == ("cpu", "double") else [device, precision]
     begun = [] if near is None else [json.dumps(dict(near))]
@@ -151,22 +151,20 @@ def calibrate(
             near,
         )
     lattice = start.posterior
-
     tell(Stage("posterior sampling with emcee"))
     if lattice.amplitudes and not lattice.coordinates.n:
         samples = independent(lattice, settings)
     else:
-        if backend is None:
-            backend = _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
+        chain = backend or _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
         samples = sample(
             for_sampling(lattice, start.mixture, seed),
             start.mixture,
             settings,
-            backend,
+            chain,
             lambda progress: tell(Stage("posterior sampling with emcee", progress)),
         )
-    if isinstance(backend, ZarrBackend):
-        backend.flush()
+        if isinstance(chain, ZarrBackend):
+            chain.flush()
 
     tell(Stage("errors, coverage and summary"))
     draws, log_prob = start.draws(samples.chain, seed), np.ascontiguousarray(samples.log_prob.T)
