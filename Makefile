@@ -62,7 +62,7 @@ words: $(INSTALLED)       # sentence lengths of README and docs by page, and ban
 	$(RUN) scripts.documentation.words
 
 size: $(INSTALLED)        # lines of code of the packages and of the tests
-	$(RUN) scripts.documentation.size estimator drivers tests
+	$(RUN) scripts.documentation.size coilcal estimator drivers tests
 
 study: $(INSTALLED)       # `make study NAME=hidden`: one of scripts/studies/studies.yaml; without NAME they are listed
 	$(RUN) scripts.studies $(NAME)

@@ -42,6 +42,8 @@ if TYPE_CHECKING:  # what type checkers and editors see; `_NAMES` says the same 
     from estimator.system.system import System
     from estimator.system.system_field import SystemField
 
+DISTRIBUTION = "coilcal"  # which `coilcal` looks for, before another package of this name runs in its place
+
 __all__ = [
     "Calibration",
     "CoilcalError",

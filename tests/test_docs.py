@@ -90,7 +90,9 @@ def test_paths_and_modules_exist(page: Path) -> None:
         assert "NAME" in name or is_module(name), f"{name} in {page}"
 
 
-@pytest.mark.parametrize("folder", ["estimator", "drivers", "scripts", "tests", "configs", "docs", "."])
+@pytest.mark.parametrize(
+    "folder", ["coilcal", "estimator", "drivers", "scripts", "tests", "configs", "docs", "."]
+)
 def test_what_is_cited_is_in_the_repository(folder: str) -> None:
     """Pages by their path, decisions by path and number; other documents in capitals only where they are there."""
     files = ROOT.glob("*.md") if folder == "." else (ROOT / folder).rglob("*")

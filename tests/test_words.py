@@ -16,7 +16,7 @@ SAY_NOTHING = {"found", "one", "kept"}
 
 def sources() -> Iterator[tuple[str, str]]:
     """Path and text of every file that is held to these words."""
-    for package in ("estimator", "drivers"):
+    for package in ("coilcal", "estimator", "drivers"):
         for file in sorted((ROOT / package).rglob("*.py")):
             yield file.relative_to(ROOT).as_posix(), file.read_text(encoding="utf-8")
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import ast
 import importlib
 import inspect
+import os
 import pkgutil
+import subprocess
+import sys
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 import torch
 
+import coilcal
 import estimator
 
 NAMES = [
@@ -54,7 +58,7 @@ NAMES = [
     "superposition",
 ]
 SIGNATURES = {
-    "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, as_described, device, precision, on_stage",
+    "calibrate": "session, rig, out, overwrite, seed, settings, has_integer_counts, as_described, near, device, precision, on_stage",
     "recalibrate": "rig, inbox, registry, seed, settings, again, on_entry, on_waiting, watcher",
     "batch": "sessions, out, rig, columns, hypotheses, is_each_coil, has_posterior, seed, settings, workers, scheduler, device, precision, as_described, tell",
     "roll_back": "registry, version",
@@ -98,6 +102,31 @@ def test_the_public_names_are_these() -> None:
     assert sorted(estimator.__all__) == NAMES
     assert list(estimator.__all__) == NAMES
     assert all(hasattr(estimator, name) for name in NAMES)
+
+
+def test_the_distribution_has_them_under_its_own_name() -> None:
+    assert dir(coilcal) == NAMES
+    assert all(getattr(coilcal, name) is getattr(estimator, name) for name in NAMES)
+    with pytest.raises(AttributeError, match="no attribute 'callibrate'"):
+        coilcal.callibrate  # noqa: B018
+
+
+@pytest.mark.parametrize("name", coilcal.PACKAGES)
+def test_a_package_of_another_distribution_is_not_run(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).mkdir()
+    (tmp_path / name / "__init__.py").write_text('"""Something else."""\n', encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), str(Path(coilcal.__file__).parents[1])])
+    ran = subprocess.run(
+        [sys.executable, "-m", "coilcal", "--version"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": path},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ran.returncode == 2
+    assert ran.stderr.startswith(f"coilcal: package {name!r} must be that of coilcal; ")
+    assert ran.stderr.count("\n") == 1
 
 
 def test_type_checkers_see_the_names_that_are_loaded_when_used() -> None:
