@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import textwrap
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from importlib import import_module
+from typing import Any, ClassVar
 
 MOST_LINES = 10  # of a representation
 MOST_OF_SENTENCE = 3
@@ -80,12 +81,28 @@ def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     ]
 
 
-class Shown(ABC):
-    """An object whose representation is a glance at it. Its dataclass must be declared with `repr=False`."""
+class Shown:
+    """An object whose representation is a glance at it. Its dataclass must be declared with `repr=False`.
 
-    @abstractmethod
+    Tables and pictures of it are made by the module `shown` of its package, which stands above it and is loaded when they are asked for.
+    """
+
+    _package: ClassVar[str]
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        if Shown in cls.__bases__:
+            cls._package = cls.__module__.rpartition(".")[0]
+
+    @property
+    def _shown(self) -> Any:
+        """The module `shown`."""
+        return import_module(f"{self._package}.shown")
+
     def glance(self) -> Glance:
-        """What is shown of it."""
+        """What is shown of it: a sentence, a table and a figure."""
+        glance: Glance = self._shown.glance(self)
+        return glance
 
     def __repr__(self) -> str:
         return self.glance().text()

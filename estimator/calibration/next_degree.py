@@ -8,7 +8,6 @@ from statistics import median
 import torch
 
 from estimator.inference.collapsed import CollapsedPosterior
-from estimator.inference.density import Density
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import AnyCoil, EquivalentSourceCoil, HarmonicCoil
@@ -23,7 +22,9 @@ WIDTHS = (1.0, 0.1, 0.01)  # of what the priors say: too wide a prior hides a de
 CLEAR_LOG_EVIDENCE = 3.0  # 20 to 1, as for causes: with less the degree may well do
 
 
-def next_degree_gain(posterior: Density, observations: Observations, vector: torch.Tensor) -> float | None:
+def next_degree_gain(
+    posterior: CollapsedPosterior, observations: Observations, vector: torch.Tensor
+) -> float | None:
     """Rise in log evidence when every coil without a winding gets one degree more, or its charges closer to the box and to each other.
 
     Priors of the new degree narrow on as they did, or are ten or a hundred times narrower: the best of these counts. Intervals hold for

@@ -18,7 +18,7 @@ from estimator.errors import InvalidInput, check_known, cut, quoted
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
-from estimator.glance import Glance, Shown
+from estimator.glance import Shown
 from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.points import FIELD, GRADIENT, given_motion, given_points
 from estimator.readings.observations import Observations
@@ -219,12 +219,6 @@ class Calibration(Shown):
         """Parameters with credible intervals, loop counts, errors, coverage and provenance: the content of `summary.json`."""
         return self.summary_json
 
-    def glance(self) -> Glance:
-        """What is shown of it: how good it is, its parameters, and what the data taught."""
-        from estimator.calibration.shown import calibration_glance
-
-        return calibration_glance(self)
-
     def plot_field(self, coil: str | None = None) -> Figure:
         """Field of one ampere in the plane through a coil's axis, and its uncertainty (`plots.field_plane`).
 
@@ -235,21 +229,15 @@ class Calibration(Shown):
         Examples:
             >>> calibration.plot_field().savefig("field.png")  # doctest: +SKIP
         """
-        from estimator.calibration.shown import plot_field
-
-        return plot_field(self, coil)
+        return cast("Figure", self._shown.plot_field(self, coil))
 
     def plot_residuals(self, ax: Axes | None = None) -> Axes:
         """Residuals of the fit over the noise beside the normal density (`plots.residual_histogram`)."""
-        from estimator.calibration.shown import plot_residuals
-
-        return plot_residuals(self, ax)
+        return cast("Axes", self._shown.plot_residuals(self, ax))
 
     def plot_parameters(self, ax: Axes | None = None) -> Axes:
         """Prior and posterior of every free parameter: what the data taught (`plots.interval_summary`)."""
-        from estimator.calibration.shown import plot_parameters
-
-        return plot_parameters(self, ax)
+        return cast("Axes", self._shown.plot_parameters(self, ax))
 
     def magnet(self) -> Magnet:
         """What exports write: the coils."""

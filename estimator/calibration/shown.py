@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from estimator.calibration.result import Calibration
 
 
-def calibration_glance(calibration: Calibration) -> Glance:
+def glance(calibration: Calibration) -> Glance:
     """A calibration in a sentence, its parameters, and what the data taught."""
     summary = calibration.summary()
     quality = summary.get("quality", {})

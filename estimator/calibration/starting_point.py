@@ -57,7 +57,7 @@ class StartingPoint:
 
     def summary(self, observations: Observations) -> dict[str, Any]:
         """What is said of coils without a winding: amplitudes by coil, free and determined, and the evidence for a degree more."""
-        if not self.posterior.amplitudes:
+        if not isinstance(self.posterior, CollapsedPosterior):
             return {}
         vector = self.mixture.mean[0]
         counts = self.posterior.determined(vector)

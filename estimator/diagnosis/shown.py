@@ -17,7 +17,7 @@ from estimator.reporting.numbers import probability
 from estimator.reporting.page import picture_html
 
 
-def diagnosis_glance(diagnosis: Diagnosis) -> Glance:
+def glance(diagnosis: Diagnosis) -> Glance:
     """A diagnosis in its first sentence, its causes with their sizes, and the error budget or the residuals."""
     first = next(iter(headline(diagnosis)), "")
     rows = [

@@ -85,12 +85,13 @@ class CollapsedPosterior(Density):
     """Log posterior density of all parameters but the amplitudes of coils without a winding, batched over walkers.
 
     Attributes:
+        full: Density of all parameters.
         amplitudes: Names of those that are integrated out.
         coordinates: Of the others; loop counts are real numbers.
     """
 
     def __init__(self, full: LogPosterior) -> None:
-        self._full = full
+        self.full = full
         rig = full.coordinates.rig
         self.amplitudes = free_amplitudes(rig)
         self.coordinates = Coordinates(rig.with_fixed(self.amplitudes)).on(full.coordinates.device)
@@ -101,11 +102,6 @@ class CollapsedPosterior(Density):
         noises = {f"{sensor.name}.noise_T" for sensor in rig.sensors}
         has_normal_noise = not uses_of(rig, NoiseEffect)
         self._is_only_noise = has_normal_noise and noises.issuperset(self.coordinates.names)
-
-    @property
-    def full(self) -> LogPosterior:
-        """Density of all parameters."""
-        return self._full
 
     def log_likelihood(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log probability density of the measured components, averaged over the amplitudes' priors."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -13,9 +12,6 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.rig.coordinates import Coordinates
-
-if TYPE_CHECKING:
-    from estimator.inference.likelihood import LogPosterior
 
 
 class Density(ABC):
@@ -28,11 +24,6 @@ class Density(ABC):
 
     coordinates: Coordinates
     amplitudes: tuple[str, ...] = ()
-
-    @property
-    @abstractmethod
-    def full(self) -> LogPosterior:
-        """The density of all parameters."""
 
     @abstractmethod
     def log_likelihood(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
@@ -56,10 +47,6 @@ class Density(ABC):
     def values(self, vector: Float[Tensor, " coordinate"]) -> Mapping[str, Tensor]:
         """Every number of the rig, with the most probable values of what is integrated out."""
         return self.coordinates.values(vector)
-
-    def determined(self, vector: Float[Tensor, " coordinate"]) -> dict[str, tuple[int, int]]:
-        """Amplitudes of each coil that are integrated out, and combinations of them that the readings tell better than the priors."""
-        return {}
 
     def drawn(
         self, chain: Float[np.ndarray, "step walker coordinate"], seed: int

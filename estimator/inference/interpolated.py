@@ -65,11 +65,6 @@ class InterpolatedPosterior(Density):
         fitted = torch.linalg.pinv(self._monomials(vectors))
         self._products_T2 = fitted @ products_of_residuals(posterior, vectors) @ fitted.mT
 
-    @property
-    def full(self) -> LogPosterior:
-        """The density of all readings."""
-        return self._exact
-
     def drawn_about(
         self, size: int, reach: float, generator: torch.Generator
     ) -> Float[Tensor, "draw coordinate"]:

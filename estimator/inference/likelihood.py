@@ -85,11 +85,6 @@ class LogPosterior(Density):
             coordinates, MeasurementModel.unruled(coordinates.rig, readings).with_rules(rules), readings
         )
 
-    @property
-    def full(self) -> LogPosterior:
-        """This density: nothing is integrated out of it."""
-        return self
-
     def with_rows(self, measured_T: Float[Tensor, "row component"]) -> LogPosterior:
         """The density for vectors whose every row has readings of its own, all taken at the same settings.
 

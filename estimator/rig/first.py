@@ -1,4 +1,4 @@
-"""The rig of a first try without a file: one round coil, one sensor, and a stage that carries one of them.
+"""Bodies and numbers of a first rig without a file: one round coil, one sensor, and a stage that carries one of them.
 
 Its priors are as wide as a ruler and a maker's note leave the numbers, as in the file that `coilcal init` writes.
 """
@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import NamedTuple
 
 from estimator.errors import InvalidInput
 from estimator.rig.bodies import POSE_KEYS, Coil, MotionKind, Mover, Sensor
 from estimator.rig.parameters import LogNormal, Normal, Parameter, Tie
-from estimator.rig.rig import Cause, Rig
 
 PLACE_SD_M = 3e-3  # of a place that was measured with a ruler
 TILT_SD_RAD = math.radians(2.0)  # of a mount that was set by eye
@@ -22,7 +22,17 @@ GAIN_SD = 0.01  # of a sensor that was not calibrated
 NOISE_RELATIVE_SD = 0.5
 
 
-def rig_of_coil(
+class FirstRig(NamedTuple):
+    """What a first rig consists of; effects are given by name and place."""
+
+    coil: Coil
+    sensor: Sensor
+    mover: Mover
+    parameters: dict[str, Parameter]
+    effects: tuple[tuple[str, str], ...]
+
+
+def first_rig(
     radius_m: float,
     axial_loops: float,
     radial_loops: float,
@@ -30,8 +40,7 @@ def rig_of_coil(
     distance_m: float,
     noise_T: float,
     moves: str,
-    name: str,
-) -> Rig:
+) -> FirstRig:
     """See `Rig.coil`."""
     if moves not in ("coil", "sensor"):
         raise InvalidInput(f"moves must be 'coil' or 'sensor'; received {moves!r}")
@@ -50,19 +59,13 @@ def rig_of_coil(
         Parameter("hall.gain", "1", 1.0, Normal(1.0, GAIN_SD)),
         *(_pose("hall.world_from_sensor") if is_coil_moved else _carried("hall", "sensor", distance_m)),
     ]
-    for label, sd_T in (("background_field[room]", ROOM_SD_T), ("sensor_offset[hall]", ZERO_SD_T)):
-        parameters += [Parameter(f"{label}.{axis}_T", "T", 0.0, Normal(0.0, sd_T)) for axis in "xyz"]
-    rig = Rig(
-        name,
-        (coil,),
-        (sensor,),
-        (Mover("stage", MotionKind.DISPLACEMENT),),
-        {parameter.name: parameter for parameter in parameters},
-        (Cause("background_field", "room"), Cause("sensor_offset", "hall")),
-    )
-    for broken, rule, received in rig.broken_rules():
-        raise InvalidInput(f"{broken.partition('.')[2]} {rule}; received {received}")
-    return rig
+    effects = {("background_field", "room"): ROOM_SD_T, ("sensor_offset", "hall"): ZERO_SD_T}
+    for (effect, place), sd_T in effects.items():
+        parameters += [
+            Parameter(f"{effect}[{place}].{axis}_T", "T", 0.0, Normal(0.0, sd_T)) for axis in "xyz"
+        ]
+    stage = Mover("stage", MotionKind.DISPLACEMENT)
+    return FirstRig(coil, sensor, stage, {each.name: each for each in parameters}, tuple(effects))
 
 
 def _winding(

@@ -13,8 +13,9 @@ from functools import cached_property
 from typing import Any
 
 from estimator.errors import InvalidInput, closest
-from estimator.glance import Glance, Shown
+from estimator.glance import Shown
 from estimator.rig.bodies import AnyCoil, Coil, Mover, Sensor, UnwoundCoil, WoundCoil
+from estimator.rig.first import first_rig
 from estimator.rig.parameters import Parameter
 from estimator.rig.rules import broken_rules
 
@@ -92,17 +93,12 @@ class Rig(Shown):
             >>> Rig.coil(0.05, 30, 12, wire_radius_m=0.0004).coils[0].name
             'coil1'
         """
-        from estimator.rig.first import rig_of_coil
-
-        return rig_of_coil(
-            radius_m, axial_loops, radial_loops, wire_radius_m, distance_m, noise_T, moves, name
-        )
-
-    def glance(self) -> Glance:
-        """What is shown of it: its bodies and free numbers."""
-        from estimator.rig.shown import rig_glance
-
-        return rig_glance(self)
+        first = first_rig(radius_m, axial_loops, radial_loops, wire_radius_m, distance_m, noise_T, moves)
+        effects = tuple(Cause(*effect) for effect in first.effects)
+        rig = cls(name, (first.coil,), (first.sensor,), (first.mover,), first.parameters, effects)
+        for broken, rule, received in rig.broken_rules():
+            raise InvalidInput(f"{broken.partition('.')[2]} {rule}; received {received}")
+        return rig
 
     @property
     def free(self) -> tuple[Parameter, ...]:

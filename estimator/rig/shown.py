@@ -11,11 +11,11 @@ from estimator.rig.parameters import Uniform
 from estimator.rig.rig import Rig
 
 
-def rig_glance(rig: Rig) -> Glance:
+def glance(rig: Rig) -> Glance:
     """A rig in a sentence, its free numbers, and its windings in section.
 
     Examples:
-        >>> print(rig_glance(Rig.coil(0.05, 30, 12, wire_radius_m=0.0004, name="bench")).text())
+        >>> print(glance(Rig.coil(0.05, 30, 12, wire_radius_m=0.0004, name="bench")).text())
         Rig 'bench': coil coil1; sensor hall; mover stage (displacement); effects background_field[room], sensor_offset[hall].
         20 numbers are free, 22 fixed.
           free number          prior

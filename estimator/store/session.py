@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
-from estimator.glance import Glance, Shown
+from estimator.glance import Shown
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import Body, Mover
 from estimator.rig.rig import Rig
@@ -114,12 +114,6 @@ class Session(Shown):
 
         session = session_of_frame(frame, rig, dict(columns or {}), dict(constants or {}), source)
         return checked(session, validation, seed).session
-
-    def glance(self) -> Glance:
-        """What is shown of it: what was measured, where, and how large it is."""
-        from estimator.store.shown import session_glance
-
-        return session_glance(self)
 
     @property
     def hash(self) -> str:

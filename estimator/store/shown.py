@@ -10,7 +10,7 @@ from estimator.store.session import Session
 MOST_POINTS = 500  # in the picture
 
 
-def session_glance(session: Session) -> Glance:
+def glance(session: Session) -> Glance:
     """A session in a sentence, the ranges of its columns, and the size of the field over time."""
     rig, o = session.rig, session.observations
     n_validation = int(o.is_validation.sum())

@@ -8,29 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from jaxtyping import Float
 
-from estimator.calibration.result import INTERVAL_DRAWS, Calibration
+from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput, check_known
 from estimator.export import formats
 from estimator.export.magnet import Magnet
 from estimator.export.request import Grid
-from estimator.glance import Glance, Shown
+from estimator.glance import Glance
 from estimator.points import given_points
-from estimator.rig.coordinates import Values
 from estimator.system.compiled import CompiledSystem
+from estimator.system.parts import CalibratedCoils
 from estimator.system.system_field import SystemField
-from estimator.tensors import Tensor, torch
+from estimator.tensors import Tensor
 
 Motion = Mapping[str, Float[Tensor, "... 6"]]
 
 
 @dataclass(frozen=True, repr=False)
-class System(Shown):
+class System(CalibratedCoils):
     """Coils of one room, each with the model of its calibration.
 
     All calibrations must give poses in the same world frame, such as that of a shared sensor. A constant field of the room is taken from
@@ -45,18 +44,6 @@ class System(Shown):
         >>> here = system.at(points_m, {"arm1": joints1_rad, "arm2": joints2_rad})  # doctest: +SKIP
         >>> here.field_T({"coil1": 3.0})  # doctest: +SKIP
     """
-
-    calibrations: Mapping[str, Calibration]
-
-    def __post_init__(self) -> None:
-        if not self.calibrations:
-            raise InvalidInput("system must have at least one coil; received none")
-        for name, calibration in self.calibrations.items():
-            coil_names = [coil.name for coil in calibration.rig.coils]
-            if name not in coil_names:
-                raise InvalidInput(
-                    f"system must name coils of their calibrations; rig {calibration.rig.name!r} has {', '.join(coil_names)}, not {name!r}"
-                )
 
     @classmethod
     def of(cls, *calibrations: Calibration) -> System:
@@ -83,40 +70,6 @@ class System(Shown):
         ]
         sentence = f"System of {len(rows)} {'coil' if len(rows) == 1 else 'coils'} in one room."
         return Glance(sentence, ("coil", "calibrated on", "verdict"), rows)
-
-    @property
-    def coils(self) -> tuple[str, ...]:
-        """Names of the coils, in the order of the currents."""
-        return tuple(self.calibrations)
-
-    @cached_property
-    def parts(self) -> tuple[Calibration, ...]:
-        """Each calibration once, without the coils that come from another one."""
-        parts: list[Calibration] = []
-        has_background = False
-        for calibration in {id(c): c for c in self.calibrations.values()}.values():
-            coils = tuple(c for c in calibration.rig.coils if self.calibrations.get(c.name) is calibration)
-            left_out = {coil.name for coil in calibration.rig.coils} - {coil.name for coil in coils}
-            alone = calibration.coils_alone()
-            rig = alone.rig if has_background else calibration.rig
-            effects, corrections = (
-                tuple(cause for cause in acting if cause.place not in left_out)
-                for acting in (rig.effects, rig.corrections)
-            )
-            parts.append(
-                replace(calibration, rig=replace(rig, coils=coils, effects=effects, corrections=corrections))
-            )
-            has_background = has_background or alone.rig.acting != calibration.rig.acting
-        return tuple(parts)
-
-    def currents(self, currents_A: Mapping[str, float]) -> Float[Tensor, " coil"]:
-        """Currents by name as a vector; coils that are not named are off.
-
-        Raises:
-            InvalidInput: A name is not a coil of the system.
-        """
-        check_known("currents must name coils of the system", currents_A, self.coils)
-        return torch.tensor([float(currents_A.get(name, 0.0)) for name in self.coils], dtype=torch.float64)
 
     def at(self, points_m: Any, motion: Mapping[str, Any] | None = None) -> SystemField:
         """The system with its movers in given poses; results can be differentiated in points and motion.
@@ -178,16 +131,3 @@ class System(Shown):
             InvalidInput: An unknown format, something it does not take or lacks, or a model that it cannot express.
         """
         return formats.export(self.magnet(), to, path, grid=grid, currents_A=currents_A, motion=motion)
-
-    def draws(self) -> tuple[Values, ...]:
-        """Posterior draws of each part, equally many.
-
-        Calibrations with the same seed share their random numbers, so the draws of each part are shuffled.
-        """
-        n = min(INTERVAL_DRAWS, *(part.log_prob.size for part in self.parts))
-        draws = []
-        for i, part in enumerate(self.parts):
-            order = torch.randperm(n, generator=torch.Generator().manual_seed(i))
-            values = part.draw_values(n)
-            draws.append({name: value[order] if value.ndim else value for name, value in values.items()})
-        return tuple(draws)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jaxtyping import Float
 
@@ -26,11 +26,8 @@ from estimator.system.actuation import (
     independent_entries,
     minimum_norm_currents,
 )
+from estimator.system.parts import CalibratedCoils
 from estimator.tensors import Tensor, torch
-
-if TYPE_CHECKING:
-    from estimator.system.system import System
-
 
 FORCE = Answer("force", "N", {"component": AXES})
 FIELD_ROWS = tuple(f"B{axis}" for axis in AXES)
@@ -50,7 +47,7 @@ class SystemField:
         points: Where.
     """
 
-    system: System
+    system: CalibratedCoils
     rooms: tuple[RoomField, ...]
     points: Points
 
