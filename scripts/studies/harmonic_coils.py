@@ -45,7 +45,7 @@ HARMONICS = (
     "{model: harmonic, region: interior, degree: 12, reference_radius_mm: 8.66, "
     "amplitudes: {sd_T_per_A: 2e-3, falloff: 0.7}}"
 )
-# The rms field in the middle is about 1 mT/A. Margin and spacing: see decision 20.
+# The rms field in the middle is about 1 mT/A. Margin and spacing: docs/how-to/coil-without-a-winding.md.
 BOX = (
     "{model: equivalent_sources, half_x_mm: 5, half_y_mm: 5, half_z_mm: 5, margin_mm: 4, spacing_mm: 1.3, "
     "amplitudes: {sd_T_per_A: 1e-3}}"

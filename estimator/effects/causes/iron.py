@@ -148,7 +148,7 @@ def pierced_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fiel
 
     It answers the coils, and the room's own field across it may differ from one side to the other.
 
-    Source: 1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT (decision 11).
+    Source: 1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT.
     """
     # A plate without opening, and what the opening lets through (see `through_opening`).
     across = _across(theta)
