@@ -1,7 +1,7 @@
 """Every rule with a number that steers a diagnosis, in the order in which a diagnosis meets them.
 
 Modules read them as `policy.NAME` when they need them, so a study or a test may set another value (`scripts/studies/policy.py` halves and
-doubles each; docs/notebook/policy.md has the table). Below each stands what it decides, where its value comes from and how much it matters.
+doubles each; docs/studies/policy.txt has the table). Below each stands what it decides, where its value comes from and how much it matters.
 "By judgement" means that nothing but experience supports it.
 
 Left where they are used: guards against rounding (`TINY`, `ROUNDING`, `RANK_TOLERANCE`), steps of differences, grids, batches that fit the

@@ -1,7 +1,7 @@
 """Every rule with a number that steers a recalibration, beside those of `estimator/diagnosis/policy.py`, which it shares.
 
 Modules read them as `policy.NAME` when they need them, so a study or a test may set another value (`scripts/studies/policy.py` halves and
-doubles each; docs/notebook/policy.md has the table). Below each stands what it decides, where its value comes from and how much it matters.
+doubles each; docs/studies/policy.txt has the table). Below each stands what it decides, where its value comes from and how much it matters.
 
 Readings tested and fitted, the share kept out, and the odds for a cause are those of the diagnosis. Left where they are used: guards
 against rounding, simulated sessions in one batch, and what a page has room for.
