@@ -80,8 +80,9 @@ def _asked(
     on_progress: OnProgress,
 ) -> Asking:
     said = answer_beside_scatter(base, limits, seed, tell, on_progress)
-    pool = said.answer.first.pool
-    return Asking(said, mistakes, smallest_visible(base, pool), indistinguishable(base, pool))
+    first = said.answer.first
+    at = (first.expansion.fit, first.pool)  # of one noise: a cause of scatter weighs readings anew
+    return Asking(said, mistakes, smallest_visible(*at), indistinguishable(*at))
 
 
 def _named(plain: Fit, elsewhere: Sequence[Fit]) -> NamedCause:

@@ -19,9 +19,11 @@ from estimator.devices import numpy_of
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.linear import Projector
 from estimator.rig.rig import Cause
 
 MOST_ABSORBING, LEAST_ABSORBING = 3, 0.2  # numbers that are told, and how far each must move over the first
+WHOLLY, WIDER = 0.999, 30.0  # share that free poses follow of what is another word for them, and how much wider their priors are then
 Hidden = tuple[
     Tensor, dict[str, Any]
 ]  # how what stays unseen moves the coordinates of a fit, and what of it is told
@@ -38,7 +40,7 @@ class Visible:
         share_absorbed: Share of its change of the readings, in squares, that free numbers of the rig follow there.
         absorbed_by: Those that follow most, most first.
         hidden_sd: How far it may move a number of the rig, in the number's standard deviations, and stay unseen: of all starts and sizes
-            up to the visible one and to the prior's standard deviation.
+            up to the visible one and to the prior's standard deviation. None does that moves free poses alone: then these are right.
         hidden_in: The number that it would move most.
         hidden_size: The size at which it does, distance from the null.
         hidden_at: Shapes of the start at which it does.
@@ -100,6 +102,7 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
     names = fit.posterior.coordinates.quantities
     of_noise = torch.tensor([name.endswith(".noise_T") for name in names], device=moved_sd.device)
     moved_sd[of_noise] = 0.0
+    are_poses = _are_poses(fit, names, columns)
     begin = 0
     for candidate in pool:
         for i, key in enumerate(candidate.keys):
@@ -108,7 +111,7 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
             prior_sd = float(candidate.prior_sd[i])
             most = int(moves.argmax()) if len(names) else 0
             unseen = min(size, prior_sd)
-            hidden_sd = unseen * float(moves[most]) if len(names) else 0.0
+            hidden_sd = unseen * float(moves[most]) if len(names) and not are_poses[begin + i] else 0.0
             asked = (candidate.cause, key)
             if asked not in best or size < best[asked].size:
                 share = 1.0 - min(n_sigma / float(lengths[begin + i]), 1.0) ** 2
@@ -121,6 +124,15 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
                 hides[asked] = unseen * shifts[:, begin + i], {"hidden_sd": hidden_sd, **told}
         begin += len(candidate.keys)
     return list((best | _with_hidden(fit, best, hides)).values())
+
+
+def _are_poses(fit: Fit, names: Sequence[str], columns: Float[Tensor, "component column"]) -> list[bool]:
+    """Whether each column is another word for free poses, such as a coil that sits elsewhere: their priors alone hold them back."""
+    free = [i for i, name in enumerate(names) if "_from_" in name]
+    wider = fit.prior_precision[free][:, free] / WIDER**2
+    rest = Projector.of(fit.jacobian[:, free], wider).norms(columns)
+    are_poses: list[bool] = (rest.square() < (1.0 - WHOLLY) * columns.square().sum(0)).tolist()
+    return are_poses
 
 
 def _with_hidden(

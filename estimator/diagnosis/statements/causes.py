@@ -35,13 +35,19 @@ def what(diagnosis: Diagnosis) -> Iterator[str]:
         how_sure = probability(p_nothing(diagnosis))
         yield doubts(diagnosis) or f"{words} ({how_sure}){would_have_shown(diagnosis, readings)}."
     else:
-        causes = [mistake.cause for mistake in diagnosis.record_mistakes]
-        mistakes = [f"{_capital(EFFECTS[c.name].words)} ({diagnosis.label(c)})." for c in causes]
+        mistakes = [_mistake(diagnosis, named) for named in diagnosis.findings.named_mistakes]
         is_unexplained = diagnosis.verdict is Verdict.UNEXPLAINED
         sentences = (
             [unexplained(diagnosis), *mistakes] if is_unexplained else [*mistakes, *_stated(diagnosis)]
         )
         yield " ".join(sentences)
+
+
+def _mistake(diagnosis: Diagnosis, named: NamedCause) -> str:
+    """A mistake of the record; with its probability where it may be another."""
+    label, others = diagnosis.label(named.cause), _others(diagnosis, named)
+    how_sure = f", {probability(named.probability)}" if others else ""
+    return f"{_capital(EFFECTS[named.cause.name].words)} ({label}{how_sure}){others}."
 
 
 def is_only_flagged(diagnosis: Diagnosis) -> bool:

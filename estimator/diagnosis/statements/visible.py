@@ -19,7 +19,6 @@ from estimator.units import split_quotient
 
 PLACE = ("x_m", "y_m", "z_m")  # keys of a place
 PLANE = ("axis", "distance_m")  # keys of a plane: the axis across it, and where it crosses that axis
-WHOLLY = 0.999  # share that a pose absorbs of what is another word for it
 LEAST_UNSEEN = 0.1  # share of usual sizes that stay unseen from which on one is told
 KINDS_TOLD = (Kind.ROOM, Kind.COIL, Kind.SENSOR, Kind.MOVER)
 
@@ -45,8 +44,7 @@ def hidden_words(diagnosis: Diagnosis) -> str:
     """What a session could not have shown though it would move numbers of the rig, in one sentence; empty where there is nothing.
 
     One cause each of the room, a coil, a sensor and a mover: the one that would move a number most, times the share of usual sizes that
-    stay unseen where it does. A source that is built otherwise is none of them, for any number absorbs some of these. Nor is what a free
-    pose says by itself, such as a coil that sits elsewhere.
+    stay unseen where it does. A source that is built otherwise is none of them, for any number absorbs some of these.
     """
     most_first = sorted(diagnosis.left_open.visible, key=lambda v: -v.hidden_sd * _share_unseen(v))
     most = _one_of_each_kind(filter(_is_hidden, most_first), KINDS_TOLD)
@@ -64,9 +62,8 @@ def _one_of_each_kind(ranked: Iterable[Visible], kinds: Sequence[Kind]) -> list[
 
 def _is_hidden(visible: Visible) -> bool:
     """Whether a usual size of a quantity would move a number of the rig unseen."""
-    is_pose = "_from_" in visible.hidden_in and visible.share_absorbed > WHOLLY
     is_usual = _share_unseen(visible) > LEAST_UNSEEN and visible.hidden_sd > policy.CLEAR_SD
-    return is_usual and not (is_pose or EFFECTS[visible.cause.name].is_structural)
+    return is_usual and not EFFECTS[visible.cause.name].is_structural
 
 
 def _hidden(diagnosis: Diagnosis, visible: Visible) -> str:

@@ -16,7 +16,8 @@ from estimator.diagnosis.budget import Budget, Share
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.headline import headline
+from estimator.diagnosis.headline import headline, warnings_of
+from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.comparison import Comparison
 from estimator.diagnosis.mixture.links import Link
@@ -190,6 +191,39 @@ def test_intervals_that_hold_too_few_unseen_readings_are_told_with_their_error(d
     words = f", and 90 % intervals hold only {100.0 * narrow:.0f} % of their components: they are too narrow."
     assert words in told(narrow)
     assert "too narrow" not in told(0.9 - 2.5 * (0.09 / n) ** 0.5)
+
+
+def test_few_unseen_readings_cannot_say_that_intervals_are_too_wide(diagnosis: Diagnosis) -> None:
+    """Nine of nine lie in right 90 % intervals with a probability of 0.39, two hundred of two hundred with 1e-9."""
+    improvement = diagnosis.improvement
+    assert improvement is not None
+
+    def told(n: int) -> list[str]:
+        after = replace(improvement.after, coverage90=1.0, log_density=torch.zeros(n, dtype=torch.float64))
+        fits = replace(diagnosis.fits, improvement=replace(improvement, after=after))
+        return [words for words in warnings_of(replace(diagnosis, fits=fits)) if "too wide" in words]
+
+    assert told(9) == []
+    assert told(200) == [
+        "The 90 % predictive intervals contain 100 % of the components of unseen readings: they are too wide."
+    ]
+
+
+def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis: Diagnosis) -> None:
+    """A round coil on its axis of mirrors: a reversed axis of the sensor or of the displacements makes the same readings."""
+    swapped, mirrored = Cause("axes_swapped", "hall"), Cause("left_handed", "arm1")
+
+    def told(*twins: tuple[Cause, float]) -> str:
+        mistake = RecordMistake(swapped, 900.0, twins)
+        return headline(
+            replace(diagnosis, findings=replace(diagnosis.findings, record_mistakes=(mistake,), causes=()))
+        )[0]
+
+    assert told() == "The sensor's axes are in another order or direction (axes_swapped)."
+    assert told((mirrored, 0.0)) == (
+        "The sensor's axes are in another order or direction (axes_swapped, 50 %), or one axis of the displacements is reversed: "
+        "their frame is left-handed (left_handed, 50 %)."
+    )
 
 
 def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(

@@ -5,12 +5,15 @@ from __future__ import annotations
 import pytest
 import torch
 
+from estimator.diagnosis.asking import asked_beside_mistakes
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.noise import noise_causes
+from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
+from estimator.diagnosis.progress import unwatched
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
-from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
+from tests.estimator.diagnosis.small_fits import fit_of, unheard, with_wrong
 
 pytestmark = pytest.mark.whole
 
@@ -48,3 +51,15 @@ def test_what_tells_two_scatters_apart_is_the_divergence_of_two_normal_distribut
     expected = 0.5 * (ratio2 - 1.0 - ratio2.log()).sum()
     assert expected > 1.0
     torch.testing.assert_close(separation(fits, rows)[0], expected, rtol=0.2, atol=0.0)
+
+
+def test_what_shows_is_asked_with_the_weights_that_a_cause_of_scatter_gives(small_rig, small_session):
+    """A gain of the current hides in the free number of loops, however the noise grows with the field."""
+    seen = small_session.observations.calibration
+    generator = torch.Generator().manual_seed(1)
+    shares = 0.02 * torch.randn(len(seen), 3, dtype=torch.float64, generator=generator)
+    plain = fit_of(small_rig, seen.with_field(seen.field_sensor_T * (1.0 + shares)))
+    said = asked_beside_mistakes(plain, None, Limits(), 1, unheard, unwatched)
+    assert [named.cause.name for named in said.said.given] == ["noise_grows"]
+    (gain,) = [visible for visible in said.visible if visible.cause.name == "current_gain"]
+    assert not gain.is_visible

@@ -62,7 +62,7 @@ def _refuse_missing(assigner: Assigner, target: Target) -> None:
         given = f"{target.quantity}_{'UNIT' if unit is None else unit.symbol}"
         words = f"it may be {' or '.join(map(quoted, texts[:MOST_LISTED]))}: say which with --column '{texts[0]}={given}'"
         if target.role == "current" and len(names := assigner.unsure[may_be[0]]) > 1:
-            all_of_it = AND.join([given, *(given.replace(target.quantity, n) for n in names[1:])])
+            all_of_it = AND.join(given.replace(target.quantity, name) for name in names)
             words += f"; for coils in series --column '{texts[0]}={all_of_it}'"
     else:
         value = "AMPERE" if target.role == "current" else "0"

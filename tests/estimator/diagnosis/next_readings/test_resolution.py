@@ -14,14 +14,14 @@ import pytest
 import torch
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.next_readings.resolution import Directions, indistinguishable, smallest_visible
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Cause
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.diagnosis.paper_grid import (
     Resolved,
@@ -176,9 +176,8 @@ sensors:
 """
 
 
-@pytest.mark.parametrize("is_turned", [False, True])
-def test_second_orientation_of_the_sensor_tells_the_room_from_its_own_zero(is_turned):
-    rig = rig_from_text(MAPPER)
+def scattered(rig: Rig, is_turned: bool = False) -> Fit:
+    """Fit of the mapper to what it would read at 40 places, where every second one may have the probe turned."""
     n = 40
     motion = torch.zeros(n, 6, dtype=torch.float64)
     motion[:, :3] = 0.03 * torch.randn(n, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
@@ -197,9 +196,27 @@ def test_second_orientation_of_the_sensor_tells_the_room_from_its_own_zero(is_tu
     model = MeasurementModel.build(rig, empty)
     nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     readings = empty.with_field(model.predict(nominal))
-    fit = fit_rig(rig, readings, {}, model.rules)
+    return fit_rig(rig, readings, {}, model.rules)
+
+
+@pytest.mark.parametrize("is_turned", [False, True])
+def test_second_orientation_of_the_sensor_tells_the_room_from_its_own_zero(is_turned):
+    fit = scattered(rig_from_text(MAPPER), is_turned)
     pool = candidates(fit, [Cause("background_field", "room"), Cause("sensor_offset", "probe")])
     assert bool(indistinguishable(fit, pool)) is not is_turned
+
+
+def test_a_free_pose_is_not_made_wrong_by_what_is_another_word_for_it():
+    """Its prior holds some of that back, but the base then is where the fit says. A skewed axis does make the pose wrong."""
+    free = "world_from_base: {x_mm: {prior: {normal: {mean: 0, sd: 3}}}}"
+    rig = rig_from_text(MAPPER.replace("motion: pose", f"motion: pose, {free}").replace("uT: 20", "uT: 100"))
+    fit = scattered(rig)
+    pool = candidates(fit, [Cause("base_misplaced", "mapper"), Cause("robot_shear", "mapper")])
+    visible = {(v.cause.name, v.key): v for v in smallest_visible(fit, pool)}
+    assert 0.9 < visible["base_misplaced", "x_m"].share_absorbed < 0.998
+    assert visible["base_misplaced", "x_m"].hidden_sd == 0.0
+    assert visible["base_misplaced", "z_m"].hidden_sd > 0.0  # of which the rig has no number
+    assert visible["robot_shear", "xz"].hidden_sd > 0.0
 
 
 @pytest.mark.parametrize(("currents_A", "is_twin"), [((3.0,), True), ((3.0, 1.0), False)])

@@ -7,7 +7,7 @@ from pathlib import Path
 from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.forms.preview import previewed
 from estimator.store.importers.forms.recipe import Recipe
-from tests.estimator.store.importers.forms.written import RIG, text
+from tests.estimator.store.importers.forms.written import HEADER, RIG, TWO_COILS, text
 
 
 def test_all_faults_of_a_table_are_told_with_their_lines(tmp_path: Path) -> None:
@@ -23,3 +23,12 @@ def test_all_faults_of_a_table_are_told_with_their_lines(tmp_path: Path) -> None
     assert "a.csv, line 10" in second
     assert preview.n_readings is None
     assert len(preview.columns) == 8
+
+
+def test_one_current_of_two_coils_is_offered_to_both_whichever_is_missed(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(text([*HEADER[:1], "I [A]", *HEADER[2:]]), encoding="utf-8")
+    preview = previewed(tmp_path / "a.csv", rig_from_text(TWO_COILS), Recipe())
+    first, second = preview.fault.splitlines()
+    for sentence, coil in ((first, "coil1"), (second, "coil2")):
+        assert f"say which with --column 'I [A]={coil}_current_A'" in sentence
+        assert "in series --column 'I [A]=coil1_current_A, coil2_current_A'" in sentence
