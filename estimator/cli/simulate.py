@@ -58,7 +58,7 @@ def simulate_command(
     as_json: bool,
 ) -> None:
     """Simulate a session whose true parameters are known."""
-    from estimator.model.hide import full_names
+    from estimator.model.hide import full_names, hidden_shapes
     from estimator.model.simulate import idle_causes, simulate
     from estimator.readings.plan import load_plan
     from estimator.rig_files.read import load_rig
@@ -78,7 +78,7 @@ def simulate_command(
         click.echo(
             f"coilcal: warning: {idle} = {causes[idle]:g} changes no reading of this session", err=True
         )
-    values |= causes
+    values |= causes | hidden_shapes(rig, readings, causes)
     session = Session(rig, readings, f"simulated with plan {plan.name!r}, seed {seed}", truth=values)
     if csv_path is not None:
         write_readings_csv(session, csv_path, overwrite)

@@ -302,12 +302,13 @@ LISTED_IMPACT_SD = 0.3
 """Standard deviations that a cause must move a number of the rig for its impact to be listed. For a reader. Study: not in it."""
 
 MISCOVERED_SE = 3.0
-"""Standard errors of a share, of as many as there are unseen readings, by which 90 % intervals hold too few or too many of their components to be
-said. Statistics: one right model in 700 is told to be too sure, if the components of a reading share their error. Study: not in it."""
+"""Standard errors of a share, of as many as there are unseen readings, by which 90 % intervals hold too few of their components, or too
+many, to be said. Statistics: one right model in 700 is told to be too sure, if the components of a reading share their error. Study: not in
+it."""
 
 MOST_COVERAGE90 = 0.97
-"""Share of unseen components in 90 % intervals above which the report warns that they are too wide, where chance does not give as many. By judgement.
-Study: not in it."""
+"""Share of unseen components in 90 % intervals above which the report warns that they are too wide, unless chance gives as many. By
+judgement. Study: not in it."""
 
 LEAST_MISFIT_TOLD = 0.1
 """Squared error of the rig as described beyond the noise, over that of the noise, from which on an error budget is told. By judgement:

@@ -63,6 +63,24 @@ def full_names(rig: Rig, hidden: Mapping[str, float]) -> dict[str, float]:
     return sizes
 
 
+def hidden_shapes(rig: Rig, observations: Observations, hidden: Mapping[str, float]) -> dict[str, float]:
+    """Places, instants and other shapes of hidden causes, by the names of parameters: those that `hidden` does not give were chosen.
+
+    Args:
+        rig, observations, hidden: As in `with_hidden`.
+    """
+    real = with_hidden(rig, observations, hidden)
+    extent = Circumstances(rig, observations).extent
+    return {
+        name: real.parameters[name].value
+        for cause in real.effects
+        if cause not in rig.effects
+        for quantity in effect_of(cause.name).quantities(extent)
+        if quantity.is_shape
+        for name in [f"{cause.label}.{quantity.key}"]
+    }
+
+
 def cause_of(text: str, rig: Rig) -> Cause:
     """The cause that `cause` or `cause[place]` means in a rig.
 

@@ -168,7 +168,7 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     factor, symbol = _unit_of(max(abs(value), half_width), unit)
     ball = f", a ball of {size_with_unit(math.cbrt(value), 'm')} radius" if unit == "m3" else ""
     if half_width <= 0.0:
-        factor, symbol = (1.0, "") if unit == "1" and abs(value) >= 1.0 else (factor, symbol)  # signs are no shares
+        factor, symbol = (1.0, "") if unit == "1" and abs(value) >= 1.0 else (factor, symbol)  # as signs are
         return f"{value / factor:.4g}{symbol}{ball}".replace("-", "−")
     decimals = max(0, -math.floor(math.log10(half_width / factor)))
     middle, lower, upper = (

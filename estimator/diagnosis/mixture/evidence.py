@@ -19,6 +19,9 @@ from estimator.inference.positive_definite import inner_products, lower_factor
 class Products:
     """Inner products, after projection, of all columns of a dictionary, an empty column, and last the residual.
 
+    What the rig's numbers follow of a column is kept by directions, each with the share of it that readings decide: priors decide the
+    rest, and more of it where the noise is larger.
+
     Args:
         dictionary: The items.
         weight: Of each component, such as 0 for those that are left out; 1 by default.
@@ -32,9 +35,11 @@ class Products:
             weight = weight.to(vectors)
             vectors, n = vectors * weight[:, None], float(weight.square().sum())
             always = Projector.of(always.jacobian * weight[:, None], dictionary.prior_precision)
-        followed = always.basis.T @ vectors
+        shares, turn = torch.linalg.eigh(inner_products(always.basis))
+        followed = turn.T @ (always.basis.T @ vectors)
         self.gram = (inner_products(vectors) - inner_products(followed)).cpu().contiguous()
-        self.n = n - always.jacobian.shape[1]
+        self.shares, self.followed = shares.clamp(0.0, 1.0).cpu(), followed.cpu()
+        self.n = n
         self._lay_out(dictionary.items)
 
     def among(self, numbers: Sequence[int]) -> Products:
@@ -42,7 +47,7 @@ class Products:
         items, columns = renumbered(self.items, numbers)
         rows = torch.tensor([*columns, self.empty, self.residual])
         few = copy(self)
-        few.gram = self.gram[rows][:, rows].contiguous()
+        few.gram, few.followed = self.gram[rows][:, rows].contiguous(), self.followed[:, rows]
         few._lay_out(items)
         return few
 
@@ -119,17 +124,23 @@ class Products:
     ) -> Float[Tensor, " noise"]:
         """Log density of the readings with some items, by the factor on the noise, up to a constant."""
         columns, widths, mixture = self.of(chosen)
-        square = mixture @ self.gram @ mixture
-        variance = noise.square()
-        result = -self.n * noise.log() - 0.5 * square / variance
-        if not len(columns):
-            return result
-        own = self.gram[columns][:, columns] * widths[:, None] * widths
-        size, vectors = torch.linalg.eigh(own)
-        size = size.clamp(min=0.0)
-        reached = (vectors.T @ (widths * (self.gram[columns] @ mixture))).square()
-        explained = reached / variance[:, None] / (variance[:, None] + size)
-        likelihood: Tensor = result + 0.5 * (explained - torch.log1p(size / variance[:, None])).sum(1)
+        variance = noise.square()[:, None]
+        # With another noise the numbers follow this much more of each direction, or less.
+        decided = self.shares + (1.0 - self.shares) * variance
+        more = 1.0 - 1.0 / decided
+        rest, missed = self.gram @ mixture, self.followed @ mixture
+        square = (mixture @ rest)[None] + more @ missed.square()
+        result = -(self.n - len(self.shares)) * noise.log() - 0.5 * decided.log().sum(1)
+        followed = self.followed[:, columns] * widths
+        own = self.gram[columns][:, columns] * widths[:, None] * widths + followed.T @ (
+            more[..., None] * followed
+        )
+        score = widths * rest[columns] + (more * missed) @ followed
+        factor = lower_factor(_with_unit_prior(own / variance[..., None]))
+        reached = torch.linalg.solve_triangular(factor, score[..., None], upper=False)[..., 0]
+        explained = reached.square().sum(1) / variance[:, 0]
+        occam = torch.diagonal(factor, dim1=-2, dim2=-1).log().sum(1)
+        likelihood: Tensor = result - 0.5 * (square - explained) / variance[:, 0] - occam
         return likelihood
 
 

@@ -23,7 +23,10 @@ from estimator.diagnosis.linear import Projector
 from estimator.rig.rig import Cause
 
 MOST_ABSORBING, LEAST_ABSORBING = 3, 0.2  # numbers that are told, and how far each must move over the first
-WHOLLY, WIDER = 0.999, 30.0  # share that free poses follow of what is another word for them, and how much wider their priors are then
+WHOLLY, WIDER = (
+    0.999,
+    30.0,
+)  # share that free poses follow of what is another word for them, and how much wider their priors are then
 Hidden = tuple[
     Tensor, dict[str, Any]
 ]  # how what stays unseen moves the coordinates of a fit, and what of it is told

@@ -54,7 +54,7 @@ def test_what_tells_two_scatters_apart_is_the_divergence_of_two_normal_distribut
 
 
 def test_what_shows_is_asked_with_the_weights_that_a_cause_of_scatter_gives(small_rig, small_session):
-    """A gain of the current hides in the free number of loops, however the noise grows with the field."""
+    """A gain of the current hides in the loops, free by 1 in 12, until it is some widths of that, however the noise grows."""
     seen = small_session.observations.calibration
     generator = torch.Generator().manual_seed(1)
     shares = 0.02 * torch.randn(len(seen), 3, dtype=torch.float64, generator=generator)
@@ -62,4 +62,4 @@ def test_what_shows_is_asked_with_the_weights_that_a_cause_of_scatter_gives(smal
     said = asked_beside_mistakes(plain, None, Limits(), 1, unheard, unwatched)
     assert [named.cause.name for named in said.said.given] == ["noise_grows"]
     (gain,) = [visible for visible in said.visible if visible.cause.name == "current_gain"]
-    assert not gain.is_visible
+    assert gain.size > 3.0 / 12.0

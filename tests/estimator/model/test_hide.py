@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from estimator import InvalidInput, simulate
-from estimator.model.hide import cause_of, full_names
+from estimator.model.hide import cause_of, full_names, hidden_shapes
 from estimator.model.simulate import idle_causes
 from tests.estimator.diagnosis.sessions import RIG, TRUTH, session_with
 
@@ -48,6 +48,16 @@ def test_the_noise_is_the_same_whatever_is_hidden() -> None:
     noise = readings({}, TRUTH) - readings({})
     with_offset = readings({"sensor_offset.z_T": 1e-4}, TRUTH) - readings({"sensor_offset.z_T": 1e-4})
     assert with_offset.flatten().tolist() == pytest.approx(noise.flatten().tolist(), abs=1e-12)
+
+
+def test_the_place_and_instant_that_were_chosen_are_told_and_make_the_same_readings() -> None:
+    hidden = {"iron_body[room].volume_m3": 1e-4, "iron_body[room].x_m": 0.2, "offset_step[hall].x_T": 1e-4}
+    session = session_with((), (3.0, -3.0), 3)
+    chosen = hidden_shapes(RIG, session.observations, hidden)
+    keys = ("iron_body[room].x_m", "iron_body[room].y_m", "iron_body[room].z_m", "offset_step[hall].since_h")
+    assert tuple(chosen) == keys
+    assert chosen["iron_body[room].x_m"] == 0.2
+    assert torch.equal(readings(hidden | chosen), readings(hidden))
 
 
 def test_a_segment_of_the_session_has_its_own_zero() -> None:

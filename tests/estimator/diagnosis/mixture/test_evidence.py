@@ -45,8 +45,22 @@ def test_another_noise_changes_it_as_the_density_says_where_the_numbers_are_free
     assert float(beside[2]) == pytest.approx(expected, abs=1e-3)
 
 
-def test_likelihood_of_a_set_and_evidence_of_its_last_item_agree():
-    products = Products(dictionary(ITEMS))
+@pytest.mark.parametrize("prior_precision", [1e-5, 0.3, 1e3])
+@pytest.mark.parametrize("chosen", [[], [0], [1, 3], [2, 4]])
+def test_likelihood_of_any_noise_is_that_of_the_full_density_however_tight_the_priors(
+    chosen, prior_precision
+):
+    made = dictionary(ITEMS, prior_precision=prior_precision)
+    noise = torch.tensor([1.0, 0.3, 0.7, 1.6], dtype=torch.float64)
+    likelihood = Products(made).log_likelihood(chosen, noise)
+    expected = torch.tensor([log_density(made, chosen, float(one)) for one in noise], dtype=torch.float64)
+    torch.testing.assert_close(likelihood - likelihood[0], expected - expected[0], rtol=1e-6, atol=1e-6)
+    some = Products(made).among([*chosen, 5]).log_likelihood(range(len(chosen)), noise)
+    torch.testing.assert_close(some, likelihood)
+
+
+def test_likelihood_of_a_set_and_evidence_of_its_last_item_agree_where_the_numbers_are_free():
+    products = Products(dictionary(ITEMS, prior_precision=1e-8))
     noise = torch.tensor([0.7, 1.0, 1.4], dtype=torch.float64)
     gained = products.log_likelihood([0, 2, 3], noise) - products.log_likelihood([0, 3], noise)
     beside = [float(products.beside([0, 3], float(one))[2]) for one in noise]
