@@ -10,6 +10,7 @@ import torch
 
 from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
+from estimator.inference.noise_of_readings import noise_of_readings_T
 from estimator.model.bodies import round_winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.bodies import AnyCoil
@@ -42,9 +43,9 @@ def fitted(calibration: Calibration) -> Fitted:
     """The readings of a calibration beside its model."""
     observations, best = calibration.observations.calibration, calibration.best_values()
     model = MeasurementModel.build(calibration.rig, observations)
-    by_sensor_T = np.array([calibration.best[f"{s.name}.noise_T"] for s in calibration.rig.sensors])
-    each_T = by_sensor_T[observations.sensor.numpy()][:, None].repeat(3, axis=1)
-    sigma_T = float(by_sensor_T[0]) if len(by_sensor_T) == 1 else each_T
+    each_T = noise_of_readings_T(calibration.rig, observations, calibration.best).numpy()
+    is_one = len(calibration.rig.sensors) == 1 and bool((each_T == each_T[:1, :1]).all())
+    sigma_T = float(each_T[0, 0]) if is_one else each_T
     return Fitted(model, best, observations.field_sensor_T.numpy(), model.predict(best).numpy(), sigma_T)
 
 

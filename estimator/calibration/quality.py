@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE
 from estimator.calibration.patterns import clearest_pattern
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
+from estimator.inference.noise_of_readings import noise_of_readings_T
 from estimator.readings.observations import Observations
 from estimator.readings.scatter import scatter_T
 from estimator.reporting.numbers import displays, percent, size_with_unit
@@ -79,9 +81,8 @@ def assessment(
     role = "validation" if errors["rmse"]["validation"] else "calibration"
     error, coverage90 = errors["rmse"][role], errors["coverage90"][role]
     rig = calibration.rig
-    expected_T = noise_rms_T(
-        calibration.observations, rig, {**rig.nominal_values(), **_scatter(calibration)}, role
-    )
+    scatter = _scatter(calibration)
+    expected_T = noise_rms_T(calibration.observations, rig, rig.nominal_values(), role, scatter)
     missed = error["relative"]
     if (
         missed is not None
@@ -152,19 +153,29 @@ def _scatter(calibration: Calibration) -> dict[str, float]:
     }
 
 
-def noise_rms_T(observations: Observations, rig: Rig, values: Mapping[str, float], role: str) -> float:
+def noise_rms_T(
+    observations: Observations,
+    rig: Rig,
+    values: Mapping[str, float],
+    role: str,
+    scatter: Mapping[str, float] = MappingProxyType({}),
+) -> float:
     """The rms length of an error by noise alone: no model predicts readings better than that.
 
     Args:
         observations: Of the session.
         rig: Whose sensors read them.
-        values: Noise of each sensor, by name.
+        values: Every number of the rig.
         role: `validation` or `calibration`: which of the readings.
+        scatter: Noise of sensors, by name, in place of what the rig says of it.
     """
     judged = observations.rows(observations.is_validation == (role == "validation"))
-    variance = np.array([values[f"{sensor.name}.noise_T"] ** 2 for sensor in rig.sensors])
-    n_components = judged.is_measured.numpy().sum(axis=1)
-    squared = (n_components * variance[judged.sensor.numpy()])[n_components > 0].mean()
+    variance = noise_of_readings_T(rig, judged, values).square().numpy()
+    for i, sensor in enumerate(rig.sensors):
+        if (noise_T := scatter.get(f"{sensor.name}.noise_T")) is not None:
+            variance[judged.sensor.numpy() == i] = noise_T**2
+    is_measured = judged.is_measured.numpy()
+    squared = (is_measured * variance).sum(axis=1)[is_measured.any(axis=1)].mean()
     return float(np.sqrt(squared))
 
 

@@ -285,6 +285,10 @@ class LogPosterior(Density):
         """Standard deviation of every measured component: noise of its sensor, as it is recorded, and what effects of noise make of it."""
         return self._component_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
 
+    def sigma_of_T(self, values: Values) -> Float[Tensor, " component"]:
+        """The same where the values of all numbers are known already."""
+        return self._component_sigma_T(values, torch.Size())
+
     def _component_sigma_T(self, values: Values, batch: torch.Size) -> Tensor:
         sigma_T = self.sensor_sigma_T(values, batch)[..., self.sensor]
         for record in uses_of(self.model.rig, RecordEffect):

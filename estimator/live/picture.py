@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from estimator.field.sided import SidedWinding
+from estimator.inference.noise_of_readings import noise_of_readings_T
 from estimator.model.bodies import winding_of
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
@@ -120,8 +121,8 @@ def places(
     model = MeasurementModel.build(rig, readings)
     with torch.no_grad():
         residual_T = readings.field_sensor_T - model.predict(values).expand(len(readings), 3)
-        noise_T = torch.stack([values[f"{sensor.name}.noise_T"] for sensor in rig.sensors])[readings.sensor]
-        rms_sigma = (residual_T / noise_T[:, None]).square().nanmean(-1).sqrt()
+        noise_T = noise_of_readings_T(rig, readings, values)
+        rms_sigma = (residual_T / noise_T).square().nanmean(-1).sqrt()
         strongest = readings.current_A.abs().argmax(-1)
         at_coils = [model.readings_in_coil(coil, values) for coil in rig.coils]
     result = []

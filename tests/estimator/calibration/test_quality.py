@@ -5,14 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 from click.testing import CliRunner
 
 from estimator.calibration.calibrate import calibrate
 from estimator.calibration.quality import Assessment, Quality, condition
 from estimator.calibration.report import calibration_report
+from estimator.calibration.residual_groups import residual_groups
 from estimator.cli.main import main
 from estimator.inference.ensemble import SamplerSettings
+from estimator.inference.noise_of_readings import noise_of_readings_T
+from estimator.live.picture import places
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
@@ -99,6 +104,27 @@ def test_noise_that_swallows_the_error_is_suspect_itself(
     verdict = quality(shifted(rig, small_plan, truth, 8e-3))
     assert verdict["verdict"] == "suspect"
     assert "times what the expected noise leaves" in str(verdict["reasons"])
+
+
+def test_noise_that_the_rig_file_says_to_grow_with_the_field_is_expected(
+    small_plan: Plan, small_truth: dict[str, float]
+) -> None:
+    """A twentieth of some tenths of a millitesla beside 5 uT: the error is what such noise leaves, and groups of residuals are about 1."""
+    rig = rig_from_text(f"{RIG}effects:\n  noise_grows[hall]: {{share: 0.05}}\n")
+    calibration = calibrate(
+        Session(rig, simulate(rig, small_plan, small_truth, seed=1), "growing"), settings=QUICK, seed=1
+    )
+    readings = calibration.observations
+    own_T = noise_of_readings_T(rig, readings, calibration.best)
+    clear = readings.field_sensor_T.abs() > 2e-4
+    expected_T = (5e-6**2 + (0.05 * readings.field_sensor_T[clear]) ** 2).sqrt()
+    torch.testing.assert_close(own_T[clear], expected_T, rtol=0.15, atol=0.0)  # the nominal field
+    assert float(own_T[clear].min()) > 1.5 * 5e-6
+    assert calibration.summary()["quality"]["verdict"] == "good"
+    assert all(0.6 < group.rms_sigma < 1.4 for group in residual_groups(calibration))
+    values = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
+    shown = places(rig, values, readings, range(len(readings)))
+    assert float(np.mean([place.rms_sigma**2 for place in shown])) == pytest.approx(1.0, abs=0.3)
 
 
 def test_a_number_far_from_its_prior_is_suspect(small_plan: Plan, small_truth: dict[str, float]) -> None:
