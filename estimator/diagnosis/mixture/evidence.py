@@ -15,12 +15,14 @@ from estimator.diagnosis.mixture.evidence_kernel import RIDGE, fill_blocks, log_
 from estimator.diagnosis.mixture.items import Dictionary, Item, renumbered
 from estimator.inference.positive_definite import inner_products, lower_factor
 
+UNDECIDED = 1e-4  # share of a direction from which on readings, or its prior, decide it alone
+
 
 class Products:
     """Inner products, after projection, of all columns of a dictionary, an empty column, and last the residual.
 
-    What the rig's numbers follow of a column is kept by directions, each with the share of it that readings decide: priors decide the
-    rest, and more of it where the noise is larger.
+    Directions of the rig's numbers that readings alone decide are projected out for good. Those that their priors hold as well are columns
+    beside those of the items: what the numbers follow of them is less where the noise is larger.
 
     Args:
         dictionary: The items.
@@ -38,8 +40,9 @@ class Products:
         shares, turn = torch.linalg.eigh(inner_products(always.basis))
         followed = turn.T @ (always.basis.T @ vectors)
         self.gram = (inner_products(vectors) - inner_products(followed)).cpu().contiguous()
-        self.shares, self.followed = shares.clamp(0.0, 1.0).cpu(), followed.cpu()
-        self.n = n
+        is_held = (shares > UNDECIDED) & (shares < 1.0 - UNDECIDED)
+        self.shares, self.followed = shares[is_held].cpu(), followed[is_held].cpu()
+        self.n = n - int((shares >= 1.0 - UNDECIDED).sum())
         self._lay_out(dictionary.items)
 
     def among(self, numbers: Sequence[int]) -> Products:
@@ -124,23 +127,27 @@ class Products:
     ) -> Float[Tensor, " noise"]:
         """Log density of the readings with some items, by the factor on the noise, up to a constant."""
         columns, widths, mixture = self.of(chosen)
-        variance = noise.square()[:, None]
-        # With another noise the numbers follow this much more of each direction, or less.
-        decided = self.shares + (1.0 - self.shares) * variance
-        more = 1.0 - 1.0 / decided
-        rest, missed = self.gram @ mixture, self.followed @ mixture
-        square = (mixture @ rest)[None] + more @ missed.square()
-        result = -(self.n - len(self.shares)) * noise.log() - 0.5 * decided.log().sum(1)
-        followed = self.followed[:, columns] * widths
-        own = self.gram[columns][:, columns] * widths[:, None] * widths + followed.T @ (
-            more[..., None] * followed
+        missed, followed = self.followed @ mixture, self.followed[:, columns] * widths
+        square = mixture @ self.gram @ mixture + missed.square().sum()
+        # A direction of which readings decide a share s is one column of length s / (1 - s) over its prior.
+        length = (1.0 - self.shares).rsqrt()
+        of_items = self.gram[columns][:, columns] * widths[:, None] * widths + followed.T @ followed
+        with_held = length[:, None] * followed
+        own = torch.cat(
+            (
+                torch.cat((torch.diag(self.shares * length.square()), with_held), 1),
+                torch.cat((with_held.T, of_items), 1),
+            )
         )
-        score = widths * rest[columns] + (more * missed) @ followed
-        factor = lower_factor(_with_unit_prior(own / variance[..., None]))
-        reached = torch.linalg.solve_triangular(factor, score[..., None], upper=False)[..., 0]
-        explained = reached.square().sum(1) / variance[:, 0]
-        occam = torch.diagonal(factor, dim1=-2, dim2=-1).log().sum(1)
-        likelihood: Tensor = result - 0.5 * (square - explained) / variance[:, 0] - occam
+        score = torch.cat((length * missed, widths * (self.gram[columns] @ mixture) + followed.T @ missed))
+        size, vectors = torch.linalg.eigh(own)
+        size, variance = size.clamp(min=0.0), noise.square()[:, None]
+        explained = (vectors.T @ score).square() / variance / (variance + size)
+        at_noise_of_fit = (
+            0.5 * torch.log1p(-self.shares).sum()
+        )  # no change there: `Asked.log_density_of` counts it
+        result = -self.n * noise.log() - 0.5 * square / variance[:, 0] - at_noise_of_fit
+        likelihood: Tensor = result + 0.5 * (explained - torch.log1p(size / variance)).sum(1)
         return likelihood
 
 
