@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import textwrap
-import threading
 import time
 from functools import partial
 from pathlib import Path
@@ -16,7 +15,6 @@ from pathlib import Path
 import pytest
 
 from drivers.errors import DeviceFault
-from drivers.protocols import CurrentSource
 from drivers.pulse import SILENT_S
 from drivers.simulated.faults import Fault
 from drivers.simulated.process import Simulator
@@ -62,44 +60,6 @@ def wait_until(condition, timeout_s):
     while not condition():
         assert time.monotonic() < end_s, "it did not happen"
         time.sleep(0.01)
-
-
-def test_a_supervised_source_is_a_source(supply, world):
-    with open_source(supply.address) as source:
-        assert isinstance(source, CurrentSource)
-        assert source.identify(timeout_s=2.0).startswith("KEPCO")
-        source.set_current_A(1.0, timeout_s=3.0)
-        assert source.read_current_A(timeout_s=2.0).value == pytest.approx(1.0)
-    assert world.snapshot().currents_A == (0.0,)
-
-
-def test_errors_of_the_device_cross_the_process(supply):
-    with open_source(supply.address) as source:
-        with pytest.raises(ValueError, match="within -5 and 5; received 6"):
-            source.set_current_A(6.0, timeout_s=3.0)
-        supply.faults.fault = Fault.MUTE
-        with pytest.raises(TimeoutError, match="must end with"):
-            source.read_current_A(timeout_s=0.3)
-        supply.faults.fault = Fault.NONE
-
-
-def test_output_off_ends_the_ramp_of_another_thread(supply, world):
-    with open_source(supply.address) as source:
-        errors = []
-
-        def ramp():
-            try:
-                source.set_current_A(5.0, timeout_s=5.0)
-            except DeviceFault as error:
-                errors.append(str(error))
-
-        thread = threading.Thread(target=ramp)
-        thread.start()
-        wait_until(lambda: world.snapshot().currents_A[0] > 1.0, 3.0)
-        source.output_off(timeout_s=5.0)
-        assert world.snapshot().currents_A == (0.0,)
-        thread.join()
-        assert "interrupted" in errors[0]
 
 
 class Host:

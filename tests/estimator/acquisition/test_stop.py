@@ -161,11 +161,6 @@ def test_a_field_that_settles_late_is_waited_for(run: Run) -> None:
     assert entry["field_T"]["hall"][2] < 1e-8
 
 
-def test_a_field_that_never_settles_is_marked(run: Run) -> None:
-    rising = [(0.0, 0.0, 1e-6 * i) for i in range(200000)]
-    assert not run.first_entry(Scripted(*rising), 12)["is_settled"]
-
-
 @pytest.mark.parametrize("n_readings", [FEWEST_READINGS, FEWEST_READINGS + 1, 10, 50])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
 def test_a_field_that_changes_steadily_has_not_settled_for_any_number_of_readings(

@@ -11,7 +11,7 @@ import torch
 from click.testing import CliRunner
 
 from estimator.calibration.calibrate import calibrate
-from estimator.calibration.quality import Assessment, Quality, condition
+from estimator.calibration.quality import condition
 from estimator.calibration.report import calibration_report
 from estimator.calibration.residual_groups import residual_groups
 from estimator.cli.main import main
@@ -41,11 +41,6 @@ def shifted(rig: Rig, plan: Plan, truth: dict[str, float], shift_m: float) -> Se
     """The sensor is somewhere else than the rig file says."""
     readings = simulate(rig, plan, {**truth, "hall.world_from_sensor.x_m": shift_m}, seed=1)
     return Session(rig, readings, "shifted")
-
-
-def test_reasons_after_the_first_begin_a_sentence() -> None:
-    told = Assessment(Quality.SUSPECT, ("the error is 4 µT.", "readings disagree."), "Diagnose.").to_json()
-    assert told["reasons"] == ["the error is 4 µT.", "Readings disagree."]
 
 
 def test_a_session_of_its_own_rig_is_good(small_calibration) -> None:

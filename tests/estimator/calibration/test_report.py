@@ -13,7 +13,6 @@ import torch
 
 from estimator.calibration.report import calibration_report
 from estimator.calibration.result import Calibration
-from estimator.calibration.sentences import undetermined_sentence
 
 pytestmark = pytest.mark.whole
 
@@ -62,10 +61,3 @@ def test_a_stored_calibration_gives_the_page_it_gave_when_it_was_made(
 ) -> None:
     small_calibration.save(tmp_path)
     assert as_text(Calibration.load(tmp_path)) == text
-
-
-@pytest.mark.parametrize(("ratio", "words"), [(28.0, "almost nothing about"), (1.3, "less about")])
-def test_what_the_readings_leave_open_is_said_without_a_ratio(ratio: float, words: str) -> None:
-    said = undetermined_sentence("coil1.wire_radius_m", ratio)
-    assert said.startswith(f"These readings say {words} coil1.wire_radius_m")
-    assert not any(character.isdigit() for character in said.replace("coil1", ""))

@@ -9,17 +9,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.calibration.calibrate import calibrate
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
-from estimator.inference.ensemble import SamplerSettings
-from estimator.model.simulate import draw_truth, simulate
+from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.store.session import Session
 
 pytestmark = pytest.mark.whole
 ON = {"coil1": 3.0}
@@ -82,24 +79,6 @@ def test_the_field_is_linear_in_the_current_and_zero_without(
     assert not small_calibration.field(points_m, {}).any()
 
 
-def test_the_gradient_is_the_slope_of_the_field(small_calibration: Calibration, points_m: Tensor) -> None:
-    gradient = small_calibration.gradient(points_m, ON)
-    step_m = 1e-4
-    errors = []
-    for scale in (1.0, 0.5):
-        columns = []
-        for axis in range(3):
-            shift = torch.zeros(3, dtype=torch.float64)
-            shift[axis] = scale * step_m
-            ahead, behind = (small_calibration.field(points_m + sign * shift, ON) for sign in (1, -1))
-            columns.append((ahead - behind) / (2 * scale * step_m))
-        errors.append((torch.stack(columns, dim=-1) - gradient).norm().item())
-    assert errors[0] < 1e-4 * gradient.norm()
-    assert errors[1] == pytest.approx(
-        errors[0] / 4, rel=0.1
-    )  # what is left is that of the difference, of second order
-
-
 def test_points_inside_the_winding_have_no_field_and_all_others_have(small_calibration: Calibration) -> None:
     best = small_calibration.best
     face_m, radius_m = best["coil1.world_from_coil0.z_m"], best["coil1.radius_m"]
@@ -140,23 +119,6 @@ def test_an_interval_holds_its_share_of_the_posterior(
         strong = fields.abs().mean(0) > 1e-6
         share = ((fields >= lower) & (fields <= upper)).double().mean(0)[strong]
         assert share.mean().item() == pytest.approx(level, abs=5 * (level * (1 - level) / len(fields)) ** 0.5)
-
-
-@pytest.mark.slow
-def test_an_interval_covers_the_true_field_at_about_its_level(
-    small_rig: Rig, small_plan: Plan, points_m: Tensor
-) -> None:
-    """Truths drawn from the priors, a session each. Components of one session fail together, so sessions are what counts."""
-    n, shares = 30, []
-    for seed in range(n):
-        truth = draw_truth(small_rig, seed)
-        session = Session(small_rig, simulate(small_rig, small_plan, truth, seed), "simulated")
-        calibration = calibrate(session, settings=SamplerSettings(n_walkers=16, target_ess=200.0), seed=seed)
-        true_T = at(small_rig, truth).field(points_m, ON)
-        lower, upper = calibration.field_interval(points_m, ON, 0.8)
-        shares.append(((true_T >= lower) & (true_T <= upper)).double().mean().item())
-    assert np.mean(shares) == pytest.approx(0.8, abs=3 * np.std(shares) / n**0.5)
-    assert np.std(shares) < 0.35
 
 
 def test_a_posterior_over_noise_alone_has_a_field_without_width(rig_text: str, points_m: Tensor) -> None:

@@ -82,14 +82,6 @@ def test_saving_again_replaces_the_result_whole(small_calibration: Calibration, 
     assert sorted(path.name for path in stored.iterdir()) == ["posterior.zarr", "summary.json"]
 
 
-def test_a_folder_without_a_finished_calibration_is_refused(tmp_path: Path) -> None:
-    for path in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(
-            InvalidInput, match="calibration must be a folder that coilcal calibrate finished"
-        ):
-            Calibration.load(path)
-
-
 def test_a_flipped_bit_in_the_posterior_is_found_or_changes_nothing(
     small_calibration: Calibration, stored: Path
 ) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import socket
 import subprocess
 import time
 from collections.abc import Iterator
@@ -18,14 +17,12 @@ from click.testing import Result
 
 from drivers.open import open_devices
 from drivers.protocols import FlangePose
-from estimator.cli import acquire
 from estimator.rig_files.read import load_rig
 from estimator.store.growing import new_header
 from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.conftest import run
 from tests.estimator.cli.test_rig_simulator import START_S, start
-from tests.estimator.service.conftest import Served
 from tests.program import PROGRAM, ROOT
 
 HIDDEN_XY = 0.04
@@ -250,55 +247,3 @@ def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(folder: Path,
     assert [cause["name"] for cause in found["causes"]] == ["cross_axis"]
     xy = found["causes"][0]["parameters"]["xy"]
     assert abs(xy["median"] - HIDDEN_XY) < 3.5 * xy["sd"], xy
-
-
-@pytest.mark.slow
-def test_a_coil_that_heats_up_is_felt_by_its_thermometer_and_named(tmp_path: Path, rig_text: str) -> None:
-    out, plan = tmp_path / "session.zarr", PLAN.replace("settle_s: 0.02", "settle_s: 0.02\nrepeats: 2")
-    hidden = ("--hide", "coil_heating.loss_per_K=0.004", "--set", "hall.noise_T=5e-6")
-    with running(tmp_path, rig_text + WARM_DEVICES, plan, *hidden):
-        result = gone_on(tmp_path, out)
-    assert result.exit_code == 0, result.stderr
-    warmth_C = load_session(out).observations.temperature_C
-    assert sorted(warmth_C) == ["coil1", "hall"]
-    assert float(warmth_C["coil1"].max() - warmth_C["coil1"].min()) > 5.0
-    assert float(warmth_C["hall"].max() - warmth_C["hall"].min()) < 0.5
-    command = [*PROGRAM, "diagnose", str(out), "--out", str(tmp_path / "diagnosis"), "--no-posterior"]
-    subprocess.run(command, cwd=ROOT, check=True, capture_output=True, timeout=180.0)
-    found = json.loads((tmp_path / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
-    assert found["verdict"] == "named", found["causes"]
-    assert [cause["name"] for cause in found["causes"]] == ["coil_heating"]
-    low, high = found["causes"][0]["parameters"]["loss_per_K"]["ci90"]
-    assert low - 0.001 < 0.004 < high + 0.001
-
-
-@pytest.mark.slow  # service/test_delivery.py holds the same without a program
-def test_readings_wait_for_a_service_that_does_not_answer_and_the_same_command_sends_the_rest(
-    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(acquire, "DELIVERY_S", 0.5)
-    with socket.create_server(("127.0.0.1", 0)) as listener:
-        port = listener.getsockname()[1]
-    out, url = tmp_path / "session.zarr", f"http://127.0.0.1:{port}"
-    bring_home(folder)
-    result = gone_on(folder, out, "--to", url)
-    assert result.exit_code == 7, result.stderr
-    assert "must answer" in result.stderr
-    assert "the same command sends the rest" in result.stderr
-    told = json.loads(result.stdout)
-    assert told["delivered"] == {"to": url, "session": None, "hash": None}
-    session = load_session(out)
-    service = Served(tmp_path / "data", "--port", port)
-    try:
-        monkeypatch.setattr(acquire, "DELIVERY_S", 60.0)
-        result = run(*call(folder, out, "--to", url, "--json"))
-        assert result.exit_code == 0, result.stderr
-        delivered = json.loads(result.stdout)["delivered"]
-        assert delivered["hash"] == session.hash
-        (known,) = service.client.get("/v1/sessions").json()["items"]
-        assert (known["id"], known["hash"]) == (delivered["session"], session.hash)
-        assert known["n_readings"] == len(session.observations)
-    finally:
-        service.client.close()
-        service.kill()
-        service.log.close()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import re
 import threading
 import time
@@ -123,60 +121,6 @@ def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
         assert result.exit_code == 0, result.stderr
         assert f"{n_before} of {N_STOPS} stops were visited before" in result.stderr
         assert len(load_session(out).observations) == N_STOPS
-
-
-@pytest.mark.slow
-def test_answers_that_come_letter_by_letter_only_take_longer(running: SimulatedRig, tmp_path: Path) -> None:
-    failing = fails_after(running, tmp_path / "session.zarr", 20, "warmth", Fault.SLOW)
-    result = acquire(tmp_path)
-    failing.join()
-    assert result.exit_code == 0, result.stderr
-    assert len(load_session(tmp_path / "session.zarr").observations) == N_STOPS
-
-
-@pytest.mark.slow
-def test_an_instrument_that_is_killed_ends_the_run_in_one_sentence_and_every_stop_before_is_there(
-    running: SimulatedRig, tmp_path: Path
-) -> None:
-    """Its line hangs up, as where somebody pulls its cable."""
-    out = tmp_path / "session.zarr"
-    killing = after_stops(out, 4, running.simulators["hall"].close)
-    result = acquire(tmp_path)
-    killing.join()
-    assert result.exit_code == 5, result.stderr
-    assert sentence_of(result).startswith("coilcal: hall failed: ")
-    assert abs(running.world.snapshot().currents_A[0]) < 1e-3
-    assert 4 <= len(load_session(out).observations) < N_STOPS
-
-
-@pytest.mark.slow
-def test_a_full_disk_ends_the_run_in_one_sentence_and_the_same_command_goes_on(
-    running: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write, n_written = os.pwrite, 0
-
-    def full_after_six(descriptor: int, data: bytes, offset: int) -> int:
-        nonlocal n_written
-        n_written += 1
-        if n_written > 6:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return write(descriptor, data, offset)
-
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "pwrite", full_after_six)
-        result = acquire(tmp_path)
-    assert result.exit_code == 2, result.stderr
-    out = tmp_path / "session.zarr"
-    (sentence,) = [line for line in result.stderr.splitlines() if "No space left" in line]
-    assert sentence == (
-        f"coilcal: session must be writable; {out} is not: No space left on device; the disk that holds it is full: "
-        "free some of it, or write to another"
-    )
-    assert abs(running.world.snapshot().currents_A[0]) < 1e-3
-    n_before = len(load_session(out).observations)
-    assert n_before >= 4
-    assert acquire(tmp_path).exit_code == 0
-    assert len(load_session(out).observations) == N_STOPS
 
 
 def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when_it_is_cool(

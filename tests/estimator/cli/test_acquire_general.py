@@ -82,20 +82,3 @@ def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(tmp_p
     assert float(expected_T[:6].norm(dim=-1).min()) > 4e-4
     difference_T = readings.field_sensor_T - expected_T
     assert float(difference_T.abs().max()) < 5 * 5e-6  # an average of ten has a third of this noise
-
-
-@pytest.mark.slow
-def test_a_plan_that_design_wrote_is_carried_out(workspace: Path, tmp_path: Path) -> None:
-    plan_path, out, rig_path = tmp_path / "more.yaml", tmp_path / "more.zarr", tmp_path / "rig.yaml"
-    rig_path.write_bytes((workspace / "rig.yaml").read_bytes())
-    goal = ("--shrink", "coil1.radius_m", "--readings", 5)
-    assert run("design", workspace / "session.zarr", *goal, "--out", plan_path).exit_code == 0
-    result = measured(rig_path, plan_path, out, "--set", "coil1.axial_loops=13")
-    assert result.exit_code == 0, result.stderr
-    readings, rig = load_session(out).observations, load_rig(rig_path)
-    asked = stops_of(load_plan(plan_path, rig), rig, 0)
-    assert len(readings) == len(asked) == 5
-    assert torch.equal(readings.current_A, asked.current_A)
-    assert float((readings.motion["arm1"] - asked.motion["arm1"]).abs().max()) < 1e-4
-    assert readings.current_measured_A is not None
-    assert float((readings.current_measured_A - asked.current_A).abs().max()) < 5e-3

@@ -15,15 +15,14 @@ from typing import Any
 
 import click
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from estimator.calibration.result import Calibration
-from estimator.cli.main import main
 from estimator.cli.options import OutputPath
 from estimator.cli.output import CoilcalCommand, explained_errors
-from estimator.store.session import SESSION, load_session
+from estimator.store.session import SESSION
 from estimator.store.staging import only_writer, staged, write_output
 from tests.estimator.cli.conftest import run
 from tests.estimator.store.interrupted import full_disk
@@ -48,20 +47,6 @@ def tree(folder: Path) -> Tree:
             inside,
         )
     return found
-
-
-def test_neighbours_of_an_output_are_left_alone(simulate: Callable[..., Result], tmp_path: Path) -> None:
-    (tmp_path / "precious").write_text("precious")
-    for name in ("s.zarr.old", "s.zarr.partial", "s.zarr.begun"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "file").write_text("precious")
-    (tmp_path / "f.csv.partial").symlink_to("precious")
-    before = tree(tmp_path)
-    call = ("--out", tmp_path / "s.zarr", "--csv", tmp_path / "f.csv")
-    assert simulate(*call).exit_code == simulate(*call, "--overwrite").exit_code == 0
-    after = tree(tmp_path)
-    assert {name: after[name] for name in before} == before
-    assert {name.partition("/")[0] for name in set(after) - set(before)} == {"s.zarr", "f.csv"}
 
 
 def test_a_diagnosis_does_not_replace_the_folder_of_its_session(workspace: Path, tmp_path: Path) -> None:
@@ -239,45 +224,6 @@ def test_among_any_files_only_the_output_itself_changes(
     if output in before:  # what was replaced was asked for, and of the same kind
         assert overwrite
         assert before[output][2] == b"mine" or how == "session"
-
-
-def raced(calls: list[list[str]], folder: Path) -> list[tuple[str, str, int]]:
-    """What commands printed and returned that ran at once, each in a fork of this process, which has loaded all they need."""
-    told = [folder / f"told{number}.json" for number in range(len(calls))]
-    children = []
-    for call, path in zip(calls, told, strict=True):
-        children.append(os.fork())
-        if children[-1] == 0:
-            try:
-                result = CliRunner().invoke(main, call)
-                path.write_text(json.dumps([result.stdout, result.stderr, result.exit_code]))
-            finally:
-                os._exit(0)
-    for child in children:
-        os.waitpid(child, 0)
-    ended = [tuple(json.loads(path.read_text())) for path in told]
-    for path in told:
-        path.unlink()
-    return ended
-
-
-def test_of_commands_that_race_for_one_session_one_wins_and_each_says_so(
-    workspace: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "s.zarr"
-    rig, plan = str(workspace / "rig.yaml"), str(workspace / "plan.yaml")
-    call = ["simulate", "--rig", rig, "--plan", plan, "--out", str(out)]
-    for more in ([], ["--overwrite"]):
-        ended = raced([[*call, "--json", *more, "--seed", str(seed)] for seed in range(3)], tmp_path)
-        won = [json.loads(said)["truth"] for said, _, code in ended if code == 0]
-        assert len(won) == 1 if not more else len(won) >= 1
-        for _, faults, code in ended:
-            if code:
-                assert code == 2
-                assert len(faults.splitlines()) == 1
-                assert "another writes" in faults or "must not exist yet" in faults
-        assert load_session(out).truth in won
-        assert [path.name for path in tmp_path.iterdir()] == ["s.zarr"]
 
 
 def interrupted(call: list[str], cwd: Path, is_time: Callable[[], bool], n: int = 8) -> tuple[str, str, int]:

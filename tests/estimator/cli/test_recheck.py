@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,13 +11,11 @@ import pytest
 from estimator.calibration.result import Calibration
 from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import Registry
-from estimator.store.journal import JOURNAL, read_journal
-from estimator.store.session import is_growing, load_session
+from estimator.store.journal import read_journal
+from estimator.store.session import load_session
 from tests.estimator.cli.conftest import refused, run
 from tests.estimator.cli.test_acquire import BUSY, bring_home, is_off, quicker, running
 from tests.estimator.cli.test_acquire_until import PLAN
-from tests.estimator.cli.test_rig_simulator import START_S
-from tests.program import PROGRAM, ROOT
 
 MOVED_M = 2e-3
 
@@ -49,19 +45,9 @@ def call(folder: Path, out: Path, *more: object) -> list[str]:
 
 
 @pytest.mark.flaky(reruns=2)
-def test_a_killed_recheck_goes_on_and_names_what_changed(folder: Path, tmp_path: Path) -> None:
+def test_a_recheck_names_what_changed(folder: Path, tmp_path: Path) -> None:
     bring_home(folder)
     out = tmp_path / "session.zarr"
-    program = subprocess.Popen([*PROGRAM, *call(folder, out)], cwd=ROOT, stderr=subprocess.PIPE)
-    deadline_s = time.monotonic() + START_S
-    while not (out / JOURNAL).exists() or (out / JOURNAL).read_bytes().count(b"\n") < 2:
-        assert program.poll() is None, program.stderr and program.stderr.read()
-        assert time.monotonic() < deadline_s
-        time.sleep(0.01)
-    program.kill()
-    program.communicate()
-    assert is_growing(out)
-    before = read_journal(out)[1]
     for _ in range(4):
         result = run(*call(folder, out, "--json"))
         if BUSY not in result.stderr:
@@ -69,7 +55,6 @@ def test_a_killed_recheck_goes_on_and_names_what_changed(folder: Path, tmp_path:
     assert result.exit_code == 10, result.stderr
     shown = json.loads(result.stdout)
     entries = read_journal(out)[1]
-    assert entries[: len(before)] == before
     assert shown["stops"] == len(entries) == len(load_session(out).observations) <= 10
     assert shown["ended"]["outcome"] == "changed"
     assert any(words.startswith("coil1.world_from_coil0.z_m by 0.00") for words in shown["ended"]["leading"])

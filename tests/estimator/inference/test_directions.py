@@ -79,19 +79,3 @@ def test_derivatives_by_poses_may_go_through_the_points(problem: Problem, places
     vector = posterior.coordinates.start() + 1e-3 * posterior.coordinates.scale
     expected = jacobian_of(posterior.predicted, vector)
     assert torch.allclose(posterior.to_first_order(vector).jacobian_T, expected, rtol=1e-9, atol=1e-12)
-
-
-def test_poses_share_a_path_and_scales_stay_off_it(problem: Problem) -> None:
-    posterior = posterior_with(problem, *CAUSES, Cause("background_field", "room"))
-    directions = Directions.of(posterior.model.rig, posterior.coordinates)
-    names = posterior.coordinates.names
-    path_of = {
-        name: next(i for i, path in enumerate(directions.paths) if direction in path)
-        for name, direction in zip(names, directions.of_coordinate.tolist(), strict=True)
-    }
-    assert sorted(d for path in directions.paths for d in path) == list(range(len(directions.each)))
-    assert path_of["sensor_misplaced[one].x_m"] == path_of["sensor_misplaced[two].rz_rad"]
-    apart = ("sensor_misplaced[one].x_m", "axis_gain[one].x", "background_field[room].x_T", "c.radius_m")
-    assert len({path_of[name] for name in apart}) == len(apart)
-    some = directions.only(torch.tensor([names.index("axis_gain[two].y"), names.index("c.radius_m")]))
-    assert sorted(d for path in some.paths for d in path) == [0, 1]

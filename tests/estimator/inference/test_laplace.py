@@ -51,20 +51,6 @@ def test_evidence_of_a_linear_problem_is_the_density_of_its_readings(linear_prob
     assert evidence.item() == pytest.approx(expected, abs=1e-6)
 
 
-def test_covariance_of_a_linear_problem_is_that_of_its_posterior(linear_problem):
-    posterior = linear_problem.real
-    fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
-    design = torch.stack([posterior.predicted(row) for row in torch.eye(2).double()], -1)
-    expected = torch.linalg.inv(design.T @ design / 0.2e-6**2 + torch.eye(2) / 0.05**2)
-    torch.testing.assert_close(inverse(fit.precision)[0], expected, rtol=1e-8, atol=1e-15)
-
-
-def test_well_measured_rig_has_no_open_direction(linear_problem):
-    posterior = linear_problem.real
-    fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
-    assert open_directions(posterior.coordinates, fit) == []
-
-
 def test_spin_of_a_fixed_coil_is_named_as_open(problem):
     posterior = problem(
         """{coil1: {radius_mm: {prior: {normal: {mean: 50, sd: 1}}}, wire_radius_mm: 1, axial_loops: 3, radial_loops: 2,

@@ -190,24 +190,6 @@ def test_too_few_iterations_are_reported_and_leave_no_worse_point(winding_proble
     assert (fit.log_posterior >= winding_problem.real(starts)).all()
 
 
-def test_maximum_on_a_bound_is_approached_from_inside(problem):
-    simulated = problem(
-        """{coil1: {radius_mm: {value: 51, prior: {normal: {mean: 51, sd: 1, lower: 50.5}}}, wire_radius_mm: 1, axial_loops: 3,
-  radial_loops: 2}}""",
-        "{hall: {noise_uT: 1, carried_by: stage, flange_from_sensor: {z_mm: 10}}}",
-        {"coil1.radius_m": 0.0507},
-        noise_T=0.0,
-    )
-    observations = simulated.observations.with_field(1.02 * simulated.observations.field_sensor_T)
-    posterior = LogPosterior(simulated.real.coordinates, simulated.real.model, observations)
-    fit = levenberg_marquardt(posterior, posterior.coordinates.start()[None])
-    radius_m = posterior.coordinates.values(fit.vector[0])["coil1.radius_m"].item()
-    assert torch.isfinite(fit.log_posterior).all()
-    assert 0.0505 <= radius_m < 0.0506
-    assert fit.is_converged.all()
-    assert fit.n_iterations < 25
-
-
 def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(problem):
     """Radius and pitches share coordinates, and readings of a larger, longer and thicker coil pull all of them to their bounds."""
     simulated = problem(

@@ -11,7 +11,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from estimator.errors import InvalidInput
 from estimator.model import room_field
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.room_field import RoomField, some_at_a_time
@@ -136,11 +135,6 @@ def test_movers_carry_the_coils_and_stand_at_zeros_unless_told(rig, points_m):
     assert torch.equal(field(None), field({"arm": torch.zeros(6, dtype=torch.float64)}))
     away = tensor([0.0, 0.0, -0.05, 0.0, 0.0, 0.0])
     assert (field({"arm": away}).norm(dim=1) < 0.7 * field(None).norm(dim=1)).all()
-
-
-def test_motion_of_an_unknown_mover_is_refused(rig, points_m):
-    with pytest.raises(InvalidInput, match=r"movers of the rig \(arm, probe\); received 'leg'"):
-        RoomField(rig, values_of(rig), points_m, {"leg": ARM})
 
 
 def test_batches_of_parameter_sets_and_of_currents_equal_one_by_one(rig, points_m):

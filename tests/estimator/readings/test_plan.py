@@ -188,10 +188,14 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize(("old", "new", "line", "message"), REFUSALS.values(), ids=REFUSALS)
-def test_a_mistake_is_named(rig: Rig, tmp_path: Path, old: str, new: str, message: str, line: int) -> None:
+def test_a_mistake_is_named_and_has_no_followers(
+    rig: Rig, tmp_path: Path, old: str, new: str, message: str, line: int
+) -> None:
     with pytest.raises(InvalidInput) as caught:
         loaded(tmp_path, rig, old, new)
     assert str(caught.value) == f"{message} ({tmp_path / 'plan.yaml'}, line {line})"
+    plan, faults = plan_and_faults(tmp_path / "plan.yaml", rig)
+    assert (plan, [str(fault) for fault in faults]) == (None, [str(caught.value)])
 
 
 STOPS = """\
@@ -277,18 +281,6 @@ def test_what_the_protocol_decides_may_be_said_otherwise(tmp_path: Path, rig: Ri
         (tmp_path / "plan.yaml").write_text(text, encoding="utf-8")
         with pytest.raises(InvalidInput, match="largest_A|currents_A is missing"):
             load_plan(tmp_path / "plan.yaml", rig)
-
-
-@pytest.mark.parametrize(("old", "new"), [case[:2] for case in REFUSALS.values()], ids=REFUSALS)
-def test_a_single_mistake_is_one_fault_and_has_no_followers(
-    rig: Rig, tmp_path: Path, old: str, new: str
-) -> None:
-    path = tmp_path / "plan.yaml"
-    path.write_text(PLAN.replace(old, new), encoding="utf-8")
-    with pytest.raises(InvalidInput) as raised:
-        load_plan(path, rig)
-    plan, faults = plan_and_faults(path, rig)
-    assert (plan, [str(fault) for fault in faults]) == (None, [str(raised.value)])
 
 
 def test_mistakes_of_all_parts_are_told_at_once(rig: Rig, tmp_path: Path) -> None:

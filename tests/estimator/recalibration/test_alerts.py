@@ -18,13 +18,6 @@ from estimator.recalibration.alerts import post, run_command, senders
 MESSAGE = {"conclusion": "drifted", "reason": "axis_gain (x 0.01)"}
 
 
-def test_command_gets_the_message_on_its_standard_input(tmp_path: Path) -> None:
-    kept = tmp_path / "kept file.json"
-    program = "import sys, pathlib; pathlib.Path(sys.argv[1]).write_text(sys.stdin.read())"
-    assert run_command(f'{sys.executable} -c "{program}" "{kept}"', MESSAGE) is None
-    assert json.loads(kept.read_text(encoding="utf-8")) == MESSAGE
-
-
 @pytest.mark.parametrize(
     "command", ["no-such-command", f"{sys.executable} -c 'raise SystemExit(3)'", "'", ""]
 )

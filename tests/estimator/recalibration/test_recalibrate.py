@@ -21,7 +21,7 @@ from estimator.recalibration import comparison, policy
 from estimator.recalibration.arrivals import arrivals
 from estimator.recalibration.conclusion import Conclusion, Judgement
 from estimator.recalibration.judgement import judge
-from estimator.recalibration.log import Entry, Log
+from estimator.recalibration.log import Entry
 from estimator.recalibration.recalibrate import HISTORY, _in_use, _since, recalibrate, roll_back
 from estimator.recalibration.registry import Registry
 from estimator.rig.rig import Rig
@@ -149,28 +149,6 @@ def test_a_job_that_ended_before_it_could_tell_is_told_of_by_the_next_and_goes_o
     (last,) = recalibrate(small_rig, inbox, registry.folder, on_entry=end_once)
     assert last == registry.entries()[-1]
     assert recalibrate(small_rig, inbox, registry.folder, on_entry=end_once) == []
-
-
-@pytest.mark.usefixtures("told")
-def test_a_version_that_a_kill_left_without_its_line_is_told_of(
-    inbox: Path, small_rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def end(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    registry = Registry(tmp_path / "registry")
-    monkeypatch.setattr(Log, "append", end)
-    with pytest.raises(KeyboardInterrupt):
-        recalibrate(small_rig, inbox, registry.folder)
-    monkeypatch.undo()
-    monkeypatch.setattr(
-        recalibrate_module, "judge", lambda *_, **__: Judgement(Conclusion.UNCHANGED, "agrees", agrees=True)
-    )
-    monkeypatch.setattr(policy, "SETTLED_S", 0.0)
-    assert (registry.versions, registry.entries()) == ((1,), [])
-    heard: list[Entry] = []
-    assert recalibrate(small_rig, inbox, registry.folder, on_entry=heard.append) == heard
-    assert [entry.made for entry in heard] == [1, None, None, None]
 
 
 @pytest.mark.usefixtures("told")

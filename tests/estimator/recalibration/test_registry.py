@@ -111,23 +111,6 @@ def test_a_conclusion_without_a_calibration_leaves_the_current_version(registry:
     assert [one.hash for one in registry.entries()] == ["hash a", "hash b"]
 
 
-def test_who_was_interrupted_while_told_is_told_again(registry: Registry) -> None:
-    with registry.writing():
-        registry.commit(Entry("drifted", "moved", "b.zarr", "hash b"))
-
-    def interrupted(entry: Entry) -> None:
-        if entry.hash == "hash b":
-            raise KeyboardInterrupt
-
-    with registry.writing(), pytest.raises(KeyboardInterrupt):
-        registry.tell(interrupted)
-    for expected in (["hash b"], []):
-        heard: list[Entry] = []
-        with registry.writing():
-            registry.tell(heard.append)
-        assert [entry.hash for entry in heard] == expected
-
-
 def test_rolling_back_keeps_later_versions_and_their_numbers(
     registry: Registry, small_calibration: Calibration
 ) -> None:

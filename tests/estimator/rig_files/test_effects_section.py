@@ -100,11 +100,6 @@ REFUSALS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("effects", "line", "message"), REFUSALS.values(), ids=REFUSALS)
-def test_a_mistake_is_named_by_place_rule_value_file_and_line(effects, message, line):
-    assert refusal(effects) == f"{message} (rig.yaml{f', line {line}' if line else ''})"
-
-
 def test_a_neighbour_is_refused_where_there_is_none():
     message = refusal("effects:\n  neighbour_coil[coil]: {share: 0.1}")
     assert message.startswith("effects.neighbour_coil[coil] ")

@@ -7,14 +7,6 @@ import pytest
 from estimator.errors import InvalidInput
 from estimator.rig_files.read import rig_from_text
 
-
-def refusal(text: str, old: str, new: str) -> str:
-    assert text.count(old) == 1, old
-    with pytest.raises(InvalidInput) as caught:
-        rig_from_text(text.replace(old, new), "rig.yaml")
-    return str(caught.value)
-
-
 UNITS_OF_LENGTH = "wire_radius_m or wire_radius_cm or wire_radius_mm or wire_radius_um"
 WIRE = "wire_radius_mm: 0.49"
 PRIOR = "normal: {mean: 50, sd: 3, lower: 40}"
@@ -140,13 +132,6 @@ REFUSALS = {
     "name of two things": ("  hall:", "  coil1:", 22,
         "sensors.coil1 must have a name of its own; received 'coil1', which is taken"),
 }  # fmt: skip
-
-
-@pytest.mark.parametrize(("old", "new", "line", "message"), REFUSALS.values(), ids=REFUSALS)
-def test_a_mistake_is_named_by_place_rule_value_file_and_line(
-    two_coils_text: str, old: str, new: str, message: str, line: int | None
-) -> None:
-    assert refusal(two_coils_text, old, new) == f"{message} (rig.yaml{f', line {line}' if line else ''})"
 
 
 @pytest.mark.parametrize("kind", ["coils", "sensors"])

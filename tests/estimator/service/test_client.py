@@ -249,13 +249,12 @@ def test_what_is_awaited_has_the_parameters_of_what_waits(waits: type, awaits: t
 
 @pytest.mark.slow
 def test_calls_that_are_awaited_go_on_together(
-    served: Callable[..., Served], small_session: Session, small_rig: Rig, tmp_path: Path
+    served: Callable[..., Served], small_session: Session, small_rig: Rig
 ) -> None:
     """Two calibrations are waited for at once while readings are appended; a service that is killed meanwhile is waited for."""
     service = served()
     port = int(service.url.rpartition(":")[2])
     readings = [json.loads(line) for line in lines_of(small_session, small_rig).splitlines()]
-    points_m = torch.tensor([[0.004, 0.003, 0.01]], dtype=torch.float64)
     told: list[Any] = []
 
     async def there() -> None:
@@ -277,33 +276,6 @@ def test_calls_that_are_awaited_go_on_together(
             first, second = await asyncio.gather(*work)
             assert first.best != second.best
             assert (await first.rig()) == small_rig
-            field_T = await first.field(points_m, {"coil1": 2.0})
-            gradient_T_per_m = await first.gradient(points_m, {"coil1": 2.0})
-            lower_T, upper_T = await first.field_interval(points_m, {"coil1": 2.0})
-            assert bool((lower_T < field_T).all() and (field_T < upper_T).all())
-            lower, upper = await first.gradient_interval(points_m, {"coil1": 2.0}, 0.99)
-            assert bool((lower < gradient_T_per_m).all() and (gradient_T_per_m < upper).all())
-            table = await first.grid(
-                {"coil1": 2.0}, x=(0.004, 0.004, 1), y=(0.003, 0.003, 1), z=(0.01, 0.01, 1)
-            )
-            assert table.column("Bz_T").to_pylist() == field_T[:, 2].tolist()
-            exported = await first.export("json", tmp_path / "model.json")
-            assert exported.read_bytes().startswith(b"{")
-            again = await client.calibration(first.id)
-            assert again.summary() == first.summary()
-            registry = await client.registry(small_rig)
-            assert (await registry.current(), await registry.versions(), await registry.entries()) == (
-                None,
-                [],
-                [],
-            )
-            with pytest.raises(InvalidInput, match="registry must have a version"):
-                await registry.calibration()
-            with pytest.raises(InvalidInput, match="version"):
-                await registry.roll_back(1)
-            assert len([job async for job in client.pages("/v1/jobs", limit=1)]) == 2
-            with pytest.raises(InvalidInput, match="coil9"):
-                await first.field(points_m, {"coil9": 1.0})
             restarted.end()
 
     asyncio.run(there())

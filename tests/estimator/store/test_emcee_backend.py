@@ -5,9 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +16,6 @@ import xarray as xr
 import zarr
 from emcee.moves import DEMove, StretchMove
 
-import estimator
 from estimator.errors import CorruptStore, InvalidInput
 from estimator.store.emcee_backend import ZarrBackend
 from tests.estimator.store.damaged import files, flipped, lost
@@ -145,17 +141,6 @@ def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
     assert committed_at_sync == [(path / "zarr.json").read_bytes()]
 
 
-def test_steps_reach_the_disk_at_checkpoints_only_until_flushed(tmp_path: Path) -> None:
-    path = tmp_path / "chain.zarr"
-    backend = create(path)
-    sample(backend, CHECKPOINT_STEPS - 1)
-    assert ZarrBackend.open(path).iteration == 0
-    sample(backend, 2)
-    assert ZarrBackend.open(path).iteration == CHECKPOINT_STEPS
-    backend.flush()
-    assert ZarrBackend.open(path).iteration == CHECKPOINT_STEPS + 1
-
-
 def test_plain_xarray_opens_the_store(store: Path) -> None:
     expected = uninterrupted(9)
     with xr.open_zarr(store, consolidated=False) as dataset:
@@ -191,27 +176,6 @@ test_emcee_backend.sample(backend, test_emcee_backend.CHECKPOINT_STEPS)
 print("committed", flush=True)
 test_emcee_backend.sample(backend, 100_000)
 """
-
-
-def test_chain_killed_at_random_instants_equals_the_uninterrupted_chain(tmp_path: Path) -> None:
-    path = tmp_path / "chain.zarr"
-    create(path)
-    random = np.random.default_rng(0)
-    n_steps = [0]
-    folders = [str(Path(__file__).parent), str(Path(estimator.__file__).parents[1])]
-    for _ in range(2):
-        command = [sys.executable, "-c", ENDLESS_RUN, str(path), *folders]
-        with subprocess.Popen(command, stdout=subprocess.PIPE) as run:
-            assert run.stdout is not None
-            assert run.stdout.readline() == b"committed\n"
-            time.sleep(random.uniform(0, 0.3))
-            run.kill()
-        n_steps.append(ZarrBackend.open(path).iteration)
-    assert all(np.diff(n_steps) >= CHECKPOINT_STEPS), "a committed step was lost"
-    backend = ZarrBackend.open(path)
-    sample(backend, 7)
-    backend.flush()
-    assert_same(ZarrBackend.open(path), uninterrupted(n_steps[-1] + 7))
 
 
 def test_kill_between_any_two_file_operations_keeps_the_last_commit(
@@ -251,21 +215,6 @@ def test_kill_between_any_two_file_operations_keeps_the_last_commit(
         sample(killed, 13 - n_steps)
         killed.flush()
         assert_same(ZarrBackend.open(snapshot), expected[13])
-
-
-def test_crash_between_chunks_and_commit_is_forgotten(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    backend = ZarrBackend.open(store)
-    with monkeypatch.context() as patched:
-        patched.setattr(os, "write", refuse)  # the first step of the commit itself
-        with pytest.raises(InvalidInput):
-            sample(backend, CHECKPOINT_STEPS)
-    assert zarr.open_array(store / "chain", mode="r").shape[0] == 12, "chunks were written"
-    again = ZarrBackend.open(store)
-    assert_same(again, uninterrupted(9))
-    sample(again, 1)
-    again.flush()
-    assert zarr.open_array(store / "chain", mode="r").shape[0] == 10, "readers see committed steps only"
-    assert_same(ZarrBackend.open(store), uninterrupted(10))
 
 
 def test_torn_chunks_beyond_the_commit_are_overwritten(store: Path) -> None:

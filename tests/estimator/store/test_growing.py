@@ -225,17 +225,6 @@ def test_a_journal_that_cannot_begin_leaves_nothing(tmp_path: Path, monkeypatch:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_that_cannot_be_written_is_one_sentence(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("no folder", encoding="utf-8")
-    with pytest.raises(InvalidInput, match=r"output must be writable; .*session.zarr is not: "):
-        Journal.create(tmp_path / "file" / "session.zarr", {"kind": "test"})
-
-
-def test_what_exists_is_not_begun_again(folder: Path) -> None:
-    with pytest.raises(InvalidInput, match="output must not exist yet"):
-        Journal.create(folder, {"kind": "other"})
-
-
 def write_until_killed(folder: Path, acknowledge: int) -> None:
     """Main function of a process that acknowledges each entry once it is written."""
     try:
@@ -304,23 +293,6 @@ def test_killed_between_any_two_renames_a_session_being_sealed_is_a_journal_or_w
     assert not is_growing(folder)
     assert hashes == {load_session(folder).hash}
     assert len(read_journal(folder)[1]) == 3
-
-
-def test_killed_before_its_header_is_written_a_session_is_not_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = tmp_path / "session.zarr"
-
-    def killed(*_: object) -> int:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(os, "pwrite", killed)
-        with pytest.raises(KeyboardInterrupt):
-            Journal.create(folder, {"kind": "test"})
-    assert not folder.exists()
-    Journal.create(folder, {"kind": "test"}).close()
-    assert [path.name for path in tmp_path.iterdir()] == ["session.zarr"]
 
 
 @pytest.mark.parametrize("how", ["removed", "replaced"])

@@ -237,42 +237,6 @@ def test_another_schema_version_is_refused(store: Path) -> None:
         load_session(store)
 
 
-def test_a_store_of_another_kind_is_refused(store: Path) -> None:
-    altered(store, "kind", "chain")
-    with pytest.raises(InvalidInput, match="session must be of kind 'coilcal session'; received 'chain'"):
-        load_session(store)
-
-
-@pytest.mark.parametrize("name", ["nowhere.zarr", "readings.csv", ""])
-def test_what_is_no_session_is_refused(tmp_path: Path, name: str) -> None:
-    (tmp_path / "readings.csv").write_text("t_s\n", encoding="utf-8")
-    with pytest.raises(
-        InvalidInput, match="session must be a folder that coilcal import, simulate or acquire wrote"
-    ):
-        load_session(tmp_path / name)
-
-
-def test_an_existing_output_is_kept_unless_overwriting_is_requested(session: Session, store: Path) -> None:
-    new = replace(session, source="another")
-    with pytest.raises(InvalidInput, match="output must not exist yet, or be replaced with --overwrite"):
-        new.save(store)
-    assert_equal(load_session(store), session)
-    new.save(store, overwrite=True)
-    assert_equal(load_session(store), new)
-    assert [path.name for path in store.parent.iterdir()] == ["session.zarr"]
-
-
-def test_only_a_session_is_overwritten(session: Session, tmp_path: Path) -> None:
-    (tmp_path / "thesis").mkdir()
-    (tmp_path / "thesis" / "chapter1.tex").write_text("years of work", encoding="utf-8")
-    for path in (tmp_path / "thesis", tmp_path / "thesis" / "chapter1.tex", tmp_path):
-        with pytest.raises(
-            InvalidInput, match=r"only a session is replaced by a session; .* is something else"
-        ):
-            session.save(path, overwrite=True)
-    assert (tmp_path / "thesis" / "chapter1.tex").read_text(encoding="utf-8") == "years of work"
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
