@@ -20,7 +20,7 @@ from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, FieldFunction, World
 
-_SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
+SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
     "lakeshore_f71": SimulatedF71,
     "lakeshore_460": Simulated460,
     "senis_3mh6": SimulatedSenis,
@@ -106,12 +106,12 @@ class SimulatedRig(ClosesItself):
                 name: sources.index(target) if target in sources else None for target, name in inputs.items()
             }
             return partial(Simulated224, self.world, coils)
-        if kind in _SENSORS:
+        if kind in SENSORS:
             if name not in fields:
                 raise Refused(
                     f"a simulated rig must know the field at {name}; received {', '.join(fields) or 'none'}"
                 )
-            return partial(_warmed_up, _SENSORS[kind], self.world, fields[name])
+            return partial(_warmed_up, SENSORS[kind], self.world, fields[name])
         coil = sources.index(name) if name in sources else -1
         if kind == "korad_ka3005p":
             return partial(SimulatedKorad, self.world, coil)
