@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pkgutil import iter_modules
 from typing import Any
 
 import pytest
@@ -10,7 +11,7 @@ from torch.func import jvp
 
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
-from estimator.effects import EFFECTS
+from estimator.effects import CAUSES, EFFECTS, causes
 from estimator.effects.attach import with_effect
 from estimator.effects.circumstances import Circumstances, Extent
 from estimator.effects.stages import NoiseEffect
@@ -165,6 +166,11 @@ def test_declaration_is_complete(name):
     for quantity in effect.quantities(Extent()):
         suffix = quantity.unit.replace(" ", "_").replace("/", "_per_").replace("1_per_", "per_")
         assert quantity.unit == "1" or quantity.key.endswith(suffix), quantity
+
+
+def test_every_module_of_causes_has_its_place_in_the_measurement():
+    """One that `CAUSES` of `estimator/effects/__init__.py` does not list is never loaded."""
+    assert sorted(module.name for module in iter_modules(causes.__path__)) == sorted(CAUSES)
 
 
 @pytest.mark.parametrize("pitch", ["axial_pitch", "radial_pitch"])
