@@ -11,20 +11,18 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
-from drivers.errors import DriverError, Refused
+from drivers.errors import DriverError
 from drivers.guarded import GuardedArm, GuardedSource
 from drivers.hall import lakeshore_460, lakeshore_f71, metrolab_thm1176, senis_3mh6
 from drivers.interlock import Interlock
 from drivers.limits_section import arm_limits, current_limits
-from drivers.port_settings import SCPI_SERIAL, PortSettings, connection_of, port_of
+from drivers.port_settings import connection_of, port_of
 from drivers.protocols import CurrentSource, FieldSensor, RobotArm, TemperatureMonitor
-from drivers.safety import CurrentLimits
 from drivers.settings import Settings
 from drivers.supervised import LONGEST_START_S
-from drivers.supplies import korad_ka3005p
-from drivers.supplies.commands import SupplyCommands
+from drivers.supplies import korad_ka3005p, scpi
+from drivers.supplies.opener import Rating, SupplyOpener
 from drivers.supplies.ramped import RampedSource, longest_off_s
-from drivers.supplies.scpi import GENERIC, KEPCO_BOP, ScpiSupply
 from drivers.supplies.supervised import SupervisedSource
 from drivers.thermometers import lakeshore_224
 
@@ -35,12 +33,14 @@ SENSORS: Mapping[str, Callable[[Settings], Callable[[], FieldSensor]]] = {
     "metrolab_thm1176": metrolab_thm1176.opener,
 }
 """What reads the settings of each model, and returns what opens it."""
-SUPPLIES = ("kepco_bop", "korad_ka3005p", "scpi")
+
+SUPPLIES: Mapping[str, Callable[[Settings, Rating], SupplyOpener]] = {
+    "kepco_bop": partial(scpi.opener, dialect=scpi.KEPCO_BOP),
+    "korad_ka3005p": korad_ka3005p.opener,
+    "scpi": partial(scpi.opener, dialect=scpi.GENERIC),
+}
 THERMOMETERS = ("lakeshore_224",)
 ARMS = {model.lower(): model for model in ("UR3", "UR5", "UR10", "UR3e", "UR5e", "UR10e", "UR16e", "UR20")}
-
-_WATCHDOGS_S = (4, 3600)
-"""Delays of the watchdog of a supply, in seconds: a busy computer asks no more often than once a second for sure."""
 
 
 def sensor_of(settings: Settings) -> Callable[[], FieldSensor]:
@@ -60,24 +60,20 @@ def monitor_of(settings: Settings) -> Callable[[], TemperatureMonitor]:
 
 def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], float]], CurrentSource]:
     """What opens a supply, given its name, the interlock and a function that reads the temperature of its coil in kelvin."""
-    kind = settings.choice("supply", SUPPLIES)
+    opener = SUPPLIES[settings.choice("supply", tuple(SUPPLIES))]
     limits = current_limits(settings)
     tolerance_A = settings.quantity("tolerance", "current")
     compliance_V = settings.quantity("compliance", "voltage")
     slew_A_per_s = settings.quantity("ramp", "slew", limits.slew_A_per_s)
     start_s = settings.quantity("longest_start", "time", LONGEST_START_S)
-    is_korad = kind == "korad_ka3005p"
-    serial = korad_ka3005p.SERIAL if is_korad else SCPI_SERIAL
-    port = port_of(settings, serial, has_messages=not is_korad)
-    watchdog_s = _watchdog_s(settings) if kind == "scpi" else None
-    make_supply = partial(_make_supply, kind, port, limits, compliance_V, tolerance_A, watchdog_s)
-    make = partial(_make_source, make_supply, port.comes_back, slew_A_per_s)
+    supply = opener(settings, Rating(limits.lowest_A, limits.highest_A, compliance_V, tolerance_A))
+    make = partial(_make_source, supply, slew_A_per_s)
 
     def opened(name: str, interlock: Interlock, read_temperature_K: Callable[[], float]) -> CurrentSource:
         off_s = longest_off_s(max(-limits.lowest_A, limits.highest_A), slew_A_per_s)
         source: CurrentSource = (
             make(threading.Event())
-            if port.connection == "replay"
+            if supply.port.connection == "replay"
             else SupervisedSource(
                 make, name, slew_A_per_s=slew_A_per_s, longest_off_s=off_s, longest_start_s=start_s
             )
@@ -100,55 +96,10 @@ def source_of(settings: Settings) -> Callable[[str, Interlock, Callable[[], floa
     return opened
 
 
-def _watchdog_s(settings: Settings) -> float | None:
-    """Delay of the watchdog of a supply that has one; None if the settings state none."""
-    if not settings.has_quantity("watchdog", "time"):
-        return None
-    watchdog_s = settings.quantity("watchdog", "time")
-    with settings.noting():
-        if not (_WATCHDOGS_S[0] <= watchdog_s <= _WATCHDOGS_S[1] and watchdog_s == round(watchdog_s)):
-            raise Refused(
-                f"{settings.location}.watchdog_s must be whole seconds from {_WATCHDOGS_S[0]} to {_WATCHDOGS_S[1]}; "
-                f"received {watchdog_s:g}"
-            )
-    return watchdog_s
-
-
-def _make_supply(
-    kind: str,
-    port: PortSettings,
-    limits: CurrentLimits,
-    compliance_V: float,
-    tolerance_A: float,
-    watchdog_s: float | None,
-) -> SupplyCommands:
-    """Open a supply; runs in its child process, which owns the port."""
-    if kind == "korad_ka3005p":
-        return korad_ka3005p.KoradKA3005P(port.open(), compliance_V=compliance_V, highest_A=limits.highest_A)
-    return ScpiSupply(
-        port.open(),
-        dialect=KEPCO_BOP if kind == "kepco_bop" else GENERIC,
-        lowest_A=limits.lowest_A,
-        highest_A=limits.highest_A,
-        compliance_V=compliance_V,
-        resolution_A=tolerance_A,
-        watchdog_s=watchdog_s,
-    )
-
-
-def _make_source(
-    make_supply: Callable[[], SupplyCommands],
-    comes_back: bool,
-    slew_A_per_s: float,
-    interrupt: threading.Event,
-) -> RampedSource:
-    """Make a source; runs in its child process."""
-    return RampedSource(
-        make_supply(),
-        slew_A_per_s=slew_A_per_s,
-        interrupt=interrupt,
-        reopen=make_supply if comes_back else None,
-    )
+def _make_source(supply: SupplyOpener, slew_A_per_s: float, interrupt: threading.Event) -> RampedSource:
+    """Make a source; runs in its child process, which owns the port."""
+    reopen = supply if supply.port.comes_back else None
+    return RampedSource(supply(), slew_A_per_s=slew_A_per_s, interrupt=interrupt, reopen=reopen)
 
 
 def arm_of(settings: Settings) -> Callable[[str, Interlock], RobotArm]:

@@ -94,10 +94,12 @@ def lasting(readings):
     )
 
 
-def test_every_model_of_a_sensor_is_simulated_and_recorded_here():
-    """A sensor that rig files may name needs a simulator in `drivers/simulated/rig.py`, and its settings in `SENSORS` above."""
-    recorded = {settings["sensor"] for settings in SENSORS.values()}
-    assert set(entries.SENSORS) == set(simulated.SENSORS) == recorded
+def test_every_model_is_simulated_and_recorded_here():
+    """One that rig files may name needs a simulator in `drivers/simulated/rig.py`, and its settings in `SENSORS` or `SOURCES` above."""
+    sensors = {settings["sensor"] for settings in SENSORS.values()}
+    supplies = {settings["supply"] for settings in SOURCES.values()}
+    assert set(entries.SENSORS) == set(simulated.SENSORS) == sensors
+    assert set(entries.SUPPLIES) == set(simulated.SUPPLIES) == supplies
 
 
 @kinds(KINDS)
