@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from difflib import get_close_matches
 from typing import Any, NoReturn
@@ -80,6 +80,12 @@ class Settings:
             yield
         except Refused as fault:
             raise Refused(f"{self.location}: {fault}") from fault
+
+    def judged_by(self, check: Callable[[], object]) -> None:
+        """Let a driver judge settings, if they could be read."""
+        if self.is_sound:
+            with self.noting(), self.of_this():
+                check()
 
     def refuse(self, key: str, rule: str) -> NoReturn:
         """Raise `Refused` with key, rule and value."""

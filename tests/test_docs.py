@@ -13,6 +13,7 @@ import pytest
 from estimator.cli.main import main
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
+from estimator.export.formats import FORMATS
 from estimator.readings.metrics import ErrorMetrics
 from estimator.service.settings import KEYS, Settings
 from tests.documented import CAUSES, COMMANDS, SERVICE, SUMMARY, keys, section
@@ -106,13 +107,24 @@ def test_what_is_cited_is_in_the_repository(folder: str) -> None:
 
 
 def test_every_cause_is_listed_with_its_quantities() -> None:
+    """Rig files and scripts rely on these names: a row is added for a new cause, and none goes."""
     rows = re.findall(r"^\|`(\w+)`\|[\w ]+\|(.*?)\|", section(CAUSES), re.MULTILINE)
     library = [n for n, effect in EFFECTS.items() if type(effect).__module__.startswith("estimator.effects.")]
-    assert sorted(name for name, _ in rows) == sorted(library)
+    unlike = {name for name, _ in rows}.symmetric_difference(library)
+    assert not unlike, (
+        f"the table 'Names of causes' in docs/file-formats.md has one row for each cause; look at {unlike}"
+    )
+    assert len(rows) == len(library)
     for name, cell in rows:
         listed = re.findall(r"`(\w+)`", cell)
         quantities = [quantity.key for quantity in EFFECTS[name].quantities(Extent())]
         assert listed == quantities or (set(listed) < set(quantities) and "and so on" in cell), name
+
+
+def test_every_format_of_an_export_is_listed() -> None:
+    page = (ROOT / "docs/how-to/use-a-calibration-elsewhere.md").read_text(encoding="utf-8")
+    first_column = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \|", page.split("\n## ")[0], re.MULTILINE)
+    assert sorted(re.findall(r"\w+", " ".join(first_column))) == sorted(FORMATS)
 
 
 def test_every_command_is_listed() -> None:

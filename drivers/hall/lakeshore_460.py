@@ -8,13 +8,16 @@ tesla, and this changes with the range. So the range is fixed during set-up and 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
 from drivers.on_channel import identity_landmark
+from drivers.port_settings import port_of
 from drivers.protocols import Reading, Vector
 from drivers.readings import ascii_text, number, over_range
+from drivers.settings import Settings
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -127,3 +130,11 @@ class LakeShore460(HallSensor):
 
     def _ask(self, question: str, deadline: Deadline) -> str:
         return ascii_text(self._channel.query(f"{question}\r\n".encode("ascii"), b"\r\n", deadline)).strip()
+
+
+def opener(settings: Settings) -> Callable[[], LakeShore460]:
+    """What opens it, by its settings in a rig file."""
+    range_T = settings.quantity("range", "field")
+    settings.judged_by(lambda: choose_range(range_T))
+    port = port_of(settings, SERIAL)
+    return lambda: LakeShore460(port.open(), range_T=range_T)

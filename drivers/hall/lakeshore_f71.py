@@ -7,6 +7,7 @@ and `xip_instrument.py`). Commands end with a line feed, answers with CR LF; `;:
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
@@ -14,8 +15,10 @@ from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
 from drivers.hall.sensor import HallSensor
 from drivers.on_channel import identity_landmark
+from drivers.port_settings import port_of
 from drivers.protocols import Reading, ReadingFlag, Vector
 from drivers.readings import ICE_POINT_K, ReadingCounter, ascii_text, number, over_range
+from drivers.settings import Settings
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
 
@@ -180,3 +183,12 @@ class LakeShoreF71(HallSensor):
         if not errors.startswith("0,"):
             raise DeviceFault(f"F71 must accept {commands}; it says {errors}")
         return answers
+
+
+def opener(settings: Settings) -> Callable[[], LakeShoreF71]:
+    """What opens it, by its settings in a rig file."""
+    has_range = settings.has_quantity("range", "field")
+    range_T = settings.quantity("range", "field") if has_range else None
+    n_averaged = settings.whole_number("averaged_samples", 1)
+    port = port_of(settings, SERIAL, TCP_PORT)
+    return lambda: LakeShoreF71(port.open(), range_T=range_T, n_averaged=n_averaged)

@@ -7,14 +7,17 @@ write to the probe's flash, and `:MEAS` resets it: none of them is ever sent.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
 from drivers.on_channel import identity_landmark
+from drivers.port_settings import SCPI_SERIAL, port_of
 from drivers.protocols import Reading, ReadingFlag, Vector
 from drivers.readings import ascii_text, number
+from drivers.settings import Settings
 from drivers.transport.port import Port
 
 RANGES_T = (0.1, 0.3, 1.0, 3.0)
@@ -143,3 +146,12 @@ class MetrolabTHM1176(HallSensor):
 
     def _ask(self, commands: str, deadline: Deadline) -> str:
         return ascii_text(self._channel.query(f"{commands}\n".encode("ascii"), b"\n", deadline)).strip()
+
+
+def opener(settings: Settings) -> Callable[[], MetrolabTHM1176]:
+    """What opens it, by its settings in a rig file."""
+    range_T = settings.quantity("range", "field")
+    settings.judged_by(lambda: choose_range_T(range_T))
+    n_averaged = settings.whole_number("averaged_samples", 100)
+    port = port_of(settings, SCPI_SERIAL)
+    return lambda: MetrolabTHM1176(port.open(), range_T=range_T, n_averaged=n_averaged)

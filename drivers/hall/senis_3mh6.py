@@ -8,14 +8,18 @@ By, Bz, seven more bytes, 0x0D. The packets carry neither count nor time, and no
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault, Refused
 from drivers.hall.sensor import HallSensor
+from drivers.port_settings import port_of
 from drivers.protocols import Reading, ReadingFlag, Vector
 from drivers.readings import ICE_POINT_K, ReadingCounter, over_range
+from drivers.settings import Settings
 from drivers.transport.port import Port
+from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialSettings
 
 SERIAL = SerialSettings(3_000_000)
@@ -204,3 +208,19 @@ class Senis3MH6(HallSensor):
         is_beyond = any(abs(value_T) > self._full_scale_T for value_T in field_T)
         flags = ReadingFlag.OVER_RANGE if is_beyond else over_range(field_T)
         return self._counter.reading(field_T, flags, host_monotonic_s=arrived_s)
+
+
+def opener(settings: Settings) -> Callable[[], Senis3MH6]:
+    """What opens it, by its settings in a rig file."""
+    rate_Hz = round(settings.quantity("rate", "frequency"))
+    range_number = settings.whole_number("range_number")
+    full_scale_T = settings.quantity("full_scale", "field")
+    settings.judged_by(lambda: check_stream(rate_Hz, range_number))
+    line = port_of(settings, SERIAL, has_messages=False)
+
+    def opened() -> Senis3MH6:
+        port = line.open()
+        port = port if line.connection == "replay" else PumpedPort(port)
+        return Senis3MH6(port, rate_Hz=rate_Hz, range_number=range_number, full_scale_T=full_scale_T)
+
+    return opened

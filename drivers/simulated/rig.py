@@ -20,11 +20,20 @@ from drivers.simulated.thm1176 import SimulatedTHM1176
 from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, FieldFunction, World
 
-_SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
+SENSORS: dict[str, Callable[[World, FieldFunction], Instrument]] = {
     "lakeshore_f71": SimulatedF71,
     "lakeshore_460": Simulated460,
     "senis_3mh6": SimulatedSenis,
     "metrolab_thm1176": SimulatedTHM1176,
+}
+SUPPLIES: dict[str, Callable[[World, int, Mapping[str, Any]], Callable[[], Instrument]]] = {
+    "kepco_bop": lambda world, coil, settings: partial(
+        simulated_kepco, world, coil, float(settings["highest_A"])
+    ),
+    "korad_ka3005p": lambda world, coil, _: partial(SimulatedKorad, world, coil),
+    "scpi": lambda world, coil, settings: partial(
+        simulated_scpi_supply, world, coil, float(settings["highest_A"])
+    ),
 }
 CB3, E_SERIES = "3.15.4.106291", "5.11.1.108318"
 _VERSIONS = {
@@ -106,20 +115,14 @@ class SimulatedRig(ClosesItself):
                 name: sources.index(target) if target in sources else None for target, name in inputs.items()
             }
             return partial(Simulated224, self.world, coils)
-        if kind in _SENSORS:
+        if kind in SENSORS:
             if name not in fields:
                 raise Refused(
                     f"a simulated rig must know the field at {name}; received {', '.join(fields) or 'none'}"
                 )
-            return partial(_warmed_up, _SENSORS[kind], self.world, fields[name])
-        coil = sources.index(name) if name in sources else -1
-        if kind == "korad_ka3005p":
-            return partial(SimulatedKorad, self.world, coil)
-        if kind in {"kepco_bop", "scpi"}:
-            highest_A = float(settings["highest_A"])
-            return partial(
-                simulated_kepco if kind == "kepco_bop" else simulated_scpi_supply, self.world, coil, highest_A
-            )
+            return partial(_warmed_up, SENSORS[kind], self.world, fields[name])
+        if kind in SUPPLIES:
+            return SUPPLIES[kind](self.world, sources.index(name), settings)
         raise Refused(f"devices.{name} must be of a kind that can be simulated; received {kind!r}")
 
 

@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import re
 import time
+from functools import partial
 
 from drivers.deadline import Deadline
 from drivers.errors import DeviceFault
+from drivers.port_settings import port_of
 from drivers.readings import ascii_text, number
+from drivers.settings import Settings
 from drivers.supplies.commands import Measured
+from drivers.supplies.opener import Rating, SupplyOpener
 from drivers.transport.channel import Channel
 from drivers.transport.port import Port
 from drivers.transport.serial_port import SerialSettings
@@ -175,3 +179,11 @@ class KoradKA3005P:
     def _ask(self, question: bytes, n_bytes: int, deadline: Deadline) -> bytes:
         self._send(question, deadline)
         return self._channel.read_exactly(n_bytes, deadline)
+
+
+def opener(settings: Settings, rating: Rating) -> SupplyOpener:
+    """What opens it, by its settings in a rig file."""
+    port = port_of(settings, SERIAL, has_messages=False)
+    return SupplyOpener(
+        port, partial(KoradKA3005P, compliance_V=rating.compliance_V, highest_A=rating.highest_A)
+    )

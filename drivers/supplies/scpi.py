@@ -9,11 +9,15 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from functools import partial
 
 from drivers.deadline import Deadline
-from drivers.errors import DeviceFault
+from drivers.errors import DeviceFault, Refused
+from drivers.port_settings import SCPI_SERIAL, port_of
 from drivers.readings import ascii_text, number
+from drivers.settings import Settings
 from drivers.supplies.commands import Measured
+from drivers.supplies.opener import Rating, SupplyOpener
 from drivers.transport.channel import Channel, Landmark
 from drivers.transport.port import Port
 
@@ -25,6 +29,9 @@ STEP_S = 0.1
 
 _NO_ERROR_STATE = re.compile(rb'[^"]*[A-Za-z][^"]*,[^"]*')
 """Matches the answer to `*IDN?`, the only one without the quotation marks of an error state."""
+
+_WATCHDOGS_S = (4, 3600)
+"""Delays of the watchdog of a supply, in seconds: a busy computer asks no more often than once a second for sure."""
 
 _COMPLIANCE_SHARE = 0.98
 """From this fraction of the voltage limit on, the supply is taken to regulate the voltage."""
@@ -39,15 +46,17 @@ class ScpiDialect:
         remote: Commands without which it does not obey; sent also where no answer is read.
         terminator: End of a line sent.
         longest_line: Largest number of bytes in a line sent; 0 for no limit.
+        has_watchdog: Some supplies of this dialect switch off after a silence.
     """
 
     preparation: tuple[str, ...]
     remote: tuple[str, ...] = ()
     terminator: str = "\n"
     longest_line: int = 0
+    has_watchdog: bool = False
 
 
-GENERIC = ScpiDialect(("VOLT {compliance_V:g}",))
+GENERIC = ScpiDialect(("VOLT {compliance_V:g}",), has_watchdog=True)
 
 KEPCO_BOP = ScpiDialect(
     ("SYST:REM 1", "FUNC:MODE CURR", "VOLT {compliance_V:g}"), remote=("SYST:REM 1",), longest_line=127
@@ -189,3 +198,32 @@ class ScpiSupply:
         with self._channel.exchange(deadline):
             line = self._channel.query(encode_line(command, self._dialect), b"\n", deadline)
             return decode_line(line, n_answers, command)
+
+
+def opener(settings: Settings, rating: Rating, dialect: ScpiDialect) -> SupplyOpener:
+    """What opens it, by its settings in a rig file."""
+    port = port_of(settings, SCPI_SERIAL)
+    make = partial(
+        ScpiSupply,
+        dialect=dialect,
+        lowest_A=rating.lowest_A,
+        highest_A=rating.highest_A,
+        compliance_V=rating.compliance_V,
+        resolution_A=rating.tolerance_A,
+        watchdog_s=_watchdog_s(settings) if dialect.has_watchdog else None,
+    )
+    return SupplyOpener(port, make)
+
+
+def _watchdog_s(settings: Settings) -> float | None:
+    """Delay of the watchdog of a supply that has one; None if the settings state none."""
+    if not settings.has_quantity("watchdog", "time"):
+        return None
+    watchdog_s = settings.quantity("watchdog", "time")
+    with settings.noting():
+        if not (_WATCHDOGS_S[0] <= watchdog_s <= _WATCHDOGS_S[1] and watchdog_s == round(watchdog_s)):
+            raise Refused(
+                f"{settings.location}.watchdog_s must be whole seconds from {_WATCHDOGS_S[0]} to {_WATCHDOGS_S[1]}; "
+                f"received {watchdog_s:g}"
+            )
+    return watchdog_s

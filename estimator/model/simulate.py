@@ -67,7 +67,8 @@ def simulate(
         hidden: Causes that the rig knows nothing of, such as `{"axis_gain[hall].x": 0.01}` (see `with_hidden`).
         n_segments: Parts of the session, one after the other, before each of which things were set up anew.
     Raises:
-        InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding.
+        InvalidInput: The truth names an unknown parameter, is no possible rig, or puts a sensor inside a winding; or with a hidden cause a
+            reading is no finite number.
     """
     real = with_truth(rig, truth)
     rng = np.random.default_rng(seed)
@@ -78,7 +79,21 @@ def simulate(
         )
     real = with_hidden(real, observations, hidden or {})
     model = MeasurementModel.build(real, observations, tolerance=TOLERANCE)
-    return observations.with_field(model.predict(nominal_tensors(real)) + _errors_T(model, rng))
+    field_T = model.predict(nominal_tensors(real))
+    if hidden:
+        _check_finite(field_T, observations, hidden)
+    return observations.with_field(field_T + _errors_T(model, rng))
+
+
+def _check_finite(
+    field_T: Float[Tensor, "reading 3"], observations: Observations, hidden: Mapping[str, float]
+) -> None:
+    """Refuse causes that make something else than numbers of a field; in a file these readings would count as missing."""
+    for i in (~field_T.isfinite().all(-1)).nonzero().flatten().tolist()[:1]:
+        raise InvalidInput(
+            f"readings with {', '.join(hidden)} must be finite, also where there is no current or no field; received {field_T[i].tolist()} "
+            f"for reading {i + 1}, at {observations.current_A[i].tolist()} A"
+        )
 
 
 def idle_causes(rig: Rig, observations: Observations, hidden: Mapping[str, float]) -> list[str]:

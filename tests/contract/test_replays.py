@@ -7,6 +7,7 @@ import time
 
 import pytest
 
+from drivers import entries
 from drivers.errors import DeadlineExceeded, DeviceFault
 from drivers.open import open_devices
 from drivers.protocols import (
@@ -17,6 +18,7 @@ from drivers.protocols import (
     RobotArm,
     TemperatureMonitor,
 )
+from drivers.simulated import rig as simulated
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
 from tests.drivers.fields import ROOM_T, along_z
@@ -90,6 +92,14 @@ def lasting(readings):
     return repr(
         [(reading.sequence, reading.device_time_s, reading.value, reading.flags) for reading in readings]
     )
+
+
+def test_every_model_is_simulated_and_recorded_here():
+    """One that rig files may name needs a simulator in `drivers/simulated/rig.py`, and its settings in `SENSORS` or `SOURCES` above."""
+    sensors = {settings["sensor"] for settings in SENSORS.values()}
+    supplies = {settings["supply"] for settings in SOURCES.values()}
+    assert set(entries.SENSORS) == set(simulated.SENSORS) == sensors
+    assert set(entries.SUPPLIES) == set(simulated.SUPPLIES) == supplies
 
 
 @kinds(KINDS)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import os
+from collections.abc import Callable
 from functools import partial
+from typing import NamedTuple
 
 import pytest
 
@@ -52,56 +54,79 @@ def source(port, dialect, lowest_A, slew_A_per_s):
     return RampedSource(supply, slew_A_per_s=slew_A_per_s)
 
 
+class Kind(NamedTuple):
+    """A device and its simulator.
+
+    Attributes:
+        line: `serial` or `tcp`.
+        instrument: What makes the simulator in its process, given the world.
+        driver: Connects the driver to an address.
+        maker: Beginning of what it says of itself.
+    """
+
+    line: str
+    instrument: Callable
+    driver: Callable
+    maker: str
+
+
 SENSORS = {
-    "f71_serial": (
+    "f71_serial": Kind(
         "serial",
         lambda world: partial(SimulatedF71, world, along_z),
         lambda address: LakeShoreF71(SerialPort(address, SERIAL_F71)),
+        "LSCI",
     ),
-    "f71_tcp": (
+    "f71_tcp": Kind(
         "tcp",
         lambda world: partial(SimulatedF71, world, along_z),
         lambda address: LakeShoreF71(tcp(address)),
+        "LSCI",
     ),
-    "460": (
+    "460": Kind(
         "serial",
         lambda world: partial(Simulated460, world, along_z, UPDATE_460_S),
         lambda address: LakeShore460(SerialPort(address, SERIAL_460), range_T=0.03, update_s=UPDATE_460_S),
+        "LSCI",
     ),
-    "3mh6": (
+    "3mh6": Kind(
         "serial",
         lambda world: partial(SimulatedSenis, world, along_z),
         lambda address: Senis3MH6(
             PumpedPort(SerialPort(address, SERIAL_SENIS)), rate_Hz=1000, range_number=1, full_scale_T=0.1
         ),
+        "Senis",
     ),
 }
-SENSORS["thm1176"] = (
+SENSORS["thm1176"] = Kind(
     "serial",
     lambda world: partial(SimulatedTHM1176, world, along_z),
     lambda address: MetrolabTHM1176(SerialPort(address, SERIAL_SENIS), range_T=0.1),
+    "Metrolab",
 )
-SENSORS["thm1176_usb"] = (
-    *SENSORS["thm1176"][:2],
-    lambda address: MetrolabTHM1176(FakeInstrument(address).open(), range_T=0.1),
+SENSORS["thm1176_usb"] = SENSORS["thm1176"]._replace(
+    driver=lambda address: MetrolabTHM1176(FakeInstrument(address).open(), range_T=0.1)
 )
 SOURCES = {
-    "kepco": (
+    "kepco": Kind(
         "serial",
         lambda world: partial(simulated_kepco, world, 0, 5.0),
         lambda address: source(SerialPort(address, KEPCO_SERIAL), KEPCO_BOP, -5.0, SLEW_A_PER_S),
+        "KEPCO",
     ),
-    "scpi_tcp": (
+    "scpi_tcp": Kind(
         "tcp",
         lambda world: partial(simulated_scpi_supply, world, 0, 5.0),
         lambda address: source(tcp(address), GENERIC, 0.0, SLEW_A_PER_S),
+        "COILCAL",
     ),
-    "korad": (
+    "korad": Kind(
         "serial",
         lambda world: partial(SimulatedKorad, world, 0),
         lambda address: RampedSource(
             KoradKA3005P(SerialPort(address, SERIAL_KORAD), compliance_V=20.0), slew_A_per_s=SLEW_A_PER_S
         ),
+        "KORAD",
     ),
 }
 
@@ -111,24 +136,27 @@ def kepco_source(address, _interrupt):
     return source(SerialPort(address, KEPCO_SERIAL), KEPCO_BOP, -5.0, SLEW_A_PER_S)
 
 
-SOURCES["kepco_supervised"] = (
+SOURCES["kepco_supervised"] = Kind(
     "serial",
     lambda world: partial(simulated_kepco, world, 0, 5.0),
     lambda address: SupervisedSource(
         partial(kepco_source, address), "coil1", slew_A_per_s=SLEW_A_PER_S, longest_off_s=10.0
     ),
+    "KEPCO",
 )
 
 MONITORS = {
-    "224_serial": (
+    "224_serial": Kind(
         "serial",
         lambda world: partial(Simulated224, world, {"A": 0, "C1": None}),
         lambda address: LakeShore224(SerialPort(address, SERIAL_224), {"coil1": "A", "hall": "C1"}),
+        "LSCI",
     ),
-    "224_tcp": (
+    "224_tcp": Kind(
         "tcp",
         lambda world: partial(Simulated224, world, {"A": 0, "C1": None}),
         lambda address: LakeShore224(tcp(address), {"coil1": "A", "hall": "C1"}),
+        "LSCI",
     ),
 }
 DEVICES = {**SENSORS, **SOURCES, **MONITORS}
@@ -153,11 +181,10 @@ def started(world):
     simulators = []
 
     def start(kind):
-        line, instrument, driver = kind
-        make = Simulator.on_serial_line if line == "serial" else Simulator.on_tcp
-        simulator = make(instrument(world))
+        make = Simulator.on_serial_line if kind.line == "serial" else Simulator.on_tcp
+        simulator = make(kind.instrument(world))
         simulators.append(simulator)
-        device = driver(simulator.address)
+        device = kind.driver(simulator.address)
         return simulator, device
 
     yield start

@@ -49,7 +49,7 @@ def test_it_measures_over_usb_through_pyvisa(packet_bytes, started, world):
         with bus_with(instrument):
             return open_devices({"hall": settings})
 
-    _, devices = started((*SENSORS["thm1176"][:2], opened))
+    _, devices = started(SENSORS["thm1176"]._replace(driver=opened))
     with devices:
         sensor = devices.sensors["hall"]
         assert sensor.identify(timeout_s=10.0).startswith("Metrolab")

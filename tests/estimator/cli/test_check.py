@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers import entries
+from drivers.port_settings import PortSettings
 from estimator.model.unit_gate import check_units
 from estimator.model.unlikely_motion import unlikely_motion
 from estimator.rig_files.numbers import Numbers
@@ -120,7 +120,7 @@ OF_DEVICES = [
 def test_mistakes_in_settings_of_instruments_are_told_at_once_and_none_is_opened(
     workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_own_file: bool
 ) -> None:
-    monkeypatch.setattr(entries.PortSettings, "open", lambda *_: pytest.fail("a port was opened"))
+    monkeypatch.setattr(PortSettings, "open", lambda *_: pytest.fail("a port was opened"))
     rig = (workspace / "rig.yaml").read_text(encoding="utf-8")
     before = 0 if is_own_file else len(rig.splitlines())
     paths = [tmp_path / "rig.yaml", *([tmp_path / "devices.yaml"] if is_own_file else [])]

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from estimator import InvalidInput, simulate
+from estimator.effects import EFFECTS
 from estimator.model.hide import cause_of, full_names, hidden_shapes
 from estimator.model.simulate import idle_causes
 from tests.estimator.diagnosis.sessions import RIG, TRUTH, session_with
@@ -36,6 +37,16 @@ def test_without_quantity_the_first_is_meant_and_without_place_the_only_one() ->
 
 def test_a_cause_at_its_null_hides_nothing() -> None:
     assert torch.equal(readings({"axis_gain": 0.0, "current_offset": 0.0}), readings({}))
+
+
+def test_a_cause_that_makes_no_number_of_a_field_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reading that is no number would be written as one that is missing."""
+    broken = staticmethod(lambda field_sensor_T, *_: field_sensor_T / torch.zeros_like(field_sensor_T))
+    monkeypatch.setattr(type(EFFECTS["axis_gain"]), "apply", broken)
+    with pytest.raises(
+        InvalidInput, match=r"with axis_gain\.y must be finite, .* for reading 1, at \[3.0\] A"
+    ):
+        readings({"axis_gain.y": 0.02})
 
 
 def test_causes_that_change_no_reading_of_a_session_are_told() -> None:
