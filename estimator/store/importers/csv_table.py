@@ -23,7 +23,7 @@ EXPORT = "no line has: where commas are decimal signs too, export it with semico
 
 
 def header_in(path: Path, known: Mapping[str, Column]) -> dict[str, HeaderCell] | None:
-    """Where each quantity stands, by the first line of a file; None where that is not the header of a readings CSV.
+    """The cell of each quantity in the first line of a file; None where that is not the header of a readings CSV.
 
     Args:
         path: The file.
