@@ -12,79 +12,11 @@ Examples:
 """
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:  # what type checkers and editors see; `_NAMES` says the same for the interpreter
-    from estimator.batching import batch
-    from estimator.calibration.calibrate import Stage, calibrate
-    from estimator.calibration.result import Calibration
-    from estimator.diagnosis.diagnose import diagnose
-    from estimator.diagnosis.next_readings.design import Design, design
-    from estimator.diagnosis.result import Diagnosis
-    from estimator.effects import register_effect
-    from estimator.errors import CoilcalError, CorruptStore, InvalidInput
-    from estimator.inference.ensemble import SamplerSettings
-    from estimator.live.stream import Estimate, Stream
-    from estimator.model.simulate import draw_truth, simulate
-    from estimator.planning.next_stop import NextStop, next_stop
-    from estimator.planning.plan import plan
-    from estimator.planning.planned import Planned
-    from estimator.readings.observations import Observations
-    from estimator.readings.plan import Plan, load_plan
-    from estimator.readings.split import block_split
-    from estimator.recalibration.log import Entry
-    from estimator.recalibration.recalibrate import recalibrate, roll_back
-    from estimator.recalibration.registry import Registry
-    from estimator.rig.rig import Rig
-    from estimator.rig_files.read import load_rig
-    from estimator.store.session import Session, load_session
-    from estimator.system.superposition import Superposition, superposition
-    from estimator.system.system import System
-    from estimator.system.system_field import SystemField
+from typing import Any
 
 DISTRIBUTION = "coilcal"  # which `coilcal` looks for, before another package of this name runs in its place
 
-__all__ = [
-    "Calibration",
-    "CoilcalError",
-    "CorruptStore",
-    "Design",
-    "Diagnosis",
-    "Entry",
-    "Estimate",
-    "InvalidInput",
-    "NextStop",
-    "Observations",
-    "Plan",
-    "Planned",
-    "Registry",
-    "Rig",
-    "SamplerSettings",
-    "Session",
-    "Stage",
-    "Stream",
-    "Superposition",
-    "System",
-    "SystemField",
-    "batch",
-    "block_split",
-    "calibrate",
-    "design",
-    "diagnose",
-    "draw_truth",
-    "load_plan",
-    "load_rig",
-    "load_session",
-    "next_stop",
-    "plan",
-    "recalibrate",
-    "register_effect",
-    "roll_back",
-    "simulate",
-    "superposition",
-]
-
-_NAMES = {  # of each module
+_NAMES = {  # of each module; `__init__.pyi` says the same to type checkers and editors
     "estimator.batching": ("batch",),
     "estimator.calibration.calibrate": ("Stage", "calibrate"),
     "estimator.calibration.result": ("Calibration",),
@@ -113,6 +45,7 @@ _NAMES = {  # of each module
     "estimator.system.system_field": ("SystemField",),
 }
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_MODULES)  # noqa: PLE0605
 
 
 def __getattr__(name: str) -> Any:

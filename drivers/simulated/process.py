@@ -1,10 +1,9 @@
-"""Runs a simulated instrument in a child process, behind a pseudo-terminal or a TCP port."""
+"""Runs a simulated instrument in a child process, behind a pseudo-terminal."""
 
 from __future__ import annotations
 
 import os
 import select
-import socket
 import threading
 import time
 import tty
@@ -12,7 +11,7 @@ from collections.abc import Callable
 from functools import cached_property, partial
 from multiprocessing import parent_process
 from multiprocessing.connection import Connection, wait
-from typing import Self
+from typing import Protocol, Self
 
 from drivers.children import SPAWN, start_without_main
 from drivers.device import ClosesItself
@@ -20,7 +19,7 @@ from drivers.errors import DriverError
 from drivers.simulated.faults import Fault, FaultSwitch, spoil
 from drivers.simulated.instrument import Instrument
 
-_TICK_S = 0.002
+TICK_S = 0.002
 _START_S = 120.0
 """A simulator that fails is heard of at once; one whose field needs torch starts for half a minute on a busy computer."""
 _SLOW_S = 0.01
@@ -70,12 +69,7 @@ class Simulator(ClosesItself):
         Args:
             make: Makes the instrument in the child process; the world is among its arguments (`functools.partial`).
         """
-        return cls(partial(_serve_line, make, None))
-
-    @classmethod
-    def on_tcp(cls, make: Callable[[], Instrument], host: str = "127.0.0.1") -> Self:
-        """Start an instrument behind a TCP port that the system chooses; `make` as above."""
-        return cls(partial(_serve_line, make, host))
+        return cls(partial(serve, make, PtyLine))
 
     @property
     def pid(self) -> int | None:
@@ -106,7 +100,32 @@ def exit_with_parent() -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-class _PtyLine:
+class Line(Protocol):
+    """A line between an instrument and its client.
+
+    Attributes:
+        address: Where clients reach it.
+        outlives_drop: Whether it takes another client after it broke.
+    """
+
+    address: str
+    outlives_drop: bool
+
+    def wait_for_data(self) -> bytes | None:
+        """Bytes that arrived within a tick; None if the other side is gone."""
+
+    def send(self, data: bytes) -> None:
+        """Send bytes, or lose them if nobody reads."""
+
+    def drop(self) -> None:
+        """Break the connection."""
+
+
+class PtyLine:
+    """See `Line`; a pseudo-terminal."""
+
+    outlives_drop = False
+
     def __init__(self) -> None:
         self._master, slave = os.openpty()
         # Stays open here too, so that the line outlives one client and waits for the next.
@@ -116,8 +135,8 @@ class _PtyLine:
         self.address = os.ttyname(slave)
 
     def wait_for_data(self) -> bytes | None:
-        """Bytes that arrived within a tick; None if the other side is gone."""
-        if not select.select([self._master], [], [], _TICK_S)[0]:
+        """See `Line`."""
+        if not select.select([self._master], [], [], TICK_S)[0]:
             return b""
         try:
             return os.read(self._master, 65536)
@@ -125,6 +144,7 @@ class _PtyLine:
             return None
 
     def send(self, data: bytes) -> None:
+        """See `Line`."""
         while data:
             try:
                 data = data[os.write(self._master, data) :]
@@ -134,63 +154,35 @@ class _PtyLine:
                     return
 
     def drop(self) -> None:
+        """See `Line`."""
         os.close(self._slave)
         os.close(self._master)
 
 
-class _TcpLine:
-    def __init__(self, host: str) -> None:
-        self._server = socket.create_server((host, 0))
-        self._client: socket.socket | None = None
-        self.address = f"{host}:{self._server.getsockname()[1]}"
-
-    def wait_for_data(self) -> bytes | None:
-        if self._client is None:
-            if select.select([self._server], [], [], _TICK_S)[0]:
-                self._client = self._server.accept()[0]
-                self._client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            return b""
-        if not select.select([self._client], [], [], _TICK_S)[0]:
-            return b""
-        try:
-            data = self._client.recv(65536)
-        except OSError:
-            data = b""
-        if not data:
-            self.drop()
-        return data
-
-    def send(self, data: bytes) -> None:
-        if self._client is None:
-            return
-        try:
-            self._client.sendall(data)
-        except OSError:
-            self.drop()
-
-    def drop(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
-
-
-def _serve_line(
-    make: Callable[[], Instrument], host: str | None, faults: FaultSwitch, ready: Connection
+def serve(
+    make: Callable[[], Instrument], line_of: Callable[[], Line], faults: FaultSwitch, ready: Connection
 ) -> None:
+    """Serve an instrument until its client is gone; main function of a child process.
+
+    Args:
+        make: Makes the instrument.
+        line_of: Makes its line.
+        faults: Fault to show.
+        ready: Gets the address of the line.
+    """
     exit_with_parent()
-    instrument = make()
-    line: _PtyLine | _TcpLine = _PtyLine() if host is None else _TcpLine(host)
+    instrument, line = make(), line_of()
     ready.send(line.address)
     ready.close()
     while True:
         if faults.fault is Fault.DROP:
             line.drop()
-            if host is None:  # a closed pseudo-terminal does not come back
+            if not line.outlives_drop:
                 return
             while faults.fault is Fault.DROP:
-                time.sleep(_TICK_S)
+                time.sleep(TICK_S)
         while faults.fault is Fault.STALL:
-            time.sleep(_TICK_S)
+            time.sleep(TICK_S)
         data = line.wait_for_data()
         if data is None:
             return

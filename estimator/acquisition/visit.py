@@ -16,16 +16,8 @@ from typing import Any, Protocol, runtime_checkable
 import torch
 from torch import Tensor
 
+from drivers import protocols
 from drivers.errors import DeviceFault
-from drivers.protocols import (
-    CurrentSource,
-    FieldSensor,
-    FlangePose,
-    Reading,
-    ReadingFlag,
-    RobotArm,
-    Thermometer,
-)
 from estimator.acquisition.averages import DeviceClock, average, measured
 from estimator.acquisition.pace import ANSWER_S, Pace
 from estimator.frames import Transform
@@ -43,10 +35,10 @@ STILL_M, STILL_RAD = 2e-5, 1e-4
 class Instruments(Protocol):
     """Open instruments by the name of the coil, sensor or mover that they serve; a `drivers.open.DeviceSet` is one."""
 
-    sensors: dict[str, FieldSensor]
-    sources: dict[str, CurrentSource]
-    arms: dict[str, RobotArm]
-    thermometers: dict[str, Thermometer]
+    sensors: dict[str, protocols.FieldSensor]
+    sources: dict[str, protocols.CurrentSource]
+    arms: dict[str, protocols.RobotArm]
+    thermometers: dict[str, protocols.Thermometer]
 
 
 class Visit:
@@ -75,7 +67,7 @@ class Visit:
         self._begin_s = time.monotonic()
         self._answer_s: dict[str, float] = {}
         self._motion: dict[str, Tensor] = {}
-        self._pose_at_rest: dict[str, FlangePose] = {}
+        self._pose_at_rest: dict[str, protocols.FlangePose] = {}
         self._clocks: dict[str, DeviceClock] = {}
         self._current_A: dict[str, float] = {}
 
@@ -85,7 +77,7 @@ class Visit:
             motion = stops.motion[mover.name][row]
             if mover.name not in self._motion or bool((motion != self._motion[mover.name]).any()):
                 target = flange_to_reach(mover, motion[None], self._references[mover.name])
-                self._move(mover.name, FlangePose(*target.to_pose()))
+                self._move(mover.name, protocols.FlangePose(*target.to_pose()))
                 self._motion[mover.name] = motion
         for i, coil in enumerate(self._rig.coils):
             current_A = float(stops.current_A[row, i])
@@ -142,9 +134,9 @@ class Visit:
     def return_home(self) -> None:
         """Move the arms to zero displacement, where the next session expects them."""
         for name, reference in self._references.items():
-            self._move(name, FlangePose(*reference.to_pose()))
+            self._move(name, protocols.FlangePose(*reference.to_pose()))
 
-    def _measured_current(self, name: str) -> Reading[float]:
+    def _measured_current(self, name: str) -> protocols.Reading[float]:
         """Current that a supply measures, if the supply reports no fault (`drivers.guarded` compares it with the requested one).
 
         Raises:
@@ -154,15 +146,15 @@ class Visit:
         with self._timed(name):
             reading = self._instruments.sources[name].read_current_A(timeout_s=ANSWER_S)
         # At zero current a supply's report of what it regulates means nothing.
-        if ReadingFlag.OVER_RANGE in reading.flags and requested_A != 0.0:
+        if protocols.ReadingFlag.OVER_RANGE in reading.flags and requested_A != 0.0:
             raise DeviceFault(
                 f"{name} must carry {requested_A:g} A; its supply has reached a limit and measures {reading.value:.4g} A"
             )
-        if ReadingFlag.STALE in reading.flags or math.isnan(measured(reading.value)):
+        if protocols.ReadingFlag.STALE in reading.flags or math.isnan(measured(reading.value)):
             raise DeviceFault(f"{name} must carry {requested_A:g} A; its supply gives no new measurement")
         return reading
 
-    def _pose(self, name: str) -> FlangePose:
+    def _pose(self, name: str) -> protocols.FlangePose:
         """Pose of an arm; the first one since its last motion is kept, so that encoder noise makes no new pose."""
         with self._timed(name):
             reading = self._instruments.arms[name].read_pose(timeout_s=ANSWER_S)
@@ -177,7 +169,7 @@ class Visit:
             self._pose_at_rest[name] = pose
         return self._pose_at_rest[name]
 
-    def _move(self, name: str, target: FlangePose) -> None:
+    def _move(self, name: str, target: protocols.FlangePose) -> None:
         arm, speed_m_per_s = self._instruments.arms[name], self._pace.speed_m_per_s[name]
         start = arm.read_pose(timeout_s=ANSWER_S).value
         distance_m = math.dist(start.position_m, target.position_m)
@@ -186,7 +178,7 @@ class Visit:
         self._pose_at_rest.pop(name, None)
         arm.move_to(target, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
-    def _taken_s(self, name: str, reading: Reading[Any], asked_s: float = -math.inf) -> float:
+    def _taken_s(self, name: str, reading: protocols.Reading[Any], asked_s: float = -math.inf) -> float:
         """When a reading was taken, on the host's clock: its arrival if the instrument has no clock, and never before the request."""
         if reading.device_time_s is None:
             return reading.host_monotonic_s

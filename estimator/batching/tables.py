@@ -10,7 +10,8 @@ from estimator.errors import CoilcalError, InvalidInput
 from estimator.rig.rig import Rig
 from estimator.store.importers.checked import checked
 from estimator.store.importers.forms.recipe import Recipe
-from estimator.store.importers.forms.understand import is_readings_csv, understood
+from estimator.store.importers.forms.understand import understood
+from estimator.store.importers.readings_csv import is_readings_csv
 
 
 class Imported(NamedTuple):

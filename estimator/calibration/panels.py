@@ -11,6 +11,7 @@ from estimator.calibration.planes import coil_planes
 from estimator.calibration.residual_groups import Group, residual_groups
 from estimator.calibration.result import Calibration
 from estimator.calibration.sentences import verdict_sentences, warning_sentences
+from estimator.calibration.summary import finite
 from estimator.reporting.numbers import displays
 
 PLANE_POINTS = 41
@@ -112,9 +113,5 @@ def calibration_panels(calibration: Calibration) -> CalibrationPanels:
     )
 
 
-def _or_none(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _listed(rows: np.ndarray) -> list[list[float | None]]:
-    return [[_or_none(value) for value in row] for row in rows]
+    return [[finite(value) for value in row] for row in rows]

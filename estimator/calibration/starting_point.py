@@ -134,5 +134,5 @@ def independent(posterior: Density, settings: SamplerSettings) -> Samples:
     steps = int(np.ceil(settings.target_ess / walkers))
     n, none = float(steps * walkers), np.zeros(0)
     log_prob = np.full((steps, walkers), float(posterior(posterior.coordinates.start()[None])[0]))
-    reached = Convergence(np.array([n]), np.array([n]), np.array([1.0]), steps * walkers)
+    reached = Convergence(np.array([n]), np.array([n]), np.array([1.0]))
     return Samples(np.zeros((steps, walkers, len(none))), log_prob, reached, True, 1.0, steps)

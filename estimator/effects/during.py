@@ -9,18 +9,10 @@ from collections.abc import Callable, Mapping
 from itertools import combinations
 from typing import Any, ClassVar
 
+from estimator.effects import stages
 from estimator.effects.base import AFTER, WHEN, Effect, Kind, Quantities, Starts, Theta, since, until
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances, Extent, is_meanwhile
 from estimator.effects.declaring import made
-from estimator.effects.stages import (
-    Columns,
-    Components,
-    CurrentEffect,
-    MotionEffect,
-    ReadingEffect,
-    RecordEffect,
-    RoomEffect,
-)
 from estimator.errors import InvalidInput
 from estimator.frames import Transform
 from estimator.tensors import Tensor, torch
@@ -131,28 +123,28 @@ class _Changed(During):
         return torch.where(is_meanwhile(circumstances.hours, theta)[..., None], changed, given)
 
 
-class _Current(_Changed, CurrentEffect):
+class _Current(_Changed, stages.CurrentEffect):
     pass
 
 
-class _Reading(_Changed, ReadingEffect):
+class _Reading(_Changed, stages.ReadingEffect):
     pass
 
 
-class _Room(During, RoomEffect):
+class _Room(During, stages.RoomEffect):
     """A field that is the same at every point."""
 
-    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> Components:
+    def drifting_T(self, theta: Theta, circumstances: Circumstances) -> stages.Components:
         field_T: Tensor = self.base.steady_T(circumstances.hours.new_zeros(1, 3), theta)
         return field_T * is_meanwhile(circumstances.hours, theta)[..., None]
 
 
-class _Motion(During, MotionEffect):
-    def columns(self, circumstances: Circumstances, mover: str) -> Columns:
+class _Motion(During, stages.MotionEffect):
+    def columns(self, circumstances: Circumstances, mover: str) -> stages.Columns:
         own = self.base.columns(circumstances, mover)
         return torch.cat((circumstances.hours_for_instants[:, None], own), dim=-1)
 
-    def apply(self, pose: Transform, columns: Columns, theta: Theta) -> Transform:
+    def apply(self, pose: Transform, columns: stages.Columns, theta: Theta) -> Transform:
         rotation, moved = pose.rotation, self.base.apply(pose, columns[:, 1:], theta)
         is_there = is_meanwhile(columns[:, 0], theta)[..., None]
         if moved.rotation is not rotation:
@@ -160,7 +152,7 @@ class _Motion(During, MotionEffect):
         return Transform(rotation, torch.where(is_there, moved.translation_m, pose.translation_m))
 
 
-class _Record(During, RecordEffect):
+class _Record(During, stages.RecordEffect):
     def rows_late(self, values: Mapping[str, float]) -> int:
         n_rows: int = self.base.rows_late(values)
         return n_rows
@@ -170,11 +162,11 @@ class _Record(During, RecordEffect):
 
 
 STAGES: tuple[tuple[type[Effect], str, type[During]], ...] = (
-    (CurrentEffect, "apply", _Current),
-    (ReadingEffect, "apply", _Reading),
-    (RoomEffect, "steady_T", _Room),
-    (MotionEffect, "apply", _Motion),
-    (RecordEffect, "rows_late", _Record),
+    (stages.CurrentEffect, "apply", _Current),
+    (stages.ReadingEffect, "apply", _Reading),
+    (stages.RoomEffect, "steady_T", _Room),
+    (stages.MotionEffect, "apply", _Motion),
+    (stages.RecordEffect, "rows_late", _Record),
 )
 
 

@@ -6,15 +6,10 @@ from jaxtyping import Float
 
 from estimator.tensors import Tensor, torch
 
-SUSCEPTIBILITY = 20.0  # at a strength of 0.5; about where the shape of a short rod begins to limit it
+SUSCEPTIBILITY = 20.0  # at a strength of 0.5, about where the shape of a short rod begins to limit it
 MOST_STEPS = 20  # of Newton's method, which takes 3 to 6
 SETTLED_T = 1e-12
 LEAST_LEFT = 0.02  # of the way to saturation, for steps that overshoot
-
-
-def susceptibility(strength: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """Initial susceptibility of iron: 0 at a strength of 0, 20 at 0.5, 500 at 0.96, without limit at 1."""
-    return SUSCEPTIBILITY * strength / (1.0 - strength)
 
 
 def polarisation_T(
@@ -30,7 +25,7 @@ def polarisation_T(
     Args:
         applied_T: mu0 H of what does not belong to the iron.
         demagnetisation: Field of the patterns on each other, against them.
-        strength: Of the iron, as in `susceptibility`.
+        strength: Of the iron: s / (1 - s) times `SUSCEPTIBILITY` is its initial susceptibility.
         limit_per_T: One over the polarisation that it cannot exceed; 0 where it does not saturate.
     """
     known = [value.detach() for value in (applied_T, demagnetisation, strength, limit_per_T)]

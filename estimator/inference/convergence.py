@@ -17,13 +17,11 @@ class Convergence:
     Attributes:
         ess_bulk, ess_tail: Effective sample sizes of the bulk and of the 5 % tails, over all walkers.
         rhat: Rank-normalised split R-hat over walkers.
-        autocorrelation_steps: Integrated autocorrelation time, n_samples / ess_bulk.
     """
 
     ess_bulk: np.ndarray
     ess_tail: np.ndarray
     rhat: np.ndarray
-    n_samples: int
 
     @property
     def smallest_ess(self) -> float:
@@ -49,7 +47,7 @@ def convergence(chain: np.ndarray) -> Convergence:
     """
     from arviz_stats.base.array import array_stats  # half a second, spent only by commands that sample
 
-    steps, walkers, n = chain.shape
+    steps, _, n = chain.shape
     values = np.full((3, n), np.nan)
     has_moved = np.ptp(chain, axis=(0, 1)) > 0.0
     if steps >= FEWEST_STEPS and has_moved.any():
@@ -60,4 +58,4 @@ def convergence(chain: np.ndarray) -> Convergence:
             values[0, has_moved] = array_stats.ess(moved, **axes, method="bulk")
             values[1, has_moved] = array_stats.ess(moved, **axes, method="tail", prob=TAILS)
             values[2, has_moved] = array_stats.rhat(moved, **axes, method="rank")
-    return Convergence(values[0], values[1], values[2], steps * walkers)
+    return Convergence(*values)

@@ -82,11 +82,6 @@ class Directions:
             tuple(path for path in paths if path),
         )
 
-    @property
-    def is_compressed(self) -> bool:
-        """Whether some coordinates share a direction."""
-        return len(self.each) < len(self.of_coordinate)
-
     def jacobian(
         self, along: Float[Tensor, "*batch component direction"], sensor: Int[Tensor, " component"]
     ) -> Float[Tensor, "*batch component asked"]:

@@ -26,20 +26,15 @@ class Coefficients:
     shrink: float
 
     @staticmethod
-    def for_dimension(n_parameters: int, adaptive: bool = True) -> Coefficients:
-        """The classic values, or those that keep the simplex from collapsing in many dimensions.
+    def for_dimension(n_parameters: int) -> Coefficients:
+        """Moves that grow gentler with the dimension, which keeps the simplex from collapsing; up to 2 the classic values.
 
-        Args:
-            n_parameters: Dimension of the search. Both choices agree up to 2: the adaptive rule starts there,
-                and at 1 it would shrink the simplex to a point.
-            adaptive: Whether the moves grow gentler with the dimension.
-        Returns: The three coefficients.
         References: Gao and Han, Comput. Optim. Appl. 51 (2012) 259-277, eq 4.1.
         Examples:
             >>> Coefficients.for_dimension(10)
             Coefficients(expansion=1.2, contraction=0.7, shrink=0.9)
         """
-        n = max(n_parameters, 2) if adaptive else 2
+        n = max(n_parameters, 2)  # at 1 the rule would shrink the simplex to a point
         return Coefficients(expansion=1 + 2 / n, contraction=0.75 - 1 / (2 * n), shrink=1 - 1 / n)
 
 
@@ -51,7 +46,6 @@ class SimplexState:
     values: Float[Tensor, "start vertex"]
     is_active: Bool[Tensor, " start"]
     n_evaluations: Int[Tensor, " start"]
-    n_iterations: Int[Tensor, " start"]
 
 
 @dataclass(frozen=True)
@@ -62,7 +56,6 @@ class NelderMeadResult:
     values: Float[Tensor, " start"]
     is_converged: Bool[Tensor, " start"]
     n_evaluations: Int[Tensor, " start"]
-    n_iterations: Int[Tensor, " start"]
 
 
 def initial_simplex(
@@ -93,7 +86,7 @@ def evaluated(objective: Objective, vertices: Float[Tensor, "start vertex parame
     values = _evaluate(objective, vertices)
     starts = torch.arange(len(vertices), device=vertices.device)
     zeros = torch.zeros_like(starts)
-    state = SimplexState(vertices, values, is_active=zeros == 0, n_evaluations=zeros, n_iterations=zeros)
+    state = SimplexState(vertices, values, is_active=zeros == 0, n_evaluations=zeros)
     return _replaced(state, starts, vertices, values, n_evaluated=zeros + vertices.shape[1])
 
 
@@ -139,7 +132,6 @@ def step(state: SimplexState, objective: Objective, coefficients: Coefficients) 
     x[shrinks, 1:] = x[shrinks, :1] + coefficients.shrink * (x[shrinks, 1:] - x[shrinks, :1])
     f[shrinks, 1:] = _evaluate(objective, x[shrinks, 1:])
 
-    state = replace(state, n_iterations=state.n_iterations + state.is_active.long())
     n_evaluated = 1 + needs_second.long() + n_parameters * shrinks.long()
     return _replaced(state, active, x, f, n_evaluated)
 
@@ -152,16 +144,14 @@ def minimise(
     x_tolerance: float | Float[Tensor, " parameter"],
     f_tolerance: float,
     max_iterations: int,
-    adaptive: bool = True,
     n_restarts: int = 0,
-    restart_scale: Float[Tensor, " parameter"] | None = None,
     on_step: Callable[[SimplexState], None] | None = None,
 ) -> NelderMeadResult:
     """Minimise the objective from every starting simplex.
 
     A start has converged when no vertex is farther from the best one than `x_tolerance`, and none is worse by
     more than `f_tolerance`. A simplex that collapsed far from a minimum satisfies this too. A fresh simplex around
-    the best point therefore tries again, as long as that improves the value by more than `f_tolerance`.
+    the best point, as large as the largest first one, therefore tries again, as long as that improves the value by more than `f_tolerance`.
 
     Args:
         objective: Function to minimise, over rows; +inf forbids a point, and NaN counts as +inf.
@@ -169,9 +159,7 @@ def minimise(
         x_tolerance: Absolute, in the unit of each parameter.
         f_tolerance: Absolute, in the unit of the objective.
         max_iterations: Largest number of iterations of a simplex; every restart has as many again.
-        adaptive: See `Coefficients.for_dimension`.
         n_restarts: Largest number of restarts of a start.
-        restart_scale: Steps of the fresh simplex; by default the extent of the starting simplexes.
         on_step: Called with the state after every iteration.
     Returns: The best point of every start.
     Examples:
@@ -183,9 +171,8 @@ def minimise(
         >>> result.points.round(decimals=4)
         tensor([[3., 3.]], dtype=torch.float64)
     """
-    coefficients = Coefficients.for_dimension(vertices.shape[-1], adaptive)
-    if restart_scale is None:
-        restart_scale = (vertices - vertices[:, :1]).abs().amax(dim=(0, 1))
+    coefficients = Coefficients.for_dimension(vertices.shape[-1])
+    extent = (vertices - vertices[:, :1]).abs().amax(dim=(0, 1))
 
     def is_converged(state: SimplexState) -> Tensor:
         x, f = state.vertices, state.values
@@ -209,20 +196,20 @@ def minimise(
         restarts = is_converged(state) & (previous_best - best > f_tolerance)
         if not restarts.any():
             break
-        state = run(_restarted(state, restarts, objective, restart_scale))
+        state = run(_restarted(state, restarts, objective, extent))
         previous_best = best
 
     points, values = state.vertices[:, 0], state.values[:, 0]
-    return NelderMeadResult(points, values, is_converged(state), state.n_evaluations, state.n_iterations)
+    return NelderMeadResult(points, values, is_converged(state), state.n_evaluations)
 
 
-def _restarted(state: SimplexState, restarts: Tensor, objective: Objective, scale: Tensor) -> SimplexState:
+def _restarted(state: SimplexState, restarts: Tensor, objective: Objective, extent: Tensor) -> SimplexState:
     """Fresh simplexes around the best points, whose values are known; only those starts are active."""
     index = restarts.nonzero().squeeze(-1)
-    x, f = initial_simplex(state.vertices[index, 0], scale), state.values[index]
+    x, f = initial_simplex(state.vertices[index, 0], extent), state.values[index]
     f[:, 1:] = _evaluate(objective, x[:, 1:])
     state = replace(state, is_active=restarts)
-    return _replaced(state, index, x, f, n_evaluated=torch.full_like(index, len(scale)))
+    return _replaced(state, index, x, f, n_evaluated=torch.full_like(index, len(extent)))
 
 
 def _replaced(state: SimplexState, at: Tensor, x: Tensor, f: Tensor, n_evaluated: Tensor) -> SimplexState:

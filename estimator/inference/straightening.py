@@ -21,7 +21,6 @@ from estimator.inference.bend import LARGEST_CURVATURE, Bend
 ITERATIONS, HALVINGS, LEAST_GAIN = 10, 4, 0.02
 LEAST_NOISE = 1e-3  # variance of log densities that no map of this kind explains
 FARTHEST = 100.0  # whitened units: what a bend threw farther has squares beyond the range of numbers, and tells nothing of the middle
-MOST_WHOLE = 20
 # Terms of more coordinates: as many are added at once, this often, for so many effective points each, where they are so clear.
 ADDED, TIMES, POINTS_PER_TERM, CLEAR_SD = 100, 3, 4.0, 2.0
 

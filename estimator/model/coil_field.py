@@ -18,15 +18,7 @@ from estimator.field.harmonics import exterior_field, interior_field
 from estimator.field.node_sum import SumMode
 from estimator.field.winding_shape import Rule
 from estimator.model.bodies import winding_of
-from estimator.rig.bodies import (
-    AnyCoil,
-    EquivalentSourceCoil,
-    FieldSum,
-    HarmonicCoil,
-    Region,
-    UnwoundCoil,
-    WoundCoil,
-)
+from estimator.rig import bodies
 from estimator.rig.coordinates import Values
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
@@ -75,7 +67,7 @@ class CoilField(ABC):
 class FieldOfWinding(CoilField):
     """Field of a winding of any shape, with its leads."""
 
-    coil: WoundCoil
+    coil: bodies.WoundCoil
     shape: AnyWinding
 
     @property
@@ -86,7 +78,7 @@ class FieldOfWinding(CoilField):
     @property
     def has_zones(self) -> bool:
         """Whether loops add as vectors."""
-        return self.coil.field_sum is FieldSum.VECTORS
+        return self.coil.field_sum is bodies.FieldSum.VECTORS
 
     def by(self, rule: Rule | None, mode: SumMode = SumMode.PLAIN) -> Callable[[Tensor], Tensor]:
         """Field by the sum that the rig file selects; the loops that stand for the winding are found once."""
@@ -109,7 +101,7 @@ class FieldOfHarmonics(CoilField):
     References: Jackson, Classical Electrodynamics, 3rd ed., sections 3.3 and 4.1.
     """
 
-    coil: HarmonicCoil
+    coil: bodies.HarmonicCoil
     amplitudes: Float[Tensor, "*#batch amplitude"]
     radius_m: Float[Tensor, "*#batch"]
 
@@ -117,13 +109,13 @@ class FieldOfHarmonics(CoilField):
         """Field of sources outside the ball, or inside it."""
         sizes = [len(own) for own in self.coil.amplitudes.values()]
         by_degree = dict(zip(self.coil.amplitudes, self.amplitudes.split(sizes, dim=-1), strict=True))
-        field = interior_field if self.coil.region is Region.INTERIOR else exterior_field
+        field = interior_field if self.coil.region is bodies.Region.INTERIOR else exterior_field
         return lambda points_coil_m: field(points_coil_m / self.radius_m[..., None, None], by_degree)
 
     def has_none(self, points_coil_m: Points) -> Forbidden:
         """Among the sources of an exterior field."""
         distance_m: Tensor = points_coil_m.norm(dim=-1)
-        if self.coil.region is Region.INTERIOR:
+        if self.coil.region is bodies.Region.INTERIOR:
             return torch.zeros_like(distance_m, dtype=torch.bool)
         return distance_m <= self.radius_m[..., None]
 
@@ -132,7 +124,7 @@ class FieldOfHarmonics(CoilField):
         where = f"of {self.coil.name}, {float(self.radius_m) * 1e3:.6g} mm"
         outside = f"outside the reference_radius {where}, which holds all its sources"
         rules = [(outside, self.has_none(points_coil_m))]
-        if self.coil.region is Region.INTERIOR:
+        if self.coil.region is bodies.Region.INTERIOR:
             is_far = points_coil_m.norm(dim=-1) > MOST_RADII * self.radius_m
             rules.append((f"within {MOST_RADII:g} times the reference_radius {where}", is_far))
         return rules
@@ -142,7 +134,7 @@ class FieldOfHarmonics(CoilField):
 class FieldOfCharges(CoilField):
     """Charges on a box and multipoles beside it, linear in their amplitudes."""
 
-    coil: EquivalentSourceCoil
+    coil: bodies.EquivalentSourceCoil
     amplitudes: Float[Tensor, "*batch amplitude"]
 
     def by(self, rule: Rule | None, mode: SumMode = SumMode.PLAIN) -> Callable[[Tensor], Tensor]:
@@ -187,18 +179,18 @@ class FieldOfCharges(CoilField):
         return is_near
 
 
-def coil_field(rig: Rig, coil: AnyCoil, values: Values) -> CoilField:
+def coil_field(rig: Rig, coil: bodies.AnyCoil, values: Values) -> CoilField:
     """The field of a coil at these values of the rig's numbers, with what its effects make of a winding."""
-    if isinstance(coil, UnwoundCoil):
+    if isinstance(coil, bodies.UnwoundCoil):
         return unwound_field(coil, values)
     return FieldOfWinding(coil, winding_of(rig, coil, values))
 
 
-def unwound_field(coil: UnwoundCoil, values: Values) -> CoilField:
+def unwound_field(coil: bodies.UnwoundCoil, values: Values) -> CoilField:
     """The field of a coil whose winding is not known."""
     names = [name for names in coil.amplitudes.values() for name in names]
     each = torch.stack(torch.broadcast_tensors(*(values[name] for name in names)), dim=-1)
-    if isinstance(coil, EquivalentSourceCoil):
+    if isinstance(coil, bodies.EquivalentSourceCoil):
         return FieldOfCharges(coil, each)
     return FieldOfHarmonics(coil, each, values[f"{coil.name}.reference_radius_m"])
 

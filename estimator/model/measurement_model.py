@@ -13,16 +13,9 @@ from functools import cached_property
 
 from jaxtyping import Float, Int
 
+from estimator.effects import stages
 from estimator.effects.base import Effect
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import (
-    CurrentEffect,
-    MotionEffect,
-    MountEffect,
-    ReadingEffect,
-    RecordEffect,
-    SourceEffect,
-)
 from estimator.effects.use import as_meant, uses_of
 from estimator.field.grid_map import GridMap
 from estimator.field.node_sum import SumMode
@@ -85,11 +78,11 @@ class MeasurementModel:
         widths = [values.shape[1] for values in columns.values()]
         parts = distinct[:, 1 + 6 * len(rig.movers) :].split(widths, dim=1) if widths else ()
         columns = dict(zip(columns, parts, strict=True))
-        always = {use.place for use in uses_of(rig, CurrentEffect)}  # a coil that is off may leak
-        always |= {use.place for use in uses_of(rig, SourceEffect) if use.effect.is_permanent}
+        always = {use.place for use in uses_of(rig, stages.CurrentEffect)}  # a coil that is off may leak
+        always |= {use.place for use in uses_of(rig, stages.SourceEffect) if use.effect.is_permanent}
         has_current = observations.current_A != 0.0
-        exchanges = [use.effect.exchanges_coils for use in uses_of(rig, RecordEffect)]
-        exchanges += [use.effect.exchanges_coils for use in uses_of(rig, CurrentEffect)]
+        exchanges = [use.effect.exchanges_coils for use in uses_of(rig, stages.RecordEffect)]
+        exchanges += [use.effect.exchanges_coils for use in uses_of(rig, stages.CurrentEffect)]
         if any(exchanges):
             has_current = has_current.any(-1, keepdim=True).expand_as(has_current)
         powered = {
@@ -102,12 +95,12 @@ class MeasurementModel:
     def with_effects_of(self, rig: Rig) -> MeasurementModel:
         """The model of the same readings, with the same rules, for a rig that has further effects and is the same otherwise."""
         more = set(rig.acting) - set(self.rig.acting)
-        kinds = (MotionEffect, MountEffect, RecordEffect, CurrentEffect)
+        kinds = (stages.MotionEffect, stages.MountEffect, stages.RecordEffect, stages.CurrentEffect)
         changed = any(
             use.cause in more
             and (
                 isinstance(use.effect, kinds)
-                or (isinstance(use.effect, SourceEffect) and use.effect.is_permanent)
+                or (isinstance(use.effect, stages.SourceEffect) and use.effect.is_permanent)
             )
             for use in uses_of(rig, Effect)
         )
@@ -215,10 +208,10 @@ class MeasurementModel:
     ) -> Float[Tensor, "*batch reading 3"]:
         """What is read of the field at the sensors, given by `at_sensor_T`."""
         field_T = self._gain(values)[..., None] * at_sensor_T
-        for use in uses_of(self.rig, ReadingEffect):
+        for use in uses_of(self.rig, stages.ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)
             field_T = use.where_concerned(self.circumstances, changed, field_T)
-        for record in uses_of(self.rig, RecordEffect):
+        for record in uses_of(self.rig, stages.RecordEffect):
             field_T = record.effect.recorded_T(field_T, record.theta(values))
         return field_T
 

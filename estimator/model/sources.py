@@ -13,19 +13,9 @@ from typing import cast
 
 from jaxtyping import Float, Int
 
+from estimator.effects import stages
 from estimator.effects.base import Kind, Theta
 from estimator.effects.circumstances import Circumstances
-from estimator.effects.stages import (
-    AddedLoops,
-    CoreMagnetisation,
-    CurrentEffect,
-    PerAmpere,
-    RecordEffect,
-    RoomEffect,
-    SourceEffect,
-    WindingEffect,
-    WindingMagnetisation,
-)
 from estimator.effects.use import Use, uses_of
 from estimator.field.first_order import first_order_field
 from estimator.field.grid_map import GridMap
@@ -101,9 +91,9 @@ class Sources:
         """Currents that really flow, given those that were recorded."""
         gains = torch.broadcast_tensors(*(values[f"{coil.name}.current_gain"] for coil in self.rig.coils))
         current_A = torch.stack(gains, dim=-1)[..., None, :] * recorded_A
-        for record in uses_of(self.rig, RecordEffect):
+        for record in uses_of(self.rig, stages.RecordEffect):
             current_A = record.effect.commanded_A(current_A, record.theta(values))
-        for use in uses_of(self.rig, CurrentEffect):
+        for use in uses_of(self.rig, stages.CurrentEffect):
             theta, coil = use.theta(values), use.index(self.rig.coils)
             current_A = use.effect.apply(current_A, theta, self.circumstances, coil)
         return current_A
@@ -120,7 +110,7 @@ class Sources:
         """
         n_readings = self.n_rows if self.pose_row is None else len(self.pose_row)
         total = delivered_A.new_zeros(n_readings, 3)
-        for room in uses_of(self.rig, RoomEffect):
+        for room in uses_of(self.rig, stages.RoomEffect):
             theta = room.theta(values)
             steady_T = room.effect.steady_T(world_from_point.translation_m, theta)
             if steady_T is not None:
@@ -128,9 +118,9 @@ class Sources:
             drifting_T = room.effect.drifting_T(theta, self.circumstances)
             if drifting_T is not None:
                 total = total + self._unrotated(world_from_point, drifting_T)
-        for magnetised in uses_of(self.rig, WindingMagnetisation):
+        for magnetised in uses_of(self.rig, stages.WindingMagnetisation):
             total = total + self._magnetised(magnetised, values, world_from_point, delivered_A)
-        if uses_of(self.rig, CoreMagnetisation):
+        if uses_of(self.rig, stages.CoreMagnetisation):
             total = total + self._cores(values, world_from_point, delivered_A)
         for i, coil in enumerate(self.rig.coils):
             rows = self.powered[coil.name]
@@ -173,9 +163,9 @@ class Sources:
             own = self.maps[coil.name].field
         field = self._zoned(about, points_m, coil.name) if coil.name in self.zones else own(points_m)
         driven = []
-        for use in uses_of(self.rig, SourceEffect, coil.name):
+        for use in uses_of(self.rig, stages.SourceEffect, coil.name):
             theta, winding = use.theta(values), cast(Winding, about.winding)  # of any shape for a correction
-            if isinstance(use.effect, AddedLoops):
+            if isinstance(use.effect, stages.AddedLoops):
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta, self.mode)
             elif use.effect.is_correction:  # polynomials, whose second derivatives cost little
                 more = use.effect.apply(points_m, winding, self.rules[coil.name], theta)
@@ -190,7 +180,7 @@ class Sources:
         per_ampere = CoilInRoom(world_from_coil, own)
         # Either may stand still.
         points_m, _ = torch.broadcast_tensors(world_from_point.translation_m, points_m)
-        for answering in uses_of(self.rig, RoomEffect):
+        for answering in uses_of(self.rig, stages.RoomEffect):
             if answering.effect.kind is Kind.COIL and answering.place != coil.name:
                 continue
             answer = answering.effect.response(per_ampere, points_m, answering.theta(values))
@@ -200,7 +190,7 @@ class Sources:
 
     def _magnetised(
         self,
-        use: Use[WindingMagnetisation],
+        use: Use[stages.WindingMagnetisation],
         values: Values,
         world_from_point: Transform,
         delivered_A: Float[Tensor, "*#batch #reading coil"],
@@ -288,7 +278,7 @@ class Sources:
         rule = self.rules[coil]
         if not self._is_first_order:
             return field(points_coil_m, winding, rule, theta)
-        is_fixed = not uses_of(self.rig, WindingEffect, coil) and not any(
+        is_fixed = not uses_of(self.rig, stages.WindingEffect, coil) and not any(
             self.rig.depends_on_data(f"{coil}.{key}") for key in WINDING_KEYS
         )
         geometry = [] if is_fixed else [getattr(winding, item.name) for item in fields(Winding)]
@@ -302,7 +292,7 @@ class Sources:
 
 
 @dataclass(frozen=True)
-class CoilInRoom(PerAmpere):
+class CoilInRoom(stages.PerAmpere):
     """One coil as seen from the room, at every distinct pose.
 
     Attributes:

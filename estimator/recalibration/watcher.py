@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from estimator.calibration.calibrate import Stage
 from estimator.diagnosis.progress import OnProgress, unwatched
-
-
-def _ignored(_: object) -> None:
-    pass
 
 
 @dataclass(frozen=True)
@@ -23,9 +19,9 @@ class Watcher:
         on_sampling: With each stage of sampling a new version.
     """
 
-    on_words: Callable[[str], None] = field(default_factory=lambda: _ignored)
-    on_progress: OnProgress = field(default_factory=lambda: unwatched)
-    on_sampling: Callable[[Stage], None] = field(default_factory=lambda: _ignored)
+    on_words: Callable[[str], None] = lambda _: None
+    on_progress: OnProgress = unwatched
+    on_sampling: Callable[[Stage], None] = lambda _: None
 
 
 UNWATCHED = Watcher()

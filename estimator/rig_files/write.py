@@ -9,22 +9,8 @@ from collections.abc import Mapping
 from dataclasses import astuple
 from typing import Any
 
+from estimator.rig import bodies
 from estimator.rig.arms import ArmEnds, DenavitHartenberg
-from estimator.rig.bodies import (
-    POSE_QUANTITIES,
-    AnyCoil,
-    DisplacementFrame,
-    EquivalentSourceCoil,
-    FieldSum,
-    Leads,
-    MotionKind,
-    Mover,
-    Path,
-    Sensor,
-    SidedCoil,
-    UnwoundCoil,
-    WoundCoil,
-)
 from estimator.rig.parameters import Parameter, Tie
 from estimator.rig.rig import Rig
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
@@ -98,14 +84,14 @@ def _own_table(table: DenavitHartenberg, ends: ArmEnds | None) -> Line:
     return line
 
 
-def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+def _mover(mover: bodies.Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     entry: dict[str, Any] = {"motion": str(mover.motion)}
     key = key_of_table(mover.motion)
     if key is not None and mover.own_table is not None:
         entry[key] = _own_table(mover.own_table, mover.own_ends)
-    if mover.motion is not MotionKind.DISPLACEMENT:
+    if mover.motion is not bodies.MotionKind.DISPLACEMENT:
         return entry | _pose_block(f"{mover.name}.world_from_base", parameters)
-    if mover.displacement_frame is DisplacementFrame.BASE:
+    if mover.displacement_frame is bodies.DisplacementFrame.BASE:
         entry["displacement_frame"] = str(mover.displacement_frame)
         entry["base_from_flange0"] = rotation = Line()
         for axis, angle_rad in zip(("rx", "ry", "rz"), mover.reference_rotation_rad, strict=True):
@@ -113,8 +99,8 @@ def _mover(mover: Mover, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return entry
 
 
-def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
-    if isinstance(coil, UnwoundCoil):
+def _coil(coil: bodies.AnyCoil, rig: Rig) -> dict[str, Any]:
+    if isinstance(coil, bodies.UnwoundCoil):
         return _unwound_coil(coil, rig)
     entry = _body(coil.carried_by) | _shape(coil, rig.parameters)
     if f"{coil.name}.wire_radius_m" in rig.parameters:
@@ -128,14 +114,14 @@ def _coil(coil: AnyCoil, rig: Rig) -> dict[str, Any]:
         entry |= number_of(f"{coil.name}.{count}", None, rig.parameters)
     entry |= _gain(f"{coil.name}.current_gain", rig.parameters) | _poses(coil, "coil", rig)
     entry |= _leads(coil.leads)
-    if isinstance(coil, SidedCoil):
+    if isinstance(coil, bodies.SidedCoil):
         return entry
-    if coil.field_sum is not FieldSum.VECTORS:
+    if coil.field_sum is not bodies.FieldSum.VECTORS:
         entry["field_sum"] = str(coil.field_sum)
     return entry | ({"superconducting": True} if coil.is_superconducting else {})
 
 
-def _leads(leads: Leads | None) -> dict[str, Any]:
+def _leads(leads: bodies.Leads | None) -> dict[str, Any]:
     """Paths of the current, each in one unit."""
     entry: dict[str, Any] = {}
     for lead, path in zip(LEADS, () if leads is None else (leads.towards, leads.away), strict=False):
@@ -143,7 +129,7 @@ def _leads(leads: Leads | None) -> dict[str, Any]:
     return entry
 
 
-def _points(quantity: str, points: Path) -> dict[str, Any]:
+def _points(quantity: str, points: bodies.Path) -> dict[str, Any]:
     """A list of points in one unit; nothing where there are none."""
     unit = best_unit("length", [number for point in points for number in point])
     if not points:
@@ -151,19 +137,19 @@ def _points(quantity: str, points: Path) -> dict[str, Any]:
     return {f"{quantity}_{unit}": [[in_unit(number, UNITS[unit].to_si) for number in p] for p in points]}
 
 
-def _shape(coil: WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
+def _shape(coil: bodies.WoundCoil, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     """What a coil's loops are."""
     entry: dict[str, Any] = {}
-    if isinstance(coil, SidedCoil):
+    if isinstance(coil, bodies.SidedCoil):
         entry["model"] = RACETRACK if coil.is_rounded else RECTANGULAR
     for quantity in outline_of(coil):
         entry |= number_of(f"{coil.name}.{quantity}_m", "length", parameters)
     return entry
 
 
-def _unwound_coil(coil: UnwoundCoil, rig: Rig) -> dict[str, Any]:
+def _unwound_coil(coil: bodies.UnwoundCoil, rig: Rig) -> dict[str, Any]:
     entry = _body(coil.carried_by)
-    if isinstance(coil, EquivalentSourceCoil):
+    if isinstance(coil, bodies.EquivalentSourceCoil):
         entry["model"] = EQUIVALENT_SOURCES
         for quantity, length_m in zip(OF_THE_BOX, (*coil.half_m, coil.margin_m, coil.spacing_m), strict=True):
             entry |= exact_number(quantity, "length", length_m)
@@ -176,7 +162,7 @@ def _unwound_coil(coil: UnwoundCoil, rig: Rig) -> dict[str, Any]:
     return entry | _gain(f"{coil.name}.current_gain", rig.parameters) | _poses(coil, "coil", rig)
 
 
-def _sensor(sensor: Sensor, rig: Rig) -> dict[str, Any]:
+def _sensor(sensor: bodies.Sensor, rig: Rig) -> dict[str, Any]:
     entry = _body(sensor.carried_by) | number_of(f"{sensor.name}.noise_T", "field", rig.parameters)
     return entry | _gain(f"{sensor.name}.gain", rig.parameters) | _poses(sensor, "sensor", rig)
 
@@ -190,7 +176,7 @@ def _gain(name: str, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     return {} if is_one else number_of(name, None, parameters)
 
 
-def _poses(body: AnyCoil | Sensor, kind: str, rig: Rig) -> dict[str, Any]:
+def _poses(body: bodies.AnyCoil | bodies.Sensor, kind: str, rig: Rig) -> dict[str, Any]:
     blocks = (f"world_from_{kind}", f"world_from_{kind}0", f"flange_from_{kind}")
     entries = (_pose_block(f"{body.name}.{block}", rig.parameters) for block in blocks)
     return {block: numbers for entry in entries for block, numbers in entry.items()}
@@ -199,7 +185,7 @@ def _poses(body: AnyCoil | Sensor, kind: str, rig: Rig) -> dict[str, Any]:
 def _pose_block(prefix: str, parameters: Mapping[str, Parameter]) -> dict[str, Any]:
     """A pose without its zeros; nothing where all numbers are zero, or where the body has no such pose."""
     numbers: dict[str, Any] = {}
-    for quantity, dimension in POSE_QUANTITIES:
+    for quantity, dimension in bodies.POSE_QUANTITIES:
         unit = SI_SYMBOL[dimension]
         name = f"{prefix}.{quantity}_{unit}"
         if name in parameters and not is_same(parameters[name], Parameter(name, unit, 0.0)):

@@ -34,6 +34,7 @@ from drivers.transport.pumped import PumpedPort
 from drivers.transport.serial_port import SerialPort, SerialSettings
 from drivers.transport.tcp import TcpPort
 from tests.drivers.fields import along_z
+from tests.drivers.tcp_line import on_tcp
 from tests.drivers.transport.fake_usb import FakeInstrument
 
 KEPCO_SERIAL = SerialSettings(9600)
@@ -181,7 +182,7 @@ def started(world):
     simulators = []
 
     def start(kind):
-        make = Simulator.on_serial_line if kind.line == "serial" else Simulator.on_tcp
+        make = Simulator.on_serial_line if kind.line == "serial" else on_tcp
         simulator = make(kind.instrument(world))
         simulators.append(simulator)
         device = kind.driver(simulator.address)

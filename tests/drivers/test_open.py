@@ -27,6 +27,7 @@ from drivers.simulated.ur_server import serve_ur
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.fields import along_z
 from tests.drivers.rig import free_host
+from tests.drivers.tcp_line import on_tcp
 
 SUPPLY = {
     "supply": "kepco_bop",
@@ -56,7 +57,7 @@ def world():
 def section(world):
     """Devices of a simulated rig."""
     with (
-        Simulator.on_tcp(partial(SimulatedF71, world, along_z)) as f71,
+        on_tcp(partial(SimulatedF71, world, along_z)) as f71,
         Simulator.on_serial_line(partial(simulated_kepco, world, 0, 5.0)) as kepco,
         Simulator(partial(serve_ur, world, 0, "5.11.1.108318", free_host())) as ur,
     ):

@@ -24,7 +24,6 @@ from estimator.rig_files.read import load_rig
 from estimator.service.settings import load_settings
 from estimator.store.importers import IMPORTERS
 from estimator.store.importers.forms.understand import understood
-from estimator.store.importers.readings_csv import read_readings_csv
 
 
 def pipe(path: Path) -> Path:
@@ -58,7 +57,6 @@ READERS: dict[str, Callable[[Path, Rig], object]] = {
     "settings": lambda path, _: load_settings(path, {}),
     "a field map": lambda path, _: read_map(path, 1.0),
     "factory corrections": lambda path, _: _links(path),
-    "readings": read_readings_csv,
     **{
         f"readings as {kind}": (lambda path, rig, kind=kind: IMPORTERS[kind]([path], rig, {}))
         for kind in ("axis_scan", "mice")

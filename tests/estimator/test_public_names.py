@@ -130,11 +130,12 @@ def test_a_package_of_another_distribution_is_not_run(tmp_path: Path, name: str)
 
 
 def test_type_checkers_see_the_names_that_are_loaded_when_used() -> None:
-    """The imports for type checkers, the names and where each is loaded from say the same."""
-    tree = ast.parse(Path(estimator.__file__).read_text(encoding="utf-8"))
-    (block,) = (node for node in tree.body if isinstance(node, ast.If))
-    imports = [node for node in block.body if isinstance(node, ast.ImportFrom)]
-    seen = {alias.name: node.module for node in imports for alias in node.names}
+    """The stub and where each name is loaded from say the same."""
+    tree = ast.parse(Path(estimator.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
+    imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
+    seen = {
+        alias.asname: node.module for node in imports for alias in node.names if alias.name == alias.asname
+    }
     assert seen == estimator._MODULES
     assert sorted(seen) == NAMES
 

@@ -15,24 +15,14 @@ from matplotlib.patches import Patch
 
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.reporting.numbers import Display, displays, plain
-from estimator.reporting.plots.style import (
-    BLUE,
-    GREEN,
-    GREY,
-    INSIDE_95,
-    ORANGE,
-    POSTERIOR,
-    VERMILLION,
-    figure,
-    styled,
-)
+from estimator.reporting.plots import style
 from estimator.units import split_quotient
 
 CONCLUSIONS = {
-    "unchanged": (GREEN, "o"),
-    "updated": (BLUE, "s"),
-    "drifted": (VERMILLION, "D"),
-    "rejected": (ORANGE, "X"),
+    "unchanged": (style.GREEN, "o"),
+    "updated": (style.BLUE, "s"),
+    "drifted": (style.VERMILLION, "D"),
+    "rejected": (style.ORANGE, "X"),
 }
 
 LABEL_WIDTH_PT = 4.6  # of a character of a label
@@ -67,7 +57,7 @@ class VersionInUse:
     intervals: Mapping[str, tuple[float, float, float]]
 
 
-@styled
+@style.styled
 def history(sessions: Sequence[SessionSummary], versions: Sequence[VersionInUse], title: str = "") -> Figure:
     """Conclusions on top; below, one panel per parameter with the versions as bands and the sessions as points.
 
@@ -81,7 +71,7 @@ def history(sessions: Sequence[SessionSummary], versions: Sequence[VersionInUse]
     of_versions = (name for version in versions for name in version.intervals)
     parameters = dict.fromkeys([*of_versions, *of_causes])
     names = sorted(parameters, key=lambda name: "[" not in name)  # what drifted stands on top
-    fig = figure(9.0, 2.0 + 1.15 * len(names), title)
+    fig = style.figure(9.0, 2.0 + 1.15 * len(names), title)
     strip, *panels = fig.subplots(
         len(names) + 1, 1, sharex=True, squeeze=False, height_ratios=[1.1, *[1.0] * len(names)]
     ).flat
@@ -120,9 +110,9 @@ def _conclusions(ax: Axes, sessions: Sequence[SessionSummary], versions: Sequenc
     lines = _lines(list(zip(middles, names, strict=True)), days_per_pt, len(VERSIONS_Y))
     for i, (begin, name, line) in enumerate(zip(begins, names, lines, strict=True)):
         if i:
-            ax.axvline(begin, color=POSTERIOR, lw=0.8, ls=":")
+            ax.axvline(begin, color=style.POSTERIOR, lw=0.8, ls=":")
         if line is not None:
-            ax.text(begin, VERSIONS_Y[line], name, fontsize=8, color=POSTERIOR)
+            ax.text(begin, VERSIONS_Y[line], name, fontsize=8, color=style.POSTERIOR)
     ax.set_ylim(-1.2, 1.2)
     ax.set_yticks([0.0], ["sessions"])
     ax.tick_params(axis="y", length=0, labelsize=8)
@@ -134,8 +124,8 @@ def _conclusions(ax: Axes, sessions: Sequence[SessionSummary], versions: Sequenc
         if conclusion in present
     ]
     handles += [
-        Line2D([], [], marker="o", ms=3, color=GREY, label="single session, 90 %"),
-        Patch(facecolor=INSIDE_95, edgecolor=POSTERIOR, label="version in use, 90 %"),  # type: ignore[list-item]
+        Line2D([], [], marker="o", ms=3, color=style.GREY, label="single session, 90 %"),
+        Patch(facecolor=style.INSIDE_95, edgecolor=style.POSTERIOR, label="version in use, 90 %"),  # type: ignore[list-item]
     ]
     ax.legend(handles=handles, ncols=len(handles), loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=8)
 
@@ -174,9 +164,9 @@ def _parameter(
         if name in version.intervals:
             lower, median, upper = (display.factor * value for value in version.intervals[name])
             span = [_number(version.begin), _number(version.end)]
-            ax.fill_between(span, lower, upper, color=INSIDE_95, lw=0)
-            ax.plot(span, [median, median], color=POSTERIOR, lw=1.2)
-            ax.axvline(span[0], color=POSTERIOR, lw=0.8, ls=":")
+            ax.fill_between(span, lower, upper, color=style.INSIDE_95, lw=0)
+            ax.plot(span, [median, median], color=style.POSTERIOR, lw=1.2)
+            ax.axvline(span[0], color=style.POSTERIOR, lw=0.8, ls=":")
     for session in sessions:
         if name not in session.estimate:
             continue
@@ -189,7 +179,7 @@ def _parameter(
             fmt="o",
             ms=3,
             color=colour,
-            ecolor=GREY,
+            ecolor=style.GREY,
             elinewidth=1.0,
         )
     ax.set_ylabel(display.label, fontsize=8, rotation=0, ha="right", va="center")

@@ -12,21 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from estimator.reporting.numbers import plain
-from estimator.reporting.plots.style import (
-    BLACK,
-    BLUE,
-    COMPONENT,
-    COMPONENT_MARKER,
-    GREY,
-    NOISE,
-    ORANGE,
-    PALE,
-    PURPLE,
-    axes,
-    figure,
-    sigma_unit,
-    styled,
-)
+from estimator.reporting.plots import style
 from estimator.reporting.roles import Role
 
 MOST_BARS = 10
@@ -37,18 +23,18 @@ BINS = 12
 
 
 COLOUR = {
-    Role.NAMED: BLUE,
-    Role.ALTERNATIVE: PALE,
-    Role.STAND_IN: PURPLE,
-    Role.OTHER: GREY,
-    Role.LEFT: ORANGE,
+    Role.NAMED: style.BLUE,
+    Role.ALTERNATIVE: style.PALE,
+    Role.STAND_IN: style.PURPLE,
+    Role.OTHER: style.GREY,
+    Role.LEFT: style.ORANGE,
 }
 HATCH = {Role.STAND_IN: "///"}
 ALWAYS_DRAWN = (Role.ALTERNATIVE, Role.LEFT)
 WORDS = {"nothing": "nothing wrong", "unexplained": "something unlisted"}
 
 
-@styled
+@style.styled
 def evidence_bars(
     evidence: Mapping[str, float],
     adopted: str | None = None,
@@ -74,7 +60,7 @@ def evidence_bars(
     names = [name for group in groups for name in group]
     begins = [0.5 * sum(map(bool, groups[: list(Role).index(role[name])])) for name in names]
     rows = [i + begin for i, begin in enumerate(begins)]
-    ax = axes(ax, 6.4, 1.2 + 0.26 * (rows[-1] + 1.0))
+    ax = style.axes(ax, 6.4, 1.2 + 0.26 * (rows[-1] + 1.0))
     best = max(evidence.values())
     least = -0.25 * max(best, 4.0)
     for row, name in zip(rows, names, strict=True):
@@ -84,8 +70,8 @@ def evidence_bars(
             text = f"{round(evidence[name], 1) + 0.0:.1f}" if evidence[name] >= least else f"< {least:.0f}"
             text = f" {text}".replace("-", "−") + ("  ← stated" if name == adopted else "")
             ax.annotate(text, (max(value, 0.0), row), va="center", ha="left", fontsize=8)
-    ax.axvline(0.0, color=BLACK, lw=0.8)
-    ax.axvspan(best - CLEAR, best, color=NOISE, zorder=0, lw=0, label="within 20 to 1 of the best")
+    ax.axvline(0.0, color=style.BLACK, lw=0.8)
+    ax.axvspan(best - CLEAR, best, color=style.NOISE, zorder=0, lw=0, label="within 20 to 1 of the best")
     ax.set_yticks(rows, [plain(WORDS.get(name, name)) for name in names])
     ax.invert_yaxis()
     ax.set_xlim(least, 1.35 * max(best, 4.0))
@@ -95,7 +81,7 @@ def evidence_bars(
     return ax
 
 
-@styled
+@style.styled
 def error_budget(
     shares: Mapping[str, tuple[float, tuple[float, float]]],
     roles: Sequence[Role],
@@ -110,10 +96,10 @@ def error_budget(
         ax: Axes to draw into; a new figure by default.
         title: Rig.
     """
-    ax = axes(ax, 6.4, 1.7 + 0.3 * len(shares))
+    ax = style.axes(ax, 6.4, 1.7 + 0.3 * len(shares))
     for row, ((value, (low, high)), role) in enumerate(zip(shares.values(), roles, strict=True)):
         _bar(ax, row, 100.0 * value, role)
-        ax.plot([100.0 * low, 100.0 * high], [row, row], color=BLACK, lw=1.0)
+        ax.plot([100.0 * low, 100.0 * high], [row, row], color=style.BLACK, lw=1.0)
         end = 100.0 * max(value, high, 0.0)
         ax.annotate(
             f"  {100.0 * value:.0f} %".replace("-", "−"), (end, row), va="center", ha="left", fontsize=8
@@ -122,7 +108,7 @@ def error_budget(
     ax.invert_yaxis()
     most = max(100.0, *(100.0 * high for _, (_, high) in shares.values()))
     ax.set_xlim(min(0.0, *(100.0 * low for _, (low, _) in shares.values())), 1.15 * most)
-    ax.axvline(0.0, color=BLACK, lw=0.6)
+    ax.axvline(0.0, color=style.BLACK, lw=0.6)
     ax.set_xlabel("share of the squared error beyond the noise, unseen readings (%)")
     ax.set_title(plain(title))
     _legend(ax, list(roles))
@@ -144,7 +130,7 @@ def _legend(ax: Axes, roles: Sequence[Role]) -> None:
     ax.figure.legend(handles=[*handles, *others], loc="outside lower center", ncols=2, fontsize=8)
 
 
-@styled
+@style.styled
 def explained_residual(
     residual_T: Float[np.ndarray, "reading 3"],
     explained_T: Float[np.ndarray, "reading 3"],
@@ -161,25 +147,25 @@ def explained_residual(
         ax: Axes to draw into; a new figure by default.
         title: Rig and causes.
     """
-    ax = axes(ax, 5.6, 4.4)
-    divisor, band, unit = sigma_unit(sigma_T)
+    ax = style.axes(ax, 5.6, 4.4)
+    divisor, band, unit = style.sigma_unit(sigma_T)
     across, up = explained_T / divisor, residual_T / divisor
     low, high = float(np.nanmin(across)), float(np.nanmax(across))
     line = np.array([low, high])
-    ax.fill_between(line, line - band, line + band, color=NOISE, lw=0, label="± 1 sigma of the noise")
-    ax.plot(line, line, color=BLACK, lw=0.9, label="fully explained")
-    ax.axhline(0.0, color=GREY, lw=0.8, ls=":", label="not explained")
-    for i, name in enumerate(COMPONENT):
+    ax.fill_between(line, line - band, line + band, color=style.NOISE, lw=0, label="± 1 sigma of the noise")
+    ax.plot(line, line, color=style.BLACK, lw=0.9, label="fully explained")
+    ax.axhline(0.0, color=style.GREY, lw=0.8, ls=":", label="not explained")
+    for i, name in enumerate(style.COMPONENT):
         if np.isfinite(up[:, i]).any():
             ax.plot(
                 across[:, i],
                 up[:, i],
                 ls="",
-                marker=COMPONENT_MARKER[name],
+                marker=style.COMPONENT_MARKER[name],
                 ms=3,
                 alpha=0.45,
                 mew=0,
-                color=COMPONENT[name],
+                color=style.COMPONENT[name],
                 label=f"B{name}",
             )
     centre, mean, error = _binned(across.ravel(), up.ravel())
@@ -187,7 +173,7 @@ def explained_residual(
         centre,
         mean,
         yerr=error,
-        color=BLACK,
+        color=style.BLACK,
         marker="D",
         ms=4,
         lw=0,
@@ -203,7 +189,7 @@ def explained_residual(
     return ax
 
 
-@styled
+@style.styled
 def structure_bars(
     names: Sequence[str],
     before: Sequence[float],
@@ -219,10 +205,13 @@ def structure_bars(
         title: Rig and date.
         floor: Smallest p-value that the test can tell; at it there is no length to draw, so an arrow says that it is smaller.
     """
-    fig = figure(6.8, 1.8 + 0.3 * len(names), title)
+    fig = style.figure(6.8, 1.8 + 0.3 * len(names), title)
     ax = fig.add_subplot()
     row = np.arange(len(names))
-    for shift, values, colour, label in ((-0.2, before, ORANGE, "before"), (0.2, after, BLUE, "after")):
+    for shift, values, colour, label in (
+        (-0.2, before, style.ORANGE, "before"),
+        (0.2, after, style.BLUE, "after"),
+    ):
         p_values = np.asarray(values, dtype=float)
         is_least = p_values <= floor * (1.0 + ROUNDING)
         ax.barh(
@@ -236,7 +225,9 @@ def structure_bars(
             told = f"{label}: p ≤ {floor:.1g}, the least that the test can tell"
             at = np.full(is_least.sum(), -np.log10(floor))
             ax.plot(at, (row + shift)[is_least], ">", color=colour, ms=7, label=told)
-    ax.axvspan(0.0, -np.log10(0.05), color=PALE, zorder=0, lw=0, label="consistent with noise (p > 0.05)")
+    ax.axvspan(
+        0.0, -np.log10(0.05), color=style.PALE, zorder=0, lw=0, label="consistent with noise (p > 0.05)"
+    )
     ax.set_yticks(row, [plain(name) for name in names])
     ax.invert_yaxis()
     ticks = np.arange(0, 5)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,7 +33,7 @@ from estimator.service.routes.rigs import rig_row_of
 from estimator.service.routes.sessions import CLOSED, SessionInfo
 from estimator.service.schema import SessionRow
 from estimator.store.files import sync
-from estimator.store.importers.forms.preview import previewed
+from estimator.store.importers.forms.preview import Preview, previewed
 from estimator.store.importers.forms.recipe import Recipe, named_columns, named_constants
 from estimator.store.importers.forms.sources import kind_of
 from estimator.store.importers.forms.understand import understood
@@ -73,25 +73,6 @@ class Form(BaseModel):
         )
 
 
-class ColumnPreview(BaseModel):
-    """A column of a table: what it is, `-` where it is left out, and its first rows, in SI where it is read."""
-
-    header: str
-    name: str
-    values: list[str]
-
-
-class TablePreview(BaseModel):
-    """What was understood of a table; `n_readings` is null where `fault` says why it cannot be read so."""
-
-    columns: list[ColumnPreview]
-    lines: Annotated[list[int], Field(description="Lines of the file that the first rows stand in.")]
-    remarks: list[str]
-    names: Annotated[list[str], Field(description="What a column may be.")]
-    n_readings: int | None
-    fault: str
-
-
 @router.post("/preview-csv", openapi_extra=documented_body("text/csv", "A table of readings."))
 def preview_csv(
     core: CoreOf,
@@ -99,13 +80,12 @@ def preview_csv(
     body: Csv,
     turn: Importing,  # noqa: ARG001
     form: Annotated[Form, Query()],
-) -> TablePreview:
+) -> Preview:
     """What would be understood of a table of readings, with its first rows; nothing is stored."""
     rig = rig_from_text(rig_row_of(core, rig_id).text, "rig")
     with _as_text(core, body) as path:
         preview = previewed(path, rig, form.recipe())
-        fault = preview.fault.replace(f"{path.parent}/", "")
-        return TablePreview.model_validate(asdict(preview) | {"fault": fault})
+        return replace(preview, fault=preview.fault.replace(f"{path.parent}/", ""))
 
 
 @contextmanager

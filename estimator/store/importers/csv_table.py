@@ -13,37 +13,68 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from estimator.errors import Faults, InvalidInput, cut
-from estimator.store.importers.csv_header import csv_header
-from estimator.store.importers.csv_lines import BadLine, Block, cells_of, csv_blocks
+from estimator.errors import CoilcalError, Faults, InvalidInput, cut
+from estimator.store.importers.csv_lines import BadLine, Block, csv_blocks, row_of
 from estimator.store.importers.places import MOST_PLACES, fault_at, left_out
 from estimator.store.importers.table import SKIP, Cells, Column, HeaderCell, Table, number_of
+from estimator.units import split_unit
 
 EXPORT = "no line has: where commas are decimal signs too, export it with semicolons between cells"
 
 
+def header_in(path: Path, known: Mapping[str, Column]) -> dict[str, HeaderCell] | None:
+    """The cell of each quantity in the first line of a file; None where that is not the header of a readings CSV.
+
+    Args:
+        path: The file.
+        known: Columns by quantity.
+    """
+    try:
+        first = next(csv_blocks(path), None)
+    except CoilcalError:
+        return None
+    row = row_of(first.texts[0], 1, ",") if first is not None and first.texts else []
+    return None if isinstance(row, BadLine) else _header_of(row, known)
+
+
+def _header_of(row: Sequence[str], known: Mapping[str, Column]) -> dict[str, HeaderCell] | None:
+    """The header; None if a column is unknown, doubled, without its unit, or missing."""
+    header: dict[str, HeaderCell] = {}
+    for index, cell in enumerate(row):
+        name = cell.strip()
+        quantity, unit = (name, None) if name in known else split_unit(name)
+        column, dimension = known.get(quantity), None if unit is None else unit.dimension
+        if column is None or column.dimension != dimension or quantity in header:
+            return None
+        header[quantity] = HeaderCell(index, name, 1.0 if unit is None else unit.to_si)
+    groups = {known[quantity].group for quantity in header}
+    missing = (column for quantity, column in known.items() if quantity not in header and column.is_required)
+    return None if any(column.group is None or column.group in groups for column in missing) else header
+
+
 def read_table(
-    path: Path, known: Mapping[str, Column], faults: Faults | None = None, skips_bad: bool = False
+    path: Path,
+    header: Mapping[str, HeaderCell],
+    known: Mapping[str, Column],
+    faults: Faults,
+    skips_bad: bool = False,
 ) -> Table:
-    """Read a table and check its header.
+    """Read a table below its header.
 
     Args:
         path: Comma-separated UTF-8 text, one row on each line.
+        header: Where each quantity stands, by the first line.
         known: Columns by quantity.
-        faults: What becomes of faults; without it the first is raised. Columns at fault are left out.
+        faults: What becomes of faults.
         skips_bad: Leave out lines that are no rows, and rows with a fault.
     Raises:
-        InvalidInput: The file cannot be read, a column is missing, unknown, doubled or without unit, a quote does not enclose a cell, a
-            row has another length than the header, or there is no row.
+        InvalidInput: The file cannot be read, a quote does not enclose a cell, a row has another length than the header, or there is no
+            row.
     """
-    faults = faults or Faults()
     blocks = csv_blocks(path)
-    first = next(blocks, Block(path, [], [], True))
-    first_line = next(iter(first.texts), "")
-    first_row = cells_of(first_line, path, 1) if first.texts else []
-    header = csv_header(first_row, known, path, faults)
-    rows = without_headers(chain([first.rest(1)], blocks), first_line)
-    return filled_table(path, header, known, rows, len(first_row), faults, skips_bad)
+    first = next(blocks)
+    rows = without_headers(chain([first.rest(1)], blocks), first.texts[0])
+    return filled_table(path, header, known, rows, len(header), faults, skips_bad)
 
 
 def without_headers(blocks: Iterable[Block], header: str) -> Iterator[Block]:

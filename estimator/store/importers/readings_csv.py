@@ -19,14 +19,14 @@ import numpy as np
 import numpy.typing as npt
 from jaxtyping import Float, Int
 
-from estimator.errors import InvalidInput, Place, listed, quoted
+from estimator.errors import Faults, InvalidInput, Place, listed, quoted
 from estimator.readings.clock import Clock, jumps_back, read_clock
 from estimator.readings.observations import Observations
 from estimator.readings.segments import NO_SEGMENT
 from estimator.rig.bodies import MotionKind, Mover
 from estimator.rig.rig import Rig
 from estimator.store.importers.common import moment
-from estimator.store.importers.csv_table import read_table
+from estimator.store.importers.csv_table import header_in, read_table
 from estimator.store.importers.places import MOST_PLACES, left_out
 from estimator.store.importers.table import Column, Table
 from estimator.store.session import Session
@@ -48,10 +48,19 @@ def read_readings_csv(path: Path, rig: Rig, clock: Clock = Clock.AS_WRITTEN) -> 
         rig: Determines the columns.
         clock: How times are read.
     Raises:
-        InvalidInput: A column is missing, unknown, doubled or without unit; a cell has another type than its column; or a sensor has two
-            readings at one time. The message names file, line and column.
+        InvalidInput: The file does not begin with the header of a readings CSV; a cell has another type than its column; or a sensor has
+            two readings at one time. The message names file, line and column.
     """
-    return session_of(read_table(path, columns_of(rig)), rig, clock).session
+    known = columns_of(rig)
+    header = header_in(path, known)
+    if header is None:
+        raise InvalidInput(f"{path} must begin with the header of a readings CSV of rig {rig.name!r}")
+    return session_of(read_table(path, header, known, Faults()), rig, clock).session
+
+
+def is_readings_csv(path: Path, rig: Rig) -> bool:
+    """Whether the first line of a file is the header of a readings CSV of the rig."""
+    return header_in(path, columns_of(rig)) is not None
 
 
 class ReadTable(NamedTuple):

@@ -21,18 +21,19 @@ from drivers.simulated.supplies import SimulatedKorad, simulated_kepco, simulate
 from drivers.simulated.thermometers import Simulated224
 from drivers.simulated.world import CoilCircuit, World
 from tests.drivers.fields import along_z
+from tests.drivers.tcp_line import on_tcp
 
 
 def test_a_simulator_ends_when_its_parent_is_killed():
     program = """
     from functools import partial
     from drivers.simulated.hall import SimulatedF71
-    from drivers.simulated.process import Simulator
     from drivers.simulated.world import CoilCircuit, World
     from tests.drivers.fields import along_z
+    from tests.drivers.tcp_line import on_tcp
     import time
     if __name__ == "__main__":
-        simulator = Simulator.on_tcp(partial(SimulatedF71, World([CoilCircuit(2.0, 0.0)]), along_z))
+        simulator = on_tcp(partial(SimulatedF71, World([CoilCircuit(2.0, 0.0)]), along_z))
         print(simulator.pid, flush=True)
         time.sleep(60)
     """
@@ -66,7 +67,7 @@ def test_lake_shores_own_driver_reads_the_simulated_f71(world):
     points = meter.get_buffered_data_points(0.2, 20)
     print(meter.model_number, meter.get_field_units(), len(points), points[-1].z, meter.get_dc_field_xyz()[3])
     """
-    with Simulator.on_tcp(partial(SimulatedF71, world, along_z)) as simulator:
+    with on_tcp(partial(SimulatedF71, world, along_z)) as simulator:
         output = said_by(client, simulator.address)
     assert output.split() == ["F71", "TESLA", "10", "0.00596", "0.00596"]
 
@@ -81,7 +82,7 @@ def test_lake_shores_own_driver_reads_the_simulated_224(world):
     print(round(monitor.get_kelvin_reading("A")), round(monitor.get_kelvin_reading("C1")), status.sensor_units_over_range)
     """
     world.drive(0, 100.0)
-    with Simulator.on_tcp(partial(Simulated224, world, {"A": 0, "C1": None})) as simulator:
+    with on_tcp(partial(Simulated224, world, {"A": 0, "C1": None})) as simulator:
         output = said_by(client, simulator.address)
     coil_K, room_K, is_open = output.split()
     assert float(coil_K) > 296.0

@@ -45,7 +45,7 @@ def test_what_may_change_readings_of_another_sensor_has_a_direction_of_its_own(p
     )
     directions = Directions.of(exchanged.model.rig, exchanged.coordinates)
     assert bool((directions.sensor == EVERY).all())
-    assert not directions.is_compressed
+    assert len(directions.each) == len(directions.of_coordinate)
 
 
 def test_derivatives_of_one_sensor_stay_in_the_order_of_the_coordinates() -> None:

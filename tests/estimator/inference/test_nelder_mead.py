@@ -76,10 +76,10 @@ class Recorder:
         return sum(len(call) for call in self.calls)
 
 
-def scipy_after(n_steps: int, function: Callable, simplex: np.ndarray, adaptive: bool) -> tuple:
+def scipy_after(n_steps: int, function: Callable, simplex: np.ndarray) -> tuple:
     options = {
         "initial_simplex": simplex,
-        "adaptive": adaptive,
+        "adaptive": True,
         "maxiter": n_steps + 1,  # SciPy counts from 1
         "maxfev": math.inf,
         "xatol": 0.0,
@@ -89,16 +89,15 @@ def scipy_after(n_steps: int, function: Callable, simplex: np.ndarray, adaptive:
     return *result.final_simplex, result.nfev
 
 
-@pytest.mark.parametrize("adaptive", [True, False])
 @pytest.mark.parametrize("n_parameters", [2, 4, 10])
 @pytest.mark.parametrize("function", [rosenbrock, ellipsoid, kinked, rugged])
-def test_each_of_sixty_steps_gives_the_simplex_of_scipy(function, n_parameters, adaptive):
+def test_each_of_sixty_steps_gives_the_simplex_of_scipy(function, n_parameters):
     vertices = random_simplexes(2, n_parameters)
     states: list[SimplexState] = []
-    options = {"max_iterations": 60, "adaptive": adaptive, "on_step": states.append}
+    options = {"max_iterations": 60, "on_step": states.append}
     minimise(function, vertices, x_tolerance=0.0, f_tolerance=0.0, **options)
     for n_steps, state in enumerate(states, start=1):
-        x, f, n_evaluations = scipy_after(n_steps, function, vertices[1].numpy(), adaptive)
+        x, f, n_evaluations = scipy_after(n_steps, function, vertices[1].numpy())
         assert np.allclose(state.vertices[1], x, rtol=1e-12, atol=1e-12 * np.abs(x).max())
         assert np.allclose(state.values[1], f, rtol=1e-12, atol=0)
         assert state.n_evaluations[1] == n_evaluations
@@ -148,10 +147,10 @@ def test_invariants_hold_at_every_step_of_every_start_and_restart(function):
 
 
 def test_batched_equals_looped():
-    vertices = random_simplexes(4, 3)
-    options = {"n_restarts": 2, "restart_scale": torch.full((3,), 0.1, dtype=torch.float64)}
-    together = tightly(rosenbrock, vertices, **options)
-    alone = [tightly(rosenbrock, vertices[i : i + 1], **options) for i in range(4)]
+    starts = random_simplexes(1, 3)[0].mul(64).round() / 64  # simplexes of one size, to the last digit
+    vertices = initial_simplex(starts, torch.full((3,), 0.5, dtype=torch.float64))
+    together = tightly(rosenbrock, vertices, n_restarts=2)
+    alone = [tightly(rosenbrock, vertices[i : i + 1], n_restarts=2) for i in range(4)]
     for field in fields(NelderMeadResult):
         looped = torch.cat([getattr(result, field.name) for result in alone])
         assert torch.equal(getattr(together, field.name), looped), field.name
@@ -198,16 +197,13 @@ def test_a_restart_that_improves_nothing_is_the_last():
 def test_a_start_out_of_iterations_is_reported_and_not_restarted():
     result = tightly(rosenbrock, random_simplexes(3, 3), max_iterations=4, n_restarts=5)
     assert not result.is_converged.any()
-    assert (result.n_iterations == 4).all()
 
 
 def test_a_start_out_of_iterations_stays_so_while_another_restarts():
-    vertices = torch.cat([simplex_at(1.0, 1.0, scale=1e-9), simplex_at(-1.0, 2.0, scale=0.5)])
-    options = {"n_restarts": 1, "restart_scale": torch.full((2,), 1e-3, dtype=torch.float64)}
-    result = tightly(rosenbrock, vertices, max_iterations=40, **options)
+    vertices = torch.cat([simplex_at(1.0, 1.0, scale=1e-9), simplex_at(-1.0, 2.0, scale=1e-3)])
+    result = tightly(rosenbrock, vertices, max_iterations=40, n_restarts=1)
     assert result.is_converged.tolist() == [True, False]
-    assert result.n_iterations[0] > 0
-    assert result.n_iterations[1] == 40
+    assert result.n_evaluations[0] > 2 * 3, "it moved after its restart"
 
 
 def test_convergence_holds_the_values_to_their_tolerance():

@@ -12,12 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from estimator.errors import CoilcalError, Faults, InvalidInput, Place
+from estimator.errors import Faults, InvalidInput, Place
 from estimator.readings.clock import Clock
 from estimator.rig.rig import Rig
-from estimator.store.importers.csv_header import csv_header
-from estimator.store.importers.csv_lines import BadLine, Block, csv_blocks, row_of
-from estimator.store.importers.csv_table import filled_table, read_table
+from estimator.store.importers.csv_lines import Block
+from estimator.store.importers.csv_table import filled_table, header_in, read_table
 from estimator.store.importers.forms.assigner import Assigned, Assigner
 from estimator.store.importers.forms.cells import is_number, plain_numbers
 from estimator.store.importers.forms.layout import SAMPLE_LINES, WORDS, Layout, layout_of
@@ -78,8 +77,9 @@ def understood(
     """
     recipe = recipe or Recipe()
     kind = kind_of(path)
-    if kind == "text" and recipe.is_plain and is_readings_csv(path, rig):
-        table = read_table(path, columns_of(rig), faults, recipe.skips_bad)
+    known = columns_of(rig)
+    if kind == "text" and recipe.is_plain and (header := header_in(path, known)) is not None:
+        table = read_table(path, header, known, faults or Faults(), recipe.skips_bad)
         if not _has_other_numbers(table):
             table, session = session_of(table, rig, recipe.clock)
             return Understood(session, table, None)
@@ -140,19 +140,6 @@ def _has_other_numbers(table: Table) -> bool:
         text for column in table.columns.values() for text in islice(column.refused.values(), SAMPLE_LINES)
     ]
     return any(is_number(text, decimal) for text in cells for decimal in DECIMALS.values())
-
-
-def is_readings_csv(path: Path, rig: Rig) -> bool:
-    """Whether the first line of a file is the header of a readings CSV of the rig."""
-    try:
-        first = next(csv_blocks(path), None)
-        row = row_of(first.texts[0], 1, ",") if first is not None and first.texts else []
-        if isinstance(row, BadLine):
-            return False
-        csv_header(row, columns_of(rig), path, Faults())
-    except CoilcalError:
-        return False
-    return bool(row)
 
 
 def _no_header(path: Path, layout: Layout, rig: Rig) -> InvalidInput:

@@ -16,7 +16,7 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.forms.recipe import Recipe
 from estimator.store.importers.forms.understand import understood
-from estimator.store.importers.readings_csv import read_readings_csv, write_readings_csv
+from estimator.store.importers.readings_csv import is_readings_csv, read_readings_csv, write_readings_csv
 from estimator.store.session import Session
 
 ONE_SENSOR = """
@@ -141,26 +141,7 @@ def test_the_earliest_date_is_that_of_the_session(tmp_path: Path, rig: Rig) -> N
 @pytest.mark.parametrize(
     ("lines", "message"),
     [
-        ((), "columns must include t_s, coil1_current_A, arm1_x_m"),
         ((HEADER,), "at least one reading"),
-        ((HEADER.replace("arm1_y_m,", ""), ROW), "columns must include arm1_y_m;"),
-        (
-            (HEADER.replace("Bz_T", "Bz"), ROW),
-            "'Bz' lacks its unit: write Bz_UNIT, with one of T, mT, uT, nT, G, mG",
-        ),
-        ((HEADER.replace("Bz_T", "Bz_mm"), ROW), "'Bz' must be a field; received the unit mm"),
-        ((HEADER.replace("Bz_T", "Bz_kT"), ROW), "'Bz_kT' is not known"),
-        (
-            (HEADER.replace("arm1_x_m", "X [furlong]"), ROW),
-            "'X [furlong]' is not known to the rig; known are t_s",
-        ),
-        ((HEADER.replace("arm1_x_m", "ux_m"), ROW), "'ux_m' is not known to the rig; known are t_s"),
-        ((HEADER + ",", ROW + ","), "column '' is not known"),
-        ((HEADER + ",Bx_T", ROW + ",1"), "'Bx' must be given once; received Bx_T and Bx_T"),
-        ((HEADER + ",Bx_mT", ROW + ",1"), "'Bx' must be given once; received Bx_T and Bx_mT"),
-        ((HEADER + ",humidity", ROW + ",1"), "column 'humidity' is not known"),
-        ((HEADER + ",coil2_temperature_C", ROW + ",1"), "column 'coil2_temperature_C' is not known"),
-        ((HEADER + ",arm1_rx_rad,arm1_rz_rad", ROW + ",0,0"), "columns must include arm1_ry_rad;"),
         ((HEADER, ROW, NEXT[:-5]), "8 cells like the header; received 7"),
         ((HEADER, ROW, NEXT + ",1"), "8 cells like the header; received 9"),
         (
@@ -189,7 +170,6 @@ def test_the_earliest_date_is_that_of_the_session(tmp_path: Path, rig: Rig) -> N
             (HEADER + ",recorded_at", ROW + ",", NEXT + ",2999-01-01"),
             "recorded_at must be a date such as 2026-03-01 or 2026-03-01T09:30+01:00, and not in the future",
         ),
-        ((HEADER.replace(",", ";"), ROW.replace(",", ";")), "column 't_s;coil1_current_A;"),
     ],
 )
 def test_a_fault_is_one_sentence_that_names_the_file(
@@ -210,25 +190,50 @@ def test_the_line_number_counts_blank_lines(tmp_path: Path, rig: Rig) -> None:
         read_readings_csv(written(tmp_path, HEADER, "", ROW, "", NEXT.replace("1e-3", "x")), rig)
 
 
+@pytest.mark.parametrize(
+    "header",
+    [
+        "",
+        HEADER.replace("arm1_y_m,", ""),
+        HEADER.replace("Bz_T", "Bz"),
+        HEADER.replace("Bz_T", "Bz_mm"),
+        HEADER.replace("Bz_T", "Bz_kT"),
+        HEADER.replace("arm1_x_m", "ux_m"),
+        HEADER + ",",
+        HEADER + ",Bx_T",
+        HEADER + ",Bx_mT",
+        HEADER + ",humidity",
+        HEADER + ",coil2_temperature_C",
+        HEADER + ",arm1_rx_rad,arm1_rz_rad",
+        HEADER.replace(",", ";"),
+        HEADER.replace("Bz_T", '"Bz_T'),
+    ],
+)
+def test_another_header_is_none_of_a_readings_csv(tmp_path: Path, rig: Rig, header: str) -> None:
+    assert is_readings_csv(written(tmp_path, HEADER, ROW), rig)
+    assert not is_readings_csv(written(tmp_path, header, ROW), rig)
+    with pytest.raises(
+        InvalidInput, match="must begin with the header of a readings CSV of rig 'one sensor'"
+    ):
+        read_readings_csv(written(tmp_path, header, ROW), rig)
+
+
 def test_several_sensors_need_their_column(tmp_path: Path) -> None:
     rig = rig_from_text(ONE_SENSOR.replace("{hall:", "{squid: {noise_uT: 20}, hall:"))
-    with pytest.raises(InvalidInput, match="columns must include sensor;"):
-        read_readings_csv(written(tmp_path, HEADER, ROW), rig)
+    assert not is_readings_csv(written(tmp_path, HEADER, ROW), rig)
     header, rows = HEADER + ",sensor", (ROW + ",hall", ROW + ",squid")
     assert read_readings_csv(written(tmp_path, header, *rows), rig).observations.sensor.tolist() == [1, 0]
 
 
 def test_joint_angles_must_not_be_left_out(tmp_path: Path) -> None:
     rig = rig_from_text(ONE_SENSOR.replace("displacement", "UR3"))
-    with pytest.raises(InvalidInput, match="columns must include arm1_q0_rad, arm1_q1_rad"):
-        read_readings_csv(written(tmp_path, "t_s,coil1_current_A,Bx_T,By_T,Bz_T", "0,1,1,1,1"), rig)
+    assert not is_readings_csv(written(tmp_path, "t_s,coil1_current_A,Bx_T,By_T,Bz_T", "0,1,1,1,1"), rig)
 
 
 def test_unreadable_files_are_refused(tmp_path: Path, rig: Rig) -> None:
-    (tmp_path / "binary.csv").write_bytes(b"\xff\xfe\x00\x01" * 50)
-    for name in ("missing.csv", "binary.csv", "."):
+    for name in ("missing.csv", "."):
         with pytest.raises(InvalidInput, match="must be readable"):
-            read_readings_csv(tmp_path / name, rig)
+            understood(tmp_path / name, rig)
 
 
 def test_an_unwritable_folder_is_refused(tmp_path: Path, rig: Rig) -> None:
@@ -275,10 +280,8 @@ def test_a_hundred_thousand_columns_are_refused_at_once(tmp_path: Path, rig: Rig
     names, cells = (",".join(f"{name}{i}" for i in range(100_000)) for name in ("x", ""))
     path = written(tmp_path, f"{HEADER},{names}", f"{ROW},{cells}")
     begin_s = time.process_time()
-    with pytest.raises(
-        InvalidInput, match="at most 1000 columns beside the 18 that the rig knows; received 100008"
-    ):
-        read_readings_csv(path, rig)
+    with pytest.raises(InvalidInput, match="a line must have at most 100000 characters"):
+        understood(path, rig)
     assert time.process_time() - begin_s < 5.0
 
 
