@@ -9,6 +9,10 @@ from estimator.calibration.calibrate import Stage
 from estimator.diagnosis.progress import OnProgress, unwatched
 
 
+def ignored(_: object) -> None:
+    """Ignore what nobody watches."""
+
+
 @dataclass(frozen=True)
 class Watcher:
     """Functions that are called while sessions are judged, which may take minutes each.
@@ -19,9 +23,9 @@ class Watcher:
         on_sampling: With each stage of sampling a new version.
     """
 
-    on_words: Callable[[str], None] = lambda _: None
+    on_words: Callable[[str], None] = ignored
     on_progress: OnProgress = unwatched
-    on_sampling: Callable[[Stage], None] = lambda _: None
+    on_sampling: Callable[[Stage], None] = ignored
 
 
 UNWATCHED = Watcher()
