@@ -16,6 +16,8 @@ from estimator.effects import EFFECTS
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause
 
+MOSTLY_PRIOR = 0.8  # of the prior's standard deviation, from which on a number is told to be mostly its prior
+
 
 @dataclass(frozen=True)
 class Intervals:
@@ -45,9 +47,11 @@ class Intervals:
         else:
             sd = self.sd(name) if parameter.is_free else 0.0
             median, low, high = _normal(float(self.fit.values[name]), sd)
+        is_of_prior = False
         if (prior := parameter.prior) is not None:
             low, high = (min(max(end, prior.lower), prior.upper) for end in (low, high))
-        return Interval(median, sd, (low, high), parameter.unit)
+            is_of_prior = parameter.is_free and self.fit.value_sd(name) > MOSTLY_PRIOR * prior.sd
+        return Interval(median, sd, (low, high), parameter.unit, is_of_prior)
 
     def quantities(self, cause: Cause) -> dict[str, Interval]:
         """Quantities of a cause that the session can see, by SI key."""

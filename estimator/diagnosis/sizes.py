@@ -14,17 +14,23 @@ from estimator.rig.rig import Cause
 
 @dataclass(frozen=True)
 class Interval:
-    """One number of the extended rig: its median, standard deviation and 90 % credible interval."""
+    """One number of the extended rig: its median, standard deviation and 90 % credible interval.
+
+    Attributes:
+        is_of_prior: Whether the readings narrow it by less than a fifth: it is mostly what its prior says.
+    """
 
     median: float
     sd: float
     ci90: tuple[float, float]
     unit: str
+    is_of_prior: bool = False
 
     @property
     def words(self) -> str:
         """The median with its interval, in the unit of its order."""
-        return interval_with_unit(self.median, *self.ci90, self.unit)
+        words = interval_with_unit(self.median, *self.ci90, self.unit)
+        return f"{words}, mostly its prior" if self.is_of_prior else words
 
     def display(self, name: str) -> Display:
         """How a number with this name and size is shown: a share in per cent, all others as `displays` has them."""

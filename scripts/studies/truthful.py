@@ -115,6 +115,10 @@ def show(rows: list[Row]) -> None:
     for kind, number in sorted(total.items(), key=lambda item: (-by_kind[item[0]], item[0])):
         last = f", {in_digits[kind]} of these in the last digits" if in_digits[kind] else ""
         print(f"  {kind:20} {by_kind[kind]:5} of {number} false{last}")
+    stated = [each["stated"] for _, each in pairs if "stated" in each]
+    print(
+        f"  false by the probabilities that {len(stated)} of them are stated with: {sum(1.0 - p for p in stated):.1f}"
+    )
     show_intervals(rows)
     for kind, _ in by_kind.most_common():
         print(f"\n{kind}:")

@@ -266,15 +266,15 @@ def sized(median: float) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("kind", "words", "causes", "truth", "is_true"),
     [
-        ("name_as_fact", "verdict: named", [NAMED], ONLY_GAIN, True),
-        ("name_as_fact", "verdict: named", [PLATE], ONLY_GAIN, False),
-        ("name_as_fact", "verdict: partly_explained", [NAMED], hidden(OUTSIDE), False),
-        ("name_as_fact", "verdict: partly_explained", [NAMED], WITH_OUTSIDE, True),
-        ("name_as_fact", "verdict: partly_explained", [NAMED], hidden(), False),
+        ("name", "verdict: named", [NAMED], ONLY_GAIN, True),
+        ("name", "verdict: named", [PLATE], ONLY_GAIN, False),
+        ("name", "verdict: partly_explained", [NAMED], hidden(OUTSIDE), False),
+        ("name", "verdict: partly_explained", [NAMED], WITH_OUTSIDE, True),
+        ("name", "verdict: partly_explained", [NAMED], hidden(), False),
         # Of a doubtful name its family is told: a moved chair acts in the room as well.
-        ("name_as_fact", "verdict: partly_explained", [in_family("room", 0.2)], hidden(OUTSIDE), True),
-        ("name_as_fact", "verdict: partly_explained", [in_family("room", 0.02)], hidden(OUTSIDE), False),
-        ("name_as_fact", "verdict: partly_explained", [in_family("zero", 0.2)], hidden(GAIN), False),
+        ("name", "verdict: partly_explained", [in_family("room", 0.2)], hidden(OUTSIDE), True),
+        ("name", "verdict: partly_explained", [in_family("room", 0.02)], hidden(OUTSIDE), False),
+        ("name", "verdict: partly_explained", [in_family("zero", 0.2)], hidden(GAIN), False),
         ("cause_probability", MAYBE.format("axis_gain"), [maybe("axis_gain", 0.03)], ONLY_GAIN, True),
         # Three per cent were left for anything else.
         ("cause_probability", MAYBE.format("iron_plate"), [maybe("iron_plate", 0.03)], ONLY_GAIN, True),

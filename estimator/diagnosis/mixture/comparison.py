@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -140,11 +139,3 @@ def left_beside(comparison: Comparison) -> Left:
     rms_sigma = float(change.square().mean().sqrt()) / comparison.asked.noise
     link = comparison.asked.dictionary.items[item].link
     return Left(unexplained.log_bayes_factor, link.words, rms_sigma)
-
-
-def credible(hypotheses: Sequence[Hypothesis], share: float = 0.95) -> list[Hypothesis]:
-    """The causes that hold a share of the probability of all causes, given most probable first."""
-    causes = [hypothesis for hypothesis in hypotheses if hypothesis.cause is not None]
-    cumulative = np.cumsum([hypothesis.probability for hypothesis in causes])
-    n = int((cumulative < share * cumulative[-1]).sum()) + 1 if causes else 0
-    return causes[:n]

@@ -147,7 +147,7 @@ def found_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     before = diagnosis.fits.plain.rig.effects
     caption = (
         "Quantities of the causes in the extended rig (rig_extended.yaml). A difference, such as x − z, is listed where the readings know "
-        "it better than either quantity."
+        "it better than either quantity. What stands with (prior) is mostly what its prior says."
     )
     yield from _sizes_tables(diagnosis, [c for c in sure if c not in before], "What was found", caption)
     known = "Quantities of the causes that were fitted before anything was asked: those of the rig file, and what no laboratory is without."
@@ -188,7 +188,8 @@ def _size_row(label: str, quantity: str, name: str, interval: Interval) -> list[
     sizes = shown.with_sd(interval.median, interval.sd), shown.interval(interval.ci90, interval.sd)
     if interval.sd == 0.0:
         sizes = f"{interval.median * shown.factor:.3g}", "not sampled"
-    return [label, quantity, *sizes, shown.unit or interval.unit]
+    name_of_it = f"{quantity} (prior)" if interval.is_of_prior else quantity
+    return [label, name_of_it, *sizes, shown.unit or interval.unit]
 
 
 def _capital(words: str) -> str:

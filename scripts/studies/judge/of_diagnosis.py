@@ -62,7 +62,8 @@ def named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
         why = f"{name} with probability {cause['probability']:.3f}; hidden: {case.truth.words}"
         has_left = name == "outliers" and bool((case.truth.wrong & ~case.flagged).any())
         is_right = has_left or case.truth.is_right(name)
-        yield Statement("name_as_fact", DIAGNOSE, f"{text}: {cause['name']}", is_right, why)
+        told = f"{text}: {cause['name']}"
+        yield Statement("name", DIAGNOSE, told, is_right, why, stated=cause["probability"])
 
 
 @sentence(r"(?:show nothing wrong|Nothing else shows)(?: \((?P<sure>[<>\d ]+ %)\))?|There is nothing to mend")
@@ -136,7 +137,8 @@ def partly_named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]
             links = {link for hidden in case.truth.causes for link in links_of(hidden.name, n_sensors)}
             is_true = is_true or bool(links & set(cause["family"]["links"]))
         why = f"one of {', '.join(names)}; hidden: {case.truth.words}"
-        yield Statement("name_as_fact", DIAGNOSE, f"{text}: {cause['name']}", is_true, why)
+        stated = sum(each["probability"] for each in (cause, *cause["alternatives"]))
+        yield Statement("name", DIAGNOSE, f"{text}: {cause['name']}", is_true, why, stated=stated)
 
 
 @sentence(r"Something is wrong that no known cause explains|no listed cause explains, and")
@@ -187,7 +189,7 @@ def numbers(case: Case) -> Iterator[Statement]:
         hidden = case.truth.cause(plain_name(cause["name"]))
         for key, true in (hidden.quantities if hidden is not None else {}).items():
             told = cause["parameters"].get(key)
-            if told is not None:
+            if told is not None and not told.get("is_of_prior"):  # else it is told to be mostly its prior
                 beyond = miss_sd(true, told["median"], tuple(told["ci90"]))
                 text = f"{cause['name']} {key} {told['median']:.4g} ({told['ci90'][0]:.4g} to {told['ci90'][1]:.4g})"
                 why = f"true {true:.4g}, {beyond:.1f} sd off (hidden: {case.truth.words})"

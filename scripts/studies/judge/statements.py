@@ -30,6 +30,7 @@ class Statement:
         is_true: Whether it is so.
         why: The truth, beside which it can be checked.
         off: By how much a printed number is off, as a share of the true one; None where it is no number.
+        stated: Probability with which it is stated; None where it is stated as a fact.
     """
 
     kind: str
@@ -38,6 +39,7 @@ class Statement:
     is_true: bool
     why: str
     off: float | None = None
+    stated: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """In the form of JSON, without what does not apply."""

@@ -97,7 +97,7 @@ def test_hidden_offset_is_found_with_its_twin(record: dict[str, Any]):
     )
     assert everything == pytest.approx(1.0, abs=1e-6)
     size = cause["parameters"]["y_T"]
-    assert set(size) == {"median", "sd", "ci90", "unit"}
+    assert set(size) == {"median", "sd", "ci90", "unit", "is_of_prior"}
     assert size["unit"] == "T"
     assert size["median"] == pytest.approx(OFFSET_T, abs=3.0 * size["sd"])
     assert size["sd"] < 0.2 * OFFSET_T

@@ -7,6 +7,7 @@ import math
 import pytest
 import torch
 
+from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.intervals import Intervals
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
@@ -50,3 +51,14 @@ def test_a_cause_of_one_quantity_has_none():
     rig = with_effect(plain.rig, Cause("current_offset", "coil1"), plain.observations, {})
     fit = fit_of(rig, plain.observations)
     assert Intervals(fit).difference(Cause("current_offset", "coil1")) is None
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e-3])
+def test_a_number_that_readings_hardly_narrow_is_said_to_be_mostly_its_prior(factor: float) -> None:
+    plain = plain_fit()
+    rig = with_effect(plain.rig, GAIN, plain.observations, {}, factor=factor)
+    told = Intervals(fit_rig(rig, plain.observations, plain.values, plain.posterior.model.rules)).quantities(
+        GAIN
+    )
+    assert [size.is_of_prior for size in told.values()] == [factor < 1.0] * 3
+    assert all(size.words.endswith(", mostly its prior") == size.is_of_prior for size in told.values())
