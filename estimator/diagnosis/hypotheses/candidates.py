@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import combinations
 
 import torch
@@ -23,6 +25,7 @@ from estimator.rig.parameters import Normal
 from estimator.rig.rig import Cause, Rig
 from estimator.side_by_side import each
 
+_LOG = logging.getLogger(__name__)
 MOST_ALONE = 6  # quantities that singles and pairs tell of well enough
 NO_CHANGE = 1e-6  # in units of the noise: what rounding leaves of what changes no reading, on any device
 
@@ -100,7 +103,7 @@ def causes_of(rig: Rig, fit: Fit, limits: Limits | None = None) -> list[Cause]:
 
 
 def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
-    """Candidates of every cause at a fit, start by start; starts without finite columns are left out."""
+    """Candidates of every cause at a fit, start by start; starts without finite columns are left out, and of a whole cause that is said."""
     circumstances = fit.circumstances
     starts_of = {cause: list(EFFECTS[cause.name].starts(circumstances, cause.place)) for cause in causes}
     staying = [cause for cause in causes if EFFECTS[cause.name].stays is None]
@@ -116,7 +119,15 @@ def candidates(fit: Fit, causes: list[Cause]) -> list[Candidate]:
         steps = {c.shapes[SINCE]: c for c in result if c.cause == stays}
         is_known = bool(steps) and all(start[key] in steps for start in starts for key in (SINCE, UNTIL))
         result += _spells(cause, starts, steps) if is_known else at_starts(fit, cause, starts)
+    for name in {cause.name for cause in causes if starts_of[cause]} - {c.cause.name for c in result}:
+        _say_left_out(name)
     return result
+
+
+@cache
+def _say_left_out(name: str) -> None:
+    """Once in a process, since it is the same at every fit."""
+    _LOG.warning("%s is not asked: readings with it, or their derivatives, are not all finite", name)
 
 
 def _spells(

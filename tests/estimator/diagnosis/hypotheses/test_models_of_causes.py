@@ -7,12 +7,12 @@ from dataclasses import replace
 import pytest
 import torch
 
-from estimator.diagnosis.hypotheses.candidates import causes_of
+from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import nominal_tensors
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
 
@@ -43,3 +43,17 @@ def test_model_with_the_effects_of_another_rig_predicts_as_one_made_anew(
         torch.testing.assert_close(
             model.with_effects_of(rig).predict(values), anew.predict(values), msg=cause.label
         )
+
+
+def test_cause_that_makes_no_numbers_is_left_out_and_named(
+    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """As one from outside may that divides by a field of nothing: a verdict without it must not look like one that asked it."""
+    fit = fit_of(small_rig, small_session.observations)
+    broken = staticmethod(lambda field_sensor_T, *_: field_sensor_T / torch.zeros_like(field_sensor_T))
+    monkeypatch.setattr(type(EFFECTS["axis_gain"]), "apply", broken)
+    asked = candidates(fit, [Cause("axis_gain", "hall"), Cause("cross_axis", "hall")])
+    assert {candidate.cause.name for candidate in asked} == {"cross_axis"}
+    assert caplog.messages == [
+        "axis_gain is not asked: readings with it, or their derivatives, are not all finite"
+    ]
