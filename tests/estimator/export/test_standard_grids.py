@@ -1,4 +1,4 @@
-"""Grids of VTK and openPMD, read back by code of its own after their specifications, and by VTK and openPMD-api where they are installed."""
+"""Grids of VTK and openPMD, read back by code of its own after their specifications."""
 
 from __future__ import annotations
 
