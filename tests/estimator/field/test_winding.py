@@ -148,13 +148,6 @@ def test_tolerance_zero_is_the_sum_over_every_loop():
     assert error.max() < 1e-13
 
 
-def test_axial_and_radial_pitch_are_not_exchanged():
-    points_m = points_around(SMALL, 3e-3, 0.1, 40)
-    assert relative_error(winding_field(points_m, SMALL, 1e-8), every_loop(points_m, SMALL)).max() < 1e-8
-    exchanged = winding(0.03, 6.0, 4.0, 1.06e-3, 1.74e-3)
-    assert relative_error(every_loop(points_m, exchanged), every_loop(points_m, SMALL)).min() > 1e-3
-
-
 def test_rule_is_the_smallest_of_the_ladder_that_suffices():
     points_m = points_around(TABLE_TOP, 0.03, 0.1, 30)
     rule = choose_rule(TABLE_TOP, points_m, 1e-6)

@@ -140,23 +140,6 @@ def test_nominal_table_places_a_real_ur3e_within_two_millimetres_and_the_ur3_tab
     assert error_m["UR3"] > 1e-2
 
 
-@pytest.mark.parametrize(
-    ("robot", "position_m"),
-    [
-        # Victorlouisdg/ur-analytic-ik, src/main.cpp, X_at_zero_more_precision (named ur3e there, but with the
-        # table of the UR3). The same lengths, from base_link, are in keyan/ur_kinematics, test_kin.py.
-        ("UR3", (-0.4569, -0.19425, 0.06655)),
-        # Olympus-Controls/UR-Docker, tests/test_stateframe.py.
-        ("UR3e", (-0.45675, -0.22315, 0.0665)),
-    ],
-)
-def test_zero_pose_is_the_published_one(robot: str, position_m: tuple[float, ...]) -> None:
-    flange = base_from_flange(robot, torch.zeros(6, dtype=torch.float64))
-    torch.testing.assert_close(flange.translation_m, tensor(position_m), rtol=0, atol=1e-12)
-    rotation = tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # from the same main.cpp
-    torch.testing.assert_close(flange.rotation, rotation, rtol=0, atol=1e-12)
-
-
 # For a second formula: lengths of the arm, all positive: height of the shoulder, upper arm, forearm, and the
 # three offsets from joint to joint in the wrist.
 LENGTHS_M = {

@@ -11,13 +11,12 @@ import pytest
 import torch
 
 from estimator.calibration.result import Calibration
-from estimator.errors import InvalidInput
 from estimator.live.stream import Stream
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan, load_plan
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import load_rig, rig_from_text
+from estimator.rig_files.read import load_rig
 from estimator.store.session import Session
 
 
@@ -84,12 +83,6 @@ def test_readings_without_a_component_are_counted_and_not_fitted(small_session: 
     )
     assert stream.update(blank).n_readings == 0
     assert stream.n_skipped == len(blank)
-
-
-def test_a_rig_without_free_parameters_has_nothing_to_estimate() -> None:
-    text = "schema_version: 1\nname: known\ncoils: {c: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}}\n"
-    with pytest.raises(InvalidInput, match="must have at least one free parameter"):
-        Stream(rig_from_text(text + "sensors: {hall: {noise_uT: 5}}\n"))
 
 
 def test_an_update_takes_milliseconds_however_long_the_session_is(

@@ -9,7 +9,6 @@ import pytest
 import torch
 
 from estimator.acquisition.pace import default_pace
-from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
 from estimator.planning.autopilot import FEWEST_HELD_OUT, Autopilot, pilot_of
 from estimator.planning.candidates import clear_candidates
@@ -130,11 +129,6 @@ def test_it_ends_at_its_limits(
     assert len(entries) == n_stops
     assert end.reason.startswith(words)
     assert "times the wanted half-width is left" in end.reason
-
-
-def test_a_goal_out_of_reach_is_refused_before_anything_moves(small_rig: Rig, places: Plan) -> None:
-    with pytest.raises(InvalidInput, match="must be within reach of the candidate stops; 100 visits"):
-        pilot(small_rig, places, GOAL.replace("0.15 %", "0.00001 %"))
 
 
 def test_what_readings_contradict_does_not_average_out() -> None:

@@ -69,15 +69,6 @@ def test_rows_of_a_goal_are_those_of_finite_differences(paper: tuple[Rig, Expect
             assert goal.half_widths["coil1.radial_loops"] == pytest.approx(2.2)
 
 
-def test_intervals_shrink_with_the_root_of_the_number_of_readings(paper: tuple[Rig, Expected]) -> None:
-    _, expected = paper
-    everything = expected.information(torch.arange(expected.n_stops))
-    many, fourfold = (
-        expected.widths(1e4 * factor * everything + expected.precision) for factor in (1.0, 4.0)
-    )
-    torch.testing.assert_close(many, 2.0 * fourfold, rtol=1e-3, atol=0.0)
-
-
 @pytest.mark.whole
 def test_a_third_of_the_raster_s_stops_reach_its_interval_of_the_field(paper: tuple[Rig, Expected]) -> None:
     _, expected = paper

@@ -161,12 +161,6 @@ def test_scale_is_the_spread_that_the_prior_gives_each_coordinate(text, integer_
     torch.testing.assert_close(coordinates.scale, slope.norm(dim=1), rtol=1e-6, atol=0.0)
 
 
-def test_scale_of_the_papers_prior_is_that_of_its_draws():
-    coordinates = Coordinates(rig(RIGS["one coil, all natural"]))
-    draws = prior_vectors(coordinates, 20_000)
-    torch.testing.assert_close(coordinates.scale, draws.std(0), rtol=0.08, atol=0.0)
-
-
 def test_natural_coordinates_are_thickness_turns_length_rms_radius_and_middle():
     coordinates = Coordinates(rig(RIGS["one coil, all natural"]))
     values = {
@@ -241,18 +235,6 @@ def test_fixed_values_carry_no_batch_and_a_rig_without_free_ones_has_no_columns(
     )
     assert (fixed.n, fixed.names, fixed.start().shape, fixed.scale.shape) == (0, (), (0,), (0,))
     assert fixed.values(fixed.start())["coil1.radius_m"].item() == 0.05
-
-
-def test_values_are_differentiable_in_the_vector():
-    coordinates = Coordinates(rig(RIGS["one coil, all natural"]))
-    start = coordinates.start()
-    slope = jacfwd(lambda v: coordinates.values(v)["coil1.radius_m"])(start)
-    by_label = dict(zip(coordinates.labels, slope.tolist(), strict=True))
-    pitch_m, loops, radius_m = 2 * 0.49e-3, 25, coordinates.values(start)["coil1.radius_m"].item()
-    loop_m = radius_m - pitch_m * (np.arange(loops) + 0.5)
-    assert by_label["coil1 rms radius"] == pytest.approx(
-        math.sqrt(np.mean(loop_m**2)) / loop_m.mean(), rel=1e-9
-    )
 
 
 @EVERY_RIG

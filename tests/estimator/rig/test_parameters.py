@@ -10,7 +10,7 @@ import torch
 from scipy import stats
 
 from estimator.errors import InvalidInput
-from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Tie, Uniform
+from estimator.rig.parameters import LogNormal, Normal, Parameter, Tie, Uniform
 
 
 def truncated_normal(mean: float, sd: float, lower: float, upper: float) -> stats.rv_continuous:
@@ -132,11 +132,6 @@ def test_impossible_priors_are_refused_by_name(make, rule):
     with pytest.raises(InvalidInput) as caught:
         make()
     assert rule in str(caught.value)
-
-
-def test_prior_is_abstract():
-    with pytest.raises(TypeError, match="abstract"):
-        Prior()
 
 
 def test_parameter_is_free_exactly_where_it_has_a_prior():

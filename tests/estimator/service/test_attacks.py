@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import shutil
-import socket
-import threading
-import time
 import zipfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import h11
 import pytest
 from starlette.testclient import TestClient
 
-from estimator.service import archives, connections
+from estimator.service import archives
 from estimator.service.concurrency import WaitingLimit
-from estimator.service.connections import PromptHttp
 from estimator.service.problems import Problem
 from estimator.store.session import Session
 from estimator.store.zipped import zipped
@@ -26,7 +21,6 @@ from tests.estimator.service.conftest import (
     JSON,
     YAML,
     ZIP,
-    Served,
     refusal,
     send_zip,
     sent,
@@ -196,87 +190,3 @@ def test_no_user_takes_the_event_streams_of_all(idle: Callable[..., TestClient])
             core.streams.taken("carl").__enter__()
         assert core.streams.n_taken() == 3
     assert core.streams.n_taken() == 0
-
-
-def connected(url: str, said: bytes) -> socket.socket:
-    host, _, port = url.removeprefix("http://").rpartition(":")
-    line = socket.create_connection((host, int(port)), timeout=10)
-    line.sendall(said)
-    return line
-
-
-def hangs_up(line: socket.socket) -> bytes:
-    """All that comes until the other side closes."""
-    received = b""
-    while piece := line.recv(65536):
-        received += piece
-    line.close()
-    return received
-
-
-class _Idle:
-    """A transport and a loop of which a test sees what a connection does with them."""
-
-    def __init__(self) -> None:
-        self.timers: list[_Idle] = []
-        self.is_closed = self.is_cancelled = False
-
-    def call_later(self, _: float, call: Callable[[], None]) -> _Idle:
-        self.timers.append(_Idle())
-        self.timers[-1].call = call  # type: ignore[attr-defined]
-        return self.timers[-1]
-
-    def time(self) -> float:
-        return 0.0
-
-    def cancel(self) -> None:
-        self.is_cancelled = True
-
-    def close(self) -> None:
-        self.is_closed = True
-
-
-def test_letters_of_a_head_do_not_start_its_clock_anew() -> None:
-    http = object.__new__(PromptHttp)
-    loop = _Idle()
-    http.loop, http.transport, http._awaited = loop, loop, None  # type: ignore[assignment]
-    http.conn = h11.Connection(h11.SERVER)
-    http._await_head()
-    http.conn.receive_data(b"GET / HT")
-    assert http.conn.next_event() is h11.NEED_DATA
-    http._await_head()
-    assert len(loop.timers) == 1
-    http.conn.receive_data(b"TP/1.1\r\nHost: a\r\n\r\n")
-    assert isinstance(http.conn.next_event(), h11.Request)
-    http._await_head()
-    assert loop.timers[0].is_cancelled
-
-
-@pytest.mark.slow
-def test_connections_that_say_little_are_closed_and_hold_up_nobody(served: Callable[..., Served]) -> None:
-    service = served()
-    begin_s = time.monotonic()
-    lines = [connected(service.url, b"GET /healthz HTTP/1.1\r\nHost: 127") for _ in range(200)]
-    lines += [connected(service.url, b"") for _ in range(200)]
-    stopped = threading.Event()
-
-    def drip() -> None:
-        while not stopped.wait(2.0):
-            for line in lines[:100]:
-                try:
-                    line.sendall(b".")
-                except OSError:
-                    return
-
-    dripping = threading.Thread(target=drip, daemon=True)
-    dripping.start()
-    assert service.client.get("/healthz").status_code == 200
-    for line in lines:
-        line.settimeout(connections.MOST_HEAD_S + 20)
-        try:
-            hangs_up(line)
-        except ConnectionResetError:
-            line.close()
-    stopped.set()
-    assert time.monotonic() - begin_s < connections.MOST_HEAD_S + 20
-    assert service.client.get("/healthz").status_code == 200

@@ -158,17 +158,32 @@ def test_a_certificate_that_cannot_be_used_is_one_sentence(
         http_of(settings)
 
 
-def test_a_body_that_was_answered_already_is_not_waited_for(
-    port: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("said", "letter"),
+    [("nothing", b""), ("half a head", b"a"), ("half a body that is refused already", b" ")],
+)
+def test_a_letter_now_and_then_keeps_no_connection(
+    port: int, said: str, letter: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A letter now and then kept such a connection for as long as its client liked."""
+    """Each started the clock anew, so that a connection stayed for as long as its client liked."""
     monkeypatch.setattr(connections, "MOST_HEAD_S", 0.5)
     begin_s = time.monotonic()
-    with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
-        line.sendall(SAID["half a body that is refused already"])
-        assert line.recv(65536).startswith(b"HTTP/1.1 4")  # 401, or 429 after the crowds
-        with suppress(ConnectionError):
-            while time.monotonic() - begin_s < 10:
-                line.sendall(b" ")
-                time.sleep(0.1)
+    with socket.create_connection(("127.0.0.1", port), timeout=0.1) as line, suppress(ConnectionError):
+        line.sendall(SAID[said])
+        received = b"?"
+        while received and time.monotonic() - begin_s < 10:
+            line.sendall(letter)
+            with suppress(TimeoutError):
+                received = line.recv(65536)
     assert time.monotonic() - begin_s < 5
+
+
+def test_a_body_may_take_longer_than_a_head(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connections, "MOST_HEAD_S", 0.3)
+    of_others = "127.0.0.3", 0  # no guesses of the crowds count for it
+    with socket.create_connection(("127.0.0.1", port), timeout=10, source_address=of_others) as line:
+        line.sendall(BODY)
+        for _ in range(98):  # the rest of its length
+            time.sleep(0.01)
+            line.sendall(b" ")
+        assert line.recv(65536).startswith(b"HTTP/1.1 4")
