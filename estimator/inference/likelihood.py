@@ -286,7 +286,7 @@ class LogPosterior(Density):
         return self._component_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
 
     def sigma_of_T(self, values: Values) -> Float[Tensor, " component"]:
-        """The same where the values of all numbers are known already."""
+        """Standard deviation of every measured component where the values of all numbers are known already."""
         return self._component_sigma_T(values, torch.Size())
 
     def _component_sigma_T(self, values: Values, batch: torch.Size) -> Tensor:
