@@ -34,8 +34,9 @@ def evidence_of_relatives(asked: Asked, item: int) -> float:
     """
     products, dictionary, always = asked.slots.products, asked.dictionary, asked.expansion.always
     chosen = [*(i for i in asked.leading if i != item), item]
-    sizes, _ = products.sizes(chosen, asked.noise)
-    columns, widths, _ = products.of(chosen)
+    sizes = products.sizes(chosen, asked.noise)[0].to(dictionary.columns)
+    numbers, widths, _ = products.of(chosen)
+    columns, widths = numbers.tolist(), widths.to(sizes)
     own = dictionary.items[item]
     change = dictionary.columns[:, list(own.columns)] @ sizes[len(sizes) - len(own.columns) :]
     if own.shift is not None:
