@@ -20,10 +20,8 @@ from estimator.diagnosis.fitting import Fit
 from estimator.readings.flags import Flag, Reason
 from estimator.readings.observations import Observations
 
-NEAREST, FARTHEST = (
-    3,
-    100,
-)  # rows apart; where each second one repeats its pose, a protocol reads twice at a place
+# Rows apart; where each second one repeats its pose, a protocol reads twice at a place
+NEAREST, FARTHEST = 3, 100
 FEWEST = 3  # such rows
 MOST_OF_ONE = 8.0  # log odds that one row counts at most, for it may be wild
 

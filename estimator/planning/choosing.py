@@ -19,11 +19,8 @@ from estimator.planning.judgement import Judged
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 
-EVERY, HELD_OUT, AGAIN = (
-    8,
-    7,
-    3,
-)  # of eight stops the last one is held out, and the fourth one is visited again
+# Of eight stops the last one is held out, and the fourth one is visited again
+EVERY, HELD_OUT, AGAIN = 8, 7, 3
 OFF_EVERY, OFF = 20, 10  # of twenty stops one is without current
 
 

@@ -18,11 +18,8 @@ from estimator.readings.plan import Plan
 from estimator.rig.rig import Rig
 
 MOST_STOPS = 500  # that a plan looks for by itself
-VALIDATION_SHARE, ZERO_SHARE, AGAIN_SHARE = (
-    0.12,
-    0.05,
-    0.1,
-)  # of the stops, at least one each where there are a dozen
+# Shares of the stops, at least one each where there are a dozen
+VALIDATION_SHARE, ZERO_SHARE, AGAIN_SHARE = 0.12, 0.05, 0.1
 
 
 def plan(

@@ -23,10 +23,8 @@ from estimator.diagnosis.linear import Projector
 from estimator.rig.rig import Cause
 
 MOST_ABSORBING, LEAST_ABSORBING = 3, 0.2  # numbers that are told, and how far each must move over the first
-WHOLLY, WIDER = (
-    0.999,
-    30.0,
-)  # share that free poses follow of what is another word for them, and how much wider their priors are then
+WHOLLY = 0.999  # share that free poses follow of what is another word for them
+WIDER = 30.0  # how much wider the priors of these poses are then
 Hidden = tuple[
     Tensor, dict[str, Any]
 ]  # how what stays unseen moves the coordinates of a fit, and what of it is told

@@ -33,10 +33,8 @@ from estimator.reporting.plots.style import (
 
 BINS = 36
 LABEL_SIZE, POINTS_PER_INCH = 9, 72
-LETTER, PANEL_SHARE = (
-    0.62,
-    0.75,
-)  # width of a letter over its size; of the cell that a panel fills, ticks aside
+LETTER = 0.62  # width of a letter over its size
+PANEL_SHARE = 0.75  # of the cell that a panel fills, ticks aside
 SMOOTHING_BINS = 1.2
 DRAWN_QUANTILES = (0.002, 0.998)
 SMALLEST_PROBABILITY = 0.002  # of a count that is drawn
