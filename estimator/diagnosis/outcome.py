@@ -109,9 +109,9 @@ class Outcome:
             unseen: Readings that no fit has seen; may be empty.
             seed: Of the choice of readings for the intervals of the shares.
         """
+        if self.named and self._loses_on(unseen):
+            return self._refuted_by(unseen).checked_by(unseen, seed)
         scored = self if self.improvement is not None else self._scored_by(unseen)
-        if self.named and scored.improvement is not None and scored.improvement.is_loss:
-            return scored._refuted_by(unseen).checked_by(unseen, seed)
         shares = budget(self.answer.plain, self.extended, on_known_sides(self.extended, unseen), seed)
         is_corrected = self.correction is not None and self.correction.is_taken
         named = [
@@ -125,6 +125,11 @@ class Outcome:
         result = replace(scored._naming(named), budget=shares)
         is_open = result.verdict.leaves_something and result.widening is None
         return result.widened(unseen) if is_open else result
+
+    def _loses_on(self, unseen: Observations) -> bool:
+        """Whether it predicts unseen readings worse than the rig as described, both without widened intervals."""
+        improvement = replace(self, widening=None)._scored_by(unseen).improvement
+        return improvement is not None and improvement.is_loss
 
     def _moves(self, cause: Cause, unseen: Observations) -> bool:
         """Whether a cause should move some components of unseen readings, if as large a share of them as of those that were asked."""

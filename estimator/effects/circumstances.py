@@ -97,6 +97,21 @@ class Circumstances(History):
         radius_m = nominal[f"{coil}.radius_m"]
         return radius_m, radius_m - thickness_m, length_m
 
+    def has_sensor_in_bore(self, coil: str) -> bool:
+        """Whether a sensor stood in the bore of a winding, as the rig file describes it; only a round winding is asked."""
+        by_name = {each.name: each for each in self.rig.round}
+        if coil not in by_name:
+            return False
+        _, bore_m, length_m = self.winding_m(coil)
+        coil_from_world = self.world_from(by_name[coil]).inverse()
+        for sensor in self.rig.sensors:
+            at_m = (coil_from_world @ self.world_from(sensor)).translation_m
+            at_m = at_m[self.is_of(sensor.name)] if len(at_m) == len(self) else at_m
+            is_in = (at_m[..., :2].norm(dim=-1) < bore_m) & (at_m[..., 2] < 0.0) & (at_m[..., 2] > -length_m)
+            if bool(is_in.any()):
+                return True
+        return False
+
     def world_from(self, body: AnyCoil | Sensor) -> Transform:
         """Pose of a body at each reading, or one for all where it stands still, as the rig file describes it."""
         values, flange = self._nominal

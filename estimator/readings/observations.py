@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -99,6 +100,22 @@ class Observations:
     def rows(self, index: Bool[Tensor, " reading"] | Int[Tensor, " rows"]) -> Observations:
         """Select readings; they keep the history of their session."""
         return self._select(index, self.history, self.row[index])
+
+    def instants_in_words(self, instants_h: Sequence[float]) -> str:
+        """Hours since the first reading, in seconds; where times only count the readings, as of a file without times, in their numbers.
+
+        Args:
+            instants_h: One, or the first and the last of a while.
+        """
+        history = self.history
+        instants_s = [SECONDS_PER_HOUR * at_h for at_h in instants_h]
+        if torch.equal(history.time_s, torch.arange(len(history)).to(history.time_s)):
+            numbers = [
+                f"{math.ceil(instants_s[0]) + 1}",
+                *(f"{math.floor(at_s) + 1}" for at_s in instants_s[1:]),
+            ]
+            return f"from reading {' to '.join(numbers)}{'' if len(numbers) > 1 else ' on'}"
+        return f"{' to '.join(f'{at_s:.0f}' for at_s in instants_s)} s after the first reading"
 
     @cached_property
     def history(self) -> Observations:

@@ -15,7 +15,6 @@ from estimator.diagnosis.verdict import UNKNOWN, NamedCause, Verdict
 from estimator.effects import EFFECTS
 from estimator.effects.base import Kind
 from estimator.effects.circumstances import SINCE, UNTIL, Extent
-from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import percent, probability, quantity_words, to_digit_of
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
@@ -105,13 +104,13 @@ def _share(diagnosis: Diagnosis, causes: Sequence[Cause]) -> str:
 def how_large(diagnosis: Diagnosis) -> Iterator[str]:
     """The sizes of the named causes; none where no cause has a clear one."""
     named = [sized for sized in diagnosis.sized_causes if not sized.is_record_mistake]
-    told = [(sized.name, ", ".join(words)) for sized in named if (words := _clear_sizes(sized))]
+    told = [(sized.name, ", ".join(words)) for sized in named if (words := _clear_sizes(sized, diagnosis))]
     each = "; ".join(words if len(named) == 1 else f"{name} {words}" for name, words in told)
     if each:
         yield f"Size, with 90 % credible intervals: {each}."
 
 
-def _clear_sizes(sized: SizedCause) -> list[str]:
+def _clear_sizes(sized: SizedCause, diagnosis: Diagnosis) -> list[str]:
     """The clearest numbers of a cause with their 90 % intervals, when it began, and its place if it has one."""
     quantities, effect = sized.quantities, EFFECTS[sized.cause.name]
     shapes = {quantity.key for quantity in effect.quantities(Extent()) if quantity.is_shape}
@@ -122,9 +121,9 @@ def _clear_sizes(sized: SizedCause) -> list[str]:
     )
     words = [] if sized.difference is None else [sized.difference.words]
     words += [size for *_, size in clear[: MOST_SIZES - len(words)]]
-    when = [f"{SECONDS_PER_HOUR * quantities[key].median:.0f}" for key in (SINCE, UNTIL) if key in quantities]
-    if when:
-        words.append(f"{' to '.join(when)} s after the first reading")
+    when_h = [quantities[key].median for key in (SINCE, UNTIL) if key in quantities]
+    if when_h:
+        words.append(diagnosis.fits.plain.observations.instants_in_words(when_h))
     where = [quantities[key] for key in PLACE if key in shapes and key in quantities]
     if len(where) == len(PLACE):
         each = (to_digit_of(1e3 * at.sd, 1e3 * at.median) for at in where)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from estimator.effects.base import Quantity, Theta, normal, pure, shape
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Current, Field, Points, SourceEffect
 from estimator.field.node_sum import Nodes
 from estimator.field.straight import MU0_OVER_4PI, segment_field
@@ -118,8 +119,13 @@ def _rod_per_moment(points_coil_m: Points, winding: Winding) -> Field:
     return pole * field
 
 
+def _has_room_in_bore(circumstances: Circumstances, place: str) -> bool:
+    """Whether iron could be in the bore: no sensor went through it."""
+    return not circumstances.has_sensor_in_bore(place)
+
+
 # Quantities: moment of the rod in units of the winding's.
-@SourceEffect.cause(quantities=pure(share=0.1), is_structural=True)
+@SourceEffect.cause(quantities=pure(share=0.1), concerns=_has_room_in_bore, is_structural=True)
 def iron_core(points_coil_m: Points, winding: Winding, theta: Theta) -> Field:
     """Iron in the bore adds to the coil's moment.
 
@@ -142,6 +148,7 @@ def _saturating(current_A: Current, theta: Theta) -> Current:
         normal("share", "1", 0.1),
         normal("loss_per_A2", "1/A2", 0.05 / extent.largest_current_A**2),
     ),
+    concerns=_has_room_in_bore,
     drive=_saturating,
     is_structural=True,
     is_linear=False,

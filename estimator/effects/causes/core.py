@@ -15,8 +15,10 @@ USUAL_STRENGTH = 0.95  # a susceptibility of 380: fits begin at iron, for little
 SHAPES = ((0.9, 1.0, 0.0), (0.7, 1.4, 0.1))
 
 
-def _another_has_current(circumstances: Circumstances, place: str) -> bool:
-    """Whether another coil carries current; one coil alone cannot show more than `iron_core` and `core_saturation` say."""
+def _is_magnetised_by_another(circumstances: Circumstances, place: str) -> bool:
+    """Whether iron could be in the bore and another coil carries current; one alone shows no more than `iron_core` does."""
+    if circumstances.has_sensor_in_bore(place):
+        return False
     others = (coil.name for coil in circumstances.rig.coils if coil.name != place)
     return any(bool(circumstances.commanded_A(coil).any()) for coil in others)
 
@@ -44,7 +46,7 @@ def _in_the_bore(circumstances: Circumstances, place: str) -> Starts:
         Quantity("front_m", "m", Normal(0.0, 0.02), 0.0, is_shape=True),
         Quantity("saturation_T", "T", LogNormal(1.9, 0.25), 1.9, is_shape=True),
     ),
-    concerns=_another_has_current,
+    concerns=_is_magnetised_by_another,
     starts=_in_the_bore,
     is_structural=True,
 )

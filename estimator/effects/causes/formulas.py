@@ -29,7 +29,12 @@ def spherical_sum(points_coil_m: Points, winding: Winding, rule: Rule, theta: Th
     return theta["weight"][..., None, None] * (literal - right)
 
 
-@SourceEffect.cause(quantities=WEIGHT, can_begin=False)
+@SourceEffect.cause(
+    quantities=WEIGHT,
+    can_begin=False,
+    # In the middle of the winding the field of a dipole has no bound.
+    concerns=lambda circumstances, place: not circumstances.has_sensor_in_bore(place),
+)
 def dipole_model(points_coil_m: Points, winding: Winding, rule: Rule, theta: Theta) -> Field:
     """The readings follow a point dipole, not a winding.
 

@@ -45,20 +45,38 @@ def _in_axis(axis: int, **numbers: float) -> dict[str, float]:
 
 
 def _planes_about(circumstances: Circumstances) -> Starts:
-    """Planes across the world's axes, before and behind all coils and sensors."""
-    positions_m, reach_m = circumstances.positions_m, circumstances.reach_m
-    return tuple(
-        _in_axis(axis, distance_m=float(at_m[axis]) + side * gap * reach_m)
-        for axis in range(3)
-        for at_m, side in ((positions_m.max(0).values, 1.0), (positions_m.min(0).values, -1.0))
-        for gap in GAPS
-    )
+    """Planes across the world's axes, before and behind all windings and sensors."""
+    positions_m = circumstances.positions_m
+    starts = []
+    for axis, across in enumerate(torch.eye(3, dtype=positions_m.dtype, device=positions_m.device)):
+        ends_m = torch.cat((positions_m[:, axis], *_windings_along_m(circumstances, across)))
+        for end_m, side in ((ends_m.max(), 1.0), (ends_m.min(), -1.0)):
+            gaps_m = (gap * circumstances.reach_m for gap in GAPS)
+            starts += [_in_axis(axis, distance_m=float(end_m) + side * gap_m) for gap_m in gaps_m]
+    return tuple(starts)
 
 
-def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
-    """Whether no sensor went through the plane: all were on one of its sides."""
-    along_m = (circumstances.sensor_positions_m * _across(theta)).sum(-1)
-    return not bool(along_m.min() < theta["distance_m"] < along_m.max())
+def _windings_along_m(
+    circumstances: Circumstances, across: Float[Tensor, "3"]
+) -> list[Float[Tensor, " end"]]:
+    """How far along a direction each round winding begins and ends, at all poses."""
+    result = []
+    for coil in circumstances.rig.round:
+        radius_m, _, length_m = circumstances.winding_m(coil.name)
+        pose = circumstances.world_from(coil)
+        lean, front_m = pose.rotation[..., 2] @ across, pose.translation_m @ across
+        beside_m = radius_m * (1.0 - lean.square()).clamp(min=0.0).sqrt()
+        middles_m = torch.stack((front_m, front_m - length_m * lean))
+        result.append(torch.stack((middles_m - beside_m, middles_m + beside_m)).flatten())
+    return result
+
+
+def _has_all_on_one_side(theta: Theta, circumstances: Circumstances) -> bool:
+    """Whether neither a sensor nor a winding went through the plane: each was on one of its sides."""
+    across = _across(theta)[..., 0, :]
+    sensors_m = (circumstances.sensor_positions_m * across).sum(-1)
+    bodies_m = (sensors_m, *_windings_along_m(circumstances, across))
+    return not any(bool(along_m.min() < theta["distance_m"] < along_m.max()) for along_m in bodies_m)
 
 
 # Quantities: strength of the image, direction across the plane, and how far along it the plane lies from the world's origin.
@@ -70,7 +88,7 @@ def _is_beside_sensors(theta: Theta, circumstances: Circumstances) -> bool:
         shape("distance_m", "m", -8.0 * extent.reach_m, 8.0 * extent.reach_m),
     ),
     starts=_planes_about,
-    is_itself=_is_beside_sensors,
+    is_itself=_has_all_on_one_side,
 )
 def iron_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """A plate of iron mirrors the coils.

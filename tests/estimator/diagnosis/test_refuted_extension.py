@@ -12,6 +12,7 @@ from estimator.diagnosis import budget, outcome
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.headline import headline
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.observations import Observations
 from tests.estimator.diagnosis.sessions import session_with
@@ -72,6 +73,30 @@ def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.M
     assert improvement is not None
     if not diagnosis.extended_rig.corrections:
         assert improvement.after.errors.vector_T == improvement.before.errors.vector_T
+
+
+def test_intervals_that_are_too_wide_refute_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = outcome.improvement_of
+
+    def worse_if_widened(
+        before: Fit, after: Fit, unseen: Observations, covariance: Tensor | None = None
+    ) -> Improvement:
+        improvement: Improvement = real(before, after, unseen, covariance)
+        return (
+            improvement if covariance is None else replace(improvement, elpd_difference=-100.0, elpd_se=1.0)
+        )
+
+    monkeypatch.setattr(outcome, "improvement_of", worse_if_widened)
+    monkeypatch.setattr(Answer, "leaves_something", True)
+    diagnosis = diagnose(
+        session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1),
+        seed=1,
+        has_corrections=False,
+        limits=Limits(2),
+    )
+    assert diagnosis.left_open.widening is not None
+    assert diagnosis.verdict == "partly_explained"
+    assert [named.cause.name for named in diagnosis.causes] == ["axis_gain"]
 
 
 def test_a_cause_that_is_next_to_nothing_in_unseen_readings_is_told_without_a_name(

@@ -79,3 +79,20 @@ def test_later_readings_keep_what_is_recorded_of_either() -> None:
 def test_a_session_is_divided_in_turn() -> None:
     assert segments_in_turn(torch.arange(10.0), 3).tolist() == [0, 0, 0, 0, 1, 1, 1, 2, 2, 2]
     assert replace(session([0.0, 1.0]), recorded_segment=torch.tensor([1, 0])).segment.tolist() == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("interval_s", "instants_s", "words"),
+    [
+        (60.0, [90.0], "90 s after the first reading"),
+        (60.0, [30.0, 150.0], "30 to 150 s after the first reading"),
+        (1.0, [1.5], "from reading 3 on"),
+        (1.0, [0.5, 2.5], "from reading 2 to 3"),
+    ],
+)
+def test_instants_of_a_file_without_times_are_told_by_the_numbers_of_readings(
+    interval_s: float, instants_s: list[float], words: str
+) -> None:
+    """Such a file is read as one reading a second."""
+    readings = session([interval_s * i for i in range(5)])
+    assert readings.instants_in_words([at_s / HOUR_S for at_s in instants_s]) == words

@@ -187,7 +187,7 @@ def test_step_of_the_rooms_field_goes_through_the_opening_as_the_potential_probl
 def test_sensors_went_through_the_opening_of_a_pierced_plate(x_m, is_itself):
     """A search took a plate for one whose opening was five maps away."""
     circumstances = Circumstances(rig_from_text(RIG), readings(AROUND_M))
-    theta = {key: torch.tensor(value) for key, value in (PIERCED | {"x_m": x_m}).items()}
+    theta = {key: torch.tensor(value, dtype=torch.float64) for key, value in (PIERCED | {"x_m": x_m}).items()}
     assert pierced_plate.is_itself(theta, circumstances) is is_itself
 
 
@@ -197,7 +197,9 @@ def test_sensors_went_through_the_opening_of_a_pierced_plate(x_m, is_itself):
 def test_pierced_plate_beside_all_readings_is_a_field_of_the_room_and_no_plate(height_m, is_between):
     """As a search took one for it, in an axis scan of a coil with a background of 77 uT."""
     circumstances = Circumstances(rig_from_text(RIG), readings(AROUND_M))
-    theta = {key: torch.tensor(value) for key, value in (PIERCED | {"z_m": height_m}).items()}
+    theta = {
+        key: torch.tensor(value, dtype=torch.float64) for key, value in (PIERCED | {"z_m": height_m}).items()
+    }
     assert pierced_plate.is_itself(theta, circumstances) is is_between
     if not is_between:
         field = added_T(
@@ -309,13 +311,46 @@ def test_second_body_is_looked_for_beside_a_first_alone():
     assert asked == [False, True]
 
 
-@pytest.mark.parametrize(("share", "is_clear"), [(-0.2, True), (0.4, False), (1.2, True)])
+@pytest.mark.parametrize(("share", "is_clear"), [(-0.2, True), (0.4, False), (6.0, True)])
 def test_a_plate_is_itself_while_no_sensor_went_through_it(share, is_clear):
     turned = {"axis": 0.0, "tilt_1_rad": TILTS_RAD[0], "tilt_2_rad": TILTS_RAD[1]}
     along_m = POINTS_M @ ACROSS
     distance_m = along_m.min() + share * np.ptp(along_m)
-    theta = {key: torch.tensor(value) for key, value in (turned | {"distance_m": distance_m}).items()}
+    theta = {
+        key: torch.tensor(value, dtype=torch.float64)
+        for key, value in (turned | {"distance_m": distance_m}).items()
+    }
     assert iron_plate.is_itself(theta, Circumstances(rig_from_text(RIG), ONE)) is is_clear
+
+
+# The coil's winding ends 6 mm below z = 0; the other coil lies on its side and reaches down to 30 mm.
+@pytest.mark.parametrize(
+    ("height_m", "is_clear"), [(-0.003, False), (-0.02, False), (-0.031, True), (0.032, True)]
+)
+def test_a_plate_is_itself_while_no_winding_is_on_both_of_its_sides(height_m, is_clear):
+    in_front = readings(POINTS_M[:2], (1.0, 0.0))
+    circumstances = Circumstances(rig_from_text(RIG), in_front)
+    numbers = {"axis": 2.0, "tilt_1_rad": 0.0, "tilt_2_rad": 0.0, "distance_m": height_m}
+    theta = {key: torch.tensor(value, dtype=torch.float64) for key, value in numbers.items()}
+    assert iron_plate.is_itself(theta, circumstances) is is_clear
+
+
+def test_plates_are_looked_for_where_nothing_is_in_their_way():
+    circumstances = Circumstances(rig_from_text(RIG), readings(POINTS_M[:2], (1.0, 0.0)))
+    starts = iron_plate.starts(circumstances)
+    assert len(starts) == 12
+    for start in starts:
+        theta = {key: torch.tensor(value, dtype=torch.float64) for key, value in start.items()}
+        assert iron_plate.is_itself(theta, circumstances)
+
+
+@pytest.mark.parametrize("name", ["iron_core", "core_saturation", "cross_magnetisation", "dipole_model"])
+@pytest.mark.parametrize(("height_m", "is_free"), [(0.001, True), (-0.003, False), (-0.007, True)])
+def test_iron_fills_no_bore_that_a_sensor_went_through(name, height_m, is_free):
+    circumstances = Circumstances(
+        rig_from_text(RIG), readings(np.array([[0.01, 0.0, 0.03], [0.02, 0.01, height_m]]), (1.0, 2.0))
+    )
+    assert EFFECTS[name].concerns(circumstances, "coil") is is_free
 
 
 def test_iron_on_the_sensor_is_magnetised_where_the_sensor_takes_it():
