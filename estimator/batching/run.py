@@ -19,7 +19,7 @@ from estimator.batching.result import BatchResult
 from estimator.batching.tables import sessions_of
 from estimator.batching.work import CALIBRATION_FOLDER, RESULT_FILE, describe, fit, is_enough, sampled
 from estimator.devices import device_named, precision_named
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.errors import InvalidInput
 from estimator.inference.ensemble import SamplerSettings
 from estimator.rig_files.read import load_rig
@@ -29,7 +29,7 @@ from estimator.store.made import Made
 from estimator.store.staging import only_writer
 
 # A larger stack is slower than two smaller ones, because it no longer fits the processor's cache.
-STACK_READINGS, STACK_JOBS = 8000 // (1 + policy.MORE_STARTS), 64
+STACK_READINGS, STACK_JOBS = 8000 // (1 + effort.MORE_STARTS), 64
 LEADS_ABOVE = 0.05  # probability of a hypothesis above which its posterior is sampled
 JOBS, SESSIONS = "jobs", "sessions"
 MADE = Made(

@@ -14,7 +14,7 @@ from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate, versions
 from estimator.calibration.files import CALIBRATION, SUMMARY_FILE
 from estimator.code_version import code_version
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.fitting import Fit
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.inference.ensemble import SamplerSettings
@@ -76,7 +76,7 @@ def _fits(ready: list[tuple[Job, Observations, Rig]]) -> list[Fit | Exception]:
             rig,
             [observations.calibration for _, observations, _ in ready],
             [job.seed for job, _, _ in ready],
-            policy.MORE_STARTS,
+            effort.MORE_STARTS,
             job.device,
             job.precision,
         )

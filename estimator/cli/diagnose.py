@@ -25,6 +25,7 @@ from estimator.cli.options import (
     seed_option,
 )
 from estimator.cli.output import CoilcalCommand, show
+from estimator.diagnosis import effort
 
 if TYPE_CHECKING:
     from estimator.diagnosis.limits import Limits
@@ -92,7 +93,6 @@ def diagnose_command(
     A diagnosis that was killed, stopped (Ctrl-C, SIGTERM) or ran out of --minutes goes on when the same command is given again.
     """
     from estimator.cli.progress import LINE_EVERY_S, Reporter
-    from estimator.diagnosis import policy
     from estimator.diagnosis.diagnose import diagnose
     from estimator.diagnosis.fit_journal import FITS
     from estimator.diagnosis.limits import Limits
@@ -119,7 +119,7 @@ def diagnose_command(
             validation=validation,
             out=unfinished,
             limits=limits,
-            most_readings=most_readings or policy.MOST_READINGS_SEARCHED,
+            most_readings=most_readings or effort.MOST_READINGS_SEARCHED,
             on_stage=reporter.stage,
             on_progress=reporter.fits,
             **options,

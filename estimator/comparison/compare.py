@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.covariates import residual_T, sensor_in_coils
 from estimator.diagnosis.structure.residual_tests import LackOfFit, Structure, lack_of_fit, structure
@@ -27,7 +27,8 @@ from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
-LEAST_P = 0.01  # below, a residual has structure, or is larger than the noise, by more than chance makes once in a hundred sessions
+# Below, a residual has structure, or is larger than the noise, by more than chance makes once in a hundred sessions
+LEAST_P = 0.01
 COARSE = 0.3  # of the noise: an error of interpolation beyond which the map is judged with a warning
 FEWEST_READINGS = 10
 N_SHELLS = 4
@@ -174,10 +175,10 @@ def compare(session: Session, field_map: GridMap, coil: str | None = None, *, se
     rules = MeasurementModel.build(rig, observations).rules
     rough = fit_rig(
         rig,
-        thinned(observations.calibration, policy.MOST_READINGS_SEARCHED, seed),
+        thinned(observations.calibration, effort.MOST_READINGS_SEARCHED, seed),
         {},
         rules,
-        policy.MORE_STARTS,
+        effort.MORE_STARTS,
     )
     within = _within(rough, observations, field_map, coil)
     seen, unseen = (part.rows(inside) for part, inside in within)
@@ -186,7 +187,7 @@ def compare(session: Session, field_map: GridMap, coil: str | None = None, *, se
         raise InvalidInput(
             f"field map must hold at least {FEWEST_READINGS} readings for the fit; it holds {len(seen)}, and {outside} lie outside"
         )
-    seen = thinned(seen, policy.MOST_READINGS_FITTED, seed)
+    seen = thinned(seen, effort.MOST_READINGS_FITTED, seed)
     by_winding = fit_rig(rig, seen, rough.values, rules)
     by_map = _fit_with_map(by_winding, field_map, coil)
     improvement = improvement_of(by_winding, by_map, unseen) if len(unseen) else None
@@ -242,7 +243,7 @@ def _fit_with_map(start: Fit, field_map: GridMap, coil: str) -> Fit:
     coordinates = Coordinates(rig)
     posterior = LogPosterior(coordinates, model, observations)
     return Fit(
-        posterior, levenberg_marquardt(posterior, coordinates.start()[None], tolerance=policy.FINE_TOLERANCE)
+        posterior, levenberg_marquardt(posterior, coordinates.start()[None], tolerance=effort.FINE_TOLERANCE)
     )
 
 

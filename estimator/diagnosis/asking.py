@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import torch
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.far_elsewhere import far_elsewhere, refit_outside
 from estimator.diagnosis.hypotheses.record_mistakes import (
@@ -21,7 +21,7 @@ from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.scatter import BesideScatter, answer_beside_scatter
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.progress import OnProgress
-from estimator.diagnosis.verdict import ALTERNATIVE, Alternative, NamedCause
+from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.errors import InvalidInput
 from estimator.rig.rig import Cause
 
@@ -90,7 +90,9 @@ def _named(plain: Fit, elsewhere: Sequence[Fit]) -> NamedCause:
     evidence = torch.tensor([fit.log_evidence for fit in elsewhere], dtype=torch.float64)
     causes, shares = [fit.rig.effects[-1] for fit in elsewhere], torch.softmax(evidence, 0).tolist()
     others = zip(causes[1:], shares[1:], strict=True)
-    alternatives = tuple(Alternative(cause, share, None) for cause, share in others if share > ALTERNATIVE)
+    alternatives = tuple(
+        Alternative(cause, share, None) for cause, share in others if share > policy.ALTERNATIVE
+    )
     return NamedCause(causes[0], shares[0], alternatives, elsewhere[0].log_evidence - plain.log_evidence)
 
 
@@ -111,5 +113,5 @@ def _are_doubtful(mistakes: Sequence[RecordMistake | NamedCause], answer: Answer
     if not rig.effects:
         return False
     rules = final.posterior.model.rules
-    as_recorded = fit_rig(rig, base.observations, rig.nominal_values(), rules, policy.MORE_STARTS)
+    as_recorded = fit_rig(rig, base.observations, rig.nominal_values(), rules, effort.MORE_STARTS)
     return as_recorded.log_evidence > final.log_evidence

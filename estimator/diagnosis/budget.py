@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.use import as_meant
 from estimator.inference.likelihood import LogPosterior
@@ -25,8 +25,10 @@ from estimator.readings.observations import Observations
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
 from estimator.side_by_side import each
 
+# Squared error beyond the noise, over that of the noise, from which on an error budget is told
+LEAST_MISFIT_TOLD = 0.1
+
 MOST_IN_ALL_ORDERS = 3  # causes; of more in one order and its reverse
-NEGLIGIBLE = 0.01  # share of the misfit
 # Fits with some of the causes stop at this share of the rise in log density that all of them bring
 SHARE_OF_WHOLE = 1e-3
 N_RESAMPLED = 400  # sets of readings drawn with replacement, for the intervals
@@ -71,12 +73,12 @@ class Budget:
     left: Share
 
     def is_negligible(self, cause: Cause) -> bool:
-        """Whether the interval of a cause's share ends below `NEGLIGIBLE` of a misfit above the noise; not where it has none.
+        """Whether the interval of a cause's share ends below `policy.NEGLIGIBLE_SHARE` of a misfit above the noise; not where it has none.
 
         What is hidden in the noise of few unseen readings is the share of any weak cause, right or wrong.
         """
         is_known = cause in self.causes and self.misfit_T > self.noise_T
-        return is_known and self.causes[cause].ci90[1] < NEGLIGIBLE
+        return is_known and self.causes[cause].ci90[1] < policy.NEGLIGIBLE_SHARE
 
     def to_json(self) -> dict[str, Any]:
         """Content of `budget` in `diagnosis.json`."""
@@ -116,7 +118,7 @@ def budget(plain: Fit, extended: Fit, unseen: Observations, seed: int) -> Budget
     squares |= dict(zip(sets, each(squares_with, sets), strict=True))
     noise = _noise(extended, unseen)
     misfit = float((squares[nothing] - noise).mean())
-    if misfit <= policy.LEAST_MISFIT_TOLD * float(noise.mean()):
+    if misfit <= LEAST_MISFIT_TOLD * float(noise.mean()):
         return None
     random = np.random.default_rng(seed)
     n = len(noise)
@@ -190,7 +192,7 @@ def _fit_with(plain: Fit, extended: Fit, causes: Collection[Cause]) -> Fit:
         extended.observations,
         extended.values,
         extended.posterior.model.rules,
-        tolerance=max(SHARE_OF_WHOLE * whole, policy.ROUGH_TOLERANCE),
+        tolerance=max(SHARE_OF_WHOLE * whole, effort.ROUGH_TOLERANCE),
         near=extended,
         ends_exact=False,
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 
 from estimator.devices import device_named, precision_named
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.asking import asked_beside_mistakes
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.extension import extended_rig
@@ -52,6 +52,8 @@ from estimator.side_by_side import meanwhile, one_thread_for_an_operation
 from estimator.store.made import check_folder
 from estimator.store.session import Session, check_session
 
+MOST_PROPOSALS = 8  # programmes that are listed for each set
+
 
 def diagnose(
     session: Session,
@@ -63,7 +65,7 @@ def diagnose(
     has_posterior: bool = False,
     has_corrections: bool = True,
     limits: Limits | None = None,
-    most_readings: int = policy.MOST_READINGS_SEARCHED,
+    most_readings: int = effort.MOST_READINGS_SEARCHED,
     device: str = "cpu",
     precision: str = "double",
     on_stage: Callable[[str], None] | None = None,
@@ -205,10 +207,10 @@ def _judged(
     outcome = Outcome.of(plain, said.said, mistakes, is_record_wrong=bool(first.flags or mistakes))
     tell("validating on readings not used for fitting")
     if len(seen) > len(plain.observations):
-        outcome = outcome.fitted_to(thinned(seen, policy.MOST_READINGS_FITTED, seed))
+        outcome = outcome.fitted_to(thinned(seen, effort.MOST_READINGS_FITTED, seed))
     unseen, judging_flags = first.judging(outcome.extended)
     if len(unseen):
-        unseen = thinned(unseen, policy.MOST_READINGS_FITTED, seed)
+        unseen = thinned(unseen, effort.MOST_READINGS_FITTED, seed)
     if outcome.verdict.leaves_something and has_corrections:
         outcome = outcome.corrected(unseen, limits, tell)
     elif outcome.verdict.leaves_something:
@@ -270,5 +272,5 @@ def _next_measurements(answer: Answer, rig: Rig) -> list[Proposal]:
         fits = {label_of(cause, rig): fit for cause, fit in alternative_fits(answer, entry).items()}
         possible = actions(answer.plain.observations, rig)
         clear = [p for p in proposals(fits, possible) if p.expected_log_evidence > policy.CLEAR_LOG_EVIDENCE]
-        best += clear[: policy.MOST_PROPOSALS]
+        best += clear[:MOST_PROPOSALS]
     return best

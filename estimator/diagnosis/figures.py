@@ -10,13 +10,13 @@ from jaxtyping import Float
 from matplotlib.axes import Axes
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.part_by_part import part_by_part
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.statements.hypotheses import role_of
 from estimator.diagnosis.statements.residuals import around_coils, sigma_T
 from estimator.diagnosis.structure.covariates import Covariate, predicted_T, residual_T
+from estimator.diagnosis.structure.residual_tests import N_NOISE_DRAWS
 from estimator.effects.corrections.correction import KEY
 from estimator.model.bodies import round_winding_of
 from estimator.reporting import plots
@@ -141,7 +141,7 @@ def _structure(diagnosis: Diagnosis) -> Iterator[Picture]:
             [test.p_value for test in tests],
             [after[name].p_value for name in names],
             title=diagnosis.rig.name,
-            floor=1.0 / (policy.N_NOISE_DRAWS + 1),
+            floor=1.0 / (N_NOISE_DRAWS + 1),
         ),
     )
     if tests:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.far_elsewhere import rules_and_refusal
 from estimator.diagnosis.hypotheses.record_mistakes import leaves_much_of_the_field
@@ -20,6 +20,8 @@ from estimator.readings.flags import Flag, merged, without_flagged
 from estimator.readings.observations import Observations
 from estimator.readings.split import thinned, with_validation
 from estimator.store.session import Session
+
+MOST_ROUNDS_OF_FLAGS = 3  # how often such readings are looked for, each time without those found before
 
 
 @dataclass(frozen=True)
@@ -69,7 +71,7 @@ class FirstFit:
         seen, unseen = (_that_hold_something(part) for part in _split(session, validation, question.seed))
         few = thinned(seen, most_readings, question.seed)
         rules, refusal = rules_and_refusal(question.rig, few)
-        plain = fit_rig(question.rig, few, {}, rules, policy.MORE_STARTS)
+        plain = fit_rig(question.rig, few, {}, rules, effort.MORE_STARTS)
         return cls(question, session, validation, most_readings, tuple(flags), seen, unseen, plain, refusal)
 
     @property
@@ -113,7 +115,7 @@ class FirstFit:
     def without_suspects(self, tell: Callable[[str], None]) -> FirstFit:
         """The fit without such readings, unless they may be a cause of the library; a finer fit shows finer mistakes."""
         first = self
-        for _ in range(policy.MOST_ROUNDS_OF_FLAGS):
+        for _ in range(MOST_ROUNDS_OF_FLAGS):
             suspects = first.suspects()
             if not suspects.flags or suspects.may_be_causes:
                 break

@@ -14,10 +14,10 @@ from torch import Tensor
 from torch.special import log_ndtr
 
 from estimator.derivatives import jacobian_of
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.fit_journal import key_of
 from estimator.diagnosis.fit_place import SETTING, climbed
-from estimator.diagnosis.linear import FreeNoise, Projector
+from estimator.diagnosis.linear import MOST_NOISE_SHRINK, FreeNoise, Projector
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import Use
@@ -31,6 +31,9 @@ from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.parameters import LogNormal, Normal, Parameter
 from estimator.rig.rig import Cause, Rig
+
+# Standard deviations of a prior from its bound, within which the last Newton step leaves a number alone
+NEAR_BOUND = 1e-3
 
 ROUNDING = 1e-12  # readings that differ by less than this share of the largest are the same
 
@@ -160,7 +163,7 @@ class Fit:
         coordinates = self.posterior.coordinates
         lower, upper = coordinates.bounds()
         value = torch.stack([self.values[name] for name in coordinates.names])
-        near = policy.NEAR_BOUND * value.new_tensor([p.prior.sd for p in coordinates.parameters if p.prior])
+        near = NEAR_BOUND * value.new_tensor([p.prior.sd for p in coordinates.parameters if p.prior])
         return (value - lower < near) | (upper - value < near)
 
     @cached_property
@@ -276,9 +279,7 @@ class Fit:
         noise_T = min(float(self.values[f"{sensor.name}.noise_T"]) for sensor in self.rig.sensors)
         rounding_T = resolution_T(self.posterior.measured_T) / math.sqrt(12.0)
         lowest = (
-            max(math.log(rounding_T / noise_T), policy.MOST_NOISE_SHRINK)
-            if rounding_T > 0.0
-            else policy.MOST_NOISE_SHRINK
+            max(math.log(rounding_T / noise_T), MOST_NOISE_SHRINK) if rounding_T > 0.0 else MOST_NOISE_SHRINK
         )
         return FreeNoise(float(len(self.residual)), min(widths), min(lowest, 0.0), self._tension)
 
@@ -331,7 +332,7 @@ def fit_rig(
         start: Values by parameter; names that the rig does not have are ignored.
         rules: Quadrature rule of each winding.
         more_starts: Number of draws of the prior.
-        tolerance: Rise in log density by a further step below which the fit stops; `policy.FINE_TOLERANCE` by default.
+        tolerance: Rise in log density by a further step below which the fit stops; `effort.FINE_TOLERANCE` by default.
         near: Fit of a similar rig to the same readings, whose derivatives hold near the start: it is where the values come from.
         other_start: Values of some parameters that replace those of the start where the density is then higher.
         ends_exact: Make the Jacobian anew at the maximum; without it curvature and evidence are rough where many numbers are free.
@@ -348,9 +349,9 @@ def fit_rig(
         other = coordinates.vector({n: v for n, v in {**start, **other_start}.items() if n in rig.parameters})
         vector = torch.cat((vector, other[None]))
         vector = vector[posterior(vector).argmax()][None]
-    tolerance = policy.FINE_TOLERANCE if tolerance is None else tolerance
-    if tolerance >= policy.ROUGH_TOLERANCE:
-        tolerance = max(tolerance, 0.5 * coordinates.n * policy.ROUGH_TO_SD**2)
+    tolerance = effort.FINE_TOLERANCE if tolerance is None else tolerance
+    if tolerance >= effort.ROUGH_TOLERANCE:
+        tolerance = max(tolerance, 0.5 * coordinates.n * effort.ROUGH_TO_SD**2)
     setting = SETTING.get()
     journal = setting.journal
     key = "" if journal is None else key_of(rig, observations, vector, tolerance, rules, setting.place)

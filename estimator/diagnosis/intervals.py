@@ -8,13 +8,16 @@ from itertools import combinations
 import numpy as np
 
 from estimator.calibration.result import Calibration
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.sizes import Difference, Interval
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.rig.rig import Cause
+
+# Factor between two numbers of standard deviations, or two of these, from which on the difference is told
+CLEARLY_LARGER = 1.5
+CLEAR_SD = 2.0  # standard deviations from zero from which on a number of a cause is told in a sentence
 
 MOSTLY_PRIOR = 0.8  # of the prior's standard deviation, from which on a number is told to be mostly its prior
 
@@ -80,7 +83,7 @@ class Intervals:
         ]
         best = max(differences, key=lambda difference: difference.distance_sd, default=None)
         alone = max((distance[name] / self.fit.value_sd(name) for name in distance), default=0.0)
-        least = max(policy.CLEARLY_LARGER * alone, policy.CLEAR_SD)
+        least = max(CLEARLY_LARGER * alone, CLEAR_SD)
         return best if best is not None and best.distance_sd > least else None
 
     def _unseen(self, cause: Cause) -> frozenset[str]:

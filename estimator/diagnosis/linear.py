@@ -15,8 +15,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.inference.positive_definite import inner_products
+
+MOST_NOISE_SHRINK = (
+    -5.0
+)  # logarithm of the least noise that more columns may lead to, over the fitted one: a factor of 150
 
 N_SHRINKS = 101  # grid of the logarithm of the noise
 COARSE = 5  # of it, one in so many is tried first
@@ -156,7 +159,7 @@ class FreeNoise:
 
     n: float
     width: float
-    most_shrink: float = policy.MOST_NOISE_SHRINK
+    most_shrink: float = MOST_NOISE_SHRINK
     tension: float = 0.0
 
 

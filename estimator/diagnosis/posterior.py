@@ -15,10 +15,10 @@ from estimator.calibration.files import check_calibration, remove_calibration
 from estimator.calibration.quality import Assessment, Quality
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import STATED
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import posterior_scores
 from estimator.diagnosis.widening import Widening, have_whole_counts
@@ -184,7 +184,7 @@ def _doubts(result: Diagnosis) -> list[str]:
     return [
         f"it holds only if {sized.name} is what is wrong ({probability(sized.probability)})."
         for sized in result.sized_causes
-        if sized.probability < STATED
+        if sized.probability < policy.STATED
     ]
 
 

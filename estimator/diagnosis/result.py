@@ -9,12 +9,11 @@ from typing import Any
 
 from estimator.calibration.files import CALIBRATION
 from estimator.calibration.result import Calibration
-from estimator.diagnosis import policy
 from estimator.diagnosis.extension import NOTE
 from estimator.diagnosis.findings import Findings, Fits, LeftOpen, Question
 from estimator.diagnosis.fit_journal import FITS
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
-from estimator.diagnosis.intervals import Intervals
+from estimator.diagnosis.intervals import CLEARLY_LARGER, Intervals
 from estimator.diagnosis.mixture.comparison import Comparison, Hypothesis
 from estimator.diagnosis.presented import Presented
 from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
@@ -161,7 +160,7 @@ class Diagnosis(Presented):
     def no_longer_determined(self) -> tuple[str, ...]:
         """Parameters of the rig that the extended rig knows clearly less well than the rig as described does; it refutes no value."""
         known = {} if self.improvement is None else self.improvement.known_before
-        return tuple(n for n, (_, sd) in known.items() if self.value_sd(n) > policy.CLEARLY_LARGER * sd)
+        return tuple(n for n, (_, sd) in known.items() if self.value_sd(n) > CLEARLY_LARGER * sd)
 
     def to_json(self) -> dict[str, Any]:
         """Content of `diagnosis.json`."""

@@ -13,13 +13,17 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.expectation import SD_OF_MEDIAN, Expectation, predict_T
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.inference.bounds import Inside
 from estimator.inference.levenberg_marquardt import prior_gradient
 from estimator.readings.observations import Observations
 from estimator.readings.split import spread
+
+# The first of them, to the rest that misses least: one to all readings may leave none near
+TRIMMINGS_TO_A_SHARE = 2
+MOST_TRIMMINGS = 5  # fits to the readings that do not miss by far, one after another: most settle after three
 
 STEPS_FOR_A_FIT = 2  # with the slopes of another place, which come as near as a new fit
 
@@ -33,13 +37,13 @@ def robust_fit(fit: Fit, values: Mapping[str, Tensor], observations: Observation
         observations: The readings.
     """
     may_fit = observations.is_measured.any(dim=1) & ~observations.is_validation
-    for trimming in range(policy.MOST_TRIMMINGS):
+    for trimming in range(MOST_TRIMMINGS):
         is_near = _are_near(predict_T(fit, values, observations), observations, may_fit, trimming)
         if is_near is None:
             return fit
-        few = spread(observations.rows(is_near), policy.MOST_READINGS_SEARCHED)
-        is_settled = trimming >= policy.TRIMMINGS_TO_A_SHARE and len(few) == len(fit.observations)
-        fit = fit_rig(fit.rig, few, values, fit.posterior.model.rules, tolerance=policy.ROUGH_TOLERANCE)
+        few = spread(observations.rows(is_near), effort.MOST_READINGS_SEARCHED)
+        is_settled = trimming >= TRIMMINGS_TO_A_SHARE and len(few) == len(fit.observations)
+        fit = fit_rig(fit.rig, few, values, fit.posterior.model.rules, tolerance=effort.ROUGH_TOLERANCE)
         values = fit.values
         if is_settled:
             break
@@ -59,7 +63,7 @@ def robust_values(fit: Fit) -> Mapping[str, Tensor]:
     may_fit = observations.is_measured.any(dim=1)
     reading = posterior.measured_components(torch.arange(len(observations))[:, None].expand(-1, 3))
     vector, values = fit.vector, fit.values
-    for trimming in range(STEPS_FOR_A_FIT * policy.MOST_TRIMMINGS):
+    for trimming in range(STEPS_FOR_A_FIT * MOST_TRIMMINGS):
         field_T = predict_T(fit, values, observations)
         is_near = _are_near(field_T, observations, may_fit, trimming)
         if is_near is None:
@@ -87,7 +91,7 @@ def _are_near(
 ) -> Bool[Tensor, " reading"] | None:
     """The readings that the next of these fits is made to; None where they are too few to tell which are right."""
     off = Expectation(observations, predicted_T).misses
-    is_first = trimming < policy.TRIMMINGS_TO_A_SHARE
+    is_first = trimming < TRIMMINGS_TO_A_SHARE
     most = off[may_fit].quantile(1.0 - policy.MOST_TRIMMED) if is_first else policy.FAR_FROM_EXPECTED
     is_near = may_fit & (off <= most)
     return is_near if int(is_near.sum()) >= int((1.0 - policy.MOST_TRIMMED) * float(may_fit.sum())) else None

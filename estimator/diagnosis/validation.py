@@ -23,11 +23,14 @@ from estimator.readings.metrics import ErrorMetrics, error_metrics
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 
+LEAST_IMPROVEMENT_SE = 2.0  # from which on a rise of the log predictive density is significant: 2 % by chance
+
 SAME_ERROR = 0.02  # relative difference of two errors that are told as one
 N_DRAWS = 200  # of the posterior, for predictive densities
 DRAWS_AT_ONCE = 20  # so that maps of thousands of readings fit the memory
 N_SHOWN = 40  # of them, whose predicted field is computed: each takes a hundredth of a second
-MOST_COVERED = 400  # readings that the intervals of predicted fields are held against: their coverage is known to 1 % then
+# Readings that the intervals of predicted fields are held against: their coverage is known to 1 % then
+MOST_COVERED = 400
 
 
 @dataclass(frozen=True)
@@ -96,7 +99,7 @@ class Improvement:
     @property
     def is_significant(self) -> bool:
         """Whether the elpd rises by more than chance explains."""
-        return self.elpd_difference > self._by_chance(policy.LEAST_IMPROVEMENT_SE)
+        return self.elpd_difference > self._by_chance(LEAST_IMPROVEMENT_SE)
 
     @property
     def is_loss(self) -> bool:

@@ -12,7 +12,6 @@ from estimator.diagnosis import policy
 from estimator.rig.rig import Cause
 
 UNKNOWN = "something not in the library"
-ALTERNATIVE = 0.05  # share of a set from which on something is an alternative to what is there
 
 
 class Verdict(StrEnum):
@@ -93,7 +92,7 @@ class NamedCause:
         alternatives = tuple(
             Alternative(cause, scale * weighed[cause], None)
             for cause in others
-            if scale * weighed[cause] > ALTERNATIVE
+            if scale * weighed[cause] > policy.ALTERNATIVE
         )
         return replace(self, cause=first, probability=scale * weighed[first], alternatives=alternatives)
 

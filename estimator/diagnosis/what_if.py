@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.drawing import outline_of, rounded
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
@@ -90,7 +90,7 @@ def fit_for_what_if(session: Session) -> Fit:
     rig = session.rig
     check_readings(rig, session.observations, session.source)
     few = thinned(session.observations.calibration, MOST_READINGS, 0)
-    return fit_rig(rig, few, {}, MeasurementModel.build(rig, few).rules, policy.MORE_STARTS)
+    return fit_rig(rig, few, {}, MeasurementModel.build(rig, few).rules, effort.MORE_STARTS)
 
 
 def possible_causes(fit: Fit) -> list[PossibleCause]:

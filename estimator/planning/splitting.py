@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.diagnosis.next_readings.stops import lowered
-from estimator.diagnosis.policy import CLEAR_LOG_EVIDENCE, CREDIBLE_SHARE
+from estimator.diagnosis.policy import ALTERNATIVE, CLEAR_LOG_EVIDENCE
 from estimator.planning.so_far import Products, SoFar
 from estimator.planning.unseen import SURE, Unseen
 
@@ -43,7 +43,7 @@ def credible(unseen: Unseen, causes: Sequence[str]) -> list[int]:
         held[causes[number]] = held.get(causes[number], 0.0) + float(share[number])
     result, total = [], 0.0
     for cause in sorted(held, key=lambda cause: -held[cause]):
-        if total >= CREDIBLE_SHARE:
+        if total >= 1.0 - ALTERNATIVE:
             break
         result.append(leading[cause])
         total += held[cause]

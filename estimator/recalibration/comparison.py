@@ -11,8 +11,7 @@ import torch
 
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import finite
-from estimator.diagnosis import policy
-from estimator.diagnosis import policy as diagnosis_policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
@@ -60,7 +59,7 @@ class Comparison:
         cls, session: Session, widened: Rig, current: Calibration, seed: int, watcher: Watcher = UNWATCHED
     ) -> Comparison:
         """Refit the session within the widened rig, and test it against the current calibration."""
-        tested = thinned(session.observations, diagnosis_policy.MOST_READINGS_SEARCHED, seed)
+        tested = thinned(session.observations, effort.MOST_READINGS_SEARCHED, seed)
         model = MeasurementModel.build(widened, tested)
         refit = fit_rig(widened, tested, widened.nominal_values(), model.rules)
         return cls(session, current, widened, refit, agreement(current, tested, refit, seed), seed, watcher)
@@ -179,9 +178,7 @@ class Comparison:
 
     def _improvement(self, diagnosis: Diagnosis) -> Improvement:
         """The extended rig of the diagnosis against the current version, on readings that neither was fitted to."""
-        fitted = thinned(
-            self.current.observations.calibration, diagnosis_policy.MOST_READINGS_FITTED, self.seed
-        )
+        fitted = thinned(self.current.observations.calibration, effort.MOST_READINGS_FITTED, self.seed)
         rules = MeasurementModel.build(self.current.rig, fitted).rules
         before = fit_rig(self.current.rig, fitted, self.current.best, rules)
         return improvement_of(before, diagnosis.fits.final, self._unseen())
@@ -194,7 +191,7 @@ class Comparison:
         return float((after - before).sum())
 
     def _unseen(self) -> Observations:
-        return thinned(self.session.observations.validation, diagnosis_policy.MOST_READINGS_FITTED, self.seed)
+        return thinned(self.session.observations.validation, effort.MOST_READINGS_FITTED, self.seed)
 
     def _p_value(self) -> str:
         p = self.agreement.p_value
@@ -272,5 +269,5 @@ def named_together(sessions: Sequence[Mapping[str, float]]) -> dict[str, float]:
     if total[ranked[0]] - math.log(len(ranked)) <= least:
         return {}
     shares = torch.softmax(torch.tensor([total[name] for name in ranked], dtype=torch.float64), 0)
-    n = int((torch.cumsum(shares, 0) < policy.CREDIBLE_SHARE).sum()) + 1
+    n = int((torch.cumsum(shares, 0) < 1.0 - policy.ALTERNATIVE).sum()) + 1
     return dict(zip(ranked[:n], shares[:n].tolist(), strict=True))

@@ -20,7 +20,7 @@ from estimator.batching.engine import Cluster, cluster
 from estimator.batching.jobs import Job, jobs_of
 from estimator.batching.stacked import stacked_fits
 from estimator.batching.work import fit
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 
@@ -36,7 +36,7 @@ def main() -> None:
     plan = load_plan(CONFIGS / "plans/paper_grid.yaml", rig)
     sessions = [simulate(rig, plan, draw_truth(rig, seed), seed=seed) for seed in range(options.fits)]
     print(
-        f"{options.fits} sessions, {len(rig.free)} free parameters, {1 + policy.MORE_STARTS} starts each; {os.cpu_count()} processors"
+        f"{options.fits} sessions, {len(rig.free)} free parameters, {1 + effort.MORE_STARTS} starts each; {os.cpu_count()} processors"
     )
     for every in (10, 4, 1):
         show_stacking(rig, [session.calibration.rows(torch.arange(0, 125, every)) for session in sessions])
@@ -46,10 +46,10 @@ def main() -> None:
 
 def show_stacking(rig: Rig, sessions: list[Observations]) -> None:
     alone = processor_seconds(
-        lambda: [stacked_fits(rig, [session], [i], policy.MORE_STARTS) for i, session in enumerate(sessions)]
+        lambda: [stacked_fits(rig, [session], [i], effort.MORE_STARTS) for i, session in enumerate(sessions)]
     )
     together = processor_seconds(
-        lambda: stacked_fits(rig, sessions, list(range(len(sessions))), policy.MORE_STARTS)
+        lambda: stacked_fits(rig, sessions, list(range(len(sessions))), effort.MORE_STARTS)
     )
     n = len(sessions)
     print(

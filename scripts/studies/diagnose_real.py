@@ -15,7 +15,7 @@ from pathlib import Path
 import torch
 
 from estimator import diagnose, load_rig
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.figures import pictures
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
@@ -58,7 +58,7 @@ def main() -> None:
     parser.add_argument(
         "--thin",
         type=int,
-        default=policy.MOST_READINGS_SEARCHED,
+        default=effort.MOST_READINGS_SEARCHED,
         help="readings that causes are searched with",
     )
     parser.add_argument(

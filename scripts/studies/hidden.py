@@ -13,7 +13,7 @@ from itertools import permutations
 from pathlib import Path
 from typing import Any
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.readings.metrics import HALF_WIDTH_90
@@ -64,7 +64,7 @@ def fit_without_flaws(hidden: HiddenSession, plain: Fit) -> Fit:
         hidden.without_flaws().write(Path(folder))
         session = read_readings_csv(Path(folder) / "readings.csv", plain.rig)
     rules = plain.posterior.model.rules
-    return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, policy.MORE_STARTS)
+    return fit_rig(plain.rig, session.observations.calibration, plain.values, rules, effort.MORE_STARTS)
 
 
 def show(rows: list[Row]) -> None:

@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.imitation import AT_ITS_LINK, WEIGHTS
+from estimator.diagnosis.mixture.imitation import AT_ITS_LINK
 from estimator.diagnosis.mixture.scatter import answer_beside_scatter
 from estimator.diagnosis.result import Question
 from estimator.effects import EFFECTS
@@ -56,7 +56,7 @@ def run_case(kind: str, seed: int) -> Row:
     hidden = draw_case(kind, seed, EFFECTS)
     session = session_of(hidden)
     question = Question(session.rig, session.source, seed)
-    first = FirstFit.of(question, session, None, policy.MOST_READINGS_SEARCHED)
+    first = FirstFit.of(question, session, None, effort.MOST_READINGS_SEARCHED)
     answer = answer_beside_scatter(first.plain, Limits(), seed, lambda _: None).answer
     truths = [label(cause) for cause in hidden.truth()["causes"]]
     return {"kind": kind, "seed": seed, "names": names_in(answer, truths, len(session.rig.sensors))}
@@ -95,7 +95,7 @@ def show(rows: list[Row]) -> None:
     at_link = [name["is_at_link"] for _, _, name in names if not name["is_right"]]
     print(f"something acts at the link of {sum(at_link)} of {len(at_link)} imitations; {AT_ITS_LINK} in use")
     weights = weights_of(features, share, is_right, counts)
-    print(f"weights {', '.join(f'{w:.2f}' for w in weights)}; in use {WEIGHTS}")
+    print(f"weights {', '.join(f'{w:.2f}' for w in weights)}; in use {policy.IMITATION}")
     p = np.empty(len(names))
     for k in range(N_FOLDS):
         rest = fold != k
@@ -104,7 +104,7 @@ def show(rows: list[Row]) -> None:
             features[~rest],
             share[~rest],
         )
-    in_use = probability(np.array(WEIGHTS), features, share)
+    in_use = probability(np.array(policy.IMITATION), features, share)
     for words, stated in (("sessions that were kept out", p), ("weights in use", in_use)):
         print(f"{words}: log loss {(counts * log_loss(stated, is_right)).sum() / counts.sum():.3f}")
         for least, most in pairwise((0.0, 0.5, 0.8, 0.9, 0.95, 1.0)):

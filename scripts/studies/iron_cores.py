@@ -17,7 +17,7 @@ import torch
 from scipy.optimize import least_squares
 
 from estimator import diagnose, load_rig
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects.attach import with_effect
 from estimator.effects.stages import CoreMagnetisation
@@ -99,7 +99,7 @@ def with_rivals(plain: Fit) -> Fit:
         for coil in NAMES:
             rig = with_effect(rig, Cause(name, coil), plain.observations, {})
     rules = plain.posterior.model.rules
-    return fit_rig(rig, plain.observations, plain.start_with(rig), rules, tolerance=policy.ROUGH_TOLERANCE)
+    return fit_rig(rig, plain.observations, plain.start_with(rig), rules, tolerance=effort.ROUGH_TOLERANCE)
 
 
 def relative_error(fit: Fit, like: Observations, at_m: np.ndarray, truth_T: np.ndarray) -> float:

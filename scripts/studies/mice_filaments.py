@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import torch
 
 from estimator import load_rig
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.confirmed import answer
@@ -92,7 +92,7 @@ def fitted(words: str, rig: Rig, seen: Observations, unseen: Observations, start
     begin = time.perf_counter()
     rules = MeasurementModel.build(rig, seen).rules
     values = {} if start is None else start.start_with(rig)
-    fit = fit_rig(rig, seen, values, rules, tolerance=policy.ROUGH_TOLERANCE)
+    fit = fit_rig(rig, seen, values, rules, tolerance=effort.ROUGH_TOLERANCE)
     rms = " and ".join(f"{1e6 * vector_rms_T(fit, part):.1f} uT" for part in (seen, unseen))
     print(f"  {words}: vector rms {rms} of unseen readings ({time.perf_counter() - begin:.0f} s)", flush=True)
     print(f"    coils against their drawing, in prior widths: {against_prior(fit)}", flush=True)

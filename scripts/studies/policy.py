@@ -88,9 +88,11 @@ def other_values(name: str, value: Value) -> list[Value]:
     """Half and twice a rule: of a prior probability its logarithm less and plus log 2, of a share near one the rest of it.
 
     Examples:
-        >>> other_values("MOST_PROPOSALS", 4), other_values("CREDIBLE_SHARE", 0.95), other_values("DEGREES", (1, 2, 3))
+        >>> other_values("MOST_CAUSES", 4), other_values("VALIDATION_SHARE", 0.95), other_values("DEGREES", (1, 2, 3))
         ([2, 8], [0.975, 0.9], [(1, 2), (2, 4, 6)])
     """
+    if isinstance(value, tuple) and isinstance(value[0], tuple):  # factors and their probabilities
+        return [tuple((factor * first, *rest) for first, *rest in value) for factor in FACTORS]
     if isinstance(value, tuple):
         is_whole = all(isinstance(part, int) for part in value)
         parts = [[max(1, math.ceil(f * v)) if is_whole else f * v for v in value] for f in FACTORS]

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from estimator import load_rig
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.expectation import predict_T
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.fitting import fit_rig
@@ -152,7 +152,7 @@ def _misplaced(
 def _flagged(session: Session) -> set[int]:
     """Numbers of the readings that are flagged by their digits and by a fit of the rig as described."""
     first = FirstFit.of(
-        Question(session.rig, session.source, 0), session, None, policy.MOST_READINGS_SEARCHED
+        Question(session.rig, session.source, 0), session, None, effort.MOST_READINGS_SEARCHED
     )
     flags = [*first.flags, *suspects_of(first.plain, first.session.observations).flags]
     return {reading for flag in flags if not flag.is_everywhere for reading in flag.readings}

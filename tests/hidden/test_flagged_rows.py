@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from estimator import load_rig
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.result import Question
 from estimator.store.importers.readings_csv import read_readings_csv
@@ -32,7 +32,7 @@ def session_in(folder: Path) -> Session:
 def flagged(session: Session) -> list[int]:
     """Numbers of the readings that a diagnosis leaves out before it searches."""
     first = FirstFit.of(
-        Question(session.rig, session.source, 0), session, None, policy.MOST_READINGS_SEARCHED
+        Question(session.rig, session.source, 0), session, None, effort.MOST_READINGS_SEARCHED
     )
     return sorted(reading for flag in (*first.flags, *first.suspects().flags) for reading in flag.readings)
 

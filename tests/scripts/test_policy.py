@@ -20,6 +20,7 @@ from scripts.studies.policy import Branches, changes, other_values, read
         ("CREDIBLE_SHARE", 0.95, [0.975, 0.9]),
         ("VALIDATION_SHARE", 0.2, [0.1, 0.4]),
         ("SIGNATURE_DEGREES", (1, 2, 3), [(1, 2), (2, 4, 6)]),
+        ("WIDTHS", ((0.5, 0.25), (1.0, 0.75)), [((0.25, 0.25), (0.5, 0.75)), ((1.0, 0.25), (2.0, 0.75))]),
         ("DECAY_STEPS", (0.75, 2.0), [(0.375, 1.0), (1.5, 4.0)]),
         ("LOG_PRIOR_CAUSE", math.log(0.3), [math.log(0.15), math.log(0.6)]),
     ],

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.validation import Improvement
 from estimator.readings.cycles import CYCLE, cycle_of_currents_s, is_of_cycle
@@ -15,7 +16,6 @@ from estimator.reporting.numbers import size_with_unit
 from estimator.rig.rig import Cause
 
 # Error of the predicted field over that without a correction, where the rig as described can follow half of what acts on readings alone.
-MOST_TAKEN = 2.0**0.5
 INSTANT = re.compile(r"since\d+_h")
 # Factor on a period, and its unit, by the key of the frequency.
 PERIODS = {
@@ -122,7 +122,7 @@ class Correction:
         refusal = self.refusal
         if is_worse:
             refusal = "unseen readings are predicted worse with what was tried"
-        elif with_it > MOST_TAKEN * without:
+        elif with_it > policy.MOST_TAKEN * without:
             refusal = (
                 "what follows these readings takes so much from the coil that the field alone would miss them by "
                 f"{size_with_unit(with_it, 'T', 3)} instead of {size_with_unit(without, 'T', 3)}"

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from itertools import product
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.record_mistakes import leaves_much_of_the_field
 from estimator.effects import EFFECTS
@@ -88,14 +88,14 @@ def far_elsewhere(plain: Fit, refusal: InvalidInput | None) -> list[Fit]:
         plain: The rig as described.
         refusal: Why its geometry is refused; None where it is not.
     """
-    few, rules = spread(plain.observations, policy.MOST_READINGS_COMPARED), plain.posterior.model.rules
+    few, rules = spread(plain.observations, effort.MOST_READINGS_COMPARED), plain.posterior.model.rules
     trials = []
     for cause in _places(plain.rig, plain.circumstances):
         rig = with_effect(plain.rig, cause, plain.observations, {}, factor=WIDENED)
-        trials.append(fit_rig(rig, few, plain.values, rules, policy.MORE_STARTS, policy.ROUGH_TOLERANCE))
+        trials.append(fit_rig(rig, few, plain.values, rules, effort.MORE_STARTS, effort.ROUGH_TOLERANCE))
     trials.sort(key=lambda fit: -fit.log_evidence)
     fits = []
-    for trial in trials[: policy.MOST_MISTAKES_FITTED]:
+    for trial in trials[: effort.MOST_MISTAKES_FITTED]:
         fit = fit_rig(trial.rig, plain.observations, trial.values, rules)
         try:
             fits.append(fit if refusal is None else refit_outside(fit, refusal))

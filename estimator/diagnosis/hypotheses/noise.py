@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -18,6 +18,9 @@ from estimator.effects.use import Use
 from estimator.model.nominal import NominalPrediction
 from estimator.rig.rig import Cause
 from estimator.side_by_side import each
+
+# Log likelihood that a cause of scatter must gain at the residuals to be fitted: it needs 7 or so to be taken
+LEAST_SCATTER_GAIN = 4.0
 
 
 def noise_causes(fit: Fit) -> list[tuple[Cause, float, Fit]]:
@@ -32,7 +35,7 @@ def noise_causes(fit: Fit) -> list[tuple[Cause, float, Fit]]:
         uses = [Use(effect, p) for p in effect.places(fit.rig) if effect.concerns(circumstances, p)]
         hints = [(_hint(fit, use), use) for use in uses if use.cause not in fit.rig.effects]
         hint, use = max(hints, key=lambda pair: pair[0], default=(0.0, None))
-        if use is None or hint <= policy.LEAST_SCATTER_GAIN:
+        if use is None or hint <= LEAST_SCATTER_GAIN:
             return None
         return (use.cause, *_fitted(fit, use))
 
@@ -92,7 +95,7 @@ def _fitted(fit: Fit, use: Use[NoiseEffect]) -> tuple[float, Fit]:
         fit.observations,
         start,
         rules,
-        tolerance=policy.ROUGH_TOLERANCE,
+        tolerance=effort.ROUGH_TOLERANCE,
         near=fit,
     )
     if not full.still_has(use.cause):

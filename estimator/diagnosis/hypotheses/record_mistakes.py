@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.calibration import policy as calibration_policy
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import (
     MOST_INSTANTS,
@@ -34,6 +34,10 @@ from estimator.readings.observations import Observations
 from estimator.readings.split import spread
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
+
+MOST_MISTAKES = 3  # that are undone one after another
+# Ways of a mistake up to which it is looked for where nothing is absurd, as in weak fields
+MOST_STARTS_OF_FAINT = 2
 
 MOST_TOGETHER = 16  # starts in one batch; more would not fit the processor's cache
 
@@ -59,8 +63,8 @@ def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
     Returns: The fit with the mistakes as effects of its rig, and the mistakes.
     """
     mistakes: list[RecordMistake] = []
-    while len(mistakes) < policy.MOST_MISTAKES:
-        most_starts = policy.MOST_STARTS_OF_FAINT if _is_as_expected(base) else None
+    while len(mistakes) < MOST_MISTAKES:
+        most_starts = MOST_STARTS_OF_FAINT if _is_as_expected(base) else None
         fits = sorted(_fits_with_mistake(base, most_starts), key=lambda fit: -fit.log_evidence)
         if not fits or fits[0].log_evidence - base.log_evidence < policy.LEAST_LOG_EVIDENCE_OF_MISTAKE:
             break
@@ -102,7 +106,7 @@ def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
     """
     circumstances = base.circumstances
     observations = circumstances.observations
-    few = spread(observations, policy.MOST_READINGS_COMPARED)
+    few = spread(observations, effort.MOST_READINGS_COMPARED)
     present = {cause.name for cause in base.rig.effects}
     are_rows_shifted = any(shifts_rows(use.effect) for use in uses_of(base.rig, RecordEffect))
     rules = base.posterior.model.rules
@@ -135,15 +139,15 @@ def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
         return []
     ranked.sort(key=lambda scored: -scored[0])
     least = (
-        fit_rig(base.rig, few, base.values, rules, tolerance=policy.ROUGH_TOLERANCE).log_evidence
+        fit_rig(base.rig, few, base.values, rules, tolerance=effort.ROUGH_TOLERANCE).log_evidence
         - policy.CLEAR_LOG_EVIDENCE
     )
     rigs = [
         with_effect(base.rig, cause, observations, _at_finest_instant(base, cause, start))
-        for _, cause, start in ranked[: policy.MOST_MISTAKES_FITTED]
+        for _, cause, start in ranked[: effort.MOST_MISTAKES_FITTED]
     ]
     trials = [
-        fit_rig(rig, few, rig.nominal_values(), rules, tolerance=policy.ROUGH_TOLERANCE) for rig in rigs
+        fit_rig(rig, few, rig.nominal_values(), rules, tolerance=effort.ROUGH_TOLERANCE) for rig in rigs
     ]
     plausible = [
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least

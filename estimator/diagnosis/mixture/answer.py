@@ -11,6 +11,7 @@ from typing import Any
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
@@ -21,14 +22,10 @@ from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Rival
 from estimator.diagnosis.mixture.slots import Samples
-from estimator.diagnosis.verdict import ALTERNATIVE
 from estimator.effects.attach import with_effect
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 
-STATED = 0.9  # probability from which on a cause is stated
-# Where all slots are full a cause is stated from so many times the evidence of what they leave
-OUTWEIGHS = 2.0
 ASKED = 0.2  # probability of a cause from which on a set is made about it
 
 
@@ -92,7 +89,9 @@ class Answer:
                     total[item.cause] = total.get(item.cause, 0.0) + float(probability)
         whole = sum(total.values())
         alternatives = {
-            other: share for other, share in total.items() if other == cause or share > ALTERNATIVE * whole
+            other: share
+            for other, share in total.items()
+            if other == cause or share > policy.ALTERNATIVE * whole
         }
         of_them = sum(alternatives.values())
         return {other: share / of_them for other, share in alternatives.items()}
@@ -195,11 +194,11 @@ class Answer:
 
     @cached_property
     def stated(self) -> tuple[Found, ...]:
-        """Sets that are there at `STATED` or more and are rather a listed cause."""
+        """Sets that are there at `policy.STATED` or more and are rather a listed cause."""
         return tuple(
             entry
             for entry in self.found
-            if entry.probability >= STATED
+            if entry.probability >= policy.STATED
             and entry.listed_share > 0.5
             and (not self.is_full or self._outweighs_the_rest(entry))
         )
@@ -210,7 +209,7 @@ class Answer:
         most = float(asked.slots.products.beside(asked.leading, asked.noise).max())
         listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
         own = self.beside_item(self.item_of(entry.first_listed), listed).log_bayes_factor(listed)
-        return own > OUTWEIGHS * most
+        return own > policy.OUTWEIGHS * most
 
     @cached_property
     def _by_rival(self) -> dict[Cause, Rival]:

@@ -10,6 +10,7 @@ from functools import cached_property
 
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, causes_of
 from estimator.diagnosis.limits import Limits
@@ -26,8 +27,6 @@ from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
-LIKED_BY = 10.0  # log density by which linear models err: an expansion that has all leading causes is preferred by as much
-MISSTATED = 0.05  # prior probability that a noise is another which the rig file states as known
 CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
 
 
@@ -86,7 +85,7 @@ class Asked:
         """Whether the readings are clearly less probable with some causes and departures than before, each about a fit that has its own."""
         items, known = before.dictionary.items, before.expansion.causes
         led = {items[i].cause for i in before.leading if items[i].cause in known or not items[i].is_listed}
-        return self.highest_with(causes) < before.highest_with(led) - LIKED_BY
+        return self.highest_with(causes) < before.highest_with(led) - policy.LIKED_BY
 
     def highest_with(self, causes: Collection[Cause]) -> float:
         """Log density of the readings and the most probable set of items of some causes and departures."""
@@ -180,7 +179,7 @@ def climbed(
 
 def _likeliest(asked: Sequence[Asked]) -> Asked:
     """The one whose leading set is the most probable; one that has all leading causes is preferred. The others need no memory any more."""
-    return max(asked, key=lambda at: at.log_density + (LIKED_BY if at.is_fitted else 0.0))
+    return max(asked, key=lambda at: at.log_density + (policy.LIKED_BY if at.is_fitted else 0.0))
 
 
 def ask(
@@ -258,7 +257,9 @@ def noise_prior(fit: Fit) -> NoisePrior:
     apart = [math.log(float(p.value) / float(fit.values[p.name])) for p in parameters]
     widths = [p.prior.relative_sd for p in parameters if isinstance(p.prior, LogNormal)]
     width = max(widths, default=0.0)
-    return NoisePrior(math.exp(sum(apart) / len(apart)), width, p_misstated=0.0 if width else MISSTATED)
+    return NoisePrior(
+        math.exp(sum(apart) / len(apart)), width, p_misstated=0.0 if width else policy.MISSTATED
+    )
 
 
 def _joined(first: Sequence[Offered], second: Sequence[Offered]) -> list[Offered]:

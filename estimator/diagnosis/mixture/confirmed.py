@@ -17,7 +17,6 @@ from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halv
 from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
-from estimator.diagnosis.verdict import ALTERNATIVE
 from estimator.effects.use import as_meant
 from estimator.rig.rig import Cause
 from estimator.side_by_side import each
@@ -135,7 +134,7 @@ def with_rivals(answer: Answer) -> Answer:
     rivals: dict[Cause, tuple[Rival, ...]] = {}
     for (cause, other), fit in zip(pairs, fits, strict=True):
         fitted = rival(other, fit, cause, own)
-        if fitted.odds > ALTERNATIVE:
+        if fitted.odds > policy.ALTERNATIVE:
             rivals[cause] = (*rivals.get(cause, ()), fitted)
     return replace(answer, rivals=rivals)
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from torch import Tensor
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.corrections.result import Correction, Part, extent_of
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -61,7 +61,7 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
         refusal = "nothing beside the stated causes is sure enough to predict by"
         return Correction(extended, (), lacking, refusal, after, of_session=session)
     rules = extended.posterior.model.rules
-    tolerance = 0.5 * len(terms.rig.free) * policy.CORRECTED_TO_SD**2
+    tolerance = 0.5 * len(terms.rig.free) * effort.CORRECTED_TO_SD**2
     fit = final = fit_rig(
         terms.rig, extended.observations, terms.start, rules, tolerance=tolerance, near=extended
     )

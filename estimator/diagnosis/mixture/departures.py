@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.kinds import CorrectionKind, kinds_of
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, candidates
-from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.following import stalled
 from estimator.diagnosis.mixture.links import Link, link_of
@@ -145,7 +145,7 @@ def departures(changes: Changes, fit: Fit, listed: Sequence[Candidate]) -> list[
                 keys,
                 (columns,),
                 widths,
-                share - math.log(n * len(priors.AMPLITUDES)),
+                share - math.log(n * len(policy.AMPLITUDES)),
             )
             for start, keys, columns, widths, share in _of_kind(fit, kind, of_kind)
         ]
@@ -278,7 +278,7 @@ def _best_evidence(fit: Fit, columns: Float[Tensor, "start component column"]) -
     score = columns.mT @ fit.residual
     power = columns.square().sum((1, 2)) / columns.shape[1]
     best = torch.full_like(power, -math.inf)
-    for amplitude in priors.AMPLITUDES:
+    for amplitude in policy.AMPLITUDES:
         variance = amplitude**2 / power.clamp(min=1e-300)
         own = gram * variance[:, None, None]
         factor, failed = torch.linalg.cholesky_ex(own + torch.eye(own.shape[-1]).to(own))

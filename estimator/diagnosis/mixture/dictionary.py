@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor
 
-from estimator.diagnosis.mixture import priors
+from estimator.diagnosis import policy
 from estimator.diagnosis.mixture.departures import Departure
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.items import Dictionary, Item
@@ -66,7 +66,7 @@ def _listed_item(one: Offered, stack: _Stack, extent: Extent) -> Item:
         columns=(*(first + i for i in one.subset), *of_shapes),
         widths=widths,
         shift=None if candidate.is_at_null else stack.number_of(candidate.shift),
-        log_prior=math.log(priors.LISTED) + one.log_prior,
+        log_prior=math.log(policy.LISTED) + one.log_prior,
         is_one_sided=not of_shapes and candidate.cannot_be_negative(one.subset),
         log_prior_of_start=one.start.log_prior,
         is_chosen=any(q.is_shape and q.is_fixed for q in effect.quantities(extent)),
@@ -86,7 +86,7 @@ def _departure_items(one: Departure, stack: _Stack) -> list[Item]:
             columns=columns,
             widths=tuple(amplitude * width for width in one.widths),
             shift=None,
-            log_prior=math.log(priors.DEPARTURE) + one.log_prior,
+            log_prior=math.log(policy.DEPARTURE) + one.log_prior,
         )
-        for amplitude in priors.AMPLITUDES
+        for amplitude in policy.AMPLITUDES
     ]

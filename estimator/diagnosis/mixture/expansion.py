@@ -11,10 +11,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.linear import Projector
-from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.following import limiting
 from estimator.diagnosis.mixture.items import Dictionary, Item
 from estimator.diagnosis.mixture.listed import Start
@@ -27,8 +27,6 @@ from estimator.rig.rig import Cause, Rig
 LEAST_POSITIVE = 0.1  # of its usual value: where a fit of a positive quantity starts at least
 CERTAIN = 1e3  # log prior of what is there in every set
 LARGE = 1.0  # stated widths from which on a size may be in the tail of its prior
-WIDEST, _SHARE_OF_WIDEST = priors.WIDTHS[-1]
-LOG_ODDS_OF_WIDEST = math.log(_SHARE_OF_WIDEST / dict(priors.WIDTHS)[1.0])
 NEAR_A_BOUND = 0.01  # standard deviations of a prior from its bound, within which no fit starts
 
 
@@ -280,11 +278,11 @@ def with_tails(
         away = [abs(float(fit.values[f"{cause.label}.{q.key}"]) - q.null) / q.prior.sd for q in sizes]
         return max(away, default=0.0) > LARGE
 
-    factors = {cause: WIDEST for cause in causes if is_large(cause)}
+    factors = {cause: policy.WIDTHS[-1][0] for cause in causes if is_large(cause)}
     if not factors:
         return fit, {}
     wide = again(factors)
-    is_likelier = wide.log_evidence + len(factors) * LOG_ODDS_OF_WIDEST > fit.log_evidence
+    is_likelier = wide.log_evidence + len(factors) * _log_odds_of_widest() > fit.log_evidence
     return (wide, factors) if is_likelier else (fit, {})
 
 
@@ -297,7 +295,13 @@ def log_odds_of_width(fit: Fit, cause: Cause) -> float:
         for q in quantities
         if not q.is_shape
     )
-    return LOG_ODDS_OF_WIDEST if is_wide else 0.0
+    return _log_odds_of_widest() if is_wide else 0.0
+
+
+def _log_odds_of_widest() -> float:
+    """Log prior odds of the widest factor on a stated width against the likeliest one."""
+    shares = [share for _, share in policy.WIDTHS]
+    return math.log(shares[-1] / max(shares))
 
 
 def _inside(parameter: Parameter, value: float) -> float:

@@ -21,7 +21,7 @@ from scipy.cluster.vq import kmeans2
 from torch import Tensor
 
 from estimator.devices import numpy_of
-from estimator.diagnosis.mixture import priors
+from estimator.diagnosis import policy
 from estimator.diagnosis.mixture.evidence import Beside
 from estimator.diagnosis.mixture.slots import Slots
 from estimator.geometry.motion import base_from_motion
@@ -89,7 +89,7 @@ def expected_in_half(slots: Slots, leading: Sequence[int], sizes: Tensor, noise:
         evidence = Beside(products, rest, float(slots.grid[noise]), signal).evidence() + slots.log_prior
         is_own = slots.name == slots.name[item]
         is_open = ~np.isin(slots.name, slots.name[rest]) & ~is_own
-        others = torch.cat((evidence[is_open], evidence.new_tensor([math.log(priors.EMPTY)])))
+        others = torch.cat((evidence[is_open], evidence.new_tensor([math.log(policy.p_empty())])))
         log_odds = float(torch.logsumexp(evidence[is_own], 0) - torch.logsumexp(others, 0))
         log_bayes_factor = float((evidence - slots.log_prior)[is_own].max())
         result[item] = mean_probability(log_odds, log_bayes_factor)

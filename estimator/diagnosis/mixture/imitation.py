@@ -11,12 +11,14 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-MOST_COUNTED = 2  # other names: sessions with more were not counted, and a large rig may have ten things wrong that are all there
+from estimator.diagnosis import policy
+
+# Other names: sessions with more were not counted, and a large rig may have ten things wrong that are all there
+MOST_COUNTED = 2
 MOST_RELATIVE = 8.0  # log Bayes factor of a relative beyond which a name does not get worse
 ENOUGH = 100.0  # log Bayes factor from which on a name is clear, however much more another one has
 LEAST_CLEAR = 0.01  # of that of the other name, or of `ENOUGH`: with less a name does not get worse
 AT_ITS_LINK = 0.7  # share of imitations that act at the link of what they resemble, in the same sessions
-WEIGHTS = (4.0, -0.85, -0.35, 1.9, -1.45, -3.6)  # of the `features` of a name, in its log odds
 
 
 class Standing(NamedTuple):
@@ -58,7 +60,9 @@ class Standing(NamedTuple):
             >>> Standing(30.0, relative=8.0).p_imitation > 0.2 < Standing(30.0, shortage=0.8).p_imitation
             True
         """
-        log_odds = sum(weight * number for weight, number in zip(WEIGHTS, self.features, strict=True))
+        log_odds = sum(
+            weight * number for weight, number in zip(policy.IMITATION, self.features, strict=True)
+        )
         return 1.0 / (1.0 + math.exp(log_odds))
 
     @property

@@ -11,11 +11,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate, at_starts
 from estimator.diagnosis.hypotheses.instants import instants_in, starts_nearer
 from estimator.diagnosis.hypotheses.screening import products_of
-from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.evidence_kernel import log_bayes_factors_of_choices
 from estimator.diagnosis.mixture.items import Item
 from estimator.effects import EFFECTS
@@ -200,7 +200,7 @@ def _choices(candidate: Candidate) -> tuple[list[tuple[tuple[int, ...], float]],
     each, log_priors = [], []
     for subset in subsets:
         share = 0.5 if subset == subsets[-1] else 0.5 / (len(subsets) - 1)
-        for width, weight in priors.WIDTHS:
+        for width, weight in policy.WIDTHS:
             each.append((subset, width))
             log_priors.append(math.log(weight * (1.0 if len(subsets) == 1 else share)))
     return each, log_priors

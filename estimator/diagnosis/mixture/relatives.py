@@ -14,11 +14,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.devices import numpy_of
+from estimator.diagnosis import policy
 from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.halves import order_and_places
 from estimator.effects.use import as_meant
 
-WIDTH = 0.5  # prior standard deviation of how much stronger the change is, a standard deviation of a circumstance away
 MOST_CURRENTS = 2  # whose coils are asked
 
 
@@ -49,8 +49,8 @@ def evidence_of_relatives(asked: Asked, item: int) -> float:
     precision = of_chosen.T @ of_chosen + torch.eye(len(columns)).to(of_chosen)
     followed = torch.linalg.solve(precision, of_chosen.T @ changed)
     square = ((changed - of_chosen @ followed) * changed).sum(0)
-    variance = 1.0 + WIDTH**2 * square
-    gains = 0.5 * (WIDTH * (changed.T @ left)) ** 2 / variance - 0.5 * torch.log(variance)
+    variance = 1.0 + policy.RELATIVE_WIDTH**2 * square
+    gains = 0.5 * (policy.RELATIVE_WIDTH * (changed.T @ left)) ** 2 / variance - 0.5 * torch.log(variance)
     return float(gains.max())
 
 

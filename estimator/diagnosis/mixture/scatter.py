@@ -8,17 +8,16 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture import priors
-from estimator.diagnosis.mixture.answer import STATED, Answer
+from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import Asked, climbed
 from estimator.diagnosis.mixture.confirmed import confirmed
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
-from estimator.diagnosis.verdict import ALTERNATIVE, Alternative, NamedCause
+from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
@@ -80,7 +79,7 @@ def answer_beside_scatter(
             break
         rows = sorted(noise_causes(leading.leading_fit), key=lambda row: -row[1])
         log_prior_odds = _log_prior_odds(asked, len(rows))
-        if not rows or rows[0][1] + log_prior_odds < math.log(STATED / (1.0 - STATED)):
+        if not rows or rows[0][1] + log_prior_odds < math.log(policy.STATED / (1.0 - policy.STATED)):
             break
         scattering.append(_named(rows, log_prior_odds))
         cause, _, fitted = rows[0]
@@ -93,7 +92,7 @@ def answer_beside_scatter(
 def _log_prior_odds(asked: Asked, n_more: int = 0) -> float:
     """Log prior odds of a listed cause of a dictionary, or of more names, against nothing."""
     names = {item.cause.name for item in asked.dictionary.items if item.is_listed}
-    return math.log(priors.LISTED / priors.EMPTY) - math.log(len(names) + n_more)
+    return math.log(policy.LISTED / policy.p_empty()) - math.log(len(names) + n_more)
 
 
 def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> NamedCause:
@@ -104,7 +103,7 @@ def _named(rows: list[tuple[Cause, float, Fit]], log_prior_odds: float) -> Named
     others = tuple(
         Alternative(cause, share, None)
         for (cause, _, _), share in zip(rows[1:], shares[1:], strict=True)
-        if share > ALTERNATIVE
+        if share > policy.ALTERNATIVE
     )
     return NamedCause(rows[0][0], shares[0], others, rows[0][1], 1.0 - some)
 
@@ -129,5 +128,5 @@ def _with(plain: Fit, cause: Cause, fitted: Fit) -> Fit:
         plain.observations,
         plain.start_with(rig) | noises | values,
         rules,
-        tolerance=policy.FINE_TOLERANCE,
+        tolerance=effort.FINE_TOLERANCE,
     )

@@ -24,12 +24,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.evidence import Beside, Products
 
 N_NOISES = 46
 LEAST_NOISE, MOST_NOISE = 0.05, 1.6  # of that of the fit
-MOST_MISSTATED = 4.0  # factor on a noise that is stated as known, or its inverse
 MOST_CLIMBS, HIGHER = 3, 1.0  # further ones; the rise in log density that counts
 NEGLIGIBLE = 1e-5  # probability of an item beside others below which it is not drawn
 
@@ -51,7 +49,9 @@ class NoisePrior:
     def grid(self) -> Float[Tensor, " noise"]:
         """Factors that are tried; the stated one first where it is stated as known."""
         is_known = self.width == 0.0
-        least, most = (1.0 / MOST_MISSTATED, MOST_MISSTATED) if is_known else (LEAST_NOISE, MOST_NOISE)
+        least, most = (
+            (1.0 / policy.MOST_MISSTATED, policy.MOST_MISSTATED) if is_known else (LEAST_NOISE, MOST_NOISE)
+        )
         some = torch.logspace(math.log10(least), math.log10(most), N_NOISES, dtype=torch.float64)
         known = torch.ones(1, dtype=torch.float64)
         if not is_known:
@@ -197,7 +197,7 @@ class Slots:
             evidence = self._beside(chosen, noise).evidence(without) + self.log_prior
             is_there = np.isin(self.name, self.name[list(rest)])
             evidence[torch.from_numpy(is_there)] = -math.inf
-            both = torch.cat((evidence, evidence.new_tensor([math.log(priors.EMPTY)])))
+            both = torch.cat((evidence, evidence.new_tensor([math.log(policy.p_empty())])))
             self._known[rest, noise] = torch.softmax(both, 0).numpy()
         return self._known[rest, noise]
 
@@ -223,7 +223,7 @@ class Slots:
         """Log density of the readings and of some items in any slots, the others empty, up to a constant."""
         n, n_empty = self.n_slots, self.n_slots - len(chosen)
         ways = math.lgamma(n + 1) - math.lgamma(n_empty + 1)
-        prior = float(self.log_prior[list(chosen)].sum()) + n_empty * math.log(priors.EMPTY) + ways
+        prior = float(self.log_prior[list(chosen)].sum()) + n_empty * math.log(policy.p_empty()) + ways
         return float(torch.logsumexp(self._by_noise(chosen), 0)) + prior
 
     def climbed(self, begin: Sequence[int] = ()) -> tuple[list[int | None], int]:

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort, policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.next_readings.expected_evidence import (
@@ -15,6 +15,7 @@ from estimator.diagnosis.next_readings.expected_evidence import (
     proposals,
 )
 from estimator.diagnosis.next_readings.map_places import map_stops, with_correction
+from estimator.diagnosis.next_readings.resolution import PLAUSIBLE_SD, TYPICAL_SIGMA
 from estimator.diagnosis.next_readings.stops import best_to_shrink, best_to_split, candidate_stops
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.effects import EFFECTS
@@ -27,6 +28,9 @@ from estimator.readings.observations import Observations
 from estimator.readings.plan import plan_text
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
+
+# Visible size of a cause as large as its prior's width, in standard deviations, below which a design refuses it
+NEARLY_NOTHING = 0.1
 
 FITTING = "fitting the rig, then each cause"
 
@@ -106,7 +110,7 @@ def design(
     check_readings(rig, session.observations, session.source)
     observations = session.observations.calibration
     on_count(FITTING, 0, 1 + len(split))
-    base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, policy.MORE_STARTS)
+    base = fit_rig(rig, observations, {}, MeasurementModel.build(rig, observations).rules, effort.MORE_STARTS)
     programmes: list[Proposal] = []
     unit = ""
     if correction is not None:
@@ -153,13 +157,11 @@ def _fit_with(base: Fit, cause: Cause) -> Fit:
         return fit
     visible = base.projector.rest(best.columns).norm(dim=0) * best.prior_sd
     strongest = int(visible.argmax())
-    if float(visible[strongest]) < policy.NEARLY_NOTHING:
+    if float(visible[strongest]) < NEARLY_NOTHING:
         raise InvalidInput(
             f"{cause.label} must be visible in the session to be told from another; the fit follows it wholly"
         )
-    size = min(policy.TYPICAL_SIGMA / float(visible[strongest]), policy.PLAUSIBLE_SD) * float(
-        best.prior_sd[strongest]
-    )
+    size = min(TYPICAL_SIGMA / float(visible[strongest]), PLAUSIBLE_SD) * float(best.prior_sd[strongest])
     key = best.keys[strongest]
     null = {q.key: q.null for q in EFFECTS[cause.name].quantities(base.circumstances.extent)}[key]
     start = {**base.start_with(rig), f"{cause.label}.{key}": null + size}

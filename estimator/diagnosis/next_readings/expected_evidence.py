@@ -16,7 +16,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.next_readings.turned import orientation, turned
@@ -26,6 +25,8 @@ from estimator.readings.observations import Observations
 from estimator.readings.split import some_distinct
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
+
+N_STOPS = 30  # readings that a proposed programme adds
 
 
 @dataclass(frozen=True)
@@ -111,7 +112,7 @@ def separation(
 
 def actions(session: Observations, rig: Rig) -> list[Action]:
     """Actions that need no new equipment: other currents, another order, repeats at one pose, a turned sensor."""
-    stops = some_poses(session, policy.N_STOPS, torch.Generator().manual_seed(0))
+    stops = some_poses(session, N_STOPS, torch.Generator().manual_seed(0))
     current_A = session.current_A[stops]
     largest_A = session.current_A.abs().max()
     still = stops[:1].expand(len(stops))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import torch
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.next_readings.expected_evidence import continued
 from estimator.diagnosis.next_readings.stops import at_currents
@@ -18,6 +17,8 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import MotionKind
 from estimator.rig.rig import Rig
+
+MAP_PLACES_ALONG_AXIS = 7  # of a ball: a field of fifth degree turns five times
 
 
 def with_correction(fit: Fit, text: str, degree: int) -> tuple[Fit, list[str]]:
@@ -70,7 +71,7 @@ def map_stops(session: Observations, rig: Rig) -> Observations:
     place_m = session.motion[mover][:, :3]
     low_m, high_m = place_m.amin(0), place_m.amax(0)
     middle_m = 0.5 * (low_m + high_m)
-    steps = torch.linspace(-1.0, 1.0, policy.MAP_PLACES_ALONG_AXIS, dtype=torch.float64)
+    steps = torch.linspace(-1.0, 1.0, MAP_PLACES_ALONG_AXIS, dtype=torch.float64)
     grid = torch.cartesian_prod(steps, steps, steps)
     ball = grid[grid.norm(dim=-1) <= 1.0]
     nearest = int((place_m - middle_m).norm(dim=-1).argmin())

@@ -22,6 +22,14 @@ from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.linear import Projector
 from estimator.rig.rig import Cause
 
+# Singular value, over the largest, of a direction in which the columns of a cause count
+LEAST_DIRECTION = 1e-3
+# Visible size at which causes are compared that the session does not show, as in the hidden study
+TYPICAL_SIGMA = 8.0
+PLAUSIBLE_SD = 3.0  # of its prior, up to which a size of a cause is plausible: 0.3 % lie beyond
+# Share of what a cause changes, in squares, that numbers of the rig must follow to be told
+MUCH_ABSORBED = 0.5
+
 MOST_ABSORBING, LEAST_ABSORBING = 3, 0.2  # numbers that are told, and how far each must move over the first
 WHOLLY = 0.999  # share that free poses follow of what is another word for them
 WIDER = 30.0  # how much wider the priors of these poses are then
@@ -66,7 +74,7 @@ class Visible:
     @property
     def is_visible(self) -> bool:
         """Whether a plausible size would show."""
-        return self.size < policy.PLAUSIBLE_SD * self.prior_sd
+        return self.size < PLAUSIBLE_SD * self.prior_sd
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `smallest_visible` in `diagnosis.json`."""
@@ -118,7 +126,7 @@ def smallest_visible(fit: Fit, pool: Sequence[Candidate]) -> list[Visible]:
                 share = 1.0 - min(n_sigma / float(lengths[begin + i]), 1.0) ** 2
                 order = torch.argsort(moves, descending=True)[:MOST_ABSORBING].tolist() if len(names) else []
                 leading = [j for j in order if float(moves[j]) > LEAST_ABSORBING * float(moves[order[0]])]
-                by = tuple(names[j] for j in leading) if share > policy.MUCH_ABSORBED else ()
+                by = tuple(names[j] for j in leading) if share > MUCH_ABSORBED else ()
                 best[asked] = Visible(*asked, candidate.units[i], size, prior_sd, candidate.shapes, share, by)
             if hidden_sd > (hides[asked][1]["hidden_sd"] if asked in hides else 0.0):
                 told = {"hidden_in": names[most], "hidden_size": unseen, "hidden_at": candidate.shapes}
@@ -184,7 +192,7 @@ def _columns(fit: Fit, pool: Sequence[Candidate]) -> dict[Cause, Tensor]:
     for cause, starts in by_cause.items():
         columns = fit.projector.rest(torch.cat([start.columns for start in starts], dim=1))
         prior_sd = torch.cat([start.prior_sd for start in starts])
-        is_visible = columns.norm(dim=0) * prior_sd * policy.PLAUSIBLE_SD > policy.VISIBLE_SIGMA
+        is_visible = columns.norm(dim=0) * prior_sd * PLAUSIBLE_SD > policy.VISIBLE_SIGMA
         visible[cause] = columns[:, is_visible]
     return visible
 
@@ -220,13 +228,13 @@ class Directions:
         is left out, by Cauchy and Schwarz at most sqrt(k s).
         """
         norm = float(self.squares.norm())
-        left_out = self.most * policy.LEAST_DIRECTION**2 * norm
+        left_out = self.most * LEAST_DIRECTION**2 * norm
         return float(max(self.most - left_out, 0.0) ** 2 / norm**2)
 
     def basis(self) -> Float[Tensor, "component direction"]:
         """The independent directions, orthonormal: by eigenvalues, far faster than the singular values of so tall a matrix."""
         squares, turn = torch.linalg.eigh(self.squares)
-        is_kept = squares > policy.LEAST_DIRECTION**2 * squares[-1]
+        is_kept = squares > LEAST_DIRECTION**2 * squares[-1]
         basis: Tensor = self.columns @ turn[:, is_kept] / squares[is_kept].sqrt()
         return basis
 
@@ -251,4 +259,4 @@ def _follows(bases: Sequence[Tensor]) -> Bool[Tensor, "basis followed"]:
 
 def _least_followed() -> float:
     """Share of a typical direction that must be followed for the expected log evidence to be too small."""
-    return 1.0 - policy.CLEAR_LOG_EVIDENCE / (0.5 * policy.TYPICAL_SIGMA**2)
+    return 1.0 - policy.CLEAR_LOG_EVIDENCE / (0.5 * TYPICAL_SIGMA**2)

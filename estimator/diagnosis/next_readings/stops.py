@@ -9,20 +9,27 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.derivatives import jacobian_of
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.next_readings.expected_evidence import Rows, continued, some_poses
 from estimator.diagnosis.progress import OnCount, uncounted
 from estimator.readings.observations import Observations
 
+MOST_POSES = 150  # at which stops are considered: choosing each tries all
+CURRENT_SHARES = (
+    1.0,
+    -1.0,
+    0.5,
+    0.0,
+)  # of the largest current: what tells odd, even and cubic from no dependence
+
 CHOOSING = "choosing stops"
 
 
 def candidate_stops(session: Observations) -> Observations:
-    """Poses of the session (at most `policy.MOST_POSES`) at several currents, as readings that follow it in random order."""
+    """Poses of the session (at most `MOST_POSES`) at several currents, as readings that follow it in random order."""
     generator = torch.Generator().manual_seed(0)
-    poses = some_poses(session, policy.MOST_POSES, generator)
-    rows, current_A = at_currents(session, poses, policy.CURRENT_SHARES)
+    poses = some_poses(session, MOST_POSES, generator)
+    rows, current_A = at_currents(session, poses, CURRENT_SHARES)
     order = torch.randperm(len(rows), generator=generator)
     return continued(session, rows[order], current_A[order])
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from estimator.diagnosis import policy
+from estimator.diagnosis.intervals import CLEAR_SD
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.panel_records import Answer
 from estimator.diagnosis.result import Diagnosis
@@ -117,7 +117,7 @@ def _clear_sizes(sized: SizedCause, diagnosis: Diagnosis) -> list[str]:
     clear = sorted(
         (-abs(interval.median) / interval.sd, key, f"{name} {interval.words}")
         for (name, interval), key in zip(sized.sizes, quantities, strict=True)
-        if key not in shapes and abs(interval.median) > policy.CLEAR_SD * interval.sd > 0.0
+        if key not in shapes and abs(interval.median) > CLEAR_SD * interval.sd > 0.0
     )
     words = [] if sized.difference is None else [sized.difference.words]
     words += [size for *_, size in clear[: MOST_SIZES - len(words)]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import residual_T
 from estimator.diagnosis.validation import Improvement, ValidationScores
@@ -18,9 +17,14 @@ from estimator.reporting.numbers import percent, size_with_unit
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
 
+MOST_COVERAGE90 = 0.97  # above which intervals are told to be too wide, unless chance gives as many
+# By which 90 % intervals must hold too few or too many readings to be said: chance in one of 700
+MISCOVERED_SE = 3.0
+
 # A component is told that has this share of the squares beyond the noise: a fit spreads some over the others
 MOSTLY = 0.75
-CLEAR_FALL = 0.8  # of an rms error: no chance of 50 readings, though intervals that are widened may make them no more probable
+# Of an rms error: no chance of 50 readings, though intervals that are widened may make them no more probable
+CLEAR_FALL = 0.8
 MOST_BESIDE = 3  # causes that a prediction lacks, one by one
 
 
@@ -92,7 +96,7 @@ def _too_sure(extended: ValidationScores) -> str:
 
 def _chance(scores: ValidationScores) -> float:
     """How far the share of components in 90 % intervals may be off 0.9 by chance, with as many readings as there are."""
-    return policy.MISCOVERED_SE * math.sqrt(0.9 * 0.1 / len(scores.log_density))
+    return MISCOVERED_SE * math.sqrt(0.9 * 0.1 / len(scores.log_density))
 
 
 def _not_of_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
@@ -130,7 +134,7 @@ def validation_warnings(diagnosis: Diagnosis) -> Iterator[str]:
     improvement = diagnosis.improvement
     if improvement is None:
         yield "No readings were kept out of the fits, so the extension is not validated."
-    elif improvement.after.coverage90 > max(policy.MOST_COVERAGE90, 0.9 + _chance(improvement.after)):
+    elif improvement.after.coverage90 > max(MOST_COVERAGE90, 0.9 + _chance(improvement.after)):
         share = percent(improvement.after.coverage90)
         yield f"The 90 % predictive intervals contain {share} of the components of unseen readings: they are too wide."
     elif not diagnosis.fits.extended.rig.acting and (words := _too_sure(improvement.after)):

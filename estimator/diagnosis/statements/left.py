@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.mixture.comparison import NOTHING
 from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.result import Diagnosis
@@ -15,6 +14,9 @@ from estimator.effects import EFFECTS
 from estimator.readings.digits import coarse_steps_T
 from estimator.reporting.numbers import displays, odds, probability, size_with_unit
 from estimator.reporting.page import Table
+
+# Probability that nothing is wrong, below which `nothing_found` says what is more probable
+LEAST_SURE_OF_NOTHING = 0.2
 
 MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
 MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
@@ -58,7 +60,7 @@ def p_nothing(diagnosis: Diagnosis) -> float:
 def doubts(diagnosis: Diagnosis) -> str:
     """Says that something probably is wrong where nothing is sure enough to be named; empty where nothing wrong is probable."""
     nothing = p_nothing(diagnosis)
-    if nothing > policy.LEAST_SURE_OF_NOTHING:
+    if nothing > LEAST_SURE_OF_NOTHING:
         return ""
     last = diagnosis.comparisons[-1][1].hypotheses
     others = [hypothesis for hypothesis in last if hypothesis.name != NOTHING][:MOST_ALTERNATIVES]

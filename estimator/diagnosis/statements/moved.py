@@ -8,13 +8,15 @@ import torch
 from torch import Tensor
 
 from estimator.derivatives import jacobian_of
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.panel_records import Moved, Shown
 from estimator.diagnosis.result import Diagnosis
 from estimator.reporting.numbers import displays, with_sd
 from estimator.reporting.page import Table
 from estimator.rig.rig import Cause
+
+LISTED_IMPACT_SD = 0.3  # that a cause must move a number of the rig for its impact to be listed
+MOVED_SD = 1.0  # that a number of the rig must move to be listed
 
 
 def impact_sd(fit: Fit, cause: Cause) -> dict[str, float]:
@@ -57,7 +59,7 @@ def moved_tables(diagnosis: Diagnosis) -> Iterator[Table]:
 
 def _moved_table(diagnosis: Diagnosis) -> Table:
     loosened = diagnosis.no_longer_determined
-    far = [number for number in moved(diagnosis) if abs(number.moved_sd) > policy.MOVED_SD]
+    far = [number for number in moved(diagnosis) if abs(number.moved_sd) > MOVED_SD]
     rows = []
     for number in sorted(far, key=lambda number: number.shown.name in loosened):
         shown = number.shown
@@ -85,7 +87,7 @@ def _impact_table(diagnosis: Diagnosis) -> Table:
     rows = []
     for number in (by_name[name] for name in _rig_numbers(diagnosis) if name in by_name):
         pulls = [number.pulls_sd.get(diagnosis.label(cause), 0.0) for cause in causes]
-        if max(map(abs, pulls), default=0.0) > policy.LISTED_IMPACT_SD:
+        if max(map(abs, pulls), default=0.0) > LISTED_IMPACT_SD:
             rows.append([number.shown.words, *map(_signed, pulls)])
     return Table(
         "Impact of each cause",
@@ -120,7 +122,7 @@ def moved_words(diagnosis: Diagnosis) -> str:
     far = [
         number.shown.words
         for number in moved(diagnosis)
-        if abs(number.moved_sd) > policy.MOVED_SD and number.shown.name not in loosened
+        if abs(number.moved_sd) > MOVED_SD and number.shown.name not in loosened
     ]
     words = "No number of the rig was biased by more than one standard deviation."
     if far:

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from estimator.calibration.quality import tensions
-from estimator.diagnosis import policy
+from estimator.diagnosis.next_readings.resolution import PLAUSIBLE_SD
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.reporting.numbers import quantity_words, size_with_unit
@@ -60,5 +60,5 @@ def _alone(interval: Interval, prior: Normal) -> float | None:
         return None
     rest, off = 1.0 - (interval.sd / prior.sd) ** 2, interval.median - prior.mean
     alone = prior.mean + off / rest
-    is_contradicted = abs(off) > policy.PLAUSIBLE_SD * prior.sd * math.sqrt(rest)
+    is_contradicted = abs(off) > PLAUSIBLE_SD * prior.sd * math.sqrt(rest)
     return alone if is_contradicted and abs(alone - interval.median) > interval.sd else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from estimator.diagnosis import policy
+from estimator.diagnosis.intervals import CLEAR_SD
 from estimator.diagnosis.next_readings.resolution import Visible
 from estimator.diagnosis.result import Diagnosis
 from estimator.effects import EFFECTS, ORDER
@@ -62,7 +62,7 @@ def _one_of_each_kind(ranked: Iterable[Visible], kinds: Sequence[Kind]) -> list[
 
 def _is_hidden(visible: Visible) -> bool:
     """Whether a usual size of a quantity would move a number of the rig unseen."""
-    is_usual = _share_unseen(visible) > LEAST_UNSEEN and visible.hidden_sd > policy.CLEAR_SD
+    is_usual = _share_unseen(visible) > LEAST_UNSEEN and visible.hidden_sd > CLEAR_SD
     return is_usual and not EFFECTS[visible.cause.name].is_structural
 
 

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+
+SAME_ORDER = 0.999  # correlation of time and order beyond which order says nothing that time does not
 
 
 @dataclass(frozen=True)
@@ -77,10 +78,7 @@ def _all(fit: Fit) -> Iterator[Covariate]:
         yield Covariate(f"current of {coil.name}", "A", circumstances.current_A[:, i])
     yield Covariate("time", "h", circumstances.hours)
     order = observations.row.to(torch.float64)
-    if (
-        len(order) > 1
-        and float(torch.corrcoef(torch.stack((order, circumstances.hours)))[0, 1]) < policy.SAME_ORDER
-    ):
+    if len(order) > 1 and float(torch.corrcoef(torch.stack((order, circumstances.hours)))[0, 1]) < SAME_ORDER:
         yield Covariate("order of the readings", "1", order)
     for mover in rig.movers:
         yield from _axes(f"last move of {mover.name}", "m", circumstances.last_move_m(mover.name))

@@ -13,8 +13,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+
+# Of a block's own scatter in a direction, below which that block alone determines it
+LEAST_SHARE_JUDGED = 1e-3
 
 LEAST_SHARE = 1e-12  # smallest eigenvalue of 1 - H; 0 where the block alone determines a parameter
 
@@ -30,7 +32,7 @@ def jackknife_covariance(
     References: Bell and McCaffrey, Survey Methodology 28, 169 (2002), for blocks in linear models.
     """
     blocks = _Blocks.of(fit, block)
-    error = torch.where(blocks.share > policy.LEAST_SHARE_JUDGED, blocks.pull / blocks.share, 0.0)
+    error = torch.where(blocks.share > LEAST_SHARE_JUDGED, blocks.pull / blocks.share, 0.0)
     shift = (blocks.vectors @ error[..., None])[..., 0] @ blocks.root.T
     return (1.0 - 1.0 / len(shift)) * shift.T @ shift
 

@@ -14,12 +14,16 @@ from jaxtyping import Float, Int
 from scipy import stats
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.covariates import Covariate, covariates
 from estimator.diagnosis.structure.smooth import legendre, unit_interval
 from estimator.readings.observations import Observations
 from estimator.rig.parameters import LogNormal
+
+# Degrees of freedom from which on repeats say what the noise is: it is known to 22 % then
+FEWEST_REPEATS = 10
+N_NOISE_DRAWS = 2000  # of pure noise, that tests are compared with: a p-value of 0.05 is known to 10 %
+SETTING_DEGREE = 4  # of curves in one circumstance, such as a current or a pause
 
 RANK_TOLERANCE = 1e-6
 
@@ -99,7 +103,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
     ]
     generator = torch.Generator().manual_seed(seed)
     # Single precision, for a third of the time: p-values are known to a few per cent.
-    noise = torch.randn(len(fit.residual), policy.N_NOISE_DRAWS, generator=generator)
+    noise = torch.randn(len(fit.residual), N_NOISE_DRAWS, generator=generator)
     noise = fit.projector.in_single().rest(noise)
     noise = noise / noise.norm(dim=0)
     direction = fit.residual / fit.residual.norm()
@@ -121,7 +125,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
     unadjusted = torch.where(n_directions > 0, _p_values(share, n_directions.clamp(min=1), n), 1.0)
     structures = []
     for covariate, basis, shares, p_values in zip(tested, bases, share, unadjusted.tolist(), strict=True):
-        adjusted = float(((smallest <= min(p_values)).sum() + 1) / (policy.N_NOISE_DRAWS + 1))
+        adjusted = float(((smallest <= min(p_values)).sum() + 1) / (N_NOISE_DRAWS + 1))
         expected = sum(columns.shape[1] for columns in basis) / len(direction)
         structures.append(
             Structure(
@@ -134,7 +138,7 @@ def structure(fit: Fit, seed: int = 0) -> list[Structure]:
 def _basis(fit: Fit, covariate: Covariate, axis: int) -> Float[Tensor, "component column"]:
     """Orthonormal smooth functions of a covariate in one component of the reading, less what the fit follows."""
     values = covariate.by_reading
-    degree = min(policy.SETTING_DEGREE, len(torch.unique(values)) - 1)
+    degree = min(SETTING_DEGREE, len(torch.unique(values)) - 1)
     smooth = legendre(unit_interval(values[:, None])[:, 0], max(degree, 1))
     smooth = smooth[:, 1 : degree + 1] if degree else smooth[:, :1]
     on_axis = torch.zeros(smooth.shape[1], len(values), 3, dtype=torch.float64)
@@ -189,7 +193,7 @@ def _repeats(observations: Observations) -> tuple[Float[Tensor, " sensor"], int]
         total.index_add_(0, observations.sensor[read], (value - mean[group_read]).square())
         n_free.index_add_(0, observations.sensor[read], share)
     are_read = observations.sensor.unique()
-    if bool((n_free[are_read] < policy.FEWEST_REPEATS - 0.5).any() or (total[are_read] == 0.0).any()):
+    if bool((n_free[are_read] < FEWEST_REPEATS - 0.5).any() or (total[are_read] == 0.0).any()):
         return None
     return torch.sqrt(total / n_free), round(float(n_free.sum()))
 

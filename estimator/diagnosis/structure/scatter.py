@@ -16,15 +16,22 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.linear import log_bayes_factor, log_mean_exp
 from estimator.diagnosis.structure.covariates import covariates
 from estimator.diagnosis.structure.doubt import Doubt
+from estimator.diagnosis.structure.residual_tests import SETTING_DEGREE
 from estimator.diagnosis.structure.smooth import legendre, unit_interval
 from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import uses_of
 from estimator.model.nominal import NominalPrediction
+
+SCATTER_AMPLITUDES = (
+    0.3,
+    1.0,
+)  # how far the size of misses depends on something, in standard deviations of their normal scores
+# Parts of a session between which readings may scatter more, any number of them in a row
+N_INSTANTS_OF_BURSTS = 24
 
 LEAST_SHARE = 0.05  # of a component's variance that the fit leaves it; below, the fit runs through it
 
@@ -97,9 +104,9 @@ def _sizes(fit: Fit, size: Tensor) -> Iterator[tuple[str, str, Tensor]]:
     """What the size of a miss may depend on: name, detail and columns."""
     circumstances = fit.circumstances
     time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
-    yield "time", "slowly", legendre(time, policy.SETTING_DEGREE)[:, 1:]
+    yield "time", "slowly", legendre(time, SETTING_DEGREE)[:, 1:]
     order = torch.argsort(fit.observations.row)
-    edges = torch.linspace(0, len(order), policy.N_INSTANTS_OF_BURSTS + 1).round().int().tolist()
+    edges = torch.linspace(0, len(order), N_INSTANTS_OF_BURSTS + 1).round().int().tolist()
     for begin, end in combinations(sorted(set(edges)), 2):
         during = size.new_zeros(len(order), 1)
         during[order[begin:end]] = 1.0
@@ -144,7 +151,7 @@ def _evidence(columns: Float[Tensor, "reading column"], score: Float[Tensor, " r
         torch.stack(
             [
                 log_bayes_factor(gram, projected, torch.full_like(projected, amplitude))
-                for amplitude in policy.SCATTER_AMPLITUDES
+                for amplitude in SCATTER_AMPLITUDES
             ]
         )
     )

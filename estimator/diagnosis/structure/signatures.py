@@ -21,6 +21,14 @@ from estimator.diagnosis.structure.smooth import legendre, polynomials, unit_int
 from estimator.model.bodies import round_winding_of
 from estimator.rig.bodies import AnyCoil
 
+SIGNATURE_DEGREES = (
+    1,
+    2,
+    3,
+)  # of the polynomials that describe what a residual stays with: several, so that none pays for more
+TIME_DEGREE = 6  # of polynomials in time: three periods of what swings during a session
+HARMONIC_DEGREE = 5  # of the fields that sources outside the workspace make
+
 SAME = 1e-6
 
 Evidence = dict[str, float]
@@ -66,17 +74,17 @@ def _stays_with(fit: Fit) -> Evidence:
     collection = Collection(fit)
     for i, (coil, position_m) in enumerate(sensor_in_coils(fit).items()):
         rotation = _sensor_from_coil(fit, fit.rig.coils[i])
-        for degree in policy.SIGNATURE_DEGREES:
+        for degree in SIGNATURE_DEGREES:
             position = polynomials(unit_interval(position_m), degree)
             collection.add(coil, position * _drive(fit, i)[:, None], rotation)
             collection.add(coil, position, rotation)
     collection.add("constant", constant, axes)
     position_m, sensor_from_world = sensor_in_room(fit)
-    for degree in policy.SIGNATURE_DEGREES:
+    for degree in SIGNATURE_DEGREES:
         collection.add("room", polynomials(unit_interval(position_m), degree - 1), sensor_from_world)
         collection.add("sensor", polynomials(unit_interval(field_T), degree), axes)
     time = 2.0 * circumstances.hours / circumstances.duration_h - 1.0
-    for degree in (1, policy.TIME_DEGREE):
+    for degree in (1, TIME_DEGREE):
         collection.add("clock", legendre(time, degree), axes)
         collection.add("clock", legendre(time, degree), torch.cat((axes, along_field), dim=-1))
     change = (before(field_T, circumstances.observations.row) - field_T) / largest_T
@@ -94,7 +102,7 @@ def _current(fit: Fit) -> Evidence | None:
         if float(drive.max() - drive.min()) < SAME:
             continue
         sizes = torch.unique((drive.abs() / SAME).round())
-        for degree in policy.SIGNATURE_DEGREES:
+        for degree in SIGNATURE_DEGREES:
             position = polynomials(unit_interval(position_m), degree)
             collection.add("independent", position, rotation)
             collection.add("odd", position * drive[:, None], rotation)
@@ -114,9 +122,7 @@ def _field_equations(fit: Fit) -> Evidence | None:
         drive = _drive(fit, i)
         middle_m = position_m.mean(0)
         inner = (position_m - middle_m) / (position_m - middle_m).norm(dim=-1).max()
-        sources = [
-            harmonic_gradients(inner, degree) / degree**2 for degree in range(1, policy.HARMONIC_DEGREE + 1)
-        ]
+        sources = [harmonic_gradients(inner, degree) / degree**2 for degree in range(1, HARMONIC_DEGREE + 1)]
         coil, fields_of_sources = fit.rig.coils[i], [torch.cat(sources, dim=1)]
         if (winding := round_winding_of(fit.rig, coil, fit.values)) is not None:
             fields_of_sources.append(dipoles(position_m / winding.radius_m))
@@ -124,7 +130,7 @@ def _field_equations(fit: Fit) -> Evidence | None:
             for fields in fields_of_sources:
                 rotated = torch.einsum("rij,rtj->rti", rotation, fields)
                 collection.add_fields("a magnetic field", rotated * drive_factor[:, None, None])
-            for degree in policy.SIGNATURE_DEGREES:
+            for degree in SIGNATURE_DEGREES:
                 position = polynomials(unit_interval(position_m), degree)
                 collection.add("no magnetic field", position * drive_factor[:, None], rotation)
     return collection.evidence() if collection.curves else None

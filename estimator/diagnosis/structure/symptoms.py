@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.structure.residual_tests import LackOfFit, Structure, lack_of_fit, structure
 from estimator.diagnosis.structure.signatures import Signatures, leading, signatures, words
+
+CLEARLY_MORE = 1.2  # residual over noise from which on the report says more, though the noise may be so
+SIGNIFICANT = 0.05  # p-value below which the report speaks of structure
 
 MOST_LISTED = 12
 
@@ -53,7 +55,7 @@ class Symptoms:
         source = "repeats at the same pose" if size.noise_from == "repeats" else "the rig file"
         against = f"{size.rms_T * 1e6:.3g} µT rms a component; noise alone would give {size.noise_T * 1e6:.3g} µT ({source})"
         sentences = [f"The residual is {against}: {_against_noise(size)} ({_p(size.p_value)})."]
-        n, striking = len(self.structure), [t for t in self.structure if t.p_value < policy.SIGNIFICANT]
+        n, striking = len(self.structure), [t for t in self.structure if t.p_value < SIGNIFICANT]
         if striking:
             names = "; ".join(f"{test.covariate.name} ({_p(test.p_value)})" for test in striking[:4])
             sentences.append(f"It has structure along {len(striking)} of {n} covariates: {names}.")
@@ -70,9 +72,9 @@ def _against_noise(size: LackOfFit) -> str:
         >>> _against_noise(LackOfFit(357e-6, 100e-6, "specification", 0.1))
         'more, but what is known of the noise does not rule that out'
     """
-    if size.p_value < policy.SIGNIFICANT:
+    if size.p_value < SIGNIFICANT:
         return "more than noise explains"
-    if size.rms_T > policy.CLEARLY_MORE * size.noise_T:
+    if size.rms_T > CLEARLY_MORE * size.noise_T:
         return "more, but what is known of the noise does not rule that out"
     return "no more than noise explains"
 

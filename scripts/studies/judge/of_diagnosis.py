@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.statements.causes import LEAST_DOUBT
 from estimator.model.measurement_model import nominal_tensors
 from estimator.reporting.numbers import displays, quantity_words
@@ -34,7 +34,8 @@ CLEARLY_VISIBLE = 8.0  # sigma of a flaw that a session shows beyond doubt
 RIGHT_SIGMA = 3.5  # of the noise: an outlier is farther from what was true
 CLEARLY_WRONG = 5.0  # sigma of the noise by which a row is off that a diagnosis has to flag
 CLEARLY_OFF = 3.0  # sd of the plain fit by which a claimed bias is not the true one
-ROUGHLY = 0.05  # of an error of a fit, at its mode with real loop counts, beside that of a calibration of the same rig
+# Of an error of a fit, at its mode with real loop counts, beside that of a calibration of the same rig
+ROUGHLY = 0.05
 ALMOST_ALL = 0.98  # an error that falls to more than this does not fall
 WORSE = 1.5  # held-out over fitted error, beyond which a fitted one says nothing of predictions
 FEWEST_COMPONENTS = 20  # from which on an rms says anything
@@ -209,7 +210,7 @@ def gain(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
         return
     before, after = _before_and_after(match["rest"])
     unseen = int(case.held_out.is_measured.any(dim=1).sum())
-    if unseen <= policy.MOST_READINGS_FITTED:
+    if unseen <= effort.MOST_READINGS_FITTED:
         yield number_statement("unseen_number", DIAGNOSE, text, float(match["n"]), [float(unseen)], 9)
     errors = [model.errors(case.held_out).vector_T for model in case.by_diagnosis]
     if not errors:

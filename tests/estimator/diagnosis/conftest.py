@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.diagnose import diagnose
-from estimator.diagnosis.mixture import imitation
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.result import Diagnosis
 from estimator.readings.observations import Observations
@@ -51,7 +51,7 @@ def of_two_causes(small_rig: Rig, two_causes: Observations) -> Answer:
 @pytest.fixture
 def names_are_right(monkeypatch: pytest.MonkeyPatch) -> None:
     """No name is an imitation, whatever the evidence of answers that are made by hand."""
-    monkeypatch.setattr(imitation, "WEIGHTS", (50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    monkeypatch.setattr(policy, "IMITATION", (50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 @pytest.fixture(scope="session")

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from estimator.diagnosis import policy
+from estimator.diagnosis import effort
 from estimator.diagnosis.first_fit import FirstFit
 from estimator.diagnosis.result import Question
 from estimator.readings.flags import Reason
@@ -28,7 +28,7 @@ def held(small_session):
 
 def first_fit(session: Session, validation: Session | None = None) -> FirstFit:
     question = Question(session.rig, session.source, 0)
-    return FirstFit.of(question, session, validation, policy.MOST_READINGS_SEARCHED)
+    return FirstFit.of(question, session, validation, effort.MOST_READINGS_SEARCHED)
 
 
 def test_neither_the_fit_nor_its_judge_has_readings_that_were_held(held):

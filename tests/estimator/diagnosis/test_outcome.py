@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture import imitation
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.scatter import BesideScatter
 from estimator.diagnosis.outcome import Outcome
@@ -32,7 +32,7 @@ GAIN = Cause("axis_gain", "hall")
 def before(of_dipole: Answer) -> Outcome:
     """What is said where every name is known to be an imitation: a part of the arm that is magnetised looks like the dipoles."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(imitation, "WEIGHTS", (-50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        patch.setattr(policy, "IMITATION", (-50.0, 0.0, 0.0, 0.0, 0.0, 0.0))
         answer = replace(of_dipole)
         return Outcome.of(of_dipole.plain, BesideScatter(answer, ()), (), is_record_wrong=False)
 

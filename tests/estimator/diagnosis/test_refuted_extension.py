@@ -8,7 +8,7 @@ import pytest
 from torch import Tensor
 
 from estimator import diagnose
-from estimator.diagnosis import budget, outcome
+from estimator.diagnosis import outcome, policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.headline import headline
 from estimator.diagnosis.limits import Limits
@@ -102,7 +102,7 @@ def test_intervals_that_are_too_wide_refute_no_name(monkeypatch: pytest.MonkeyPa
 def test_a_cause_that_is_next_to_nothing_in_unseen_readings_is_told_without_a_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(budget, "NEGLIGIBLE", 10.0)
+    monkeypatch.setattr(policy, "NEGLIGIBLE_SHARE", 10.0)
     diagnosis = diagnose(
         session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(2)
     )

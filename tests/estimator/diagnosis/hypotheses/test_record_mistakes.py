@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 import torch
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.asking import _are_doubtful
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses import record_mistakes
@@ -40,7 +39,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
 ):
     """With one rotation only, for the whole search takes half a minute."""
     monkeypatch.setattr(record_mistakes, "EFFECTS", {"displacement_frame": EFFECTS["displacement_frame"]})
-    monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
+    monkeypatch.setattr(record_mistakes, "MOST_MISTAKES", 1)
     turned = {"rx_rad": 0.0, "ry_rad": 0.0, "rz_rad": 0.25 * math.pi}
     monkeypatch.setattr(type(EFFECTS["displacement_frame"]), "starts", lambda *_: (turned,))
     truth_rig = small_rig.with_values(small_truth)
@@ -88,7 +87,7 @@ def test_fields_that_were_written_beside_their_rows_are_put_back(
     """The field that the first row was left with belongs to none, and may be anything. Beside one other mistake, for each takes seconds."""
     known = {name: EFFECTS[name] for name in ("rows_shifted", "left_handed")}
     monkeypatch.setattr(record_mistakes, "EFFECTS", known)
-    monkeypatch.setattr(policy, "MOST_MISTAKES", 1)
+    monkeypatch.setattr(record_mistakes, "MOST_MISTAKES", 1)
     some = small_session.observations.rows(torch.arange(0, len(small_session.observations), 2)).alone
     field_T = some.field_sensor_T.roll(1, 0)
     field_T[0] = 1e-2

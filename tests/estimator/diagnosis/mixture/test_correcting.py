@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.extension import extended_rig
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture import answer as answer_module
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.naming import fitted_with_stated
@@ -115,7 +115,7 @@ def test_causes_that_are_not_sure_enough_to_be_stated_correct_by_themselves(
     of_two_causes: Answer, two_causes: Observations, monkeypatch: pytest.MonkeyPatch
 ):
     """They have no name, but predictions with them are right where those of the bare rig are not."""
-    monkeypatch.setattr(answer_module, "STATED", 1.1)
+    monkeypatch.setattr(policy, "STATED", 1.1)
     unsure, bare = replace(of_two_causes), of_two_causes.plain
     assert not unsure.stated
     assert len(unsure.beside) == 2

@@ -7,10 +7,10 @@ import math
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.budget import _groups
 from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.climb import Asked, ask
 from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.correcting import corrected
@@ -44,7 +44,7 @@ def test_what_all_sensors_have_in_common_shares_the_prior_of_its_kind_with_singl
     total = math.fsum(math.exp(item.log_prior) for item in asked.dictionary.items if not item.is_listed)
     common = math.fsum(math.exp(item.log_prior) for item in items if item.cause == COMMON)
     single = math.fsum(math.exp(item.log_prior) for item in items if item.cause != COMMON)
-    assert total < priors.DEPARTURE * (1.0 + 1e-9)
+    assert total < policy.DEPARTURE * (1.0 + 1e-9)
     assert 0.0 < common <= single * (1.0 + 1e-9)
 
 

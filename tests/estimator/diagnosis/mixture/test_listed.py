@@ -8,9 +8,9 @@ from collections import defaultdict
 import pytest
 import torch
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
-from estimator.diagnosis.mixture import priors
 from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import Expansion
@@ -46,7 +46,7 @@ def test_half_of_a_cause_is_for_all_its_quantities_and_widths_are_as_probable_as
     whole = [item for item in items if len(item.subset) == 3]
     assert sum(math.exp(item.log_prior - start.log_prior) for item in whole) == pytest.approx(0.5)
     shares = {item.width: 2.0 * math.exp(item.log_prior - start.log_prior) for item in whole}
-    assert shares == pytest.approx(dict(priors.WIDTHS))
+    assert shares == pytest.approx(dict(policy.WIDTHS))
 
 
 def test_a_place_between_starts_is_found(
@@ -80,5 +80,5 @@ def test_a_place_that_explains_by_negative_iron_is_not_preferred(
     best = max(of_start.best for of_start in _weighed(fit, starts)[BODY])
     made = dictionary(Expansion.of(fit), present_items(starts), [])
     log_prior = torch.tensor([item.log_prior for item in made.items], dtype=torch.float64)
-    exact = Products(made).beside([], 1.0) + log_prior - math.log(priors.LISTED)
+    exact = Products(made).beside([], 1.0) + log_prior - math.log(policy.LISTED)
     assert best == pytest.approx(float(exact.max()), abs=0.01)

@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.mixture import confirmed as confirmed_module
 from estimator.diagnosis.mixture import rivals as rivals_module
 from estimator.diagnosis.mixture.confirmed import with_rivals
-from estimator.diagnosis.mixture.priors import WIDTHS
 from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
+from estimator.diagnosis.policy import WIDTHS
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
@@ -65,7 +65,7 @@ def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
     """Of causes with far less evidence too, so that there are some; a start that the fit keeps has its share of the prior, and so has a
     size that only the widest prior allows."""
     monkeypatch.setattr(rivals_module, "LEAST_EVIDENCE", -10.0)
-    monkeypatch.setattr(confirmed_module, "ALTERNATIVE", 0.0)
+    monkeypatch.setattr(policy, "ALTERNATIVE", 0.0)
     compared = with_rivals(answer)
     extent = compared.plain.posterior.model.circumstances.extent
     assert compared.rivals

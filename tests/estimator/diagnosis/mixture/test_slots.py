@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.diagnosis.mixture import priors
+from estimator.diagnosis import policy
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
@@ -40,7 +40,7 @@ def exact(made: Dictionary, n_slots: int) -> np.ndarray:
         chosen = tuple(sorted(i for i in state if i < n))
         if len({names[i] for i in chosen}) < len(chosen):
             continue
-        prior = sum(math.log(priors.EMPTY) if i == n else made.items[i].log_prior for i in state)
+        prior = sum(math.log(policy.p_empty()) if i == n else made.items[i].log_prior for i in state)
         weights[state] = prior + log_density(made, chosen)
     total = np.logaddexp.reduce(list(weights.values()))
     present = np.zeros(n)

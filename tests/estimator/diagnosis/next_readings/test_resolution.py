@@ -13,10 +13,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.next_readings.resolution import Directions, indistinguishable, smallest_visible
+from estimator.diagnosis.next_readings.resolution import (
+    MUCH_ABSORBED,
+    Directions,
+    indistinguishable,
+    smallest_visible,
+)
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
@@ -311,7 +315,7 @@ def test_what_a_cause_hides_in_is_where_a_fit_without_it_goes(cause, key, share)
     fit = result.fit
     visible = next(v for v in smallest_visible(fit, result.pool) if (v.cause, v.key) == (cause, key))
     assert visible.share_absorbed == pytest.approx(share, abs=0.9 if share == 0.0 else 0.05)
-    assert bool(visible.absorbed_by) is (visible.share_absorbed > policy.MUCH_ABSORBED)
+    assert bool(visible.absorbed_by) is (visible.share_absorbed > MUCH_ABSORBED)
     null = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
     null = next(quantity.null for quantity in null if quantity.key == key)
     wrong = with_effect(fit.rig, cause, fit.observations, {}, is_free=False).with_values(
