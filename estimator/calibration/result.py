@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsFloat, TypeVar, cast
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from estimator.calibration.files import Parts, read_parts, write_parts
+from estimator.calibration.many_points import ends_at_many, tails
 from estimator.devices import numpy_of
 from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
@@ -130,13 +131,27 @@ class Calibration(Shown):
     ) -> tuple[Kind, Kind]:
         check_level(level)
         given = given_points(points)
-        points_m = given.points_m
-        room, current_A = self.room(points_m, motion), self.currents(currents_A, points_m)
-        predict = room.gradient_T_per_m if is_gradient else room.field_T
+        points_m, moved = given.points_m, given_motion(motion, given.points_m)
+        room, current_A = self.room(points_m, moved), self.currents(currents_A, points_m)
         draws, what = self.draw_values(INTERVAL_DRAWS, points_m), GRADIENT if is_gradient else FIELD
         n_axes = len(what.axes)
-        values = some_at_a_time(lambda drawn: predict(drawn, current_A), draws, len(points_m), 1 + n_axes)
-        ends = self.ends(values, (len(points_m), *[3] * n_axes), level)
+
+        def of_draws(room: RoomField, draws: Mapping[str, Tensor]) -> Tensor:
+            predict = room.gradient_T_per_m if is_gradient else room.field_T
+            return some_at_a_time(
+                lambda drawn: predict(drawn, current_A), dict(draws), len(room.points_m), 1 + n_axes
+            )
+
+        def at_some(which: Int[np.ndarray, " some"], draws: Mapping[str, Tensor]) -> np.ndarray:
+            rows = {name: numbers[which] if numbers.dim() > 1 else numbers for name, numbers in moved.items()}
+            values: np.ndarray = numpy_of(of_draws(self.room(points_m[which], rows), draws))
+            return values
+
+        many = ends_at_many(at_some, draws, numpy_of(room.is_near), level)
+        if many is None:
+            ends = self.ends(of_draws(room, draws), (len(points_m), *[3] * n_axes), level)
+        else:
+            ends = torch.from_numpy(many[0]).to(points_m), torch.from_numpy(many[1]).to(points_m)
         lower, upper = (
             cast(Kind, given.answer(end, what.end_of_interval(which, level)))
             for which, end in zip(("lower", "upper"), ends, strict=True)
@@ -162,9 +177,8 @@ class Calibration(Shown):
         """Ends of the central interval of a shape, over values for `draw_values(INTERVAL_DRAWS)` on the first axis."""
         n_draws = min(INTERVAL_DRAWS, self.log_prob.size)
         values = values.expand(n_draws, *shape)  # no batch where no coil is free
-        tails = [0.5 - 0.5 * level, 0.5 + 0.5 * level]
         # Takes a third of the time of torch.quantile, which sorts.
-        ends = np.quantile(numpy_of(values), tails, axis=0)
+        ends = np.quantile(numpy_of(values), tails(level), axis=0)
         lower, upper = torch.from_numpy(ends).to(values)
         return lower, upper
 

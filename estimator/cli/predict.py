@@ -13,7 +13,7 @@ from estimator.cli.named import named_motions, named_number
 from estimator.cli.options import PATH, OutputPath, flag, option, prediction_options, result_options
 from estimator.cli.output import CoilcalCommand, show
 
-BLOCK = 2_000  # points predicted at once, with all draws of the posterior
+BLOCK = 50_000  # points predicted at once, with all draws of the posterior
 HEADER = (
     ["x_m", "y_m", "z_m"]
     + [f"B{axis}_T" for axis in "xyz"]

@@ -25,6 +25,7 @@ from estimator.rig.rig import Rig
 from estimator.side_by_side import each
 from estimator.tensors import Tensor, torch
 
+NEAR = 0.1  # of a winding's half width
 DRAWS_AND_POINTS = 20_000  # at a time: an oval coil holds a dozen arrays of 256 numbers for each
 
 
@@ -67,6 +68,7 @@ class RoomField:
         rules: dict[str, Rule] = {}
         zones: dict[str, tuple[Zone, ...]] = {}
         inside = torch.zeros(len(points_m), dtype=torch.bool, device=points_m.device)
+        near = inside.clone()
         for coil in rig.coils:
             world_from_coil = at_rest.world_from_body(coil, "coil", at_rest.powered[coil.name], values)
             points_coil_m = world_from_coil.inverse().apply(points_m)
@@ -75,14 +77,18 @@ class RoomField:
             inside |= is_inside
             if field.winding is None or is_inside.all():
                 continue
+            distance_m = field.winding.distance_m(points_coil_m.detach())
+            near |= distance_m < NEAR * field.winding.half_width_m
             if not field.has_zones:
                 rules[coil.name] = choose_rule(field.winding, points_coil_m[~is_inside].detach(), tolerance)
                 continue
-            distance_m = field.winding.distance_m(points_coil_m.detach())
             zones[coil.name] = zones_of(field.winding, distance_m, tolerance)
             rules[coil.name] = zones[coil.name][0].rule
         self.sources = replace(at_rest, rules=rules, zones=zones)
         self.is_inside: Bool[Tensor, " point"] = inside
+        self.is_near: Bool[Tensor, " point"] = (
+            inside | near
+        )  # a winding, so that its field bends over the width of a posterior
 
     def field_T(
         self,
