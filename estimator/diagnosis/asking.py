@@ -18,6 +18,7 @@ from estimator.diagnosis.hypotheses.record_mistakes import (
 )
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.full_fits import leading_fit
 from estimator.diagnosis.mixture.scatter import BesideScatter, answer_beside_scatter
 from estimator.diagnosis.next_readings.resolution import Visible, indistinguishable, smallest_visible
 from estimator.diagnosis.progress import OnProgress
@@ -102,7 +103,7 @@ def _are_doubtful(mistakes: Sequence[RecordMistake | NamedCause], answer: Answer
     It may if something remains unexplained, and either that is more than a mistake explained, or the record as it was put right still left
     more of the field than causes do. It also may if the causes that were found explain the unchanged record better.
     """
-    left, base, final = answer.left, answer.plain, answer.leading_fit
+    left, base, final = answer.left, answer.plain, leading_fit(answer)
     least = min(mistake.log_bayes_factor for mistake in mistakes)
     is_little = least < left.log_bayes_factor or leaves_much_of_the_field(base)
     if answer.leaves_something and is_little:

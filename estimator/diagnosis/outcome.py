@@ -14,6 +14,7 @@ from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.correcting import corrected
+from estimator.diagnosis.mixture.full_fits import fit_with, leading_fit
 from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
 from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.mixture.scatter import BesideScatter
@@ -80,7 +81,7 @@ class Outcome:
         """
         answer = said.answer
         named = [*named_by(answer), *said.stated]
-        scatter, pull = scatter_of(answer.leading_fit), pull_of(answer.leading_fit)
+        scatter, pull = scatter_of(leading_fit(answer)), pull_of(leading_fit(answer))
         is_sure = len(said.stated) == len(said.given)
         leaves = answer.leaves_something or scatter.is_probable or pull.is_probable or not is_sure
         if leaves:
@@ -140,7 +141,7 @@ class Outcome:
     def _by_names_alone(self, named: Sequence[NamedCause]) -> Outcome:
         """This outcome with nothing but some of its named causes, to be scored and widened anew."""
         base = self.answer.plain
-        extended = self.answer.fit_with([each.cause for each in named if each.cause not in base.rig.acting])
+        extended = fit_with(self.answer, [each.cause for each in named if each.cause not in base.rig.acting])
         readings = self.before.observations
         after = extended if readings is base.observations else _fitted_to(readings, extended)
         verdict = _leaving_something(named)

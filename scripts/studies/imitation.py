@@ -14,6 +14,7 @@ from pathlib import Path
 
 from estimator import Diagnosis, load_rig
 from estimator.diagnosis.fitting import fit_rig
+from estimator.diagnosis.mixture.full_fits import leading_fit
 from estimator.rig.parameters import LogNormal, Normal
 from estimator.rig.rig import Rig
 from estimator.store.importers.readings_csv import read_readings_csv
@@ -26,7 +27,7 @@ def left_of_truth(hidden: HiddenSession, diagnosis: Diagnosis) -> float:
 
     Numbers that leave their priors count as misfit, as in the density that was fitted.
     """
-    fit = diagnosis.findings.answer.leading_fit
+    fit = leading_fit(diagnosis.findings.answer)
     perfect = replace(hidden, record=record(hidden.scene, hidden.flaws, None))
     with tempfile.TemporaryDirectory() as folder:
         perfect.write(Path(folder))

@@ -2,28 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import MappingProxyType
 from typing import Any
 
 from jaxtyping import Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
-from estimator.diagnosis.mixture.expansion import with_tails
 from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Rival
 from estimator.diagnosis.mixture.slots import Samples
-from estimator.effects.attach import with_effect
-from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
 
 ASKED = 0.2  # probability of a cause from which on a set is made about it
@@ -41,7 +37,7 @@ class Answer:
         ended_early: Why it ended before all was asked; empty where it did not.
         refused: Causes that full fits do not bear out, so that they were not asked any more.
         rivals: Of stated causes, by full fits in their place.
-        fits: Those that were made, by the causes and the departures that were taken from the readings.
+        fits: Those that were made of it (`full_fits.py`), by the causes and the departures that were taken from the readings.
     """
 
     first: Asked
@@ -254,66 +250,6 @@ class Answer:
             if not possibility.is_listed
         }
         return tuple(dict.fromkeys(own.get(items[i].cause, i) for i in self.asked.leading))
-
-    @cached_property
-    def leading_fit(self) -> Fit:
-        """The fit of the listed causes that lead, to the readings without the departures that lead."""
-        asked, items, leading = self.asked, self.asked.dictionary.items, self.leading_as_stated
-        causes = {items[i].cause for i in leading if items[i].is_listed}
-        has_departures = any(not items[i].is_listed for i in leading)
-        if causes == set(asked.expansion.causes) and not has_departures:
-            return asked.expansion.fit
-        sizes, _ = asked.slots.products.sizes(leading, asked.noise)
-        return self._once(self._departed, lambda: asked.expansion.moved(asked.dictionary, leading, sizes).fit)
-
-    @property
-    def _departed(self) -> tuple[Hashable, ...]:
-        """What tells the readings without the departures that lead from others."""
-        return self.leading_as_stated, self.asked.noise_number
-
-    def _once(self, key: tuple[Hashable, ...], make: Callable[[], Fit]) -> Fit:
-        """A fit that is made where it is asked for the first time."""
-        if key not in self.fits:
-            self.fits[key] = make()
-        return self.fits[key]
-
-    def fit_with(self, causes: Sequence[Cause]) -> Fit:
-        """The rig as described with some listed causes, fitted to the readings that were asked."""
-        if not causes:
-            return self.plain
-        return self._once((frozenset(causes),), lambda: self.fit_to(causes, self.plain.observations))
-
-    def fit_beside_departures(self, causes: Sequence[Cause]) -> Fit:
-        """The rig as described with some listed causes, fitted to the readings without the departures that lead."""
-        readings = self.leading_fit.observations
-        if readings is self.plain.observations:
-            return self.fit_with(causes)
-        return self._once((frozenset(causes), *self._departed), lambda: self.fit_to(causes, readings))
-
-    def fit_to(
-        self,
-        causes: Sequence[Cause],
-        readings: Observations,
-        shapes: Mapping[Cause, dict[str, float]] = MappingProxyType({}),
-    ) -> Fit:
-        """The rig as described with some listed causes, fitted to some readings.
-
-        Args:
-            causes: Beyond those of the rig.
-            readings: Of the session, with or without what departures change.
-            shapes: Where fits of some causes start; by default at the shapes that are known of them.
-        """
-        plain, known = self.plain, self.asked.expansion
-
-        def fitted(more: Mapping[Cause, float]) -> Fit:
-            rig = plain.rig
-            for cause in causes:
-                at = shapes.get(cause) or self.shapes_of(cause)
-                factor = {**known.factors, **more}.get(cause, 1.0)
-                rig = with_effect(rig, cause, plain.observations, at, factor=factor)
-            return fit_rig(rig, readings, known.fit.values, plain.posterior.model.rules)
-
-        return with_tails(fitted({}), [cause for cause in causes if cause not in known.causes], fitted)[0]
 
     def item_of(self, cause: Cause) -> int:
         """Number of the item that stands for a cause: the one in the leading set, else the most probable one."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.found import Found
+from estimator.diagnosis.mixture.full_fits import fit_beside_departures, fit_to, leading_fit
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
 from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
@@ -107,7 +109,7 @@ def _not_borne_out(answer: Answer) -> Cause | None:
     if not stated:
         return None
     without = [[other for other in stated if other != cause] for cause in stated]
-    fit, *others = each(answer.fit_beside_departures, [stated, *without])
+    fit, *others = each(partial(fit_beside_departures, answer), [stated, *without])
     rises = {c: fit.log_evidence - other.log_evidence for c, other in zip(stated, others, strict=True)}
     least = min(rises, key=rises.__getitem__)
     is_clear = rises[least] > policy.CLEAR_LOG_EVIDENCE and fit.still_has(least)
@@ -128,9 +130,9 @@ def with_rivals(answer: Answer) -> Answer:
     def fit_of(pair: tuple[Cause, Contender]) -> Fit:
         rest = [cause for cause in stated if cause != pair[0]]
         start = {pair[1].cause: answer.asked.dictionary.items[pair[1].item].start}
-        return answer.fit_to([*rest, pair[1].cause], answer.leading_fit.observations, start)
+        return fit_to(answer, [*rest, pair[1].cause], leading_fit(answer).observations, start)
 
-    own, fits = answer.fit_beside_departures(stated), each(fit_of, pairs)
+    own, fits = fit_beside_departures(answer, stated), each(fit_of, pairs)
     rivals: dict[Cause, tuple[Rival, ...]] = {}
     for (cause, other), fit in zip(pairs, fits, strict=True):
         fitted = rival(other, fit, cause, own)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.found import Found
+from estimator.diagnosis.mixture.full_fits import fit_with
 from estimator.diagnosis.next_readings.expected_evidence import rows_seen, separation
 from estimator.diagnosis.verdict import Alternative, NamedCause
 from estimator.rig.rig import Cause
@@ -44,7 +45,7 @@ def alternative_fits(answer: Answer, found: Found) -> dict[Cause, Fit]:
     """Fits of the rig with each listed possibility of a set, beside the other stated causes."""
     others = [entry.first_listed for entry in answer.stated if entry != found]
     return {
-        possibility.cause: answer.fit_with([*others, possibility.cause])
+        possibility.cause: fit_with(answer, [*others, possibility.cause])
         for possibility in found.possibilities
         if possibility.is_listed
     }
@@ -52,4 +53,4 @@ def alternative_fits(answer: Answer, found: Found) -> dict[Cause, Fit]:
 
 def fitted_with_stated(answer: Answer) -> Fit:
     """The rig as described with the stated causes, fitted to the readings that were asked."""
-    return answer.fit_with([entry.first_listed for entry in answer.stated])
+    return fit_with(answer, [entry.first_listed for entry in answer.stated])

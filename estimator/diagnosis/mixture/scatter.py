@@ -15,6 +15,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import Asked, climbed
 from estimator.diagnosis.mixture.confirmed import confirmed
+from estimator.diagnosis.mixture.full_fits import leading_fit
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import Alternative, NamedCause
@@ -77,7 +78,7 @@ def answer_beside_scatter(
         leading = Answer(first, asked, (), {})
         if leading.is_full:
             break
-        rows = sorted(noise_causes(leading.leading_fit), key=lambda row: -row[1])
+        rows = sorted(noise_causes(leading_fit(leading)), key=lambda row: -row[1])
         log_prior_odds = _log_prior_odds(asked, len(rows))
         if not rows or rows[0][1] + log_prior_odds < math.log(policy.STATED / (1.0 - policy.STATED)):
             break

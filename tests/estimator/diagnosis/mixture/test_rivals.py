@@ -11,6 +11,7 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture import rivals as rivals_module
 from estimator.diagnosis.mixture.confirmed import with_rivals
+from estimator.diagnosis.mixture.full_fits import fit_with
 from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
 from estimator.diagnosis.policy import WIDTHS
 from estimator.effects import EFFECTS
@@ -71,7 +72,7 @@ def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
     assert compared.rivals
     for first, rivals in compared.rivals.items():
         for rival in rivals:
-            own, other = (compared.fit_with([cause]) for cause in (first, rival.cause))
+            own, other = (fit_with(compared, [cause]) for cause in (first, rival.cause))
             n_starts = sum(candidate.cause == rival.cause for candidate in compared.asked.pool)
             has_free_shape = any(
                 q.is_shape and not q.is_fixed for q in EFFECTS[rival.cause.name].quantities(extent)
