@@ -124,12 +124,12 @@ def superposition(
 def predicted_readings_T(
     system: System, session: Session, observations: Observations
 ) -> Float[Tensor, "reading 3"]:
-    """Readings in the frame of each sensor if the separate calibrations add up."""
-    values = nominal_tensors(session.rig)
-    for calibration in system.calibrations.values():
-        best = calibration.best_values()
-        values |= {name: best[name] for name in values if name in best}
-    model = MeasurementModel.unruled(session.rig, observations)
+    """Readings of each sensor, as the first calibration knows it, if the separate calibrations add up."""
+    first = next(iter(system.calibrations.values()))
+    # Its rig has what a calibration frees by itself, such as the zeros of the sensors.
+    rig, best = first.rig, first.best_values()
+    values = {name: best.get(name, value) for name, value in nominal_tensors(rig).items()}
+    model = MeasurementModel.unruled(rig, observations)
     pose_rows = torch.arange(len(model.sensor))
     world_from_sensor = model.world_from_sensor(pose_rows, values)
     points_m = world_from_sensor.translation_m.expand(len(pose_rows), 3)[model.pose_row]
@@ -138,7 +138,9 @@ def predicted_readings_T(
     currents_A = observations.current_A[:, order]
     driven_T = (system_field.actuation(has_gradient=False) @ currents_A[..., None])[..., 0]
     field_T = system_field.field_T(torch.zeros(len(order), dtype=torch.float64)) + driven_T
-    return world_from_sensor.rows(model.pose_row).unrotate(field_T)
+    at_sensor_T = world_from_sensor.rows(model.pose_row).unrotate(field_T)
+    shown_T: Tensor = model.shown_T(values, at_sensor_T)
+    return shown_T.expand(len(observations), 3)
 
 
 def joined(sessions: list[Observations]) -> Observations:

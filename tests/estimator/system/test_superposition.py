@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from estimator.calibration.result import Calibration
+from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput
 from estimator.model.simulate import simulate
 from estimator.readings.plan import load_plan
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from estimator.system.superposition import Superposition, joined, predicted_readings_T, superposition
@@ -115,6 +116,15 @@ def test_the_plain_sum_predicts_what_perfect_sensors_read(rig: Rig, tmp_path) ->
     session = measured(rig.with_values({"hall.noise_T": 0.0}), tmp_path, "{coil1: 3, coil2: -2}", 4, {})
     alone = [measured(rig, tmp_path, f"{{coil{i}: 3}}", i, {}) for i in (1, 2)]
     predicted_T = predicted_readings_T(System.of(*map(calibrated, alone)), session, session.observations)
+    torch.testing.assert_close(predicted_T, session.observations.field_sensor_T, rtol=1e-5, atol=1e-10)
+
+
+def test_the_zero_of_a_sensor_that_calibrations_know_is_no_error_of_the_sum(rig: Rig, tmp_path) -> None:
+    zero = {"sensor_offset[hall].x_T": 60e-6, "sensor_offset[hall].z_T": -40e-6}
+    session = measured(rig.with_values({"hall.noise_T": 0.0}), tmp_path, "{coil1: 3, coil2: -2}", 4, zero)
+    with_zero = with_effect(rig, Cause("sensor_offset", "hall"), session.observations, {}).with_values(zero)
+    alone = [calibrated(measured(with_zero, tmp_path, f"{{coil{i}: 3}}", i, {})) for i in (1, 2)]
+    predicted_T = predicted_readings_T(System.of(*alone), session, session.observations)
     torch.testing.assert_close(predicted_T, session.observations.field_sensor_T, rtol=1e-5, atol=1e-10)
 
 
