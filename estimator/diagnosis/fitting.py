@@ -269,11 +269,16 @@ class Fit:
         """The fit with another projector and residual, all that the evidence of further columns depends on."""
         return _FirstOrderFit(self.posterior, self.optimum, projector, residual)
 
+    @property
+    def noise_widths(self) -> list[float]:
+        """Relative width of the prior of each noise that is not known."""
+        priors = [self.rig.parameters[f"{sensor.name}.noise_T"].prior for sensor in self.rig.sensors]
+        return [p.relative_sd if isinstance(p, LogNormal) else 1.0 for p in priors if p is not None]
+
     @cached_property
     def free_noise(self) -> FreeNoise | None:
         """The fitted noise of the sensors, as far as it may shrink; None where the noise is known."""
-        priors = [self.rig.parameters[f"{sensor.name}.noise_T"].prior for sensor in self.rig.sensors]
-        widths = [p.relative_sd if isinstance(p, LogNormal) else 1.0 for p in priors if p is not None]
+        widths = self.noise_widths
         if not widths:
             return None
         noise_T = min(float(self.values[f"{sensor.name}.noise_T"]) for sensor in self.rig.sensors)

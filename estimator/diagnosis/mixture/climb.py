@@ -23,7 +23,6 @@ from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
-from estimator.rig.parameters import LogNormal
 from estimator.rig.rig import Cause
 
 MOST_EXPANSIONS = 6
@@ -255,8 +254,7 @@ def noise_prior(fit: Fit) -> NoisePrior:
     """
     parameters = [fit.rig.parameters[f"{sensor.name}.noise_T"] for sensor in fit.rig.sensors]
     apart = [math.log(float(p.value) / float(fit.values[p.name])) for p in parameters]
-    widths = [p.prior.relative_sd for p in parameters if isinstance(p.prior, LogNormal)]
-    width = max(widths, default=0.0)
+    width = max(fit.noise_widths, default=0.0)
     return NoisePrior(
         math.exp(sum(apart) / len(apart)), width, p_misstated=0.0 if width else policy.MISSTATED
     )

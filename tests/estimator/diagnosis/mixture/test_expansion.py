@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.climb import ask
+from estimator.diagnosis.mixture.climb import ask, noise_prior
 from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.naming import fitted_with_stated, named_by
 from estimator.effects.attach import with_effect
+from estimator.rig.parameters import LogNormal, Normal, Uniform
 from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
@@ -70,3 +73,18 @@ def test_rows_that_were_shifted_in_the_record_are_asked_too(small_rig, seen):
     found = answer(fit_of(rig, late), Limits(), seed=1, n_pairs=1)
     assert shifted in found.asked.expansion.plain.rig.effects
     assert found.found
+
+
+@pytest.mark.parametrize(
+    ("prior", "width", "p_misstated"),
+    [
+        (LogNormal(5e-6, 0.5), 0.5, 0.0),
+        (Normal(5e-6, 1e-6, lower=1e-7), 1.0, 0.0),
+        (Uniform(1e-6, 9e-6), 1.0, 0.0),
+        (None, 0.0, 0.05),
+    ],
+)
+def test_a_noise_with_any_prior_is_not_known(small_rig, seen, prior, width, p_misstated):
+    noise = replace(small_rig.parameters["hall.noise_T"], value=5e-6, prior=prior)
+    prior_of_noise = noise_prior(fit_of(small_rig.with_parameters([noise]), seen))
+    assert (prior_of_noise.width, prior_of_noise.p_misstated) == (width, p_misstated)
