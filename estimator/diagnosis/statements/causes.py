@@ -36,10 +36,7 @@ def what(diagnosis: Diagnosis) -> Iterator[str]:
     else:
         mistakes = [_mistake(diagnosis, named) for named in diagnosis.findings.named_mistakes]
         is_unexplained = diagnosis.verdict is Verdict.UNEXPLAINED
-        sentences = (
-            [unexplained(diagnosis), *mistakes] if is_unexplained else [*mistakes, *_stated(diagnosis)]
-        )
-        yield " ".join(sentences)
+        yield from [unexplained(diagnosis), *mistakes] if is_unexplained else [*mistakes, *_stated(diagnosis)]
 
 
 def _mistake(diagnosis: Diagnosis, named: NamedCause) -> str:

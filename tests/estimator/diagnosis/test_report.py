@@ -235,7 +235,7 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     unexplained = replace(diagnosis, findings=findings, verdict=Verdict.UNEXPLAINED)
     page = as_text(unexplained)
     label = diagnosis.label(named.cause)
-    assert f"The extended rig also has {label}: it predicts better with them, but they are not sure" in page
+    assert f"The extended rig also has {label}: it predicts better so, but that is not sure" in page
     assert f"{label} x " in page.partition("Causes that are not sure enough to be stated Their")[2]
     assert diagnosis.improvement is not None
     rms = size_with_unit(diagnosis.improvement.before.errors.vector_T, "T", 3)
