@@ -50,6 +50,8 @@ def made(
             f"{name} must have a docstring with words in its first line and a last paragraph 'Source: ...'; received {explanation!r}"
         )
     attributes = {key: _attribute(stage, key, value, name) for key, value in declared.items()}
+    if method is not None and not function.__module__.startswith("estimator."):
+        attributes[method] = _of_shape(attributes[method], name)
     attributes |= {"name": name, "__module__": function.__module__, "__doc__": explanation}
     attributes["__reduce__"] = _reduced
     declared_class: Any = types.new_class(name, (stage,), exec_body=lambda body: body.update(attributes))
@@ -94,6 +96,24 @@ def _by_name(function: Function, method: Function, numbers: Sequence[int]) -> Fu
     called.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]
     called.__wrapped__ = function  # type: ignore[attr-defined]
     return called
+
+
+def _of_shape(method: Function, name: str) -> Function:
+    """A method whose answer has as many components as what it changes, or as the points that it is asked at."""
+
+    def checked(*arguments: Any) -> Any:
+        answer = method(*arguments)
+        like = next((each for each in arguments[1:3] if hasattr(each, "shape")), None)
+        if like is not None and hasattr(answer, "shape") and answer.shape[-1:] != like.shape[-1:]:
+            raise InvalidInput(
+                f"{name} must give as many numbers along the last axis as it is given; it gives {tuple(answer.shape)} "
+                f"for {tuple(like.shape)}"
+            )
+        return answer
+
+    checked.__signature__ = inspect.signature(method)  # type: ignore[attr-defined]
+    checked.__wrapped__ = method  # type: ignore[attr-defined]
+    return checked
 
 
 def _reduced(effect: Any) -> tuple[Callable[[str], object], tuple[str]]:

@@ -231,3 +231,15 @@ def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances) -> None
     is_turned = (moved.rotation[:, 0, 0] - torch.cos(theta["size"])).abs() < 1e-12
     assert is_turned.tolist() == (circumstances.hours >= 0.6).tolist()
     assert (moved.rotation[~is_turned] == eye[~is_turned]).all()
+
+
+def test_an_answer_of_another_shape_than_what_it_changes_is_said_in_one_sentence(circumstances) -> None:
+    def first_axis(field_sensor_T, theta):
+        """The sensor gives one axis."""
+        return field_sensor_T[..., 0] * (1.0 + theta["excess"][..., None])
+
+    effect = ReadingEffect.cause(**BENT)(first_axis)
+    field_T, theta = torch.zeros(N, 3), {"excess": torch.zeros(())}
+    expected = r"first_axis must give as many numbers along the last axis as it is given; it gives \(12,\) for \(12, 3\)"
+    with pytest.raises(InvalidInput, match=expected):
+        effect.apply(field_T, theta, circumstances, "hall")
