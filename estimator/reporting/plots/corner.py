@@ -195,19 +195,19 @@ def _wrapped(label: str, cell_in: float) -> str:
 
 def _x_axis(ax: Axes, column: _Column, label: str) -> None:
     ax.set_xlim(column.low, column.high)
-    ax.xaxis.set_major_locator(MaxNLocator(3, integer=column.is_count))
     if label:
+        ax.xaxis.set_major_locator(MaxNLocator(3, integer=column.is_count))
         ax.set_xlabel(label, fontsize=LABEL_SIZE)
         ax.tick_params(axis="x", rotation=45, labelsize=8)
     else:
-        ax.tick_params(labelbottom=False)
+        ax.set_xticks([])  # half of the time of the figure goes into ticks
 
 
 def _y_axis(ax: Axes, row: _Column, label: str) -> None:
     ax.set_ylim(row.low, row.high)
-    ax.yaxis.set_major_locator(MaxNLocator(3, integer=row.is_count))
     if label:
+        ax.yaxis.set_major_locator(MaxNLocator(3, integer=row.is_count))
         ax.set_ylabel(label, fontsize=LABEL_SIZE)
         ax.tick_params(axis="y", labelsize=8)
     else:
-        ax.tick_params(labelleft=False)
+        ax.set_yticks([])
