@@ -20,6 +20,8 @@ from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Rival
 from estimator.diagnosis.mixture.slots import Samples
+from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Extent
 from estimator.rig.rig import Cause
 
 ASKED = 0.2  # probability of a cause from which on a set is made about it
@@ -99,13 +101,20 @@ class Answer:
         return listed.difference(candidate.cause for candidate in self.first.pool)
 
     def _as_first(self, shares: Mapping[Cause, float]) -> dict[Cause, float]:
-        """Shares without causes that are asked beside others alone, in whose place these are: a second piece of iron is the first."""
-        others = {cause: share for cause, share in shares.items() if cause not in self.only_beside}
-        fitted = [cause for cause in others if cause in self.asked.expansion.causes]
-        if not fitted:
-            return dict(shares)
-        first = max(fitted, key=others.__getitem__)
-        return others | {first: others[first] + sum(shares.values()) - sum(others.values())}
+        """Shares in which causes that are asked beside others alone are those where these lack: a second piece of iron is the first."""
+        result = dict[Cause, float]()
+        for cause, share in shares.items():
+            first = self._first_of(cause, shares)
+            result[first] = result.get(first, 0.0) + share
+        return result
+
+    def _first_of(self, cause: Cause, alternatives: Collection[Cause] = ()) -> Cause:
+        """The cause of the expansion with the same quantities that is an alternative or does not lead; without one, the cause itself."""
+        if cause not in self.only_beside:
+            return cause
+        leading, keys = self.asked.causes_of(self.asked.leading), _keys(cause)
+        able = [c for c in self.asked.expansion.causes if c in alternatives or c not in leading]
+        return next((other for other in able if _keys(other) == keys), cause)
 
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items
@@ -249,6 +258,7 @@ class Answer:
             for possibility in entry.possibilities
             if not possibility.is_listed
         }
+        own |= {c: self.item_of(f) for c in self.only_beside if (f := self._first_of(c)) != c}
         return tuple(dict.fromkeys(own.get(items[i].cause, i) for i in self.asked.leading))
 
     def item_of(self, cause: Cause) -> int:
@@ -315,3 +325,8 @@ class Answer:
             "found": [entry.to_json() for entry in self.found],
             "unlisted": {link.value: probability for link, probability in self.unlisted.items()},
         }
+
+
+def _keys(cause: Cause) -> list[str]:
+    """Quantities of a cause."""
+    return [quantity.key for quantity in EFFECTS[cause.name].quantities(Extent())]

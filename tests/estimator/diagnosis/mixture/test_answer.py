@@ -82,15 +82,25 @@ def test_what_takes_the_same_slot_is_one_set_and_as_sure_as_both_together():
     assert second.first.link is Link.RESPONSE
 
 
-def test_a_second_piece_where_the_first_may_be_is_the_first():
-    """It is asked beside the first alone, which has been fitted."""
-    made = answered(samples(MODELS, BOTH))
+ALONE = {**BOTH, TWIN: {TWIN: 100.0}}
+
+
+@pytest.mark.parametrize(
+    ("models", "shares"),
+    [(MODELS, BOTH), ({(TWIN, WANDERS): 98, (TWIN,): 2}, ALONE)],
+    ids=["beside", "alone"],
+)
+def test_a_second_piece_where_the_first_may_be_is_the_first(models, shares, monkeypatch):
+    """It is asked beside the first alone, which has been fitted; also where it has taken the place of that."""
+    monkeypatch.setattr(answers, "_keys", lambda cause: ["volume_m3"])
+    made = answered(samples(models, shares))
     first = ITEMS[GAIN].cause
     made.asked.__dict__["expansion"] = SimpleNamespace(causes=(first,))
     second = replace(made, first=asked_about(made.asked, (first, ITEMS[FAINT].cause)))
     (gain,) = (one for one in second.found if one.first.is_listed)
     assert [one.cause for one in gain.possibilities] == [first]
     assert gain.probability == pytest.approx(1.0)
+    assert second.leading_as_stated[0] == GAIN
 
 
 def asked_about(asked: Asked, causes: tuple[Cause, ...]) -> Asked:
