@@ -18,6 +18,7 @@ from estimator.reporting.page import Table
 # Probability that nothing is wrong, below which `nothing_found` says what is more probable
 LEAST_SURE_OF_NOTHING = 0.2
 
+SURELY = 0.95  # probability from which on something is told to be wrong without it
 MOST_BESIDE = 2  # possibilities that are told of one thing beside the stated causes
 MOST_OF_MANY = 3  # listed causes that are told where too much is wrong at once
 MOST_ALTERNATIVES = 4  # other answers that a doubt lists
@@ -38,7 +39,22 @@ def unexplained(diagnosis: Diagnosis) -> str:
         _withdrawn(diagnosis)
     )
     unknown = "no cause is sure enough to be stated" if is_probable else "no known cause explains it"
-    return f"Something is wrong, and {unknown}: {why}."
+    sure = _how_sure(diagnosis)
+    words = "Something is wrong" if sure > SURELY else f"Something is probably wrong ({probability(sure)})"
+    return f"{words}, and {unknown}: {why}."
+
+
+def _how_sure(diagnosis: Diagnosis) -> float:
+    """Probability that something is wrong: that of the likeliest thing."""
+    findings = diagnosis.findings
+    answer = findings.answer
+    likeliest = max((entry.probability for entry in answer.found), default=0.0)
+    return max(
+        likeliest,
+        answer.p_unlisted,
+        float(answer.is_full),
+        *(d.probability for d in (findings.scatter, findings.pull)),
+    )
 
 
 def _rounded(diagnosis: Diagnosis) -> str:

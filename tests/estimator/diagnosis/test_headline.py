@@ -306,7 +306,9 @@ def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(di
     sentences = headline(unsure)
     assert f"Not sure enough to be stated: {EFFECTS['axis_gain'].words} (axis_gain, 80 %)." in sentences
     alone = said_instead(diagnosis, {(GAIN,): 80, (): 20})
-    assert headline(alone)[0].startswith("Something is wrong, and no cause is sure enough to be stated: ")
+    assert headline(alone)[0].startswith(
+        "Something is probably wrong (80 %), and no cause is sure enough to be stated: "
+    )
     unknown = said_instead(diagnosis, {(STEPS,): 100})
     assert headline(unknown)[0].startswith("Something is wrong, and no known cause explains it: ")
 
