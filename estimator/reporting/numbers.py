@@ -157,6 +157,8 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     Examples:
         >>> interval_with_unit(-1.0, -1.0, -1.0, "1"), interval_with_unit(0.1, 0.1, 0.1, "1")
         ('−1', '0.1')
+        >>> interval_with_unit(0.01124, 0.01124, 0.01124, "1")
+        '1.124 %'
         >>> interval_with_unit(0.13831, 0.13831, 0.13831, "h")
         '497.9 s'
         >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-4, -2.12e-4, -2.07e-4, "T")
@@ -170,7 +172,9 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     factor, symbol = _unit_of(max(abs(value), half_width), unit)
     ball = f", a ball of {size_with_unit(math.cbrt(value), 'm')} radius" if unit == "m3" else ""
     if half_width <= 0.0:
-        factor, symbol = (1.0, "") if unit == "1" else (factor, symbol)  # signs, factors and numbers of axes
+        is_set = abs(value) >= 1.0 or value == float(f"{value:.0e}")  # as signs and factors of units are
+        is_plain = unit == "1" and is_set
+        factor, symbol = (1.0, "") if is_plain else (factor, symbol)
         return f"{value / factor:.4g}{symbol}{ball}".replace("-", "−")
     decimals = max(0, -math.floor(math.log10(half_width / factor)))
     middle, lower, upper = (
