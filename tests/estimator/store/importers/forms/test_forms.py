@@ -127,7 +127,8 @@ def test_files_of_libraries_are_read_or_refused_with_a_cure_that_works(tmp_path:
 def test_three_decimals_after_a_zero_are_no_thousands() -> None:
     rows = ["z [mm];B [mT]", "-200;0,448", "-190;0,504", "-180;1,047"]
     layout = layout_of([Line(i, row) for i, row in enumerate(rows, 1)])
-    assert layout is not None and layout.decimal == "," and not layout.is_unclear
+    assert layout is not None
+    assert (layout.decimal, layout.is_unclear) == (",", False)
     assert plain_numbers(layout.decimal)(["0,448", "1,047"]) == ["0.448", "1.047"]
 
 
