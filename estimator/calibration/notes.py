@@ -19,7 +19,7 @@ ONLY_THE_SUM = "Where no sensor turns, only the sum of the room's field and of a
 
 
 def notes(described: WithEverywhere, observations: Observations) -> list[str]:
-    """Sentences on what no laboratory is without, on gains that count as exact, on iron that is not described, and on coarse digits.
+    """Sentences on what no laboratory is without, on coils that are off, exact gains, iron that is not described, and coarse digits.
 
     Args:
         described: The rig that was fitted.
@@ -39,6 +39,11 @@ def notes(described: WithEverywhere, observations: Observations) -> list[str]:
             "Unless they were subtracted from the readings, read places without current too: the Earth's field alone is 25 to 65 µT."
         )
     rig = described.rig
+    sentences += [
+        f"{coil.name} carries no current in any reading: of its own field all that is known is what the rig file says."
+        for coil, current_A in zip(rig.coils, observations.current_A.unbind(dim=1), strict=True)
+        if not bool(current_A.any())
+    ]
     gains = [f"{coil.name}.current_gain" for coil in rig.wound] + [
         f"{sensor.name}.gain" for sensor in rig.sensors
     ]

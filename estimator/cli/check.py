@@ -168,7 +168,7 @@ def _in_all(record: dict[str, Any]) -> str:
     doubt = "are not" if record.get("flagged") else "may not be" if record.get("warnings") else ""
     doubts = [f"the readings {doubt}"] if doubt else []
     doubts += ["lengths of the rig file may not be"] if record.get("unlikely") else []
-    return f"the form is right, {' and '.join(doubts)}" if doubts else "nothing is wrong"
+    return f"the form is right, {' and '.join(doubts)}" if doubts else "no mistake found"
 
 
 def _where(fault: InvalidInput) -> str:

@@ -1,4 +1,4 @@
-"""Two calibrations side by side: their numbers, and the difference of their fields in the plane through each coil's axis."""
+"""Two calibrations side by side: their numbers, and their fields at the readings and in the plane through each coil's axis."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from estimator.model.room_field import RoomField, at_one_moment, some_at_a_time
 from estimator.rig.bodies import AnyCoil
 
 PLANE_POINTS, PLANE_DRAWS = 41, 100
+MOST_PLACES = 500  # of readings
 REACH = 1.1  # times the farthest reading
 
 
@@ -49,29 +50,22 @@ class NumberPair:
 
 
 @dataclass(frozen=True)
-class PlaneDifference:
-    """Difference of the fields of one coil, for one ampere, in the plane y = 0 of its frame in the first calibration.
+class FieldDifference:
+    """Difference of the fields of one coil at some points, for one ampere.
 
     Attributes:
-        coil: Its name.
-        x_m, z_m: Coordinates of the plane.
         size_T_per_A: Length of the difference; NaN inside a winding of either.
         field_T_per_A: Length of the field of the first.
         sds: Difference over its standard deviation, by draws of both.
-        winding: Of the coil in the first.
     """
 
-    coil: str
-    x_m: np.ndarray
-    z_m: np.ndarray
     size_T_per_A: np.ndarray
     field_T_per_A: np.ndarray
     sds: np.ndarray
-    winding: Winding | None
 
     @property
     def rms_T_per_A(self) -> float:
-        """Root mean square of the difference over the plane."""
+        """Root mean square of the difference."""
         return float(np.sqrt(np.nanmean(self.size_T_per_A**2)))
 
     @property
@@ -81,8 +75,28 @@ class PlaneDifference:
 
     @property
     def median_sds(self) -> float:
-        """Median over the plane of the difference in standard deviations; about 1 where both agree."""
+        """Median of the difference in standard deviations; about 1 where both agree."""
         return float(np.nanmedian(self.sds))
+
+
+@dataclass(frozen=True)
+class PlaneDifference:
+    """Difference of the fields of one coil where readings were taken, and in the plane y = 0 of its frame in the first calibration.
+
+    Attributes:
+        coil: Its name.
+        x_m, z_m: Coordinates of the plane.
+        in_plane: By x and z.
+        at_readings: At places of the sensors in the first.
+        winding: Of the coil in the first.
+    """
+
+    coil: str
+    x_m: np.ndarray
+    z_m: np.ndarray
+    in_plane: FieldDifference
+    at_readings: FieldDifference
+    winding: Winding | None
 
 
 @dataclass(frozen=True)
@@ -120,10 +134,10 @@ class SideBySide:
             "fields": [
                 {
                     "coil": plane.coil,
-                    "rms_T_per_A": plane.rms_T_per_A,
-                    "relative": plane.relative,
-                    "largest_T_per_A": float(np.nanmax(plane.size_T_per_A)),
-                    "median_sds": plane.median_sds,
+                    "rms_T_per_A": plane.at_readings.rms_T_per_A,
+                    "relative": plane.at_readings.relative,
+                    "largest_T_per_A": float(np.nanmax(plane.at_readings.size_T_per_A)),
+                    "median_sds": plane.at_readings.median_sds,
                 }
                 for plane in self.planes
             ],
@@ -172,17 +186,22 @@ def _plane(first: Calibration, second: Calibration, coil: AnyCoil) -> PlaneDiffe
     x_m, z_m = np.linspace(-across, across, PLANE_POINTS), np.linspace(low, high, PLANE_POINTS)
     grid = np.stack(np.meshgrid(x_m, [0.0], z_m, indexing="ij"), axis=-1)[:, 0].transpose(1, 0, 2)
     world_from_coil = at_one_moment(rig).world_from_body(coil, "coil", torch.arange(1), best)
-    points_m = world_from_coil.apply(torch.from_numpy(grid.reshape(-1, 3)))
+    at_readings_m = points[:: math.ceil(len(points) / MOST_PLACES)]
+    points_m = world_from_coil.apply(torch.cat((torch.from_numpy(grid.reshape(-1, 3)), at_readings_m)))
     (of_first, sd_first), (of_second, sd_second) = (
         _per_ampere(calibration, coil.name, points_m) for calibration in (first, second)
     )
     difference = of_second - of_first
     sd = torch.hypot(sd_first, sd_second)
-    shape = (PLANE_POINTS, PLANE_POINTS)
-    size, field = difference.norm(dim=1), of_first.norm(dim=1)
-    sds = size / sd.norm(dim=1).clamp(min=1e-18)
-    size_T, field_T, in_sds = (values.reshape(shape).numpy() for values in (size, field, sds))
-    return PlaneDifference(coil.name, x_m, z_m, size_T, field_T, in_sds, winding)
+    sizes = (
+        difference.norm(dim=1),
+        of_first.norm(dim=1),
+        difference.norm(dim=1) / sd.norm(dim=1).clamp(min=1e-18),
+    )
+    n, shape = PLANE_POINTS**2, (PLANE_POINTS, PLANE_POINTS)
+    in_plane = FieldDifference(*(values[:n].reshape(shape).numpy() for values in sizes))
+    at_readings = FieldDifference(*(values[n:].numpy() for values in sizes))
+    return PlaneDifference(coil.name, x_m, z_m, in_plane, at_readings, winding)
 
 
 def _per_ampere(

@@ -23,9 +23,10 @@ def sentences(compared: SideBySide) -> list[str]:
     """What differs, in words, the most important first."""
     told = []
     for plane in compared.planes:
+        there = plane.at_readings
         told.append(
-            f"The fields of {plane.coil} differ by {size_with_unit(plane.rms_T_per_A, 'T', 3)}/A rms where readings were taken "
-            f"({100.0 * plane.relative:.2g} % of the field), {plane.median_sds:.2g} standard deviations at half of the points."
+            f"The fields of {plane.coil} differ by {size_with_unit(there.rms_T_per_A, 'T', 3)}/A rms where readings were taken "
+            f"({100.0 * there.relative:.2g} % of the field), {there.median_sds:.2g} standard deviations or more at half of the places."
         )
     far = sorted((p for p in compared.numbers if p.distance_sd > FAR_SD), key=lambda p: -p.distance_sd)
     if far:
@@ -78,8 +79,8 @@ def side_by_side_report(compared: SideBySide, command: str) -> str:
                 plots.difference_plane,
                 plane.x_m,
                 plane.z_m,
-                plane.size_T_per_A,
-                plane.sds,
+                plane.in_plane.size_T_per_A,
+                plane.in_plane.sds,
                 plane.winding,
                 plane.coil,
             ),

@@ -201,6 +201,7 @@ def refuse(
     pose_row: Int[Tensor, " reading"],
     line: Int[Tensor, " reading"] | None,
     rig: str,
+    is_nominal: bool,
 ) -> None:
     """Refuse sensors where a coil has no field.
 
@@ -210,16 +211,23 @@ def refuse(
         pose_row: Distinct pose of each reading.
         line: Line of the file of each reading, where there is one.
         rig: Name of the rig.
+        is_nominal: Whether numbers are those of the rig file; else a fit found them.
     Raises:
         InvalidInput: A sensor stands there.
     """
+    values, cure = (
+        ("the rig's nominal values", "correct where the rig file puts the sensor or the coil")
+        if is_nominal
+        else (
+            "the fitted values",
+            "fields, places or currents may be in another unit, frame or sign than stated; run coilcal diagnose",
+        )
+    )
     for rule, is_refused in rules:
         refused = is_refused.nonzero().flatten()
         if len(refused):
             reading = int(torch.isin(pose_row, rows[refused]).nonzero().flatten()[0])
             first = f"at reading {reading}" if line is None else f"in line {int(line[reading])}"
             raise InvalidInput(
-                f"sensors must lie {rule}; at the rig's nominal values {len(refused)} of "
-                f"{len(rows)} poses do not, the first {first}: "
-                f"correct where the rig file puts the sensor or the coil (rig {rig!r})"
+                f"sensors must lie {rule}; at {values} {len(refused)} of {len(rows)} poses do not, the first {first}: {cure} (rig {rig!r})"
             )

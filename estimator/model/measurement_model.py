@@ -177,8 +177,8 @@ class MeasurementModel:
 
     def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
         """This model with quadrature rules chosen at these values (no batch)."""
-        values = self.alike(values)
-        rules = {}
+        values, rules = self.alike(values), {}
+        is_nominal = all(torch.equal(value, self.nominal[name]) for name, value in values.items())
         for coil in self.rig.coils:
             rows = self.powered[coil.name]
             is_idle = not len(rows)  # until an effect makes it carry current
@@ -187,7 +187,7 @@ class MeasurementModel:
             field = coil_field(self.rig, coil, values)
             if not is_idle:
                 line = self.circumstances.observations.line
-                refuse(field.rules(points_m), rows, self.pose_row, line, self.rig.name)
+                refuse(field.rules(points_m), rows, self.pose_row, line, self.rig.name, is_nominal)
             if field.winding is None:
                 continue
             points_m = points_m[~field.has_none(points_m)]

@@ -64,7 +64,11 @@ def check_readings(
     n_components, n_free = int(is_measured.sum()), len(rig.free)
     if n_components < n_free:
         rule = f"readings must hold at least as many components as there are free parameters ({n_free})"
-        faults.note(InvalidInput(f"{rule}; received {n_components} ({where})"))
+        n_unseen = len(observations) - n_fitted
+        besides = (
+            f" without the {n_unseen} of {len(observations)} readings for validation" if n_unseen else ""
+        )
+        faults.note(InvalidInput(f"{rule}; received {n_components}{besides} ({where})"))
     if needs_current and (observations.current_A[is_fitted] == 0.0).all():
         faults.note(InvalidInput(f"at least one coil must carry current; all currents are 0 A ({where})"))
     if (observations.field_sensor_T[is_measured] == 0.0).all():

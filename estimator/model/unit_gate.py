@@ -7,20 +7,21 @@ their median over readings in the stronger half of the field, and a pattern that
 from __future__ import annotations
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from estimator.errors import InvalidInput, listed
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.unlikely_motion import cure, unlikely_motion
+from estimator.model.unlikely_motion import cure, scaled, unlikely_motion
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
 MOST_READINGS = 300
 PLAUSIBLE_RATIO = 20.0
+USUAL_RATIO = 3.0  # beyond, a scale is told though the pattern is right: gauss under millitesla is ten
 CERTAIN_RATIO = 300.0  # no cause of the library makes all fields so much larger, whatever their pattern
 SHARE_OF_ALL = 0.8  # of the readings that must miss by such a ratio before it counts as that of all
 SAME_PATTERN = 0.7  # correlation above which two patterns are one but for a scale
@@ -64,6 +65,12 @@ class Agreement:
         return 1.0 / PLAUSIBLE_RATIO < self.ratio < PLAUSIBLE_RATIO or self.share_beyond < SHARE_OF_ALL
 
     @property
+    def is_usual(self) -> bool:
+        """Whether there is nothing to tell."""
+        is_of_size = 1.0 / USUAL_RATIO < self.ratio < USUAL_RATIO
+        return is_of_size and self.correlation > GOOD_PATTERN and not self.far
+
+    @property
     def is_certain(self) -> bool:
         """Whether a wrong scale is the only explanation of sizes that disagree."""
         is_extreme = not 1.0 / CERTAIN_RATIO < self.ratio < CERTAIN_RATIO
@@ -94,7 +101,7 @@ def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
         why = (
             f"{refusal}; until then coilcal calibrate refuses them, and coilcal diagnose looks for the cause"
         )
-    if given is not None and given.is_plausible and given.correlation > GOOD_PATTERN and not given.far:
+    if given is not None and given.is_usual:
         return told
     is_wrong_size = given is not None and not given.is_plausible
     _refuse_motion(rig, observations, is_wrong_size, where)
@@ -124,7 +131,7 @@ def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, wh
         agreement = None
         if is_possible:
             with suppress(InvalidInput):
-                agreement = _agreement(rig, _scaled(rig, observations, kind, factor))
+                agreement = _agreement(rig, scaled(rig, observations, kind, factor))
         if (
             agreement is not None
             and 1.0 / 3.0 < agreement.ratio < 3.0
@@ -173,8 +180,13 @@ def _warnings(
         )
     elif given.correlation < GOOD_PATTERN:
         told.append(
-            f"Fields correlate with the rig's nominal model by {given.correlation:.2f} only: a place, a frame or a sign may be wrong; "
-            f"coilcal diagnose looks for the cause ({where})."
+            f"Fields correlate with the rig's nominal model by {given.correlation:.2f} only: a place, a size, a frame or a sign may be "
+            f"wrong; coilcal diagnose looks for the cause ({where})."
+        )
+    elif not 1.0 / USUAL_RATIO < given.ratio < USUAL_RATIO:
+        told.append(
+            f"Fields are {given.ratio:.3g} times those of the rig's nominal model: the unit of fields or of currents, or the number of "
+            f"turns, may be wrong ({where})."
         )
     return told
 
@@ -233,15 +245,3 @@ def _compared(
     cosine = ((predicted_T * measured_T).sum(dim=1) / (size_T * measured_T.norm(dim=1)))[is_strong]
     along, against = ((sign * cosine > NEARLY_ALONG).double().mean() for sign in (1.0, -1.0))
     return Agreement(ratio, float(beyond.double().mean()), correlation, far, float(along), float(against))
-
-
-def _scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> Observations:
-    motion = {}
-    for mover in rig.movers:
-        scaled = observations.motion[mover.name].clone()
-        is_joint = mover.table is not None
-        columns = slice(0, 6) if is_joint else slice(3, 6) if kind == "rotations" else slice(0, 3)
-        if not (is_joint and kind == "positions"):
-            scaled[:, columns] *= factor
-        motion[mover.name] = scaled
-    return replace(observations, motion=motion)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -62,3 +63,16 @@ def cure(column: str, unit: str) -> str:
     """What to do about a column whose numbers are in another unit."""
     name = f"{split_unit(column)[0]}_{unit}"
     return f"if so, name them so in the file, or with --column 'HEADER={name}' when they are imported"
+
+
+def scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> Observations:
+    """Readings with all positions, or with all rotations and joint angles, times a factor."""
+    motion = {}
+    for mover in rig.movers:
+        numbers = observations.motion[mover.name].clone()
+        is_joint = mover.table is not None
+        columns = slice(0, 6) if is_joint else slice(3, 6) if kind == "rotations" else slice(0, 3)
+        if not (is_joint and kind == "positions"):
+            numbers[:, columns] *= factor
+        motion[mover.name] = numbers
+    return replace(observations, motion=motion)

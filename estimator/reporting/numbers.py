@@ -155,8 +155,12 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     """A value with its interval, in the unit of the larger one's order, to the first digit of the half-width; alone where it was set.
 
     Examples:
-        >>> interval_with_unit(-1.0, -1.0, -1.0, "1"), interval_with_unit(0.13831, 0.13831, 0.13831, "h")
-        ('−1', '497.9 s')
+        >>> interval_with_unit(-1.0, -1.0, -1.0, "1"), interval_with_unit(0.1, 0.1, 0.1, "1")
+        ('−1', '0.1')
+        >>> interval_with_unit(0.01124, 0.01124, 0.01124, "1")
+        '1.124 %'
+        >>> interval_with_unit(0.13831, 0.13831, 0.13831, "h")
+        '497.9 s'
         >>> interval_with_unit(0.0091, 0.0031, 0.015, "1"), interval_with_unit(-2.1e-4, -2.12e-4, -2.07e-4, "T")
         ('0.9 % (0.3 to 1.5 %)', '−210 µT (−212 to −207 µT)')
         >>> interval_with_unit(2.0, 1.5, 2.4, "1"), interval_with_unit(-3.8e-5, -0.0285, 0.0277, "rad")
@@ -168,7 +172,9 @@ def interval_with_unit(value: float, low: float, high: float, unit: str) -> str:
     factor, symbol = _unit_of(max(abs(value), half_width), unit)
     ball = f", a ball of {size_with_unit(math.cbrt(value), 'm')} radius" if unit == "m3" else ""
     if half_width <= 0.0:
-        factor, symbol = (1.0, "") if unit == "1" and abs(value) >= 1.0 else (factor, symbol)  # as signs are
+        is_set = abs(value) >= 1.0 or value == float(f"{value:.0e}")  # as signs and factors of units are
+        is_plain = unit == "1" and is_set
+        factor, symbol = (1.0, "") if is_plain else (factor, symbol)
         return f"{value / factor:.4g}{symbol}{ball}".replace("-", "−")
     decimals = max(0, -math.floor(math.log10(half_width / factor)))
     middle, lower, upper = (

@@ -53,6 +53,14 @@ def test_steps_of_the_last_digit_that_exceed_the_noise_are_told(step_uT: float, 
     assert bool(told) is is_told
 
 
+def test_a_coil_that_is_never_on_is_told() -> None:
+    rig = rig_from_text(RIG)
+    for current_A, n_told in ((0.0, 1), (3.0, 0)):
+        observations = replace(readings(rig), current_A=torch.full((30, 1), current_A).double())
+        told = notes(WithEverywhere(rig), observations)
+        assert sum("coil1 carries no current in any reading" in note for note in told) == n_told
+
+
 @pytest.mark.parametrize(
     ("text", "is_told"),
     [(RIG, True), (RIG + FIELD, True), (RIG + PLATE, False), (KNOWN, False)],

@@ -14,6 +14,7 @@ from estimator.calibration.calibrate import calibrate
 from estimator.calibration.quality import condition
 from estimator.calibration.report import calibration_report
 from estimator.calibration.residual_groups import residual_groups
+from estimator.calibration.summary import _prior_tension
 from estimator.cli.main import main
 from estimator.inference.ensemble import SamplerSettings
 from estimator.inference.noise_of_readings import noise_of_readings_T
@@ -120,6 +121,15 @@ def test_noise_that_the_rig_file_says_to_grow_with_the_field_is_expected(
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in calibration.best.items()}
     shown = places(rig, values, readings, range(len(readings)))
     assert float(np.mean([place.rms_sigma**2 for place in shown])) == pytest.approx(1.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("factor", "told"), [(4.0, ["hall.noise_T"]), (0.25, [])])
+def test_a_noise_is_far_from_its_prior_where_it_is_too_large(factor: float, told: list[str]) -> None:
+    rig = rig_from_text(
+        RIG.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 10, relative_sd: 0.5}}}")
+    )
+    draws = {name: np.full((1, 2), value) for name, value in rig.nominal_values().items()}
+    assert list(_prior_tension(rig, draws | {"hall.noise_T": np.full((1, 2), factor * 1e-5)})) == told
 
 
 def test_a_number_far_from_its_prior_is_suspect(small_plan: Plan, small_truth: dict[str, float]) -> None:

@@ -32,7 +32,7 @@ def test_what_is_right_is_told_in_a_few_lines() -> None:
     assert "  coil1_current 3 to 3 A" in lines
     assert "  arm1_x -0.04 to 0.04 m" in lines
     assert "  set calibration (27), validation (9)" in lines
-    assert lines[-1] == "nothing is wrong"
+    assert lines[-1] == "no mistake found"
 
 
 @pytest.mark.usefixtures("in_workspace")
@@ -75,7 +75,7 @@ def test_mistakes_of_both_files_are_told_at_once(workspace: Path, tmp_path: Path
     assert told.exit_code == 2
     assert f"{rig}, line 17, column 5: sensors.hall.noise_uT must be > 0; received -5\n" in told.stdout
     assert told.stdout.endswith("6 mistakes\n")
-    assert "nothing is wrong" not in told.stdout
+    assert "no mistake found" not in told.stdout
 
 
 def test_how_a_file_of_other_headers_is_read_is_told(workspace: Path, tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_instruments_that_are_described_right_are_listed(workspace: Path, tmp_pa
     result = run("check", workspace / "rig.yaml", tmp_path / "devices.yaml")
     assert (result.exit_code, result.stdout.splitlines()[-2:]) == (
         0,
-        [f"{tmp_path / 'devices.yaml'}: instruments of hall", "nothing is wrong"],
+        [f"{tmp_path / 'devices.yaml'}: instruments of hall", "no mistake found"],
     )
 
 

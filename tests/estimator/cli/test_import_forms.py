@@ -107,7 +107,7 @@ def test_check_takes_the_same_options(folder: Path) -> None:
     rows = text([*HEADER[:7], "Probe 3"]).encode()
     (folder / "mine.csv").write_bytes(rows)
     told = run("check", "rig.yaml", "mine.csv", "--column", "Probe 3=Bz_uT").stdout
-    assert told.endswith("nothing is wrong\n")
+    assert told.endswith("no mistake found\n")
     assert "Not measured: Bz." in run("check", "rig.yaml", "mine.csv").stdout
 
 

@@ -123,7 +123,7 @@ def test_a_script_is_not_asked_and_gets_what_it_gave(tmp_path: Path) -> None:
     assert rig.nominal_values()["hall.noise_T"] == pytest.approx(3e-6)
     assert len(rig.free) == told["free"] == 19
     checked = run("check", told["rig"], told["plan"])
-    assert checked.stdout.endswith("nothing is wrong\n")
+    assert checked.stdout.endswith("no mistake found\n")
     again = run("init", tmp_path / "new")
     assert (again.exit_code, again.stdout) == (2, "")
     assert "must not exist yet, or be replaced with --overwrite" in again.stderr

@@ -13,6 +13,7 @@ from estimator.calibration.result import Calibration
 from estimator.comparison.calibrations import side_by_side
 from estimator.comparison.calibrations_report import sentences, side_by_side_report
 from estimator.errors import InvalidInput
+from estimator.model.measurement_model import MeasurementModel
 from tests.estimator.cli.conftest import run
 
 Z = "coil1.world_from_coil0.z_m"
@@ -36,13 +37,16 @@ def test_a_coil_that_was_moved_is_seen_in_numbers_and_field(small_calibration: C
     (plane,) = compared.planes
     # On the axis, the field changes by its slope times the way.
     column = np.argmin(np.abs(plane.x_m))
-    along_T = plane.field_T_per_A[:, column]
+    along_T = plane.in_plane.field_T_per_A[:, column]
     slope_T_per_m = np.gradient(along_T, plane.z_m)
     outside = plane.z_m > 5e-3
     np.testing.assert_allclose(
-        plane.size_T_per_A[outside, column], 1e-3 * np.abs(slope_T_per_m[outside]), rtol=0.1, atol=2e-7
+        plane.in_plane.size_T_per_A[outside, column],
+        1e-3 * np.abs(slope_T_per_m[outside]),
+        rtol=0.1,
+        atol=2e-7,
     )
-    assert plane.median_sds > 3.0
+    assert plane.at_readings.median_sds > 3.0
     told = sentences(compared)
     assert told[0].startswith("The fields of coil1 differ by ")
     assert any(Z in sentence for sentence in told)
@@ -52,10 +56,24 @@ def test_a_coil_that_was_moved_is_seen_in_numbers_and_field(small_calibration: C
     json.dumps(compared.to_json(), allow_nan=False)
 
 
+def test_fields_are_compared_at_the_places_of_the_readings(small_calibration: Calibration) -> None:
+    """Beside the winding, where nobody measured, they differ by several times as much."""
+    other = moved(small_calibration, 1e-3)
+    observations = small_calibration.observations
+    model = MeasurementModel.build(small_calibration.rig, observations)
+    shown_T = [model.predict(each.best_values()) for each in (small_calibration, other)]
+    is_on = observations.current_A[:, 0] != 0.0
+    per_A = (shown_T[1] - shown_T[0])[is_on] / observations.current_A[is_on]
+    (plane,) = side_by_side(small_calibration, other, ("a", "b")).planes
+    expected = float(per_A.norm(dim=1).square().mean().sqrt())
+    assert plane.at_readings.rms_T_per_A == pytest.approx(expected, rel=0.05)
+    assert plane.in_plane.rms_T_per_A > 1.5 * expected
+
+
 def test_a_calibration_does_not_differ_from_itself(small_calibration: Calibration) -> None:
     compared = side_by_side(small_calibration, small_calibration, ("a", "a"))
     assert all(pair.distance_sd == 0.0 for pair in compared.numbers)
-    assert compared.planes[0].rms_T_per_A == 0.0
+    assert compared.planes[0].at_readings.rms_T_per_A == 0.0
     assert "No number differs" in sentences(compared)[1]
     assert "same readings" in sentences(compared)[2]
     side_by_side_report(compared, "")

@@ -11,6 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from torch import Tensor
 
+from estimator.errors import InvalidInput
 from estimator.field.winding import Winding
 from estimator.frames import Transform, vector_from_rotation
 from estimator.geometry.kinematics import base_from_flange
@@ -129,6 +130,20 @@ def test_unpowered_coil_costs_nothing_and_may_even_stand_over_the_sensor():
     assert "coil3" not in model.rules
     expected = predict(rig(TWO_COILS), readings([[1.0, 0.5]]))
     torch.testing.assert_close(model.predict(nominal(of)), expected, rtol=1e-14, atol=0.0)
+
+
+def test_a_fit_that_puts_a_sensor_into_the_winding_does_not_blame_the_rig_file():
+    of = rig(f"coil1: {{{COIL}, world_from_coil: {{z_mm: -40}}}}")
+    model = MeasurementModel.build(of, readings([[1.0]]))
+    into = {"coil1.world_from_coil.x_m": tensor(-0.047), "coil1.world_from_coil.z_m": tensor(0.005)}
+    with pytest.raises(InvalidInput, match=r"at the fitted values 1 of 1 poses .*; run coilcal diagnose"):
+        model.choose_rules(nominal(of) | into)
+    with pytest.raises(
+        InvalidInput, match=r"at the rig's nominal values 1 of 1 poses .*where the rig file puts"
+    ):
+        MeasurementModel.build(
+            rig(f"coil1: {{{COIL}, world_from_coil: {{x_mm: -47, z_mm: 5}}}}"), readings([[1.0]])
+        )
 
 
 def test_session_without_any_current_predicts_zero():

@@ -208,6 +208,10 @@ REFUSALS: dict[str, tuple[Change, str]] = {
     "fewer components than parameters": (
         lambda o: o.rows(torch.arange(2)).with_field(torch.tensor([[math.nan, math.nan, 1e-3]] * 2).double()),
         "readings must hold at least as many components as there are free parameters (3); received 2"),
+    "fewer components without those for validation": (
+        lambda o: o.rows(torch.arange(3)).with_validation(torch.arange(3) > 1).with_field(
+            torch.tensor([[math.nan, math.nan, 1e-3]] * 3).double()),
+        "readings must hold at least as many components as there are free parameters (3); received 2 without the 1 of 3 readings for validation"),
     "one pose": (lambda o: o.rows(torch.zeros(8, dtype=torch.int64)),
         "readings must be taken at several poses; all 8 share one"),
     "no current": (lambda o: replace(o, current_A=0.0 * o.current_A),

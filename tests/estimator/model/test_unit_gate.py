@@ -102,6 +102,12 @@ def test_a_reversed_sign_is_told_and_left_to_the_diagnosis(readings: Observation
     assert "may be reversed" in told
 
 
+@pytest.mark.parametrize(("factor", "is_told"), [(0.1, True), (0.5, False), (2.0, False), (10.0, True)])
+def test_a_scale_that_a_rig_may_have_is_told(readings: Observations, factor: float, is_told: bool) -> None:
+    told = check_units(rig(), readings.with_field(factor * readings.field_sensor_T), "a.csv")
+    assert [note.partition(" times those of")[0] for note in told] == [f"Fields are {factor:g}"] * is_told
+
+
 def test_a_thousand_in_all_rows_is_refused_whatever_the_pattern(readings: Observations) -> None:
     shuffled = readings.field_sensor_T[
         torch.randperm(len(readings), generator=torch.Generator().manual_seed(0))

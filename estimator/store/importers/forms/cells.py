@@ -12,7 +12,8 @@ from estimator.store.importers.table import is_absent
 BLANKS = "\u00a0\u202f\u2009"  # of no width or fixed width, as thousands have them
 SIGNS = str.maketrans({"\u2212": "-", "\u2013": "-"} | dict.fromkeys(BLANKS, " "))
 EXPONENT = r"(?:[eEdD][+-]?\d+)?"
-GROUPS = r"[+-]?\d{1,3}(?:[%s]\d{3})+"
+# No zero leads thousands: 0,448 has a decimal comma.
+GROUPS = r"[+-]?[1-9]\d{0,2}(?:[%s]\d{3})+"
 POINT = re.compile(rf"[+-]?(?:\d+\.?\d*|\.\d+){EXPONENT}$")
 POINT_GROUPED = re.compile(GROUPS % ",' " + rf"(?:\.\d*)?{EXPONENT}$")
 COMMA = re.compile(rf"[+-]?(?:\d+(?:,\d+)?|,\d+){EXPONENT}$")

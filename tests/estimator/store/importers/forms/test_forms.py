@@ -15,6 +15,8 @@ from click.testing import CliRunner, Result
 from estimator.cli.main import main
 from estimator.errors import InvalidInput
 from estimator.rig_files.read import rig_from_text
+from estimator.store.importers.forms.cells import plain_numbers
+from estimator.store.importers.forms.layout import Line, layout_of
 from estimator.store.importers.forms.understand import understood
 from estimator.store.session import Session, load_session
 from tests.estimator.store.importers.forms.forms import TEXTS, of_libraries
@@ -120,6 +122,14 @@ def test_a_text_is_read_or_refused_with_a_cure_that_works(form: Form, tmp_path: 
 def test_files_of_libraries_are_read_or_refused_with_a_cure_that_works(tmp_path: Path) -> None:
     for form in of_libraries(tmp_path):
         check(form, tmp_path)
+
+
+def test_three_decimals_after_a_zero_are_no_thousands() -> None:
+    rows = ["z [mm];B [mT]", "-200;0,448", "-190;0,504", "-180;1,047"]
+    layout = layout_of([Line(i, row) for i, row in enumerate(rows, 1)])
+    assert layout is not None
+    assert (layout.decimal, layout.is_unclear) == (",", False)
+    assert plain_numbers(layout.decimal)(["0,448", "1,047"]) == ["0.448", "1.047"]
 
 
 def test_there_are_sixty_forms(tmp_path: Path) -> None:
