@@ -11,12 +11,12 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
 from estimator.glance import Shown
+from estimator.readings.clock import now
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import Body, Mover
 from estimator.rig.rig import Rig
@@ -35,11 +35,6 @@ from estimator.store.tree import read_tree, write_arrays
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
 SEALING = "arrays"  # name under which they are made
-
-
-def now() -> str:
-    """The present time, as sessions write it: in UTC, to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 @dataclass(frozen=True)
@@ -110,10 +105,11 @@ class Session(Shown):
             8
         """
         from estimator.store.importers.checked import checked
-        from estimator.store.importers.forms.frames import session_of_frame
+        from estimator.store.importers.forms.frames import readings_of_frame
 
-        session = session_of_frame(frame, rig, dict(columns or {}), dict(constants or {}), source)
-        return checked(session, validation, seed).session
+        readings = readings_of_frame(frame, rig, dict(columns or {}), dict(constants or {}), source)
+        observations = checked(rig, readings.observations, source, validation, seed).observations
+        return cls(rig, observations, source, readings.created)
 
     @property
     def hash(self) -> str:
