@@ -34,12 +34,12 @@ from estimator.store.tree import read_tree, write_arrays
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
-SEALING = "arrays"  # name under which they are made
+SEALING = "arrays"  # scratch folder in which a journal is turned into arrays
 
 
 @dataclass(frozen=True)
 class StoredRig:
-    """A rig that was read from a store, with the words in which that holds it."""
+    """A rig that was read from a store, with its state there."""
 
     rig: Rig
     state: Mapping[str, Any]
@@ -60,7 +60,7 @@ class Session(Shown):
         source: Origin of the readings, in words.
         created: ISO date and time at which the readings were taken, as far as that is known, else at which the session was made.
         truth: Parameter values of a simulation, by name; empty for measured data.
-        stored_rig: The rig in the words of the store that it was read from, which the hash covers; None for a new session.
+        stored_rig: The rig with its state in the store that it was read from, which the hash covers; None for a new session.
     """
 
     rig: Rig
@@ -120,7 +120,7 @@ class Session(Shown):
 
     @property
     def _stored_state(self) -> Mapping[str, Any] | None:
-        """The rig word by word as it was read; None where it was not read from a store, or another has taken its place since."""
+        """State of the rig as it was read; None where it was not read from a store, or was replaced since."""
         stored = self.stored_rig
         return stored.state if stored is not None and stored.rig == self.rig else None
 
@@ -150,7 +150,7 @@ class Session(Shown):
             try:
                 self._write(new)
                 admit(new, "session")
-            except CorruptStore as fault:  # so would whoever opens it
+            except CorruptStore as fault:  # which `load_session` would raise
                 raise InvalidInput(str(fault).replace(str(new), str(path))) from fault
 
     def _write(self, path: Path) -> None:
@@ -272,7 +272,7 @@ def _from_journal(path: Path) -> Session:
 
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Explain what damaged bytes raise: errors of nearly any type in zarr, JSON and NumPy."""
+    """Raise `CorruptStore` for what damaged bytes raise: errors of nearly any type in zarr, JSON and NumPy."""
     try:
         yield
     except CoilcalError:
