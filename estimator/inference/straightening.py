@@ -226,7 +226,7 @@ class _Problem:
         return Straightening(bend, spread, self.terms, coefficients)
 
     def _features(self, terms: slice) -> np.ndarray:
-        """What some terms multiply their coefficients by."""
+        """Factors of the coefficients of some terms."""
         return np.asarray(
             self.entries[:, self.terms.first[terms]] * self.entries[:, self.terms.second[terms]]
         )

@@ -273,7 +273,7 @@ class Sources:
     def _sloped(
         self, coil: str, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
     ) -> Tensor:
-        """What an effect adds to a coil's field, with cheap derivatives where second ones may be missing."""
+        """Addition of an effect to a coil's field, with cheap derivatives where second ones may be missing."""
         rule = self.rules[coil]
         if not self._is_first_order:
             return field(points_coil_m, winding, rule, theta)

@@ -234,7 +234,7 @@ class EquivalentSourceCoil(Body):
 
     @property
     def n_charges(self) -> int:
-        """How many charges stand on the box."""
+        """Number of charges on the box."""
         return n_charges(self.intervals)
 
     @property

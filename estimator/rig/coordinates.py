@@ -101,7 +101,7 @@ class Coordinates:
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What each column tells, by its name in `summary.json`: a parameter, or a number that follows from several."""
+        """The quantity of each column, by its name in `summary.json`: a parameter, or a number that follows from several."""
         return tuple(
             own.quantity if key is None else f"{own.coil}.{key}"
             for own, key in zip(self._natural, self._mixed, strict=True)
@@ -131,7 +131,7 @@ class Coordinates:
 
     @cached_property
     def _unmix_terms(self) -> list[list[tuple[int, float]]]:
-        """What each row of the matrix adds up: numbers of coordinates with their factors."""
+        """Terms of each row of the matrix: numbers of coordinates with their factors."""
         return [[(int(i), float(row[i])) for i in np.flatnonzero(row)] for row in self._unmix]
 
     def slopes_of_values(

@@ -1,4 +1,4 @@
-"""What stands in the laboratory: coils, sensors, and the movers that carry them, as frozen records.
+"""The laboratory: coils, sensors, and the movers that carry them, as frozen records.
 
 The records say what there is and what carries what; all numbers are `Parameter`s under dotted names such as
 `coil1.world_from_coil.x_m`. `estimator.rig_files` reads them from YAML; `estimator.model` predicts readings from them.
