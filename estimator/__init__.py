@@ -14,7 +14,7 @@ Examples:
 from importlib import import_module
 from typing import Any
 
-DISTRIBUTION = "coilcal"  # which `coilcal` looks for, before another package of this name runs in its place
+DISTRIBUTION = "coilcal"  # tells `coilcal` that this package, and no other of the same name, was imported
 
 _NAMES = {  # of each module; `__init__.pyi` says the same to type checkers and editors
     "estimator.batching": ("batch",),

@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from difflib import get_close_matches
 
-MOST_QUOTED = 60  # characters of what a file or a user gave, in a sentence
+MOST_QUOTED = 60  # characters of a value from a file or a user, in a sentence
 LEAST_LIKENESS = 0.6  # of a name to the one that may have been meant, from 0 to 1; difflib's own default
 
 
@@ -37,7 +37,7 @@ class InvalidInput(CoilcalError, ValueError):
     """The caller's data or settings break a rule; the message names thing, rule, value and file.
 
     Attributes:
-        place: Where it stands; None where that is no place in a text file.
+        place: Location in a text file; None where there is none.
     Examples:
         >>> raise InvalidInput("coil1.radius_m must be > 0; received -0.05 (configs/rig_a.yaml)")
         Traceback (most recent call last):
@@ -61,7 +61,7 @@ class InvalidInput(CoilcalError, ValueError):
 
 
 class DiskFull(InvalidInput):
-    """There is no room for what is written; what was there before is as it was."""
+    """The disk is full. What was there before is unchanged."""
 
 
 class CorruptStore(CoilcalError):
@@ -71,7 +71,7 @@ class CorruptStore(CoilcalError):
 class Faults:
     """What is wrong with a file: the first fault is raised, or all of them are noted.
 
-    Whoever reads on behind a fault puts something in place of what could not be read.
+    Code that continues after a fault puts a substitute in place of what could not be read.
 
     Examples:
         >>> faults = Faults(is_collected=True)
@@ -94,7 +94,7 @@ class Faults:
         self.noted.append(fault)
 
     def noting(self) -> AbstractContextManager[None, bool]:
-        """Note a fault that is raised inside, and go on behind it."""
+        """Note a fault that is raised inside, and continue after the block."""
         return _Noting(self)
 
 
@@ -131,7 +131,7 @@ def closest(name: str, known: Iterable[str]) -> str:
 
 
 def check_known(rule: str, given: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse names that nobody knows.
+    """Refuse unknown names.
 
     Args:
         rule: What names must be, such as "currents must name coils of the rig".
@@ -157,7 +157,7 @@ def nearest_name(name: str, known: Iterable[str]) -> str | None:
 
 
 def cut(text: str, most: int = MOST_QUOTED) -> str:
-    """A text that a file or a user gave, at a length that a sentence bears.
+    """A text from a file or a user, shortened for a sentence.
 
     Examples:
         >>> cut("1" * 5000, 10)
@@ -178,7 +178,7 @@ def listed(first: Iterable[str], n: int) -> str:
 
 
 def quoted(value: object) -> str:
-    """What a file or a user gave, as a sentence quotes it: text in quotes, and no more of it than tells what it is.
+    """A value from a file or a user, as messages quote it: text in quotes, long values shortened.
 
     Examples:
         >>> quoted("1.2.3"), quoted(7), quoted("9" * 5000)

@@ -119,7 +119,7 @@ class _Piece(Generic[Result]):
         return self._is_taken
 
     def run(self) -> None:
-        """Make the call and keep what comes of it."""
+        """Make the call, and keep its result or error."""
         try:
             self._outcome.set_result(self._context.run(self._inside))
         except BaseException as error:
@@ -137,7 +137,7 @@ class _Piece(Generic[Result]):
         return self._outcome.done()
 
     def result(self) -> Result:
-        """What the call gave, once it is made."""
+        """Result of the call, once it is made."""
         return self._outcome.result()
 
 

@@ -63,6 +63,6 @@ def is_on_numpy() -> bool:
 
 
 def lacking() -> list[str]:
-    """What was asked for and NumPy does not have."""
+    """A function of torch that the substitute on NumPy lacks."""
     numpy_tensors = sys.modules.get("estimator.numpy_tensors")
     return [] if numpy_tensors is None else list(numpy_tensors.lacking)

@@ -23,7 +23,7 @@ from drivers.robots import rtde
 from drivers.robots.rtde_reader import RtdeReader, Sample
 from drivers.robots.safety_bits import NOT_RUNNING, why_not_running, why_stopped
 from drivers.rotation import angle_between_rad, interpolate
-from drivers.supervised import end_at_once
+from drivers.serving import end_at_once
 from drivers.transport.tcp import TcpPort
 
 _LOG = logging.getLogger(__name__)

@@ -164,7 +164,7 @@ class RampedSource(ClosesItself):
             self._supply.close()
 
     def come_to_rest(self) -> None:
-        """See `drivers.supervised.Insistent.come_to_rest`; a supply that was never told anything is left as it was."""
+        """See `drivers.serving.Insistent.come_to_rest`; a supply that was never told anything is left as it was."""
         if not self._was_told:
             return
         self.output_off(timeout_s=self.longest_off_s)
@@ -174,16 +174,16 @@ class RampedSource(ClosesItself):
             _LOG.warning("%s is off, and its watchdog stays on: %s", self.name, error)
 
     def insist(self) -> None:
-        """See `drivers.supervised.Insistent.insist`; for `INSIST_S`. The watchdog of the supply gets its silence first."""
+        """See `drivers.serving.Insistent.insist`; for `INSIST_S`. The watchdog of the supply gets its silence first."""
         if self._supply.watchdog_s is not None:
             time.sleep(_SILENCE * self._supply.watchdog_s)
         self._cut(Deadline.after(INSIST_S))
 
     is_lost = False
-    """See `drivers.supervised.KeptAlive`; a supply is never given up."""
+    """See `drivers.serving.KeptAlive`; a supply is never given up."""
 
     def keep_alive(self) -> None:
-        """See `drivers.supervised.KeptAlive`; asks often enough for the watchdog of the supply, if it has one that was set."""
+        """See `drivers.serving.KeptAlive`; asks often enough for the watchdog of the supply, if it has one that was set."""
         watchdog_s = self._supply.watchdog_s
         if watchdog_s is None or not self._was_told or time.monotonic() < self._sign_due_s:
             return

@@ -32,12 +32,14 @@ def overview(result: BatchResult, command: str) -> str:
     table = result.table()
     best = _best(table)
     names = _scalars(result)
+    tables = [_across_sessions(best, names)] if len(best) > 1 and names else []
+    tables += [_fits(table)] if len(table) else []
     page = ReportPage(
         title=f"Batch of {table['session_hash'].nunique() if len(table) else 0} sessions",
         subtitle=str(result.folder.parent),
         verdict=_verdict(result, table, best, names),
         warnings=_warnings(result, table),
-        tables=_tables(table, best, names) if len(table) else [],
+        tables=tables,
         figures=[_picture(result, best, names)] if len(best) and names else [],
         provenance={
             "command": command,
@@ -127,34 +129,27 @@ def _warnings(result: BatchResult, table: pd.DataFrame) -> list[str]:
     return warnings
 
 
-def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> list[Table]:
-    tables = []
-    if len(best) > 1 and names:
-        words = displays(names)
-        rows = []
-        for name in names:
-            show, sd = words[name], best[f"{name}.sd"].to_numpy()
-            mean = _mean(best[name].to_numpy(), sd)
-            scatter = float(best[name].std()) * show.factor
-            ratio = _scatter(best, name)
-            rows.append(
-                [
-                    show.words,
-                    with_sd(mean * show.factor, scatter),
-                    f"{float(np.median(sd)) * show.factor:.2g}",
-                    show.unit or "1",
-                    f"{ratio:.3g}" if np.isfinite(ratio) else "—",
-                ]
-            )
-        header = [
-            "parameter",
-            "mean ± scatter",
-            "median sd of one session",
-            "unit",
-            "χ² per degree of freedom",
-        ]
-        caption = "A χ² well above 1 means that sessions differ by more than their uncertainties."
-        tables.append(Table("Across sessions", header, rows, caption))
+def _across_sessions(best: pd.DataFrame, names: Sequence[str]) -> Table:
+    words = displays(names)
+    rows = []
+    for name in names:
+        show, sd = words[name], best[f"{name}.sd"].to_numpy()
+        mean, ratio = _mean(best[name].to_numpy(), sd), _scatter(best, name)
+        rows.append(
+            [
+                show.words,
+                with_sd(mean * show.factor, float(best[name].std()) * show.factor),
+                f"{float(np.median(sd)) * show.factor:.2g}",
+                show.unit or "1",
+                f"{ratio:.3g}" if np.isfinite(ratio) else "—",
+            ]
+        )
+    header = ["parameter", "mean ± scatter", "median sd of one session", "unit", "χ² per degree of freedom"]
+    caption = "A χ² well above 1 means that sessions differ by more than their uncertainties."
+    return Table("Across sessions", header, rows, caption)
+
+
+def _fits(table: pd.DataFrame) -> Table:
     short = _short(table["session"])
     rows = [
         [
@@ -168,17 +163,9 @@ def _tables(table: pd.DataFrame, best: pd.DataFrame, names: Sequence[str]) -> li
         ]
         for _, row in table.iterrows()
     ]
-    header = [
-        "session",
-        "hypothesis",
-        "log evidence",
-        "probability",
-        "error of the fit",
-        "of validation",
-        "intervals",
-    ]
-    tables.append(Table("Fits", header, rows, "Errors are the rms of the vector."))
-    return tables
+    errors = ["error of the fit", "of validation"]
+    header = ["session", "hypothesis", "log evidence", "probability", *errors, "intervals"]
+    return Table("Fits", header, rows, "Errors are the rms of the vector.")
 
 
 def _picture(result: BatchResult, best: pd.DataFrame, names: Sequence[str]) -> Picture:

@@ -12,6 +12,7 @@ from estimator.store.importers.checked import checked
 from estimator.store.importers.forms.recipe import Recipe
 from estimator.store.importers.forms.understand import understood
 from estimator.store.importers.readings_csv import is_readings_csv
+from estimator.store.session import Session
 
 
 class Imported(NamedTuple):
@@ -65,4 +66,5 @@ def _import(path: Path, out: Path, rig: Rig | None, recipe: Recipe | None, seed:
             f"{path} is no readings CSV, so --map must say how its columns are read; coilcal import writes such a file, columns.yaml"
         )
     out.parent.mkdir(exist_ok=True)
-    checked(read.session, seed=seed, source=str(path)).session.save(out, overwrite=True)
+    observations = checked(rig, read.readings.observations, str(path), seed=seed).observations
+    Session(rig, *read.readings._replace(observations=observations)).save(out, overwrite=True)

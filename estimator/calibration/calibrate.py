@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 import torch
-from emcee.backends import Backend
 
-from estimator.calibration.files import CHAIN_STORE, SUMMARY_FILE, check_calibration, remove_calibration
+from estimator.calibration.chain import new_chain, unfinished_chain
 from estimator.calibration.notes import notes
 from estimator.calibration.result import Calibration
 from estimator.calibration.starting_point import (
@@ -29,24 +28,24 @@ from estimator.calibration.summary import finite, summary
 from estimator.devices import device_named, precision_named
 from estimator.effects.everywhere import WithEverywhere, with_everywhere
 from estimator.effects.use import as_meant
-from estimator.errors import CorruptStore, InvalidInput
+from estimator.errors import InvalidInput
 from estimator.inference.collapsed import free_amplitudes
 from estimator.inference.ensemble import Progress, SamplerSettings, Samples, sample
 from estimator.inference.interpolated import for_sampling
 from estimator.inference.laplace import OpenDirection
 from estimator.inference.likelihood import LogPosterior
-from estimator.json_files import read_json
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.preflight import check_precision, check_readings
 from estimator.model.unit_gate import check_units
+from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.store.emcee_backend import ZarrBackend
 from estimator.store.files import writing
-from estimator.store.made import check_folder
 from estimator.store.session import Session, check_session
 
 PACKAGES = ("coilcal", "torch", "emcee", "numpy", "scipy", "zarr")
+SAMPLING = "posterior sampling with emcee"
 
 
 @dataclass(frozen=True)
@@ -111,17 +110,18 @@ def calibrate(
     tell = on_stage or (lambda stage: None)
     place, dtype = device_named(device), precision_named(precision)
     check_session(session)
-    besides = _rig_to_fit(session, rig or session.rig, has_integer_counts, as_described)
-    rig = besides.rig
-    wanted = replace(settings or SamplerSettings(), seed=seed)
-    settings = wanted.for_rig(len(rig.free) - len(free_amplitudes(rig)))
+    completed = _rig_to_fit(session, rig or session.rig, has_integer_counts, as_described)
+    rig = completed.rig
+    given_settings = replace(settings or SamplerSettings(), seed=seed)
+    settings = given_settings.for_rig(len(rig.free) - len(free_amplitudes(rig)))
     folder = None if out is None else Path(out)
-    computed = [] if (device, precision) == ("cpu", "double") else [device, precision]
-    begun = [] if near is None else [json.dumps(dict(near))]
-    fingerprint = _fingerprint(session, rig, settings, has_integer_counts, [*computed, *begun])
-    backend = _unfinished_chain(folder, fingerprint, overwrite)
-    observations = as_meant(rig, session.observations).calibration
-    warnings = check_units(rig, as_meant(rig, session.observations), session.source)
+    # Nothing is added by default, so that chains that older versions began can be continued.
+    unusual = [] if (device, precision) == ("cpu", "double") else [device, precision]
+    unusual += [] if near is None else [json.dumps(dict(near))]
+    fingerprint = _fingerprint(session, rig, settings, has_integer_counts, unusual)
+    backend = unfinished_chain(folder, fingerprint, overwrite)
+    observations = as_meant(rig, session.observations)
+    warnings = check_units(rig, observations, session.source)
     MeasurementModel.build(rig, session.observations)  # refuses sensors inside a winding, in validation too
     if folder is not None:
         with writing(folder):
@@ -129,39 +129,19 @@ def calibrate(
 
     tell(Stage("point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"))
     if dtype is not torch.float64:
-        if free_amplitudes(rig):  # their columns are differences of predictions
-            raise InvalidInput(
-                f"coils without a winding must be calibrated in double precision; received precision {precision}"
-            )
-        check_precision(rig, observations)
-    readings = observations.to(place, dtype)
-    model = MeasurementModel.build(rig, readings)
-    posterior = LogPosterior(Coordinates(rig), model, readings)
-    if is_collapsible(posterior):
-        start = starting_point_collapsed(posterior, readings, seed)
-        tell(Stage("amplitudes in closed form", open_directions=start.undetermined))
+        _check_single(rig, observations.calibration, precision)
+    readings = observations.calibration.to(place, dtype)
+    start = _starting_point(rig, readings, seed, has_integer_counts, near, tell)
+    posterior = start.posterior
+    settings = given_settings.for_rig(posterior.coordinates.n)
+    tell(Stage(SAMPLING))
+    if posterior.amplitudes and not posterior.coordinates.n:
+        samples = independent(posterior, settings)
     else:
-        settings = wanted.for_rig(len(rig.free))
-        start = starting_point_with_counts(
-            posterior,
-            readings,
-            seed,
-            lambda p: LogPosterior(Coordinates(rig, has_integer_counts), p.model, readings),
-            lambda name, undetermined: tell(Stage(name, open_directions=undetermined)),
-            near,
-        )
-    lattice = start.posterior
-    tell(Stage("posterior sampling with emcee"))
-    if lattice.amplitudes and not lattice.coordinates.n:
-        samples = independent(lattice, settings)
-    else:
-        chain = backend or _new_backend(folder, lattice.coordinates, settings, fingerprint, overwrite)
+        chain = backend or new_chain(folder, posterior.coordinates, settings, fingerprint, overwrite)
+        sampled = for_sampling(posterior, start.mixture, seed)
         samples = sample(
-            for_sampling(lattice, start.mixture, seed),
-            start.mixture,
-            settings,
-            chain,
-            lambda progress: tell(Stage("posterior sampling with emcee", progress)),
+            sampled, start.mixture, settings, chain, lambda progress: tell(Stage(SAMPLING, progress))
         )
         if isinstance(chain, ZarrBackend):
             chain.flush()
@@ -172,10 +152,10 @@ def calibrate(
     of_amplitudes = start.summary(readings)
     summary_json = {
         **summary(session, calibration, of_amplitudes.get("next_degree_log_evidence"), samples.is_converged),
-        "fitted_besides": [cause.label for cause in besides.added],
-        "notes": [*warnings, *notes(besides, session.observations)],
+        "fitted_besides": [cause.label for cause in completed.added],
+        "notes": [*warnings, *notes(completed, session.observations)],
         "is_converged": samples.is_converged,
-        "has_integer_counts": lattice.coordinates.n_counts > 0,
+        "has_integer_counts": posterior.coordinates.n_counts > 0,
         "sampling": _sampling(samples),
         "point_estimate": _point_estimate(rig, start),
         "undetermined": [asdict(direction) for direction in start.undetermined],
@@ -187,6 +167,39 @@ def calibrate(
     if folder is not None:
         calibration.save(folder)
     return calibration
+
+
+def _check_single(rig: Rig, observations: Observations, precision: str) -> None:
+    """Refuse single precision where it does not suffice."""
+    if free_amplitudes(rig):  # their columns are differences of predictions
+        raise InvalidInput(
+            f"coils without a winding must be calibrated in double precision; received precision {precision}"
+        )
+    check_precision(rig, observations)
+
+
+def _starting_point(
+    rig: Rig,
+    readings: Observations,
+    seed: int,
+    has_integer_counts: bool,
+    near: Mapping[str, float] | None,
+    tell: Callable[[Stage], None],
+) -> StartingPoint:
+    """The maximum of the posterior and what is sampled about it."""
+    posterior = LogPosterior(Coordinates(rig), MeasurementModel.build(rig, readings), readings)
+    if is_collapsible(posterior):
+        start = starting_point_collapsed(posterior, readings, seed)
+        tell(Stage("amplitudes in closed form", open_directions=start.undetermined))
+        return start
+    return starting_point_with_counts(
+        posterior,
+        readings,
+        seed,
+        lambda p: LogPosterior(Coordinates(rig, has_integer_counts), p.model, readings),
+        lambda name, undetermined: tell(Stage(name, open_directions=undetermined)),
+        near,
+    )
 
 
 def _rig_to_fit(session: Session, rig: Rig, has_integer_counts: bool, as_described: bool) -> WithEverywhere:
@@ -207,67 +220,13 @@ def _check_free(rig: Rig, has_integer_counts: bool) -> None:
         )
 
 
-def _unfinished_chain(folder: Path | None, fingerprint: str, overwrite: bool) -> Backend | None:
-    """The chain to continue; None if the folder holds none that is to be continued."""
-    if folder is None:
-        return None
-    check_folder(folder.absolute())
-    check_calibration(folder)
-    if overwrite:
-        return None
-    if _is_finished(folder):
-        raise InvalidInput(
-            f"output must not hold a finished calibration unless --overwrite replaces it; received {folder}"
-        )
-    path = folder / CHAIN_STORE
-    if not path.exists():
-        return None
-    try:
-        return ZarrBackend.open(path, fingerprint=fingerprint)
-    except InvalidInput as error:
-        raise InvalidInput(
-            "output must be empty, hold an unfinished calibration of the same session, rig, seed, walkers and versions, "
-            f"or be replaced with --overwrite; received {folder}, which holds another calibration"
-        ) from error
-
-
-def _new_backend(
-    folder: Path | None,
-    coordinates: Coordinates,
-    settings: SamplerSettings,
-    fingerprint: str,
-    overwrite: bool,
-) -> Backend:
-    if folder is None:
-        return Backend()
-    if overwrite:
-        remove_calibration(folder)
-    return ZarrBackend.create(
-        folder / CHAIN_STORE,
-        coordinate_names=coordinates.labels,
-        n_walkers=settings.n_walkers,
-        checkpoint_steps=settings.check_every,
-        fingerprint=fingerprint,
-    )
-
-
-def _is_finished(folder: Path) -> bool:
-    """Whether a folder holds a calibration that reached its targets."""
-    if not (folder / SUMMARY_FILE).exists():
-        return False
-    try:
-        return bool(read_json(folder / SUMMARY_FILE, fault=CorruptStore).get("is_converged", True))
-    except CorruptStore:
-        return True  # damaged, but not to be overwritten unasked
-
-
 def _fingerprint(
-    session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool, besides: Sequence[str]
+    session: Session, rig: Rig, settings: SamplerSettings, has_integer_counts: bool, unusual: Sequence[str]
 ) -> str:
     """Hash of everything that decides the steps of a chain; the targets that stop it do not."""
     decisive = {"walkers": settings.n_walkers, "every": settings.check_every, "seed": settings.seed}
     parts = [session.hash, rig.hash, json.dumps(decisive), str(has_integer_counts), json.dumps(versions())]
-    return hashlib.sha256("\n".join([*parts, *besides]).encode()).hexdigest()
+    return hashlib.sha256("\n".join([*parts, *unusual]).encode()).hexdigest()
 
 
 def versions() -> dict[str, str]:

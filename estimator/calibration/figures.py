@@ -17,7 +17,7 @@ from estimator.calibration.result import Calibration
 from estimator.field.winding import Winding
 from estimator.reporting import plots
 from estimator.reporting.page import Picture
-from estimator.rig.bodies import AnyCoil, HarmonicCoil
+from estimator.rig.bodies import AnyCoil
 
 MOST_CORNER_PARAMETERS = 12
 MOST_INTERVALS = 60
@@ -143,7 +143,7 @@ def _spectra(calibration: Calibration, title: str) -> Iterator[Picture]:
     """Spectrum of the amplitudes of each harmonic coil of which the readings determine any."""
     determined = calibration.summary().get("amplitudes", {})
     for coil in calibration.rig.unwound:
-        if not isinstance(coil, HarmonicCoil) or not determined.get(coil.name, {}).get("determined"):
+        if not coil.has_degrees or not determined.get(coil.name, {}).get("determined"):
             continue
         free = {
             degree: drawn

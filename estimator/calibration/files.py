@@ -92,20 +92,7 @@ def read_parts(folder: Path) -> Parts:
         summary = json_object(text, folder / SUMMARY_FILE, CorruptStore)
         tree = read_tree(folder / POSTERIOR_STORE)
         attributes = tree["/"].attributes
-        if attributes["schema_version"] != SCHEMA_VERSION:
-            raise CorruptStore(
-                f"calibration schema_version must be {SCHEMA_VERSION}; received {quoted(attributes['schema_version'])} ({folder})"
-            )
-        stored_hash = attributes.pop("sha256")
-        if stored_hash != tree_hash(tree):
-            raise CorruptStore(
-                f"calibration must match its SHA-256; {folder / POSTERIOR_STORE} was altered or lost a chunk"
-            )
-        # Version 0.1 and the first of 0.2 did not seal the summary.
-        if attributes.get(SUMMARY_SEAL, _sha256(text)) != _sha256(text):
-            raise CorruptStore(
-                f"calibration must match its SHA-256; {folder / SUMMARY_FILE} was altered, or belongs to another posterior"
-            )
+        _check_seals(tree, text, folder)
         arrays = {**tree["/constant_data"].arrays, **tree["/observed_data"].arrays}
         rig = rig_from_state(json_object(attributes["rig"], folder), f"rig inside {folder}")
         admit_readings(arrays, rig, str(folder))
@@ -123,6 +110,25 @@ def read_parts(folder: Path) -> Parts:
             f"calibration must be readable; {folder} is damaged: {type(error).__name__} {error}"
         ) from error
     return Parts(rig, observations, best, draws, log_prob, summary)
+
+
+def _check_seals(tree: Mapping[str, Node], summary: bytes, folder: Path) -> None:
+    """Refuse a posterior of another schema, and a posterior or summary that was altered."""
+    attributes = tree["/"].attributes
+    if (version := attributes["schema_version"]) != SCHEMA_VERSION:
+        raise CorruptStore(
+            f"calibration schema_version must be {SCHEMA_VERSION}; received {quoted(version)} ({folder})"
+        )
+    stored_hash = attributes.pop("sha256")
+    if stored_hash != tree_hash(tree):
+        raise CorruptStore(
+            f"calibration must match its SHA-256; {folder / POSTERIOR_STORE} was altered or lost a chunk"
+        )
+    # Version 0.1 and the first of 0.2 did not seal the summary.
+    if attributes.get(SUMMARY_SEAL, _sha256(summary)) != _sha256(summary):
+        raise CorruptStore(
+            f"calibration must match its SHA-256; {folder / SUMMARY_FILE} was altered, or belongs to another posterior"
+        )
 
 
 def _write_posterior(parts: Parts, path: Path, summary: str) -> None:

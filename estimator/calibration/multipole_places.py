@@ -48,13 +48,14 @@ def with_multipoles(rig: Rig, observations: Observations) -> tuple[Rig, Found]:
     bare = replace(rig, coils=_replaced(rig, sparse), parameters={**others, **silent})
 
     def columns(place_m: Triple) -> np.ndarray:
-        multipole_rig = _placed(bare, (place_m,), prior)
+        multipole_rig = _with_coil(bare, replace(sparse, multipoles_m=(place_m,)), prior)
         with_one = LogPosterior.by_rules(Coordinates(multipole_rig), seen, model.rules)
         own = CollapsedPosterior(with_one)
         return own.at_start[0].numpy()
 
     multipoles = PlaceSearch(coil, seen_m.numpy(), charges_T.numpy(), columns).find(measured_T.numpy())
-    return _placed(rig, (*coil.multipoles_m, *multipoles.places_m), prior), multipoles
+    placed = replace(coil, multipoles_m=(*coil.multipoles_m, *multipoles.places_m))
+    return _with_coil(rig, placed, prior), multipoles
 
 
 def _searchable(rig: Rig, others: tuple[str, ...]) -> tuple[EquivalentSourceCoil, Normal]:
@@ -84,12 +85,9 @@ def _replaced(rig: Rig, own: EquivalentSourceCoil) -> tuple[AnyCoil, ...]:
     return tuple(own if coil.name == own.name else coil for coil in rig.coils)
 
 
-def _placed(rig: Rig, places_m: tuple[Triple, ...], prior: Normal) -> Rig:
-    """The rig with multipoles at places, whose amplitudes have the prior of the charges."""
-    (coil,) = rig.unwound
-    assert isinstance(coil, EquivalentSourceCoil)
-    own = replace(coil, multipoles_m=places_m)
-    named = {
-        name: rig.parameters.get(name) or Parameter(name, "T/A", 0.0, prior) for name in own.amplitudes[1]
+def _with_coil(rig: Rig, coil: EquivalentSourceCoil, prior: Normal) -> Rig:
+    """The rig with another coil of the same name, whose new amplitudes have the prior of the charges."""
+    new = {
+        name: Parameter(name, "T/A", 0.0, prior) for name in coil.amplitudes[1] if name not in rig.parameters
     }
-    return replace(rig, coils=_replaced(rig, own), parameters={**rig.parameters, **named})
+    return replace(rig, coils=_replaced(rig, coil), parameters={**rig.parameters, **new})

@@ -40,7 +40,7 @@ def next_degree_gain(
     rises = []
     with torch.no_grad():
         before = float(posterior.log_likelihood(vector[None])[0])
-        has_degrees = any(isinstance(coil, HarmonicCoil) for coil in posterior.full.coordinates.rig.coils)
+        has_degrees = any(coil.has_degrees for coil in posterior.full.coordinates.rig.unwound)
         for share in WIDTHS if has_degrees else WIDTHS[:1]:
             rig = with_next_degree(posterior.full.coordinates.rig, share)
             if rig is None:

@@ -39,6 +39,26 @@ class Quality(StrEnum):
     UNUSABLE = "unusable"
 
 
+# What to do next.
+DO_NOT_USE = (
+    "Do not use it. "
+    "Run coilcal diagnose, which asks for wrong signs, units and frames first, and then for what else is wrong."
+)
+RAISE_DEGREE = (
+    "Raise `degree` in the rig file until readings ask for no higher one, "
+    "or lower `margin` and `spacing` likewise, and calibrate again."
+)
+STILL_WRONG = (
+    "With the causes that this rig has, something may still be wrong in it: do not rely on what lies far off."
+)
+ASK_FOR_CAUSES = (
+    "Something in the rig file or in the model may be wrong; numbers, intervals and probabilities hold only if nothing is. "
+    "Run coilcal diagnose, which names it or says that it cannot."
+)
+SAMPLE_ON = "Run the same command with more steps: it goes on from here."
+LOOK_CLOSER = "Run coilcal diagnose to look closer for what a fit may have followed."
+
+
 def condition(quality: Mapping[str, Any]) -> str:
     """Words that follow a probability, unless the calibration is good; by `quality` of a summary."""
     return "" if quality["verdict"] == Quality.GOOD else " if nothing is wrong"
@@ -79,28 +99,19 @@ def assessment(
         is_converged: Sampling has reached its targets.
     """
     role = "validation" if errors["rmse"]["validation"] else "calibration"
-    error, coverage90 = errors["rmse"][role], errors["coverage90"][role]
+    missed, error_T = errors["rmse"][role]["relative"], errors["rmse"][role]["vector_T"]
+    coverage90 = errors["coverage90"][role]
     rig = calibration.rig
     scatter = _scatter(calibration)
     expected_T = noise_rms_T(calibration.observations, rig, rig.nominal_values(), role, scatter)
-    missed = error["relative"]
-    if (
-        missed is not None
-        and missed > policy.MISSED_SHARE
-        and error["vector_T"] > policy.MISSED_NOISE * expected_T
-    ):
-        return Assessment(
-            Quality.UNUSABLE,
-            (
-                f"the model misses {percent(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves "
-                f"{_size(expected_T)}.",
-            ),
-            "Do not use it. Run coilcal diagnose, which asks for wrong signs, units and frames first, and then for what else is wrong.",
-        )
+    sizes = f"{_size(error_T)} where the expected noise leaves {_size(expected_T)}"
+    if missed is not None and missed > policy.MISSED_SHARE and error_T > policy.MISSED_NOISE * expected_T:
+        reason = f"the model misses {percent(missed)} of the field, {sizes}."
+        return Assessment(Quality.UNUSABLE, (reason,), DO_NOT_USE)
     medians = {name: float(np.median(draws)) for name, draws in calibration.draws.items()}
     fit = LinearFit.of(calibration.rig, calibration.observations.calibration, calibration.best)
     reasons = [
-        *_misfit(error["vector_T"], expected_T),
+        *_misfit(error_T, expected_T),
         *_disagreement(fit),
         *_missed_unseen(fit, calibration),
         *tensions((p for p in rig.free if not p.name.endswith(".noise_T")), medians),
@@ -113,34 +124,22 @@ def assessment(
             "degree more, or for charges closer to the box), so its intervals are too narrow."
         )
         if len(reasons) == 1:
-            words = (
-                "Raise `degree` in the rig file until readings ask for no higher one, or lower `margin` and `spacing` likewise, and "
-                "calibrate again."
-            )
-            return Assessment(Quality.SUSPECT, tuple(reasons), words)
+            return Assessment(Quality.SUSPECT, tuple(reasons), RAISE_DEGREE)
     reasons = reasons or _pattern(fit)
     if reasons:
-        words = (
-            "With the causes that this rig has, something may still be wrong in it: do not rely on what lies far off."
-            if any(not EFFECTS[cause.name].is_everywhere for cause in rig.acting)
-            else "Something in the rig file or in the model may be wrong; numbers, intervals and probabilities hold only if nothing is. "
-            "Run coilcal diagnose, which names it or says that it cannot."
-        )
-        return Assessment(Quality.SUSPECT, tuple(reasons), words)
+        has_causes = any(not EFFECTS[cause.name].is_everywhere for cause in rig.acting)
+        return Assessment(Quality.SUSPECT, tuple(reasons), STILL_WRONG if has_causes else ASK_FOR_CAUSES)
     if not is_converged:
         reason = "sampling did not converge, so its intervals are provisional."
-        return Assessment(
-            Quality.SUSPECT, (reason,), "Run the same command with more steps: it goes on from here."
-        )
-    return Assessment(
-        Quality.GOOD,
-        (
-            f"it misses {_share(missed)} of the field, {_size(error['vector_T'])} where the expected noise leaves {_size(expected_T)}, "
-            f"halves of the session{' and unseen readings' if role == 'validation' else ''} agree, no cause of the library shows clearly, "
-            "and no number is far from what is expected.",
-        ),
-        "Run coilcal diagnose to look closer for what a fit may have followed.",
+        return Assessment(Quality.SUSPECT, (reason,), SAMPLE_ON)
+    agreeing = (
+        "halves of the session and unseen readings" if role == "validation" else "halves of the session"
     )
+    reason = (
+        f"it misses {_share(missed)} of the field, {sizes}, {agreeing} agree, no cause of the library shows clearly, and no number is far "
+        "from what is expected."
+    )
+    return Assessment(Quality.GOOD, (reason,), LOOK_CLOSER)
 
 
 def _scatter(calibration: Calibration) -> dict[str, float]:

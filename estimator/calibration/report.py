@@ -13,7 +13,7 @@ from estimator.calibration.result import Calibration
 from estimator.calibration.sentences import sampling_words, verdict_sentences, warning_sentences
 from estimator.reporting.numbers import displays, microtesla, percent, size_with_unit, to_digit_of
 from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.rig.bodies import EquivalentSourceCoil, HarmonicCoil, UnwoundCoil
+from estimator.rig.bodies import EquivalentSourceCoil, UnwoundCoil
 from estimator.rig.rig import Rig
 from estimator.units import split_quotient
 
@@ -99,7 +99,6 @@ def _amplitude_table(
     for coil in rig.unwound:
         if not determined.get(coil.name, {}).get("determined"):
             continue
-        has_degrees = isinstance(coil, HarmonicCoil)
         for degree, names in coil.amplitudes.items():
             numbers = [parameters[name] for name in names if name in parameters]
             priors = [prior for name in names if (prior := rig.parameters[name].prior) is not None]
@@ -113,7 +112,7 @@ def _amplitude_table(
             rows.append(
                 [
                     coil.name,
-                    str(degree) if has_degrees else _sources_words(coil),
+                    str(degree) if coil.has_degrees else _sources_words(coil),
                     str(len(numbers)),
                     *(size_with_unit(s, "T/A", 3) for s in sizes),
                 ]

@@ -16,9 +16,8 @@ from estimator.devices import numpy_of
 from estimator.effects.stages import RoomEffect
 from estimator.effects.use import uses_of
 from estimator.errors import InvalidInput, check_known, cut, quoted
-from estimator.export import formats
+from estimator.export.formats import Exportable
 from estimator.export.magnet import Magnet
-from estimator.export.request import Grid
 from estimator.glance import Shown
 from estimator.model.room_field import RoomField, some_at_a_time
 from estimator.points import FIELD, GRADIENT, given_motion, given_points
@@ -38,7 +37,7 @@ Kind = TypeVar("Kind")  # of points: answers are of the same
 
 
 @dataclass(frozen=True, repr=False)
-class Calibration(Shown):
+class Calibration(Shown, Exportable):
     """The result of a calibration.
 
     Attributes:
@@ -256,27 +255,6 @@ class Calibration(Shown):
     def magnet(self) -> Magnet:
         """What exports write: the coils."""
         return Magnet.of(self)
-
-    def export(
-        self,
-        to: str,
-        path: Path | str | None = None,
-        *,
-        grid: Grid | None = None,
-        currents_A: Mapping[str, float] | None = None,
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
-    ) -> Path:
-        """Write the model for other programs, as `coilcal export` does (docs/how-to/use-a-calibration-elsewhere.md).
-
-        Args:
-            to: Name of a format, such as "cpp".
-            path: File to write; one named after the rig, in the current folder, where none is given.
-            grid, currents_A, motion: Points, currents and poses, for formats that take them.
-        Returns: The file.
-        Raises:
-            InvalidInput: An unknown format, something it does not take or lacks, or a model that it cannot express.
-        """
-        return formats.export(self.magnet(), to, path, grid=grid, currents_A=currents_A, motion=motion)
 
     def save(self, folder: Path | str) -> None:
         """Write `posterior.zarr` (ArviZ groups for `xarray.open_datatree`), then `summary.json`, which marks the result as complete.

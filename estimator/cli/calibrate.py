@@ -6,6 +6,7 @@ The result is printed before the report is drawn, which takes as long as the est
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -129,7 +130,7 @@ def _write_report(calibration: Calibration, path: Path) -> None:
 def _text(summary: Any) -> str:
     from estimator.calibration.notes import told_by_data
     from estimator.calibration.quality import condition
-    from estimator.reporting.numbers import displays, percent, probability
+    from estimator.reporting.numbers import percent, probability
 
     quality = summary["quality"]
     lines = [
@@ -138,14 +139,8 @@ def _text(summary: Any) -> str:
         *summary.get("notes", ()),
         "",
     ]
-    lines += [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
     unlisted = _amplitudes(summary)
-    for name, show_as in displays([n for n in summary["parameters"] if n not in unlisted]).items():
-        parameter = summary["parameters"][name]
-        middle, low, high = (
-            f"{show_as.factor * value:.6g}" for value in (parameter["median"], *parameter["ci90"])
-        )
-        lines.append(f"{name:38} {middle:>12} {low:>13} {high:>13}  {show_as.unit or '1'}")
+    lines += _parameter_lines({n: p for n, p in summary["parameters"].items() if n not in unlisted})
     for counts in summary["loop_counts"][:3]:
         lines.append(
             f"{counts['coil']}: {counts['axial']} x {counts['radial']} loops with probability "
@@ -173,6 +168,20 @@ def _text(summary: Any) -> str:
         for direction in told_by_data(summary["undetermined"], summary.get("fitted_besides", ()))
     ]
     return "\n".join(lines)
+
+
+def _parameter_lines(parameters: Mapping[str, Any]) -> list[str]:
+    """A table of medians and intervals."""
+    from estimator.reporting.numbers import displays
+
+    lines = [f"{'parameter':38} {'median':>12} {'90 % credible interval':>27}  unit"]
+    for name, show_as in displays(list(parameters)).items():
+        parameter = parameters[name]
+        middle, low, high = (
+            f"{show_as.factor * value:.6g}" for value in (parameter["median"], *parameter["ci90"])
+        )
+        lines.append(f"{name:38} {middle:>12} {low:>13} {high:>13}  {show_as.unit or '1'}")
+    return lines
 
 
 def _amplitudes(summary: Any) -> frozenset[str]:

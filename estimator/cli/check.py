@@ -16,8 +16,8 @@ from estimator.errors import Faults, InvalidInput
 
 if TYPE_CHECKING:
     from estimator.readings.flags import Flag
+    from estimator.readings.observations import Observations
     from estimator.rig.rig import Rig
-    from estimator.store.session import Session
 
 MOST_SHOWN = 50  # faults; `--json` has them all
 PLANS = (".yaml", ".yml")
@@ -105,10 +105,10 @@ def _readings(
         read = understood(path, rig, form.with_currents(rig, {}), noted)
     if noted.noted or read is None:
         return [], {}, in_order(noted.noted)
-    session, faults, warnings = read.session, list[InvalidInput](), list[str]()
-    flags = flags_of_digits(session.observations)
+    observations, faults, warnings = read.readings.observations, list[InvalidInput](), list[str]()
+    flags = flags_of_digits(observations)
     if is_rig_right:
-        faults, warnings = _physical_faults(rig, session, flags, str(path))
+        faults, warnings = _physical_faults(rig, observations, flags, str(path))
     first, *rest = readings_lines(read.table)
     if read.proposal is not None:
         rest = [*proposal_lines(path, read)[1:], "  " + " ".join(read.proposal.remarks)]
@@ -118,14 +118,14 @@ def _readings(
         rest.append(f"  {told(flags, sensors)}")
     record = {"readings": readings_record(read.table), "flagged": [flag.to_json(sensors) for flag in flags]}
     if is_rig_right and not faults:
-        told_besides = [*warnings, *notes(with_everywhere(rig, session.observations), session.observations)]
+        told_besides = [*warnings, *notes(with_everywhere(rig, observations), observations)]
         rest, record = [*rest, *(f"  {note}" for note in told_besides)], {**record, "notes": told_besides}
         record["warnings"] = warnings
     return [f"{path}: {first}", *rest], record, faults
 
 
 def _physical_faults(
-    rig: Rig, session: Session, flags: Sequence[Flag], source: str
+    rig: Rig, observations: Observations, flags: Sequence[Flag], source: str
 ) -> tuple[list[InvalidInput], list[str]]:
     """What an import of the readings would refuse: too few, nothing measured, other units than they claim; and what it would warn of."""
     from estimator.model.preflight import check_readings
@@ -135,11 +135,11 @@ def _physical_faults(
     from estimator.store.importers.checked import VALIDATION_SHARE
 
     faults, warnings = Faults(is_collected=True), list[str]()
-    check_readings(rig, session.observations, source, faults=faults)
+    check_readings(rig, observations, source, faults=faults)
     if not faults.noted:
         with faults.noting():
-            warnings = check_units(rig, without_flagged(session.observations, flags), source)
-            check_readings(rig, with_validation(session.observations, VALIDATION_SHARE, 0), source)
+            warnings = check_units(rig, without_flagged(observations, flags), source)
+            check_readings(rig, with_validation(observations, VALIDATION_SHARE, 0), source)
     return faults.noted, warnings
 
 

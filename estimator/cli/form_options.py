@@ -55,7 +55,7 @@ OPTIONS = (
 
 @dataclass(frozen=True)
 class FormOptions:
-    """What the options say; see `OPTIONS`."""
+    """Values of the options; see `OPTIONS`."""
 
     map_path: Path | None
     columns: tuple[str, ...]

@@ -34,7 +34,7 @@ def grid_axes(texts: Sequence[str]) -> dict[str, np.ndarray]:
 
 
 def grid_words(axes_m: Mapping[str, np.ndarray]) -> str:
-    """What a grid is, for those who took the number of points for a step.
+    """Description of a grid, for users who took the number of points for a step.
 
     Examples:
         >>> import numpy as np

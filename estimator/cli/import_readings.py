@@ -70,9 +70,10 @@ def import_command(
     repositories.
     """
     from estimator.cli.proposal import write_recipe
+    from estimator.readings.clock import now
     from estimator.rig_files.read import load_rig
     from estimator.store.importers.common import moment
-    from estimator.store.session import SESSION, now
+    from estimator.store.session import SESSION
     from estimator.store.staging import check_output
 
     check_output(out, overwrite, SESSION)
@@ -109,11 +110,13 @@ def _read(
     is_asked: bool,
 ) -> tuple[Session, Understood | None]:
     """The session that files hold, and what was understood of a table of readings."""
+    from estimator.store.session import Session
+
     named_A = named_number(currents, "--current")
     if kind != "readings":
         return IMPORTERS[kind](paths, rig, named_A), None
     read = _understood(paths, rig, form.with_currents(rig, named_A), yes, is_asked)
-    return read.session, read
+    return Session(rig, *read.readings), read
 
 
 def _saved(
@@ -129,10 +132,12 @@ def _saved(
     from estimator.readings.flags import told
     from estimator.store.importers.checked import checked
 
-    session, flags, warnings = checked(session, share, seed, ", ".join(str(path) for path in paths))
+    rig, source = session.rig, ", ".join(str(path) for path in paths)
+    observations, flags, warnings = checked(rig, session.observations, source, share, seed)
+    session = replace(session, observations=observations)
     session.save(out, overwrite)
     warnings = [*notes, *warnings]
-    observations, sensors = session.observations, [sensor.name for sensor in session.rig.sensors]
+    sensors = [sensor.name for sensor in rig.sensors]
     result = {
         "session": str(out),
         "readings": len(observations),
@@ -168,6 +173,6 @@ def notes_of(read: Understood) -> list[str]:
     """Sentences on what was left out of a file, and on its clock."""
     from estimator.readings.clock import told_of_clock
 
-    observations = read.session.observations
+    observations = read.readings.observations
     told = told_of_clock(observations.time_s.numpy(), observations.sensor.numpy(), read.table.lines)
     return [*read.table.notes, *([told] if told else [])]

@@ -150,7 +150,7 @@ def _texts(kind: str, given: dict[str, Any], is_asked: bool) -> tuple[str, str]:
 
 
 def _answer(key: str, default: Any, check: Callable[[str, Any], None]) -> Any:
-    """What the user answers; asked again until it is possible."""
+    """The user's answer; asked again until it is possible."""
     kind, words = QUESTIONS[key]
     choices = click.Choice(list(kind)) if isinstance(kind, tuple) else kind
     while True:

@@ -21,7 +21,7 @@ UNKNOWN = "something not in the library"  # `diagnosis.verdict`
 VERSIONS, LOG = "versions", "log.jsonl"  # `recalibration.registry`
 JOBS, RESULT_FILE = "jobs", "result.json"  # `batching`, which needs an extra
 DATABASE = "coilcal.sqlite"  # `service`, likewise
-FIELD = ("Bx", "By", "Bz")  # `store.importers.readings_csv`
+FIELD = ("Bx", "By", "Bz")  # `store.importers.table_readings`
 MARKS: dict[str, Callable[[Path], bool]] = {
     "session that grows": is_growing,
     "session": is_session,

@@ -224,7 +224,7 @@ def explained_errors(as_json: bool = False, goes_on: bool = False) -> Iterator[N
 
 
 def system_words(error: OSError) -> str:
-    """What the system refused, in a sentence.
+    """A refusal of the system, in a sentence.
 
     Examples:
         >>> system_words(PermissionError(13, "Permission denied", "rig.yaml"))

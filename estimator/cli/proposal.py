@@ -30,7 +30,7 @@ def proposal_lines(path: Path, read: Understood) -> list[str]:
     assert proposal is not None
     head = ["column", "is", *(f"line {line}" for line in first_lines_of(read.table))]
     rows = [head] + [_row(previewed_column(each, read)) for each in proposal.assigned]
-    lines = [f"{path}: {len(read.session.observations)} readings. {' '.join(proposal.remarks)}"]
+    lines = [f"{path}: {len(read.readings.observations)} readings. {' '.join(proposal.remarks)}"]
     lines += [f"  {line}" for line in aligned(rows)]
     return [printable(line) for line in lines]
 

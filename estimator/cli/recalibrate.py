@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +24,10 @@ from estimator.cli.output import EXIT_DRIFTED, EXIT_NOT_CONVERGED, EXIT_REJECTED
 from estimator.errors import InvalidInput
 
 if TYPE_CHECKING:
+    from estimator.cli.progress import Reporter
+    from estimator.inference.ensemble import SamplerSettings
     from estimator.recalibration.log import Entry
+    from estimator.rig.rig import Rig
 
 EXIT_CODES = {"drifted": EXIT_DRIFTED, "rejected": EXIT_REJECTED}
 PRECEDENCE = (EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED)
@@ -120,20 +123,12 @@ def recalibrate_command(
     Exit codes: 0 nothing new, unchanged or updated; 10 a drift was found; 11 a session was rejected, and none drifted; 4 neither, but a
     calibration did not converge.
     """
-    from estimator.cli.progress import LINE_EVERY_S, Reporter
-    from estimator.inference.ensemble import SamplerSettings
-    from estimator.recalibration.alerts import calls_for_action, senders
-    from estimator.recalibration.recalibrate import recalibrate, roll_back
-    from estimator.recalibration.watcher import Watcher
-    from estimator.rig_files.read import load_rig
-
     if rollback is not None:
         if rig_path or inbox or every or again:
             raise InvalidInput(
                 "--rollback must stand alone beside --registry; received --rig, --inbox, --every or --again too"
             )
-        entry = roll_back(registry, rollback)
-        show(asdict(entry), entry.reason, as_json)
+        _roll_back(registry, rollback, as_json)
         return
     if measured is not None:
         if rig_path is None:
@@ -146,53 +141,101 @@ def recalibrate_command(
         return
     if rig_path is None or inbox is None:
         raise InvalidInput("--rig and --inbox must be given, unless --rollback is; received none")
+    from estimator.cli.progress import LINE_EVERY_S, Reporter
+    from estimator.inference.ensemble import SamplerSettings
+    from estimator.recalibration.alerts import senders
+    from estimator.rig_files.read import load_rig
+
     rig, alert_senders = load_rig(rig_path), senders(alert_command, alert_webhook)
     settings, reporter = SamplerSettings(target_ess=ess), Reporter(LINE_EVERY_S, LINE_EVERY_S)
+    judge = _Judge(rig, inbox, registry, seed, settings, alert_senders, as_json, again, reporter)
+    if every is not None:
+        from estimator.cli.schedule import interval_s, keep_running
 
-    def tell(entry: Entry) -> None:
+        keep_running(judge.judge_inbox, interval_s(every))
+        return
+    codes = {_exit_code(entry) for entry in judge.judge_inbox()}
+    sys.exit(next((code for code in PRECEDENCE if code in codes), 0))
+
+
+def _roll_back(registry: Path, version: int, as_json: bool) -> None:
+    from estimator.recalibration.recalibrate import roll_back
+
+    entry = roll_back(registry, version)
+    show(asdict(entry), entry.reason, as_json)
+
+
+@dataclass
+class _Judge:
+    """Judges an inbox, as often as it is asked to, and prints what came of it.
+
+    Attributes:
+        rig, inbox, registry, seed, settings: As of `recalibrate`.
+        alert_senders: Send an entry that needs action; each returns what went wrong.
+        as_json: Print a record instead of lines.
+        again: Sessions to judge again in the first run that succeeds.
+        reporter: Shows how far the work is.
+        told_waiting: Sessions that wait, with the reason; each is said once.
+    """
+
+    rig: Rig
+    inbox: Path
+    registry: Path
+    seed: int
+    settings: SamplerSettings
+    alert_senders: Sequence[Callable[[Mapping[str, Any]], str | None]]
+    as_json: bool
+    again: tuple[str, ...]
+    reporter: Reporter
+    told_waiting: set[tuple[Path, str]] = field(default_factory=set)
+
+    def judge_inbox(self) -> list[Entry]:
+        """Judge the new sessions of the inbox; the entries of the log that this added."""
+        from estimator.recalibration.recalibrate import recalibrate
+        from estimator.recalibration.registry import HISTORY, Registry
+        from estimator.recalibration.watcher import Watcher
+
+        with self.reporter as reporter:
+            added = recalibrate(
+                self.rig,
+                self.inbox,
+                self.registry,
+                seed=self.seed,
+                settings=self.settings,
+                again=self.again,
+                on_entry=self._tell,
+                on_waiting=self._tell_waiting,
+                watcher=Watcher(reporter.stage, reporter.fits, reporter.sampling),
+            )
+        self.again = ()
+        current = Registry(self.registry).current
+        text = f"{len(added)} new sessions; version {current} is current; {self.registry / HISTORY}"
+        if current is None:
+            text = f"{len(added)} new sessions; there is no calibration yet"
+        result = {"added": [asdict(entry) for entry in added], "current": current}
+        # JSON on one line, so that a program can read what --every prints.
+        click.echo(json.dumps(result, allow_nan=False) if self.as_json else text)
+        return added
+
+    def _tell(self, entry: Entry) -> None:
         """Print an entry of the log, and alert of it if it needs action."""
-        if not as_json:
-            with reporter.aside():
+        from estimator.recalibration.alerts import calls_for_action
+
+        if not self.as_json:
+            with self.reporter.aside():
                 click.echo(
                     f"{entry.taken[:16]}  {Path(entry.session).name}  {entry.conclusion}: {entry.reason}"
                 )
         if calls_for_action(entry):
-            _alert({"registry": str(registry), **asdict(entry)}, alert_senders)
+            message = {"registry": str(self.registry), **asdict(entry)}
+            for problem in filter(None, (send(message) for send in self.alert_senders)):
+                click.echo(f"coilcal: {problem}", err=True)
 
-    reported: set[tuple[Path, str]] = set()
-
-    def report_waiting(path: Path, why: str) -> None:
+    def _tell_waiting(self, path: Path, why: str) -> None:
         """Say once, however often --every looks again, that a session waits."""
-        if (path, why) not in reported:
+        if (path, why) not in self.told_waiting:
             click.echo(f"coilcal: {path} is left for the next time: {why}", err=True)
-        reported.add((path, why))
-
-    judge_again = list(again)
-
-    def judge_inbox() -> list[Entry]:
-        """Judge the new sessions; those of --again only in the first run that succeeds."""
-        with reporter:
-            added = recalibrate(
-                rig,
-                inbox,
-                registry,
-                seed=seed,
-                settings=settings,
-                again=tuple(judge_again),
-                on_entry=tell,
-                on_waiting=report_waiting,
-                watcher=Watcher(reporter.stage, reporter.fits, reporter.sampling),
-            )
-        judge_again.clear()
-        return added
-
-    if every is not None:
-        from estimator.cli.schedule import interval_s, keep_running
-
-        keep_running(lambda: _reported(judge_inbox, registry, as_json), interval_s(every))
-        return
-    codes = {_exit_code(entry) for entry in _reported(judge_inbox, registry, as_json)}
-    sys.exit(next((code for code in PRECEDENCE if code in codes), 0))
+        self.told_waiting.add((path, why))
 
 
 def _exit_code(entry: Entry) -> int:
@@ -201,27 +244,3 @@ def _exit_code(entry: Entry) -> int:
 
     is_unsure = entry.checks.get(IS_CONVERGED) is False
     return EXIT_CODES.get(entry.conclusion, EXIT_NOT_CONVERGED if is_unsure else 0)
-
-
-def _reported(judge_inbox: Callable[[], list[Entry]], registry: Path, as_json: bool) -> list[Entry]:
-    """Judge the inbox and print what came of it."""
-    from estimator.recalibration.registry import HISTORY, Registry
-
-    added = judge_inbox()
-    current = Registry(registry).current
-    text = f"{len(added)} new sessions; version {current} is current; {registry / HISTORY}"
-    if current is None:
-        text = f"{len(added)} new sessions; there is no calibration yet"
-    result = {"added": [asdict(entry) for entry in added], "current": current}
-    # JSON on one line, so that a program can read what --every prints.
-    click.echo(json.dumps(result, allow_nan=False) if as_json else text)
-    return added
-
-
-def _alert(
-    message: Mapping[str, Any], alert_senders: list[Callable[[Mapping[str, Any]], str | None]]
-) -> None:
-    for send in alert_senders:
-        problem = send(message)
-        if problem is not None:
-            click.echo(f"coilcal: {problem}", err=True)

@@ -45,7 +45,7 @@ class Explained(StrEnum):
 
 @dataclass(frozen=True)
 class Rival:
-    """How one description does.
+    """How well one description fits.
 
     Attributes:
         fit: To the readings that it was fitted to.

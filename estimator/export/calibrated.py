@@ -1,4 +1,4 @@
-"""What an export asks of a calibration; `estimator.calibration.result.Calibration` is one."""
+"""The protocol of a calibration that can be exported; `estimator.calibration.result.Calibration` fulfils it."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ loading torch.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from estimator.export.magnet import Magnet
     from estimator.export.request import Grid, Request
 
-__all__ = ["FORMATS", "Format", "default_path", "export"]
+__all__ = ["FORMATS", "Exportable", "Format", "default_path", "export"]
 
 
 @dataclass(frozen=True)
@@ -112,6 +113,35 @@ def export(
     content = chosen.content(Request(to, magnet, path, grid, currents_A or {}, motion or {}))
     write_output(path, content, overwrite)
     return path
+
+
+class Exportable(ABC):
+    """Coils that can be written for other programs."""
+
+    @abstractmethod
+    def magnet(self) -> Magnet:
+        """The coils as exports write them."""
+
+    def export(
+        self,
+        to: str,
+        path: Path | str | None = None,
+        *,
+        grid: Grid | None = None,
+        currents_A: Mapping[str, float] | None = None,
+        motion: Motion | None = None,
+    ) -> Path:
+        """Write the model for other programs, as `coilcal export` does (docs/how-to/use-a-calibration-elsewhere.md).
+
+        Args:
+            to: Name of a format, such as "cpp". Of several calibrations together only formats with a model or a grid can be made.
+            path: File to write; one named after the rig, in the current folder, where none is given.
+            grid, currents_A, motion: Points, currents and poses, for formats that take them.
+        Returns: The file.
+        Raises:
+            InvalidInput: An unknown format, something it does not take or lacks, or a model that it cannot express.
+        """
+        return export(self.magnet(), to, path, grid=grid, currents_A=currents_A, motion=motion)
 
 
 def default_path(magnet: Magnet, to: str) -> Path:

@@ -70,7 +70,7 @@ def openpmd(request: Request) -> bytes:
 
 
 def _describe(file: h5py.File, request: Request) -> None:
-    """What the standard asks of the top of a file."""
+    """Attributes that the standard requires at the top of a file."""
     texts = {
         "openPMD": VERSION,
         "basePath": BASE,

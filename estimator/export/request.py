@@ -1,4 +1,4 @@
-"""What somebody wants exported: a calibration, and for formats that hold a field or frames the points, currents and poses."""
+"""A request for an export: a calibration, and for formats that hold a field or frames the points, currents and poses."""
 
 from __future__ import annotations
 

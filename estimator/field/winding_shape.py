@@ -1,4 +1,4 @@
-"""What windings of any shape have in common, and how few loops may stand for one."""
+"""Windings of any shape, and the choice of the few loops that replace all loops of one."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class WindingShape(ABC):
 
     @property
     def kind(self) -> tuple[bool, ...]:
-        """What tells it from others of its class besides numbers."""
+        """Attributes besides numbers in which windings of one class differ."""
         return ()
 
     @property

@@ -84,7 +84,7 @@ Shape = tuple[type[WindingShape], tuple[bool, ...], tuple[float, ...]]
 
 
 def _shape(winding: WindingShape) -> Shape:
-    """What tells one winding from another, without tensors."""
+    """A winding as plain numbers, to compare it with others."""
     return type(winding), winding.kind, tuple(float(number) for number in winding.numbers)
 
 

@@ -38,7 +38,7 @@ def base_from_motion(mover: Mover, motion: Float[Tensor, "pose 6"]) -> Transform
 
 
 def ends_of(mover: Mover, like: Tensor) -> tuple[Transform, Transform]:
-    """What lies before and after the table of an arm, of the kind of another tensor; no motion where nothing does."""
+    """Transforms before and after the table of an arm, of the kind of another tensor; the identity where there are none."""
     if mover.own_ends is None:
         return Transform.identity(like.dtype, like.device), Transform.identity(like.dtype, like.device)
     before, after = (

@@ -1,9 +1,9 @@
 """A proposal fitted to the posterior before sampling: adaptive importance sampling in whitened coordinates.
 
-The Laplace approximation knows the curvature at the maximum and nothing of a long or bent tail. Where its proposal is a thousand times too
-thin, a walker that gets there cannot leave, and the effective sample size collapses. Weighted draws show such a tail. At first their log
-densities are straightened, which is enough for a smooth posterior (`Straightening`). Where that does no better, as at the bound of a prior,
-a bend is fitted to where they lie, and to what it straightens a few Student-t laws by expectation maximisation.
+The Laplace approximation knows the curvature at the maximum and nothing of a long or bent tail. Where its density is a thousand times too
+small, a walker that gets there cannot leave, and the effective sample size collapses. Weighted draws show such a tail. First a map is
+fitted to their log densities (`Straightening`), which is enough for a smooth posterior. Where that brings no gain, as at the bound of a
+prior, a bend is fitted to the points themselves, and to the straightened points a few Student-t distributions by expectation maximisation.
 """
 
 from __future__ import annotations
@@ -20,16 +20,19 @@ from estimator.inference.straightening import Straightening, most_coefficients
 ROUNDS = 9
 # Draws of a round: two for each coefficient that a map may have, between these numbers; twenty coordinates need 3120.
 FEWEST_DRAWS, DRAWS_PER_COEFFICIENT, MOST_DRAWS = 1000, 2, 3200
-# Efficiency at which a proposal is left as it is: at once, and where straightening brings no more. To fit on costs more than it brings.
+# Efficiency at which a proposal is good enough: at once, and once straightening brings no gain. More fitting costs more than it brings.
 ENOUGH, FAIR = 0.9, 0.75
 WORTH = 1.1  # a round of straightening gains where it multiplies the efficiency by as much
-PATIENCE = 2  # rounds of straightening without a gain: while few draws weigh, the efficiency of one round says little
+PATIENCE = 2  # rounds of straightening without a gain: while few draws have weight, the efficiency of one round says little
 LATE_ROUNDS = 2  # whose draws are straightened; those of earlier rounds lie farther off
 MOST_POINTS_LOST = 5.0  # points for each effective one, of those that tell of a bend
-WIDENED, WIDE_SHARE = 2.0, 0.3  # share of draws from a wider law, which sees tails that the proposal misses
+WIDENED, WIDE_SHARE = (
+    2.0,
+    0.3,
+)  # share of draws from a wider distribution, which reaches tails that the proposal misses
 LARGEST = 1e30  # coordinate of a draw that counts: squares of squares must stay numbers
 COMPONENTS, ITERATIONS = 6, 20
-DEFENSIVE = 0.1  # weight of the standard component that always stays, so that no place becomes unreachable
+DEFENSIVE = 0.1  # weight of the standard component that always stays, so that every point can be reached
 STRAIGHT_FREEDOM = 50.0  # of what is straightened: nearly normal, with heavier tails than the posterior's
 OLD_WEIGHT = 0.5  # share of the Laplace weights in those of the tuples of counts
 
@@ -37,9 +40,9 @@ OLD_WEIGHT = 0.5  # share of the Laplace weights in those of the tuples of count
 def adapted(
     proposal: MixtureProposal, log_prob: Callable[[np.ndarray], np.ndarray], random: np.random.RandomState
 ) -> tuple[MixtureProposal, float]:
-    """The proposal, fitted to a density in at most `ROUNDS` rounds of draws; the best of all rounds, and its efficiency.
+    """Fit the proposal to a density in at most `ROUNDS` rounds of draws; the best proposal of all rounds, and its efficiency.
 
-    Each proposal is judged by fresh draws that took no part in its fit.
+    Each proposal is judged by new draws that took no part in its fit.
 
     Args:
         proposal: Where to begin.
@@ -55,7 +58,7 @@ def adapted(
     for _ in range(ROUNDS):
         fresh, log_drawn = _draws(proposal, size, random)
         log_target = log_prob(fresh)
-        # Heavy tails and a bend throw some draws far out, even to infinity. Where no density has a value, that of the target is zero.
+        # Heavy tails and a bend throw some draws far out, even to infinity. Without a value, the target's density counts as zero.
         is_there = np.isfinite(log_target) & np.isfinite(log_drawn) & (np.abs(fresh) < LARGEST).all(1)
         if not is_there.any():
             break
@@ -84,12 +87,12 @@ def adapted(
 
 
 def efficiency_of(log_proposal: np.ndarray, log_target: np.ndarray, log_drawn: np.ndarray) -> float:
-    """Effective draws per draw of a proposal q as importance law of a target p: 1 / integral of p^2 / q, which is 1 where they agree.
+    """Effective draws per draw of a proposal q in importance sampling of a target p: 1 / integral of p^2 / q, which is 1 where they agree.
 
     Args:
-        log_proposal: Log density of q at points drawn from any law that covers p, shape (draw,).
+        log_proposal: Log density of q at points drawn from any distribution that covers p, shape (draw,).
         log_target: Log density of p there, up to a constant.
-        log_drawn: Log density of the law that they were drawn from.
+        log_drawn: Log density of the distribution that they were drawn from.
     Examples:
         >>> log_density = np.zeros(5)
         >>> efficiency_of(log_density, log_density, log_density)
@@ -126,7 +129,7 @@ def _truncated(log_weight: np.ndarray) -> np.ndarray:
 
 
 def _tempered(log_weight: np.ndarray) -> np.ndarray:
-    """Truncated weights, of a power of the weights where few points have them all: log densities tell of a bend wherever the points lie."""
+    """Truncated weights, raised to a power below 1 where few points have them all: log densities show a bend wherever the points lie."""
     weight = _truncated(log_weight)
     n_possible = int(np.isfinite(log_weight).sum())
     while float((weight**2).sum()) * n_possible > MOST_POINTS_LOST:
@@ -151,7 +154,7 @@ def _straightening(
 def _straightened(
     proposal: MixtureProposal, straightening: Straightening, vectors: np.ndarray, weight: np.ndarray
 ) -> MixtureProposal:
-    """A law about the origin of straight coordinates, nearly normal, beside one there with heavier tails."""
+    """Two distributions about the origin of straight coordinates: one nearly normal, and one with heavier tails."""
     shape = WhiteShape(
         np.array([1.0 - DEFENSIVE, DEFENSIVE]),
         np.zeros((2, proposal.n)),
@@ -165,7 +168,7 @@ def _straightened(
 def _clustered(
     proposal: MixtureProposal, vectors: np.ndarray, weight: np.ndarray, random: np.random.RandomState
 ) -> MixtureProposal:
-    """Several laws fitted to where weighted draws lie, after a bend that is fitted to that too."""
+    """A bend fitted to weighted draws, and several distributions fitted to the straightened draws."""
     counts = weight > 0.0
     vectors, weight = vectors[counts], weight[counts]
     white = proposal.white(proposal.rows(vectors), vectors)
@@ -182,15 +185,15 @@ def _tuple_weight(proposal: MixtureProposal, vectors: np.ndarray, weight: np.nda
 
 
 def fitted_shape(white: np.ndarray, weight: np.ndarray, random: np.random.RandomState) -> WhiteShape:
-    """Student-t laws fitted to weighted points, beside a standard one with weight `DEFENSIVE`.
+    """Student-t distributions fitted to weighted points, beside a standard one with weight `DEFENSIVE`.
 
-    Scale matrices are drawn towards half the covariance of all points, by as much as n + 2 points would: few points in many dimensions
-    leave a matrix that can be factorised.
+    Scale matrices are shrunk towards half the covariance of all points, with the weight of n + 2 points: so they can be factorised where
+    few points lie in many dimensions.
 
     Args:
         white: Points, shape (point, n).
         weight: Their weights, which add up to 1.
-        random: Places the first middles, far from each other.
+        random: Chooses the first means, far from each other.
     """
     n = white.shape[1]
     middle = weight @ white
@@ -220,7 +223,7 @@ def fitted_shape(white: np.ndarray, weight: np.ndarray, random: np.random.Random
 
 
 def _far_apart(white: np.ndarray, weight: np.ndarray, random: np.random.RandomState) -> np.ndarray:
-    """First middles: each drawn with a probability that grows with the squared distance from those before (k-means++)."""
+    """First means: each drawn with a probability that grows with the squared distance from those before (k-means++)."""
     chosen = [white[random.choice(len(white), p=weight)]]
     for _ in range(COMPONENTS - 1):
         squared = np.min([((white - mean) ** 2).sum(1) for mean in chosen], axis=0) * weight

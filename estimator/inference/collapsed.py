@@ -297,7 +297,7 @@ class CollapsedPosterior(Density):
         return _unit_plus(design.mT @ design), score - self._about
 
     def _gain(self, precision: Tensor, score: Tensor) -> Tensor:
-        """What the spread of the amplitudes adds to the log density at `_about`."""
+        """Addition to the log density at `_about` by the spread of the amplitudes."""
         root = torch.linalg.cholesky(precision)
         off = torch.linalg.solve_triangular(root, score[..., None], upper=False)[..., 0]
         log_determinant = 2.0 * torch.log(torch.diagonal(root, dim1=-2, dim2=-1)).sum(-1)

@@ -13,6 +13,7 @@ from estimator.effects.stages import NoiseEffect
 from estimator.effects.use import Use
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.nominal import NominalPrediction
+from estimator.rig.coordinates import Values
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,38 @@ class ComponentNoise:
         concerned = None if self.concerned is None else self.concerned[components]
         return ComponentNoise(self.use, concerned, self.exposure[components])
 
-    def where_concerned(
+    def sigma_T(self, sigma_T: Tensor, values: Values) -> Tensor:
+        """Standard deviation of every component with this effect, given that without it."""
+        changed_T = self.use.effect.sigma_T(sigma_T, self.exposure, self.use.theta(values))
+        return self._where_concerned(changed_T, sigma_T)
+
+    def contamination(self, share: Tensor, ratio: Tensor, values: Values) -> tuple[Tensor, Tensor]:
+        """Share of wider scatter in every component, and how many times wider it is, given those without this effect."""
+        contamination = self._contamination(values)
+        if contamination is None:
+            return share, ratio
+        return self._where_concerned(contamination[0], share), self._where_concerned(contamination[1], ratio)
+
+    def mixed(
+        self, log_density: Tensor, weight: Tensor, whitened: Tensor, values: Values
+    ) -> tuple[Tensor, Tensor]:
+        """Log density of every whitened residual without its constant, and its weight, given those without this effect."""
+        contamination = self._contamination(values)
+        if contamination is None:
+            return log_density, weight
+        share, ratio = contamination
+        good = torch.log1p(-share) + log_density
+        bad = torch.log(share) - torch.log(ratio) - 0.5 * (whitened / ratio) ** 2
+        both = torch.logaddexp(good, bad)
+        is_good = torch.exp(good - both)
+        reduced = is_good + (1.0 - is_good) / ratio**2
+        return self._where_concerned(both, log_density), self._where_concerned(reduced, weight)
+
+    def _contamination(self, values: Values) -> tuple[Tensor, Tensor] | None:
+        contamination = self.use.effect.contamination(self.use.theta(values))
+        return None if contamination is None else (contamination[0][..., None], contamination[1][..., None])
+
+    def _where_concerned(
         self, changed: Float[Tensor, "*#batch #component"], unchanged: Float[Tensor, "*#batch component"]
     ) -> Float[Tensor, "*batch component"]:
         """Changed numbers of the components that it concerns, unchanged ones of all others."""

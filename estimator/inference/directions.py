@@ -113,7 +113,7 @@ def _owner(rig: Rig, name: str) -> int:
 
 
 def _path(rig: Rig, name: str, owner: int) -> str:
-    """What a parameter acts through. All that moves sensors shares a path; causes, coils and the scales of sensors have their own."""
+    """The path by which a parameter acts. Parameters that move sensors share one; causes, coils and scales of sensors have their own."""
     label, _, key = name.partition(".")
     cause, _, place = label.partition("[")
     if place:

@@ -1,4 +1,4 @@
-"""Posterior sampling with emcee: all walkers in one batched call, with checkpoints, until the diagnostics say stop."""
+"""Posterior sampling with emcee: all walkers in one batched call, with checkpoints, until the diagnostics reach their targets."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from estimator.rig.coordinates import Coordinates
 
 BURN_IN_SHARE = 0.1
 FEWEST_WALKERS = 32
-GOOD_EFFICIENCY = 0.5  # of a proposal whose fresh draws hardly need the other moves
-# Looks at the diagnostics: at the first checkpoint, from this share of the wanted effective samples on, and when chains have grown so much.
+GOOD_EFFICIENCY = 0.5  # of a proposal that hardly needs the other moves
+# Diagnostics are computed at the first checkpoint, from this share of the target effective samples on, and when chains have grown so much.
 LOOK_FROM, OLD_LOOK = 0.95, 4.0
 
 
@@ -111,13 +111,12 @@ def sample(
 ) -> Samples:
     """Sample the posterior until effective sample size and R-hat reach their targets.
 
-    The proposal is the Laplace mixture, fitted further to the posterior by weighted draws where it is far from it. Walkers start from its
-    draws; the first tenth of the steps is dropped. A backend that already holds steps is
-    continued.
+    The proposal is the Laplace mixture, fitted to the posterior by weighted draws where it is far from it. Walkers start from its draws;
+    the first tenth of the steps is dropped. A backend that already holds steps is continued.
 
     Args:
         posterior: Density over coordinates with whole-numbered counts in the last columns.
-        mixture: Laplace mixture, where the proposal of the independence move begins.
+        mixture: Laplace mixture, from which the proposal of the independence move is fitted.
         settings: Targets and limits.
         backend: emcee backend; in memory by default.
         on_progress: Called at every checkpoint.
@@ -147,26 +146,26 @@ def sample(
     state = _initial_state(log_prob, proposal, settings, backend)
     if backend.iteration > settings.max_steps:  # an earlier call had a larger limit
         return _samples(posterior.coordinates, backend, settings)
-    looked: Samples | None = None
+    latest: Samples | None = None
     for step in _checkpoints(settings):
         if step > backend.iteration:
             state = sampler.run_mcmc(state, step - backend.iteration, skip_initial_state_check=True)
-        if looked is None or step == settings.max_steps or _may_be_enough(looked, step, settings):
-            looked = _samples(posterior.coordinates, backend, settings, step)
+        if latest is None or step == settings.max_steps or _may_be_enough(latest, step, settings):
+            latest = _samples(posterior.coordinates, backend, settings, step)
         if on_progress is not None:
-            on_progress(_progress(looked, step, settings))
-        if looked.is_converged:
+            on_progress(_progress(latest, step, settings))
+        if latest.is_converged:
             break
-    assert looked is not None
-    if looked.n_steps < backend.iteration:  # an earlier call had higher targets
+    assert latest is not None
+    if latest.n_steps < backend.iteration:  # an earlier call had higher targets
         return _samples(posterior.coordinates, backend, settings)
-    return looked
+    return latest
 
 
-def _may_be_enough(looked: Samples, step: int, settings: SamplerSettings) -> bool:
-    """Whether diagnostics can say stop, or are old: their cost would be a quarter of that of a chain if all checkpoints had them."""
-    grown = step / looked.n_steps
-    return grown >= OLD_LOOK or grown * looked.convergence.smallest_ess >= LOOK_FROM * settings.target_ess
+def _may_be_enough(latest: Samples, step: int, settings: SamplerSettings) -> bool:
+    """Whether targets may be reached, or the diagnostics are old. Computed at every checkpoint, they would cost a quarter of the chain."""
+    grown = step / latest.n_steps
+    return grown >= OLD_LOOK or grown * latest.convergence.smallest_ess >= LOOK_FROM * settings.target_ess
 
 
 def _checkpoints(settings: SamplerSettings) -> Iterator[int]:
@@ -178,10 +177,10 @@ def _checkpoints(settings: SamplerSettings) -> Iterator[int]:
         yield step
 
 
-def _progress(looked: Samples, step: int, settings: SamplerSettings) -> Progress:
+def _progress(latest: Samples, step: int, settings: SamplerSettings) -> Progress:
     """Effective samples grow with the steps since the last look at them."""
-    ess = looked.convergence.smallest_ess * step / looked.n_steps
-    return Progress(step, settings.max_steps, ess, settings.target_ess, looked.convergence.largest_rhat)
+    ess = latest.convergence.smallest_ess * step / latest.n_steps
+    return Progress(step, settings.max_steps, ess, settings.target_ess, latest.convergence.largest_rhat)
 
 
 def _initial_state(

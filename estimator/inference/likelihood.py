@@ -202,7 +202,7 @@ class LogPosterior(Density):
                 [*(x + step for x, step in zip(each, steps, strict=False)), *each[n:]]
             )
             predicted_T = self._by_points._predicted_at(values, batch)
-            return torch.stack((predicted_T, torch.log(self._component_sigma_T(values, batch))))
+            return torch.stack((predicted_T, torch.log(self.component_sigma_at_T(values, batch))))
 
         (predicted_T, log_sigma), along = value_and_jacobian_by_paths(
             moved, vector.new_zeros(n), directions.each, directions.paths
@@ -216,7 +216,7 @@ class LogPosterior(Density):
             point = vector.detach().requires_grad_()
             values, none = self.coordinates.values(point), torch.Size()
             predicted_T = self.for_jacobian._predicted_at(values, none)
-            total = self.log_likelihood_of(predicted_T, self._component_sigma_T(values, none), point)
+            total = self.log_likelihood_of(predicted_T, self.component_sigma_at_T(values, none), point)
             if not total.requires_grad:  # nothing depends on it
                 return torch.zeros_like(vector)
             gradient: Tensor = torch.autograd.grad(total, point, materialize_grads=True)[0]
@@ -283,19 +283,15 @@ class LogPosterior(Density):
         self, vector: Float[Tensor, "*batch coordinate"]
     ) -> Float[Tensor, "*batch component"]:
         """Standard deviation of every measured component: noise of its sensor, as it is recorded, and what effects of noise make of it."""
-        return self._component_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
+        return self.component_sigma_at_T(self.coordinates.values(vector), vector.shape[:-1])
 
-    def sigma_of_T(self, values: Values) -> Float[Tensor, " component"]:
-        """Standard deviation of every measured component, by the values of all numbers."""
-        return self._component_sigma_T(values, torch.Size())
-
-    def _component_sigma_T(self, values: Values, batch: torch.Size) -> Tensor:
+    def component_sigma_at_T(self, values: Values, batch: torch.Size) -> Float[Tensor, "*batch component"]:
+        """Standard deviation of every measured component, where the values of all numbers are known already."""
         sigma_T = self.sensor_sigma_T(values, batch)[..., self.sensor]
         for record in uses_of(self.model.rig, RecordEffect):
             sigma_T = record.effect.recorded_error_T(sigma_T, record.theta(values))
         for noise in self._noise:
-            wider_T = noise.use.effect.sigma_T(sigma_T, noise.exposure, noise.use.theta(values))
-            sigma_T = noise.where_concerned(wider_T, sigma_T)
+            sigma_T = noise.sigma_T(sigma_T, values)
         return sigma_T
 
     def whitened(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch component"]:
@@ -368,24 +364,14 @@ class LogPosterior(Density):
         share = self.measured_T.new_zeros(len(self._flat))
         ratio = torch.ones_like(share)
         for noise in self._noise:
-            contamination = noise.use.effect.contamination(noise.use.theta(values))
-            if contamination is not None:
-                share = noise.where_concerned(contamination[0][..., None], share)
-                ratio = noise.where_concerned(contamination[1][..., None], ratio)
+            share, ratio = noise.contamination(share, ratio, values)
         return share, ratio
 
     def _scatter(self, whitened: Tensor, vector: Tensor) -> tuple[Tensor, Tensor]:
         """Log density of whitened residuals without its constant, and their weights: normal, contaminated where the rig says so."""
         log_density, weight = -0.5 * whitened**2, torch.ones_like(whitened)
-        for noise in self._noise:
-            contamination = noise.use.effect.contamination(noise.use.theta(self.coordinates.values(vector)))
-            if contamination is None:
-                continue
-            share, ratio = (number[..., None] for number in contamination)
-            good = torch.log1p(-share) + log_density
-            bad = torch.log(share) - torch.log(ratio) - 0.5 * (whitened / ratio) ** 2
-            mixed = torch.logaddexp(good, bad)
-            is_good = torch.exp(good - mixed)
-            log_density = noise.where_concerned(mixed, log_density)
-            weight = noise.where_concerned(is_good + (1.0 - is_good) / ratio**2, weight)
+        if self._noise:
+            values = self.coordinates.values(vector)
+            for noise in self._noise:
+                log_density, weight = noise.mixed(log_density, weight, whitened, values)
         return log_density, weight

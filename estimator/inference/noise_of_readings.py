@@ -32,5 +32,5 @@ def noise_of_readings_T(
     if uses_of(rig, NoiseEffect) and len(observations):
         model = MeasurementModel.build(rig, observations)
         posterior = LogPosterior(Coordinates(rig), model, observations)
-        sigma_T[observations.is_measured] = posterior.sigma_of_T(known)
+        sigma_T[observations.is_measured] = posterior.component_sigma_at_T(known, torch.Size())
     return sigma_T

@@ -1,9 +1,9 @@
-"""A law over loop counts and continuous coordinates that draws and knows its density: what the moves of the sampler propose from.
+"""The distribution over loop counts and continuous coordinates from which the moves of the sampler propose.
 
-Each tuple of counts has its own maximum and Laplace covariance. They whiten the coordinates: in them the posterior of every tuple looks
-like a standard normal, as far as the Laplace approximation holds. How it looks beyond that is the same for all tuples: a `Bend`, and in
-the straightened coordinates a `WhiteShape`, a few Student-t laws. At first there is no bend and a single law about the origin;
-`estimator.inference.adaptation` fits both to the posterior.
+Each tuple of counts has its own maximum and Laplace covariance. They whiten the coordinates: in whitened coordinates the posterior of every
+tuple is a standard normal, as far as the Laplace approximation holds. Deviations from that are the same for all tuples: a `Bend`, and in
+the straightened coordinates a `WhiteShape`, a few Student-t distributions. At first there is no bend and a single distribution about the
+origin; `estimator.inference.adaptation` fits both to the posterior.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ FLOOR = 0.05  # share of proposals spread evenly over all tuples, so that each i
 
 @dataclass(frozen=True)
 class WhiteShape:
-    """A mixture of Student-t laws in whitened and straightened coordinates.
+    """A mixture of Student-t distributions in whitened and straightened coordinates.
 
     Attributes:
         weight: Probability of each component, shape (component,); they add up to 1.
-        mean: Middle of each component, shape (component, n).
+        mean: Mean of each component, shape (component, n).
         factor: Lower triangle of the Cholesky factor of each scale matrix, shape (component, n, n).
         freedom: Degrees of freedom of each component, shape (component,), or of all.
     """
@@ -77,8 +77,8 @@ class MixtureProposal:
 
     Args:
         mixture: Maximum and Laplace covariance of every tuple.
-        bend: What straightens the coordinates that these whiten; nothing by default.
-        shape: Law in the straightened coordinates; a standard Student-t by default.
+        bend: Map from whitened to straightened coordinates; the identity by default.
+        shape: Distribution in the straightened coordinates; a standard Student-t by default.
         weight: Probability of each tuple, shape (tuple,); by default that of the mixture, with a share `FLOOR` spread evenly.
     """
 

@@ -1,10 +1,10 @@
 """A bend fitted to log densities: after it the posterior is as normal as a triangular quadratic map can make it.
 
-Where weighted draws lie tells of a law with the noise of counting. Their log densities have no noise, so a thousand of them give a few
-hundred coefficients of a map. The map turns whitened coordinates into straight ones: each is scaled, less a quadratic function of those
-before it. Its coefficients are those with which a normal law of straight coordinates comes nearest to the posterior's log densities.
-Only those terms count that log densities show, as where a sensor's zero depends on a field times an angle: of all, which are thousands
-in thirty coordinates, most are nothing but the noise of what no map explains.
+The positions of weighted draws carry counting noise. Their log densities have none, so a thousand of them determine a few hundred
+coefficients of a map. The map turns whitened coordinates into straight ones: each is scaled, less a quadratic function of those before it.
+Its coefficients are those with which a normal distribution of straight coordinates comes nearest to the posterior's log densities.
+Thirty coordinates have thousands of terms. Only those that the log densities show clearly are fitted, as where a sensor's zero depends on
+a field times an angle: the others would fit noise.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from estimator.inference.bend import LARGEST_CURVATURE, Bend
 
 ITERATIONS, HALVINGS, LEAST_GAIN = 10, 4, 0.02
 LEAST_NOISE = 1e-3  # variance of log densities that no map of this kind explains
-FARTHEST = 100.0  # whitened units: what a bend threw farther has squares beyond the range of numbers, and tells nothing of the middle
+FARTHEST = 100.0  # whitened units: squares of points that a bend threw farther out overflow, and say nothing of the middle
 # Terms of more coordinates: as many are added at once, this often, for so many effective points each, where they are so clear.
 ADDED, TIMES, POINTS_PER_TERM, CLEAR_SD = 100, 3, 4.0, 2.0
 
@@ -58,7 +58,7 @@ class Terms(NamedTuple):
 
 @dataclass(frozen=True)
 class Straightening:
-    """A map to straight coordinates, in which the law is a standard normal one.
+    """A map to straight coordinates, in which the posterior is a standard normal distribution.
 
     Attributes:
         bend: Quadratic functions that are subtracted.
@@ -163,7 +163,7 @@ class _Problem:
         return coefficients
 
     def residual(self, coefficients: np.ndarray) -> np.ndarray:
-        """Log densities less those of the normal law, less the mean of each tuple."""
+        """Log densities less those of the normal distribution, less the mean of each tuple."""
         with np.errstate(over="ignore", invalid="ignore"):
             total = self.log_density + 0.5 * (self.straight(coefficients) ** 2).sum(1)
         return self._centred(total[:, None])[:, 0]
@@ -226,7 +226,7 @@ class _Problem:
         return Straightening(bend, spread, self.terms, coefficients)
 
     def _features(self, terms: slice) -> np.ndarray:
-        """What some terms multiply their coefficients by."""
+        """Factors of the coefficients of some terms."""
         return np.asarray(
             self.entries[:, self.terms.first[terms]] * self.entries[:, self.terms.second[terms]]
         )

@@ -38,7 +38,7 @@ class FieldAtSensors:
 
     @property
     def rig(self) -> Rig:
-        """What is modelled."""
+        """The rig that is modelled."""
         return self.sources.rig
 
     @property

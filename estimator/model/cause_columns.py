@@ -1,4 +1,4 @@
-"""What a cause that a rig does not have would change in its readings, per unit of each of its quantities."""
+"""Derivatives of the readings in the quantities of a cause that a rig does not have."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class CoilField(ABC):
 
     @property
     def has_zones(self) -> bool:
-        """Whether points may have rules by their distance: those are found for the correct sum of a winding's loops."""
+        """Whether points may have rules by their distance (zones), which hold for loops that add as vectors."""
         return False
 
     @abstractmethod
@@ -60,7 +60,7 @@ class CoilField(ABC):
 
     @abstractmethod
     def rules(self, points_coil_m: Points) -> list[tuple[str, Forbidden]]:
-        """Places where sensors must lie, in words, and which points do not lie there."""
+        """Rules on where sensors must lie, in words, and which points break each."""
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class FieldOfHarmonics(CoilField):
     radius_m: Float[Tensor, "*#batch"]
 
     def by(self, rule: Rule | None, mode: SumMode = SumMode.PLAIN) -> Callable[[Tensor], Tensor]:
-        """Field of sources outside the ball, or inside it."""
+        """Field of sources outside the ball (interior), or inside it (exterior)."""
         sizes = [len(own) for own in self.coil.amplitudes.values()]
         by_degree = dict(zip(self.coil.amplitudes, self.amplitudes.split(sizes, dim=-1), strict=True))
         field = interior_field if self.coil.region is bodies.Region.INTERIOR else exterior_field
@@ -120,7 +120,7 @@ class FieldOfHarmonics(CoilField):
         return distance_m <= self.radius_m[..., None]
 
     def rules(self, points_coil_m: Points) -> list[tuple[str, Forbidden]]:
-        """Outside the ball of all sources, or not far beyond the one without."""
+        """Outside the ball of all sources, or at most a little outside the ball without sources."""
         where = f"of {self.coil.name}, {float(self.radius_m) * 1e3:.6g} mm"
         outside = f"outside the reference_radius {where}, which holds all its sources"
         rules = [(outside, self.has_none(points_coil_m))]

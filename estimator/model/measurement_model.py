@@ -111,7 +111,7 @@ class MeasurementModel:
 
     @property
     def rig(self) -> Rig:
-        """What is modelled."""
+        """The rig that is modelled."""
         return self.sources.rig
 
     @property
@@ -206,7 +206,7 @@ class MeasurementModel:
     def shown_T(
         self, values: Values, at_sensor_T: Float[Tensor, "*#batch reading 3"]
     ) -> Float[Tensor, "*batch reading 3"]:
-        """What is read of the field at the sensors, given by `at_sensor_T`."""
+        """Recorded components, given the field at the sensors (`at_sensor_T`)."""
         field_T = self._gain(values)[..., None] * at_sensor_T
         for use in uses_of(self.rig, stages.ReadingEffect):
             changed = use.effect.apply(field_T, use.theta(values), self.circumstances, use.place)

@@ -116,7 +116,7 @@ class RoomField:
         return torch.where(self.is_inside[:, None], torch.nan, field_T)
 
     def _at_currents(self, current_A: Float[Tensor, "*#batch #point coil"]) -> Sources:
-        """The sources with what gives way to currents where these take it."""
+        """The sources, with coils whose mounts yield to magnetic forces where these currents pull them."""
         moved = [use.label for use in uses_of(self.rig, MountEffect) if use.effect.goes_with_current]
         if not moved:
             return self.sources
@@ -153,14 +153,14 @@ class RoomField:
 def some_at_a_time(
     at: Callable[[Values], Float[Tensor, "..."]], draws: Values, n_points: int, n_axes: int
 ) -> Float[Tensor, "..."]:
-    """What a function of the values says for many draws, some at a time on each core: memory stays bounded where effects sum over loops.
+    """A function of the values for many draws, some draws at a time on each core: memory stays bounded where effects sum over loops.
 
     Args:
-        at: Of values with one batch axis or none, for all points.
+        at: The function, of values with one batch axis or none; its result is for all points.
         draws: Values along one batch axis; those that are fixed may have none.
-        n_points: Points that it is asked at.
-        n_axes: Axes of what it says for one draw.
-    Returns: With the draws on the first axis; without it where nothing depends on them.
+        n_points: Number of points.
+        n_axes: Axes of the result for one draw.
+    Returns: Results with the draws on the first axis; without that axis where nothing depends on the draws.
     """
     n_draws = max((len(value) for value in draws.values() if value.dim()), default=1)
     n_each = max(1, DRAWS_AND_POINTS // max(n_points, 1))

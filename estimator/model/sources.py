@@ -17,6 +17,7 @@ from estimator.effects import stages
 from estimator.effects.base import Kind, Theta
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import Use, uses_of
+from estimator.field.core import PATTERNS
 from estimator.field.first_order import first_order_field
 from estimator.field.grid_map import GridMap
 from estimator.field.loop import NEAREST_STEPS
@@ -28,6 +29,7 @@ from estimator.field.zones import Zone
 from estimator.frames import Transform, turned, turned_back
 from estimator.model.bodies import WINDING_KEYS, world_from_body
 from estimator.model.coil_field import CoilField, coil_field
+from estimator.model.coil_in_room import CoilInRoom
 from estimator.model.cores import Cores
 from estimator.rig.bodies import AnyCoil, Body
 from estimator.rig.coordinates import Values
@@ -206,9 +208,7 @@ class Sources:
         there = [i for i in range(len(patterns)) if i not in idle]
         field = field_of_rings_to_first_order if self._is_first_order else field_of_rings
         steps = self.rules[coil.name].steps if coil.name in self.rules else NEAREST_STEPS
-        flat = field(points_m, rings, patterns[there], steps).flatten(-2)
-        flat = flat.expand(*flat.shape[:-2], self.n_rows, -1)
-        flat = flat if self.pose_row is None else flat[..., self.pose_row, :]
+        flat = self._by_reading(field(points_m, rings, patterns[there], steps).flatten(-2), self._every_row)
         total = (drives[..., there, None] * flat.unflatten(-1, (len(there), 3))).sum(-2)
         return self._unrotated(world_from_point, self._rotated(world_from_coil, total))
 
@@ -226,9 +226,8 @@ class Sources:
         ):
             points_m = core.world_from_coil.locate(world_from_point.translation_m)
             per_T = core.field_at(points_m, self._is_first_order)
-            per_T = per_T.expand(*per_T.shape[:-3], self.n_rows, *per_T.shape[-2:])
-            per_T = per_T if self.pose_row is None else per_T[..., self.pose_row, :, :]
-            field_T = (polarisation_T[..., None, :] @ per_T)[..., 0, :]
+            flat = self._by_reading(per_T.flatten(-2), self._every_row)
+            field_T = (polarisation_T[..., None, :] @ flat.unflatten(-1, (PATTERNS, 3)))[..., 0, :]
             total = total + self._unrotated(world_from_point, self._rotated(core.world_from_coil, field_T))
         return total
 
@@ -238,10 +237,10 @@ class Sources:
 
     def _by_reading(self, field: Tensor, rows: Int[Tensor, " rows"]) -> Tensor:
         """Field at all readings from that at some rows, zero elsewhere. One row stands for all where coil and point both stand still."""
-        field = field.expand(*field.shape[:-2], len(rows), 3)
+        field = field.expand(*field.shape[:-2], len(rows), -1)
         if len(rows) < self.n_rows:
-            full = torch.zeros((*field.shape[:-2], self.n_rows, 3), dtype=field.dtype, device=field.device)
-            field = full.index_copy(-2, rows, field)
+            nothing = field.new_zeros(*field.shape[:-2], self.n_rows, field.shape[-1])
+            field = nothing.index_copy(-2, rows, field)
         return field if self.pose_row is None else field[..., self.pose_row, :]
 
     def _rotated(self, poses: Transform, vectors: Float[Tensor, "*#batch #reading 3"]) -> Tensor:
@@ -274,7 +273,7 @@ class Sources:
     def _sloped(
         self, coil: str, field: SourceField, points_coil_m: Tensor, winding: Winding, theta: Theta
     ) -> Tensor:
-        """What an effect adds to a coil's field, with cheap derivatives where second ones may be missing."""
+        """Addition of an effect to a coil's field, with cheap derivatives where second ones may be missing."""
         rule = self.rules[coil]
         if not self._is_first_order:
             return field(points_coil_m, winding, rule, theta)
@@ -289,35 +288,3 @@ class Sources:
             return field(points_m, there, rule, quantities)
 
         return first_order_field(of, points_coil_m, [*geometry, *theta.values()])
-
-
-@dataclass(frozen=True)
-class CoilInRoom(stages.PerAmpere):
-    """One coil as seen from the room, at every distinct pose.
-
-    Attributes:
-        world_from_coil: Its pose.
-        field_per_ampere: At points of the coil frame.
-    """
-
-    world_from_coil: Transform
-    field_per_ampere: Callable[[Tensor], Tensor]
-
-    @property
-    def position_m(self) -> Float[Tensor, "*#batch #pose 3"]:
-        """Position of the coil in the world frame, in m."""
-        return self.world_from_coil.translation_m
-
-    def at(self, points_m: Float[Tensor, "*#batch pose 3"]) -> Float[Tensor, "*batch pose 3"]:
-        """Field per ampere in the world frame at one point per pose."""
-        return self.world_from_coil.rotate(
-            self.field_per_ampere(self.world_from_coil.inverse().apply(points_m))
-        )
-
-    def at_each(self, points_m: Float[Tensor, "*#batch point 3"]) -> Float[Tensor, "*batch pose point 3"]:
-        """Field per ampere in the world frame at points that stand still, for every pose."""
-        pose = self.world_from_coil
-        pose = Transform(pose.rotation[..., None, :, :], pose.translation_m[..., None, :])
-        points_coil_m = pose.inverse().apply(points_m[..., None, :, :])
-        field = self.field_per_ampere(points_coil_m.flatten(-3, -2))
-        return pose.rotate(field.unflatten(-2, points_coil_m.shape[-3:-1]))

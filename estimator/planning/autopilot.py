@@ -57,7 +57,7 @@ class Autopilot(Pilot):
 
     @property
     def header(self) -> dict[str, Any]:
-        """What the journal of a session says of its goals and limits."""
+        """Goals and limits of a session, from its journal."""
         return {"goals": [goal.text for goal in self.goals], "limits": asdict(self.limits)}
 
     def estimate(self) -> dict[str, Tensor]:

@@ -25,7 +25,7 @@ class Pilot(ABC):
     @property
     @abstractmethod
     def header(self) -> dict[str, Any]:
-        """What the journal of a session says of its question and limits."""
+        """Question and limits of a session, from its journal."""
 
     @property
     @abstractmethod

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from datetime import UTC, datetime
 from enum import StrEnum
 
 import numpy as np
@@ -13,6 +14,11 @@ from estimator.errors import listed
 Times = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.int64]
 MOST_TOLD = 3  # jumps that a sentence lists
+
+
+def now() -> str:
+    """The present time, as sessions write it: in UTC, to the second."""
+    return datetime.now(UTC).isoformat(timespec="seconds")
 
 
 class Clock(StrEnum):

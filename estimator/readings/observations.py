@@ -33,9 +33,9 @@ class Observations:
         chosen: Rows of these readings in `whole`.
         current_measured_A: Current that the supplies measured at each reading; NaN for a missing value, None if it was not read.
         recorded_segment: Number of the segment of each reading, where the session says it (`segment`).
-        rows_late: Rows by which fields had been written down late, as `realigned` has undone it.
-        late_since_h: Time since the session began from which on they were.
-        as_recorded: These readings before that; None where nothing was undone.
+        rows_late: Rows by which fields were recorded late; `realigned` has undone it.
+        late_since_h: Time since the session began, from which on they were late.
+        as_recorded: These readings as they were recorded; None where nothing was undone.
         line: Line of the file from which each reading was imported; None where there is no such file.
     """
 
@@ -70,9 +70,9 @@ class Observations:
         return self.current_A.device
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> Observations:
-        """These readings on another device or in another precision, with the history of their session; what is built from them follows.
+        """These readings, with the history of their session, on another device or in another precision. Models of them compute there too.
 
-        Times and fields that were read keep their precision: seconds of a calendar, and small differences from a prediction, need it.
+        Times and measured fields keep their precision: seconds of a calendar, and small differences from a prediction, need it.
 
         Examples:
             >>> nothing = torch.zeros(1, 3, dtype=torch.float64)
@@ -157,7 +157,13 @@ class Observations:
     def _each(
         self, read: Callable[[Tensor], Tensor], setting: Callable[[Tensor], Tensor], **others: Any
     ) -> Observations:
-        """These readings with what was read, and what they were read at, changed column by column, and other attributes replaced."""
+        """These readings with every column changed, and other attributes replaced.
+
+        Args:
+            read: Changes what was read: times, fields, flags.
+            setting: Changes currents and motions.
+            others: Attributes to replace.
+        """
         measured_A, segment = self.current_measured_A, self.recorded_segment
         return replace(
             self,
@@ -175,13 +181,13 @@ class Observations:
         )
 
     def realigned(self, rows_late: int, since_h: float = 0.0) -> Observations:
-        """The readings with the poses and currents of the row before, where fields were written down a row late, sensor by sensor.
+        """The readings with the poses and currents of earlier rows, where fields were recorded some rows late, sensor by sensor.
 
         A field that belongs to no row counts as not measured. Readings that have been realigned are first put back.
 
         Args:
             rows_late: Rows by which fields were late; negative where they were early.
-            since_h: Time since the session began from which on they were; rows before stay.
+            since_h: Time since the session began, from which on they were late; rows before stay.
         """
         if (rows_late, since_h) == (self.rows_late, self.late_since_h):
             return self

@@ -84,7 +84,7 @@ def plan_from_text(text: str, rig: Rig, file: str = "plan") -> Plan:
 
 
 def plan_and_faults(path: Path | str, rig: Rig) -> tuple[Plan | None, list[InvalidInput]]:
-    """A plan with all that is wrong in it, in the order of its lines; None instead of the plan if there is anything."""
+    """A plan and its faults, in the order of its lines; None instead of a plan that has any."""
     faults = Faults(is_collected=True)
     plan = None
     with faults.noting():

@@ -12,7 +12,7 @@ from estimator.readings.observations import Observations
 from estimator.tensors import Tensor, torch
 
 FEWEST_BLOCKS, MOST_BLOCKS = 20, 200
-MOST_POSES = 10_000  # by which blocks are placed
+MOST_POSES = 10_000  # that k-means sees
 POSES_PER_BLOCK = 50  # if that gives more than the fewest blocks
 
 
@@ -48,7 +48,7 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
     distinct, pose_row = _distinct(_features(observations))
     n_blocks = min(max(len(distinct) // POSES_PER_BLOCK, FEWEST_BLOCKS), MOST_BLOCKS, len(distinct))
     few = distinct
-    if len(distinct) > MOST_POSES:  # as many place the blocks as well as a million do, and in seconds
+    if len(distinct) > MOST_POSES:  # these place the blocks as well as a million, in seconds
         few = distinct[np.sort(rng.choice(len(distinct), MOST_POSES, replace=False))]
     centres, block_of_pose = k_means(few, n_blocks, rng)
     if len(few) < len(distinct):
@@ -60,7 +60,7 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
 
 
 def _features(observations: Observations) -> Float[np.ndarray, "reading column"]:
-    """What tells poses apart, each less its mean and over its spread."""
+    """Columns that distinguish poses, each with mean 0 and standard deviation 1."""
     columns = [observations.sensor[:, None].double(), *observations.motion.values()]
     features = [
         (each - each.mean()) / each.std()
@@ -74,7 +74,7 @@ def _features(observations: Observations) -> Float[np.ndarray, "reading column"]
 def _distinct(
     poses: Float[np.ndarray, "reading column"],
 ) -> tuple[Float[np.ndarray, "pose column"], Int[np.ndarray, " reading"]]:
-    """Different poses in lexical order, and the row of each reading's among them; as `np.unique`, which takes five times as long."""
+    """Distinct poses in lexical order, and the row of each reading among them; `np.unique` does the same in five times the time."""
     order = np.lexsort(poses.T[::-1])
     is_new = np.zeros(len(order), dtype=bool)
     is_new[:1] = True

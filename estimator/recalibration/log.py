@@ -7,13 +7,13 @@ import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, fields
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from estimator.errors import CorruptStore
 from estimator.given_files import MOST_RESULT_BYTES, read_given
 from estimator.json_files import json_object, sealed, unsealed
+from estimator.readings.clock import now
 from estimator.store.files import append_text, writing
 
 ROLLED_BACK = "rolled_back"
@@ -45,7 +45,7 @@ class Entry:
     session: str = ""
     hash: str = ""
     taken: str = ""
-    concluded: str = field(default_factory=lambda: datetime.now(UTC).isoformat(timespec="seconds"))
+    concluded: str = field(default_factory=now)
     version: int | None = None
     made: int | None = None
     agrees: bool | None = None

@@ -85,11 +85,11 @@ class Recheck(Pilot):
 
     @property
     def header(self) -> dict[str, Any]:
-        """What the journal of a session says of its question and limits."""
+        """Question and limits of a session, from its journal."""
         return {"test": {"share": self.share, **asdict(self.rates)}, "limits": asdict(self.limits)}
 
     def decide(self, entries: Sequence[Mapping[str, Any]], refused: Sequence[int] = ()) -> Finding:
-        """What the stops of a journal say."""
+        """The judgement of the stops in a journal."""
         self._follow(entries)
         innovations = self._innovations()
         ratios = innovations.log_ratios(self.changes.sizes)

@@ -38,7 +38,7 @@ class DenavitHartenberg:
 
 @dataclass(frozen=True)
 class ArmEnds:
-    """What lies before and after the table of an arm, as positions and rotation vectors (m, rad).
+    """Transforms before and after the table of an arm, as positions and rotation vectors (m, rad).
 
     `base_from_first` leads to a frame whose z axis is that of the first joint, `last_from_flange` from the frame after the last row.
     """

@@ -34,7 +34,7 @@ POSE_QUANTITIES = (
 
 
 class MotionKind(StrEnum):
-    """What a mover's column in the session says."""
+    """What a mover's columns in a session mean."""
 
     POSE = "pose"  # base_from_flange as position and rotation vector
     DISPLACEMENT = "displacement"  # position relative to a reference configuration
@@ -65,11 +65,16 @@ class FieldSum(StrEnum):
 
 @dataclass(frozen=True)
 class Mover:
-    """A robot or stage; `motion` says what its readings mean.
+    """A robot or stage.
 
-    `reference_rotation_rad` is base_from_flange at the reference configuration as a rotation vector; it turns displacements that the
-    controller reports in the base frame into the end-effector frame. `own_table` is the kinematics of this very arm: of `joints` all of it,
-    of the others what the maker measured at the factory, as differences from the nominal table. `own_ends` lie before and after that table.
+    Attributes:
+        motion: What its columns in a session mean.
+        displacement_frame: Axes of reported displacements.
+        reference_rotation_rad: base_from_flange at the reference configuration, as a rotation vector. It turns displacements that are
+            reported in the base frame into the end-effector frame.
+        own_table: Kinematics of this individual arm: all of it for `joints`, else the maker's factory calibration as differences from the
+            nominal table.
+        own_ends: Transforms before and after that table.
     """
 
     name: str
@@ -101,7 +106,7 @@ class Body:
     """A coil or a sensor: fixed in the world, or carried by a mover.
 
     Attributes:
-        is_wound: A coil whose winding is described.
+        is_wound: Whether it is a coil whose winding is described.
     """
 
     is_wound: ClassVar[bool] = False
@@ -135,7 +140,7 @@ class Coil(Body):
     """A circular multi-layer winding.
 
     Attributes:
-        field_sum: How its simulation adds loops.
+        field_sum: How the fields of its loops are added.
         is_superconducting: Its wire may hold on to flux.
         leads: Of its current, where they are described.
     """
@@ -151,7 +156,7 @@ class SidedCoil(Body):
     """A multi-layer winding with straight sides: rectangular loops, or racetracks, whose corners are arcs.
 
     Attributes:
-        field_sum: How its simulation adds loops.
+        field_sum: How the fields of its loops are added.
         is_rounded: Corners are arcs, the wider the farther out the layer; else they are sharp in every layer.
         leads: Of its current, where they are described.
     """
@@ -178,8 +183,10 @@ class HarmonicCoil(Body):
     Attributes:
         region: Inside a ball without sources, or outside the ball that holds them.
         degree: Highest degree, from 1 (uniform inside, a dipole outside).
+        has_degrees: Its amplitudes have degrees.
     """
 
+    has_degrees: ClassVar[bool] = True
     region: Region = Region.INTERIOR
     degree: int = 1
 
@@ -196,16 +203,19 @@ class HarmonicCoil(Body):
 class EquivalentSourceCoil(Body):
     """A coil whose winding is not known: per ampere its field is that of magnetic charges on a box about the origin of its frame.
 
-    Amplitudes are parameters `name.charge1_T_per_A` and so on: were all independent, with rms 1, the field in the middle would have rms 1.
-    Those of a multipole, such as `name.multipole1_degree1_cos0_T_per_A`, would make rms 1 in each degree where its box comes nearest.
+    Amplitudes are parameters `name.charge1_T_per_A` and so on. They are normalised: independent amplitudes of rms 1 make a field of rms 1
+    in the middle of the box. Amplitudes of a multipole, such as `name.multipole1_degree1_cos0_T_per_A`, are normalised degree by degree
+    where the box comes nearest to it.
 
     Attributes:
         half_m: Half of each edge of a box without sources that holds the readings.
-        margin_m: How far outside that box the charges stand, on the surface of another.
+        margin_m: Distance from that box to the surface of a larger one, on which the charges stand.
         spacing_m: Distance of neighbouring charges, roughly.
-        multipoles_m: Places outside the first box of small sources so close to it that the charges cannot stand for them.
+        multipoles_m: Positions of small sources outside the first box, too close to it for the charges to represent.
+        has_degrees: Its amplitudes have none.
     """
 
+    has_degrees: ClassVar[bool] = False
     half_m: Triple = (1.0, 1.0, 1.0)
     margin_m: float = 1.0
     spacing_m: float = 1.0
@@ -219,12 +229,12 @@ class EquivalentSourceCoil(Body):
 
     @property
     def intervals(self) -> tuple[int, int, int]:
-        """Between charges, along each edge."""
+        """Intervals between charges along each edge."""
         return intervals(self.half_m, self.margin_m, self.spacing_m)
 
     @property
     def n_charges(self) -> int:
-        """How many charges stand on the box."""
+        """Number of charges on the box."""
         return n_charges(self.intervals)
 
     @property

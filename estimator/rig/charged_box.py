@@ -1,4 +1,4 @@
-"""How many magnetic charges stand on the surface of a box, and what the amplitudes of charges and of multipoles are called."""
+"""Number of magnetic charges on the surface of a box, and names of the amplitudes of charges and of multipoles."""
 
 from __future__ import annotations
 

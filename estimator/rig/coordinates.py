@@ -8,7 +8,6 @@ counts. With `integer_counts` the free loop counts are whole numbers, unchanged 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from functools import cached_property
@@ -17,8 +16,9 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from estimator.derivatives import jacobian_of
-from estimator.rig.natural import ExternalRadius, Logarithm, Natural, Resolve, natural_of
-from estimator.rig.parameters import LogNormal, Normal, Parameter, Prior, Uniform, normal_log_density
+from estimator.rig.joint_prior import JointPrior
+from estimator.rig.natural import Logarithm, Resolve, natural_of
+from estimator.rig.parameters import Parameter, Prior
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
 
@@ -101,7 +101,7 @@ class Coordinates:
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        """What each column tells, by its name in `summary.json`: a parameter, or a number that follows from several."""
+        """The quantity of each column, by its name in `summary.json`: a parameter, or a number that follows from several."""
         return tuple(
             own.quantity if key is None else f"{own.coil}.{key}"
             for own, key in zip(self._natural, self._mixed, strict=True)
@@ -131,7 +131,7 @@ class Coordinates:
 
     @cached_property
     def _unmix_terms(self) -> list[list[tuple[int, float]]]:
-        """What each row of the matrix adds up: numbers of coordinates with their factors."""
+        """Terms of each row of the matrix: numbers of coordinates with their factors."""
         return [[(int(i), float(row[i])) for i in np.flatnonzero(row)] for row in self._unmix]
 
     def slopes_of_values(
@@ -221,49 +221,11 @@ class Coordinates:
 
     def log_prior(self, vector: Float[Tensor, "*batch coordinate"]) -> Float[Tensor, "*batch"]:
         """Log prior density of the coordinates, including the Jacobian determinant of the transform, up to a constant."""
-        values = self.values(vector)
-        total = torch.zeros(vector.shape[:-1], dtype=vector.dtype, device=vector.device)
-        for names, numbers, is_log in self._bell_shaped:
-            if names:
-                together = torch.stack(torch.broadcast_tensors(*(values[name] for name in names)), dim=-1)
-                together = torch.log(together) if is_log else together
-                total = total + normal_log_density(together, *numbers.to(vector)).sum(-1)
-        for parameter, natural in self._priors_of_their_own:
-            value = values[parameter.name]
-            assert parameter.prior is not None
-            total = total + parameter.prior.log_density(value) + natural.log_slope(value, values.__getitem__)
-        return total
+        return self._joint_prior.log_density(self.values(vector), vector)
 
     @cached_property
-    def _bell_shaped(self) -> list[tuple[list[str], Float[Tensor, "4 parameter"], bool]]:
-        """Free parameters whose priors are evaluated together, for there may be hundreds, with the numbers of these priors.
-
-        First those with normal or uniform priors that are coordinates themselves, then those with log-normal priors whose logarithms are.
-        """
-        own, of_logarithm = {}, {}
-        for parameter, natural in zip(self.parameters, self._natural, strict=True):
-            prior, name = parameter.prior, parameter.name
-            is_log = isinstance(natural, Logarithm)
-            if isinstance(natural, ExternalRadius):
-                continue
-            if isinstance(prior, Normal) and not is_log:
-                own[name] = (prior.mean, prior.standard_deviation, prior.lower, prior.upper)
-            elif isinstance(prior, Uniform) and not is_log:
-                own[name] = (0.0, math.inf, prior.lower, prior.upper)
-            elif isinstance(prior, LogNormal) and is_log:
-                lower = math.log(prior.lower) if prior.lower > 0.0 else -math.inf
-                of_logarithm[name] = (math.log(prior.median), prior.relative_sd, lower, math.log(prior.upper))
-        return [
-            (list(of), torch.tensor(list(of.values()), dtype=torch.float64).reshape(-1, 4).T, is_log)
-            for of, is_log in ((own, False), (of_logarithm, True))
-        ]
-
-    @cached_property
-    def _priors_of_their_own(self) -> list[tuple[Parameter, Natural]]:
-        """All other free parameters."""
-        together = {name for names, _, _ in self._bell_shaped for name in names}
-        each = zip(self.parameters, self._natural, strict=True)
-        return [(parameter, natural) for parameter, natural in each if parameter.name not in together]
+    def _joint_prior(self) -> JointPrior:
+        return JointPrior(self.parameters, self._natural)
 
     def sample_prior(self, rng: np.random.Generator, size: int) -> Float[Tensor, "size coordinate"]:
         """Draws from the prior, as coordinates; loop counts are rounded to whole numbers that the prior allows, if there are any."""

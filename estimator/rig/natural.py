@@ -1,4 +1,4 @@
-"""How one free number of a rig becomes a coordinate, and back: itself, its logarithm, or less what other numbers of its winding explain.
+"""From one free number of a rig to a coordinate, and back: the number itself, its logarithm, or a size that its winding determines better.
 
 The rms radius of the loops replaces the external radius, sides and corner radius of the mean loop those of the bore, and the position of
 the winding's middle that of its front face (docs/decisions/0007).
@@ -28,7 +28,7 @@ Number: TypeAlias = Float[Tensor, "*batch"]
 
 @dataclass(frozen=True)
 class Natural:
-    """A number that is its own coordinate; the others replace what is different.
+    """A number that is its own coordinate; subclasses are other coordinates.
 
     Attributes:
         name: Of the parameter.
@@ -43,7 +43,7 @@ class Natural:
 
     @property
     def quantity(self) -> str:
-        """What the coordinate tells, by its name in `summary.json`."""
+        """The quantity that the coordinate stands for, by its name in `summary.json`."""
         return self.name
 
     @property
@@ -135,7 +135,7 @@ class BoreSize(Natural):
         return self.name.partition(".")[2]
 
     def _to_mean_loop(self, resolve: Resolve) -> Tensor:
-        """How much larger that of the mean loop is."""
+        """Size of the mean loop less that of the bore."""
         thickness_m = resolve(f"{self.coil}.radial_pitch_m") * resolve(f"{self.coil}.radial_loops")
         return SHARE_OF_THICKNESS[self._quantity] * thickness_m
 
@@ -169,7 +169,7 @@ class FrontPosition(Natural):
 
 
 def natural_of(rig: Rig, parameters: Sequence[Parameter], counts: Collection[Parameter]) -> list[Natural]:
-    """What the coordinate of each free parameter is.
+    """The coordinate of each free parameter.
 
     Args:
         rig: Whose parameters they are.

@@ -1,6 +1,6 @@
-"""What stands in the laboratory: coils, sensors, and the movers that carry them, as frozen records.
+"""The laboratory: coils, sensors, and the movers that carry them, as frozen records.
 
-The records name things and say how they hang together; all numbers are `Parameter`s under dotted names such as
+The records say what there is and what carries what; all numbers are `Parameter`s under dotted names such as
 `coil1.world_from_coil.x_m`. `estimator.rig_files` reads them from YAML; `estimator.model` predicts readings from them.
 """
 
@@ -19,7 +19,7 @@ from estimator.rig.first import first_rig
 from estimator.rig.parameters import Parameter
 from estimator.rig.rules import broken_rules
 
-# What bodies may have beside their `repr`, so that rigs without it keep the hash that they had before there was such a thing.
+# Attributes that `repr` of a body leaves out. `Rig.hash` has them only where they are set, so that others keep the hash of old versions.
 NOT_IN_REPR = ("own_table", "own_ends", "leads", "multipoles_m")
 
 EVERYWHERE = "everywhere"  # place of a cause at all sensors, coils or movers
@@ -77,7 +77,7 @@ class Rig(Shown):
 
         Its bodies are `coil1`, `hall` and `stage`; the columns of a table are `coil1_current_A`, `stage_x_m`, `stage_y_m`, `stage_z_m` (how
         far the stage went) and `Bx_T`, `By_T`, `Bz_T`, in other units too. All that a ruler and a maker's note leave open is free, and so
-        are the Earth's field and the zero of the sensor. `coilcal init` writes the same as a file, with more of a choice.
+        are the Earth's field and the zero of the sensor. `coilcal init` writes the same as a file, with more choices.
 
         Args:
             radius_m: Outer radius of the winding.
@@ -211,7 +211,7 @@ class Rig(Shown):
         """This rig without an effect or a correction."""
         parameters = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
         effects, corrections = (
-            tuple(c for c in all_ if c != cause) for all_ in (self.effects, self.corrections)
+            tuple(other for other in acting if other != cause) for acting in (self.effects, self.corrections)
         )
         return replace(self, parameters=parameters, effects=effects, corrections=corrections)
 

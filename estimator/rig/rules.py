@@ -1,4 +1,4 @@
-"""Which values of a rig's numbers are impossible, whatever is measured."""
+"""Values of a rig's numbers that are impossible, whatever is measured."""
 
 from __future__ import annotations
 

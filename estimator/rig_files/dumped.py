@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from estimator.yaml_section import Loader
+from estimator.yaml_loader import Loader
 
 WIDTH = 110
 TAG = "tag:yaml.org,2002:"

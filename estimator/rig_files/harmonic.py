@@ -60,7 +60,7 @@ def read_amplitudes(section: Section, coil: UnwoundCoil, numbers: Numbers) -> No
     width = block.number(WIDTH) if WIDTH in block else None
     if width is not None and width <= 0.0:
         block.refuse(WIDTH, "must be > 0", f"{width:g}")
-    falloff = block.number(FALLOFF, 1.0) if isinstance(coil, HarmonicCoil) else 1.0
+    falloff = block.number(FALLOFF, 1.0) if coil.has_degrees else 1.0
     if not 0.0 < falloff <= 1.0:
         block.refuse(FALLOFF, "must be above 0 and at most 1", f"{falloff:g}")
     for degree, names in coil.amplitudes.items():

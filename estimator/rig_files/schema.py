@@ -15,7 +15,8 @@ from estimator.rig.bodies import Region
 from estimator.rig.harmonic_terms import HIGHEST_DEGREE
 from estimator.rig_files.read import NAME, SCHEMA_VERSION, read_rig
 from estimator.units import split_unit
-from estimator.yaml_section import Loader, Section
+from estimator.yaml_loader import Loader
+from estimator.yaml_section import Section
 
 NAMED = ("movers", "coils", "sensors")  # what stands below has names of the user's
 FREE_NUMBER = "number"

@@ -11,12 +11,12 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput, quoted
 from estimator.glance import Shown
+from estimator.readings.clock import now
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import Body, Mover
 from estimator.rig.rig import Rig
@@ -34,17 +34,12 @@ from estimator.store.tree import read_tree, write_arrays
 
 SCHEMA_VERSION = 1
 KIND = "coilcal session"
-SEALING = "arrays"  # name under which they are made
-
-
-def now() -> str:
-    """The present time, as sessions write it: in UTC, to the second."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
+SEALING = "arrays"  # scratch folder in which a journal is turned into arrays
 
 
 @dataclass(frozen=True)
 class StoredRig:
-    """A rig that was read from a store, with the words in which that holds it."""
+    """A rig that was read from a store, with its state there."""
 
     rig: Rig
     state: Mapping[str, Any]
@@ -65,7 +60,7 @@ class Session(Shown):
         source: Origin of the readings, in words.
         created: ISO date and time at which the readings were taken, as far as that is known, else at which the session was made.
         truth: Parameter values of a simulation, by name; empty for measured data.
-        stored_rig: The rig in the words of the store that it was read from, which the hash covers; None for a new session.
+        stored_rig: The rig with its state in the store that it was read from, which the hash covers; None for a new session.
     """
 
     rig: Rig
@@ -110,10 +105,11 @@ class Session(Shown):
             8
         """
         from estimator.store.importers.checked import checked
-        from estimator.store.importers.forms.frames import session_of_frame
+        from estimator.store.importers.forms.frames import readings_of_frame
 
-        session = session_of_frame(frame, rig, dict(columns or {}), dict(constants or {}), source)
-        return checked(session, validation, seed).session
+        readings = readings_of_frame(frame, rig, dict(columns or {}), dict(constants or {}), source)
+        observations = checked(rig, readings.observations, source, validation, seed).observations
+        return cls(rig, observations, source, readings.created)
 
     @property
     def hash(self) -> str:
@@ -124,7 +120,7 @@ class Session(Shown):
 
     @property
     def _stored_state(self) -> Mapping[str, Any] | None:
-        """The rig word by word as it was read; None where it was not read from a store, or another has taken its place since."""
+        """State of the rig as it was read; None where it was not read from a store, or was replaced since."""
         stored = self.stored_rig
         return stored.state if stored is not None and stored.rig == self.rig else None
 
@@ -154,7 +150,7 @@ class Session(Shown):
             try:
                 self._write(new)
                 admit(new, "session")
-            except CorruptStore as fault:  # so would whoever opens it
+            except CorruptStore as fault:  # which `load_session` would raise
                 raise InvalidInput(str(fault).replace(str(new), str(path))) from fault
 
     def _write(self, path: Path) -> None:
@@ -276,7 +272,7 @@ def _from_journal(path: Path) -> Session:
 
 @contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Explain what damaged bytes raise: errors of nearly any type in zarr, JSON and NumPy."""
+    """Raise `CorruptStore` for what damaged bytes raise: errors of nearly any type in zarr, JSON and NumPy."""
     try:
         yield
     except CoilcalError:

@@ -8,16 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from jaxtyping import Float
 
 from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput, check_known
-from estimator.export import formats
+from estimator.export.formats import Exportable
 from estimator.export.magnet import Magnet
-from estimator.export.request import Grid
 from estimator.glance import Glance
 from estimator.points import given_points
 from estimator.system.compiled import CompiledSystem
@@ -29,7 +27,7 @@ Motion = Mapping[str, Float[Tensor, "... 6"]]
 
 
 @dataclass(frozen=True, repr=False)
-class System(CalibratedCoils):
+class System(CalibratedCoils, Exportable):
     """Coils of one room, each with the model of its calibration.
 
     All calibrations must give poses in the same world frame, such as that of a shared sensor. A constant field of the room is taken from
@@ -110,24 +108,3 @@ class System(CalibratedCoils):
             current_A = measured.observations.current_A[:, columns]
             parts.append(replace(part, observations=replace(measured.observations, current_A=current_A)))
         return Magnet(tuple(parts), self.coils)
-
-    def export(
-        self,
-        to: str,
-        path: Path | str | None = None,
-        *,
-        grid: Grid | None = None,
-        currents_A: Mapping[str, float] | None = None,
-        motion: Mapping[str, Float[Tensor, " 6"]] | None = None,
-    ) -> Path:
-        """Write all coils as one magnet for other programs, as `coilcal export CALIBRATION CALIBRATION ...` does.
-
-        Args:
-            to: Name of a format with a model or a grid, such as "cpp".
-            path: File to write; one named after the rigs, in the current folder, where none is given.
-            grid, currents_A, motion: Points, currents and poses, for formats that take them.
-        Returns: The file.
-        Raises:
-            InvalidInput: An unknown format, something it does not take or lacks, or a model that it cannot express.
-        """
-        return formats.export(self.magnet(), to, path, grid=grid, currents_A=currents_A, motion=motion)

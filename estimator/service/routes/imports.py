@@ -120,8 +120,8 @@ def import_csv(
             meaning = ", ".join(f"{each.header!r} is {each.name}" for each in read.proposal.assigned)
             rule = f"must be accepted with accept=true, for the table is no readings CSV: {meaning}"
             raise Problem(422, "what was understood", rule, place="query accept")
-        check_length(len(read.session.observations), core.settings.most_readings)
-        return _stored(change, read.session, rig_id)
+        check_length(len(read.readings.observations), core.settings.most_readings)
+        return _stored(change, Session(rig, *read.readings), rig_id)
 
 
 @router.post(

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 from estimator.model.preflight import check_readings
 from estimator.model.unit_gate import check_units
 from estimator.readings.digits import flags_of_digits
 from estimator.readings.flags import Flag, without_flagged
+from estimator.readings.observations import Observations
 from estimator.readings.split import with_validation
-from estimator.store.session import Session
+from estimator.rig.rig import Rig
 
 VALIDATION_SHARE = 0.2
 
@@ -19,33 +19,33 @@ class Checked(NamedTuple):
     """Readings that can be fitted.
 
     Attributes:
-        session: With readings kept for validation.
+        observations: The readings, some of them kept for validation.
         flags: Readings that cannot have been measured as they were recorded.
         warnings: Sentences on units and patterns.
     """
 
-    session: Session
+    observations: Observations
     flags: list[Flag]
     warnings: list[str]
 
 
 def checked(
-    session: Session, share: float = VALIDATION_SHARE, seed: int = 0, source: str | None = None
+    rig: Rig, observations: Observations, source: str, share: float = VALIDATION_SHARE, seed: int = 0
 ) -> Checked:
     """Judge readings that were read, and keep a share of them for validation.
 
     Args:
-        session: As an importer made it.
+        rig: The rig of the readings.
+        observations: The readings as an importer made them.
+        source: Their origin, for messages.
         share: Share of the readings that is kept out of the fit.
         seed: Decides which.
-        source: Origin of the readings, for messages; as in the session where left out.
     Raises:
         InvalidInput: They cannot determine anything, or are in other units than they claim.
     """
-    rig, source = session.rig, source or session.source
-    check_readings(rig, session.observations, source)
-    flags = flags_of_digits(session.observations)
-    warnings = check_units(rig, without_flagged(session.observations, flags), source)
-    session = replace(session, observations=with_validation(session.observations, share, seed))
-    check_readings(rig, session.observations, source)  # the readings left to fit must suffice, too
-    return Checked(session, flags, warnings)
+    check_readings(rig, observations, source)
+    flags = flags_of_digits(observations)
+    warnings = check_units(rig, without_flagged(observations, flags), source)
+    split = with_validation(observations, share, seed)
+    check_readings(rig, split, source)  # the readings left to fit must suffice, too
+    return Checked(split, flags, warnings)

@@ -1,6 +1,6 @@
 """Reads a CSV table whose header names carry their units. Lines that are no rows are left out and reported, each kind once.
 
-`estimator.store.importers.readings_csv` turns the table into a session.
+`estimator.store.importers.table_readings` turns the table into observations.
 """
 
 from __future__ import annotations

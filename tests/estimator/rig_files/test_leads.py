@@ -17,7 +17,7 @@ from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.schema import rig_schema
 from estimator.rig_files.write import rig_text
-from estimator.yaml_section import Loader
+from estimator.yaml_loader import Loader
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS
 
 TEXT = """\

@@ -13,7 +13,7 @@ from estimator.cli.main import main
 from estimator.errors import InvalidInput
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.schema import rig_schema
-from estimator.yaml_section import Loader
+from estimator.yaml_loader import Loader
 from tests.estimator.conftest import CORRECTION, RIG, TWO_COILS
 
 CONFIGS = Path(__file__).parents[3] / "configs"

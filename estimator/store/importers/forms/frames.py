@@ -15,12 +15,12 @@ from estimator.store.importers.csv_lines import Block
 from estimator.store.importers.forms.recipe import Recipe
 from estimator.store.importers.forms.sources import CELL_SEPARATOR
 from estimator.store.importers.forms.understand import understood_block
-from estimator.store.session import Session
+from estimator.store.importers.table_readings import Recorded
 
 
-def session_of_frame(
+def readings_of_frame(
     frame: Any, rig: Rig, columns: dict[str, str], constants: dict[str, float], source: str
-) -> Session:
+) -> Recorded:
     """Readings of a data frame, before they are checked.
 
     Args:
@@ -38,12 +38,11 @@ def session_of_frame(
     rows = [CELL_SEPARATOR.join(row) for row in (list(cells), *zip(*cells.values(), strict=True))]
     block = Block(Path(source), rows, range(len(rows)), True, CELL_SEPARATOR)
     try:
-        read = understood_block(block, rig, Recipe(columns=columns, constants=constants))
+        readings = understood_block(block, rig, Recipe(columns=columns, constants=constants)).readings
     except InvalidInput as refusal:
         raise InvalidInput(_for_python(str(refusal))) from refusal
     # A row of a frame is no line of a file.
-    observations = replace(read.session.observations, line=None)
-    return replace(read.session, observations=observations, source=source)
+    return readings._replace(observations=replace(readings.observations, line=None), source=source)
 
 
 def _for_python(words: str) -> str:

@@ -83,7 +83,7 @@ def previewed(path: Path, rig: Rig, recipe: Recipe) -> Preview:
         columns = _unread(source, recipe, _taken_for(source, rig, recipe))
         return Preview(columns, _lines_of(source), source.remarks, names, None, _faults_of(path, rig, recipe))
     lines = first_lines_of(read.table)
-    n_readings = len(read.session.observations)
+    n_readings = len(read.readings.observations)
     if read.proposal is None:
         columns = tuple(
             PreviewedColumn(cell.text, cell.text, _values(read.table, quantity, lines))

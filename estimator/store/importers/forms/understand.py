@@ -27,9 +27,8 @@ from estimator.store.importers.forms.sources import CELL_SEPARATOR, MOST_COLUMNS
 from estimator.store.importers.forms.times import with_times
 from estimator.store.importers.forms.units import split_file_unit
 from estimator.store.importers.forms.wide import lengthened
-from estimator.store.importers.readings_csv import columns_of, session_of, without_bad_rows
 from estimator.store.importers.table import Cells, Column, HeaderCell, Table
-from estimator.store.session import Session
+from estimator.store.importers.table_readings import Recorded, columns_of, readings_of, without_bad_rows
 
 
 @dataclass(frozen=True)
@@ -52,12 +51,12 @@ class Understood:
     """Readings of a file.
 
     Attributes:
-        session: The readings.
+        readings: The readings, with their source and time.
         table: Their rows, with notes on what was left out.
         proposal: What was understood; None of a readings CSV.
     """
 
-    session: Session
+    readings: Recorded
     table: Table
     proposal: Proposal | None
 
@@ -81,8 +80,8 @@ def understood(
     if kind == "text" and recipe.is_plain and (header := header_in(path, known)) is not None:
         table = read_table(path, header, known, faults or Faults(), recipe.skips_bad)
         if not _has_other_numbers(table):
-            table, session = session_of(table, rig, recipe.clock)
-            return Understood(session, table, None)
+            table, readings = readings_of(table, rig, recipe.clock)
+            return Understood(readings, table, None)
     source = text_source(path, recipe) if kind == "text" else grid_source(path, kind, recipe)
     return _understood(source, rig, recipe, faults or Faults())
 
@@ -119,12 +118,12 @@ def _understood(source: Source, rig: Rig, recipe: Recipe, faults: Faults) -> Und
     has_time = "t" in table
     clock = recipe.clock if has_time else Clock.ROWS
     table = without_bad_rows(table)  # numbered as in the file, before rows of several sensors are
-    table, session = session_of(lengthened(table, rig), rig, clock)
+    table, readings = readings_of(lengthened(table, rig), rig, clock)
     if created:
-        session = replace(session, created=created)
+        readings = readings._replace(created=created)
     remarks = (*source.remarks, *_remarks(assignment, recipe, has_time))
     whole = _whole_recipe(source, assignment, recipe, clock)
-    return Understood(session, table, Proposal(assignment.assigned, remarks, whole))
+    return Understood(readings, table, Proposal(assignment.assigned, remarks, whole))
 
 
 def _read_numbers(table: Table) -> None:

@@ -299,13 +299,9 @@ def test_one_cause_of_three_thousand_rows_is_one_sentence(tmp_path: Path, rig: R
 def test_words_for_no_reading_are_components_that_were_not_measured(tmp_path: Path, rig: Rig) -> None:
     rows = (ROW, NEXT.replace("1e-3", "OVLD"), "2,3,0,0,0,nan,9.9E37,1e-3", "3,3,0,0,0,--,,NaN")
     read = understood(written(tmp_path, HEADER, *rows), rig)
-    table, session = read.table, read.session
-    assert session.observations.is_measured.tolist() == [
-        [True] * 3,
-        [False, True, True],
-        [False, False, True],
-    ]
-    assert table.notes == [
+    is_measured = read.readings.observations.is_measured
+    assert is_measured.tolist() == [[True] * 3, [False, True, True], [False, False, True]]
+    assert read.table.notes == [
         "5 cells of fields count as not measured: OVLD in line 3, nan in line 4, 9.9e+37 in line 4 and 2 more.",
         "1 row left out (line 5): no component of the field was measured.",
     ]
@@ -335,8 +331,7 @@ def test_bad_lines_are_left_out_where_that_is_asked_for(
     with pytest.raises(InvalidInput, match="--skip-bad-lines|--clock spread"):
         read_readings_csv(path, rig)
     read = understood(path, rig, Recipe(skips_bad=True))
-    table, session = read.table, read.session
-    assert (session.observations.time_s.tolist(), table.notes) == ([0.0, 2.0], [words])
+    assert (read.readings.observations.time_s.tolist(), read.table.notes) == ([0.0, 2.0], [words])
 
 
 def test_stamps_that_are_shared_and_clocks_set_back_have_a_cure(tmp_path: Path, rig: Rig) -> None:
