@@ -104,10 +104,9 @@ def _difference(connection: socket.socket) -> str:
         there, here = json.loads(answers.readline()), json.loads(json.dumps(circumstances()))
     differing = [name for name, value in here.items() if there.get(name) != value]
     if "environment" in differing:
-        values = [there.get("environment", {}), here["environment"]]
-        differing = sorted(
-            k for k in values[0].keys() | values[1].keys() if values[0].get(k) != values[1].get(k)
-        )
+        differing.remove("environment")
+        then, now = there["environment"], here["environment"]
+        differing += sorted(name for name in then | now if then.get(name) != now.get(name))
     if there.get("changed"):
         return "files of coilcal or of a library have changed since coilcal serve loaded them: start it again"
     return f"coilcal serve has another {', '.join(differing)}" if differing else ""

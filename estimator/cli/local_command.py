@@ -61,10 +61,9 @@ def _hand_on(command: int, number: int) -> None:
 
 def run(request: dict[str, Any], descriptors: list[int]) -> None:
     """Run a command as its caller would."""
-    *streams, folder = descriptors
-    os.fchdir(folder)
-    for number, stream in enumerate(streams):
-        os.dup2(stream, number)
+    os.fchdir(descriptors[-1])
+    for number, descriptor in enumerate(descriptors[:-1]):
+        os.dup2(descriptor, number)
     for descriptor in descriptors:
         os.close(descriptor)
     os.umask(request["umask"])

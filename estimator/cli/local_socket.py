@@ -24,20 +24,9 @@ LONGEST_REQUEST = 2**24  # bytes; the system takes no longer arguments and varia
 ROOT = Path(__file__).resolve().parents[2]
 # Variables that libraries read when they are loaded, which happened before. `--threads` decides on OMP_NUM_THREADS.
 READ_EARLY = (
-    "CUDA_",
-    "GOMP_",
-    "HOME",
-    "KMP_",
-    "LD_",
-    "MALLOC_",
-    "MKL_",
-    "MPL",
-    "NUMBA_",
-    "OMP_",
-    "OPENBLAS_",
-    "PYTHON",
+    *("CUDA_", "GOMP_", "HOME", "KMP_", "LD_", "MALLOC_", "MKL_", "MPL", "NUMBA_", "OMP_", "OPENBLAS_"),
+    *("PYTHON", "PYTORCH_", "TORCH", "XDG_CACHE_HOME", "XDG_CONFIG_HOME"),
 )
-READ_EARLY += ("PYTORCH_", "TORCH", "XDG_CACHE_HOME", "XDG_CONFIG_HOME")
 DECIDED = "OMP_NUM_THREADS"
 LIMITS = (resource.RLIMIT_AS, resource.RLIMIT_CPU, resource.RLIMIT_DATA, resource.RLIMIT_FSIZE)
 
