@@ -32,7 +32,7 @@ LIMITS = (resource.RLIMIT_AS, resource.RLIMIT_CPU, resource.RLIMIT_DATA, resourc
 
 
 def folder_path() -> Path:
-    """Where the sockets of this user are: where his session keeps such things, else with his caches."""
+    """Path of the folder of the sockets: in that of the user's login session, or with the caches where there is none."""
     given = Path(os.environ.get("XDG_RUNTIME_DIR", ""))
     if given.is_absolute():
         return given / "coilcal"
