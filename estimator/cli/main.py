@@ -45,7 +45,15 @@ from estimator.cli.simulate import simulate_command
     click.IntRange(1, MOST_PROCESSES),
     default=1,
 )
-def main(threads: int) -> None:
+@option(
+    "--via",
+    "Where the command is carried out: local is a coilcal serve of yours on this computer, which has all libraries loaded. Without one, "
+    "and where the result could differ, the command runs here.",
+    click.Choice(["here", "local"]),
+    default="here",
+    envvar="COILCAL_VIA",
+)
+def main(threads: int, via: str) -> None:
     """Calibrate electromagnet coils from measured readings, with credible intervals.
 
     Exit codes: 0 done, 2 bad input, 3 damaged file, 4 sampling did not converge, 5 an instrument failed, 130 interrupted.

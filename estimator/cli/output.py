@@ -46,7 +46,9 @@ PARTS = frozenset(  # of calibrations and diagnoses, which are read as a whole
 CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 
-QUIET = "coilcal.is_quiet"  # key of what a call shares between its parts
+# Keys of what a call shares between its parts.
+QUIET = "coilcal.is_quiet"
+GIVEN = "coilcal.given"  # all arguments of the program
 
 
 def is_quiet() -> bool:
@@ -91,6 +93,11 @@ class CoilcalGroup(ShortMessages, click.Group):
             return super().main(*args, **kwargs)
         finally:
             ignore_interruptions()
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """See `click.Command.parse_args`."""
+        ctx.meta.setdefault(GIVEN, list(args))  # those of the program come first
+        return super().parse_args(ctx, args)
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -137,6 +144,10 @@ class CoilcalCommand(ShortMessages):
     def invoke(self, ctx: click.Context) -> Any:
         """Run the command; help, completion and refused arguments never get here, so they do not load torch."""
         with explained_errors(as_json=bool(ctx.params.get("as_json")), goes_on=self.goes_on):
+            if ctx.find_root().params.get("via") == "local":
+                from estimator.cli.local import carry_out
+
+                carry_out(ctx, self.takes_derivatives)
             use_threads(ctx.find_root().params.get("threads", 1))
             keep_apart(ctx)
             for option in self.params:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from estimator.cli.interruption import interrupted_by
 from estimator.cli.options import MOST_PROCESSES, PATH, flag, json_option, option
 from estimator.cli.output import CoilcalCommand, CoilcalGroup, explained_errors, needing, show, use_threads
 from estimator.errors import InvalidInput
@@ -60,12 +62,25 @@ class ServeGroup(CoilcalGroup):
 @option("--port", "Port to listen at; 8765 by default, 0 takes a free one.", click.IntRange(0, 65_535))
 @option("--workers", "Processes that run jobs.", click.IntRange(1, MOST_PROCESSES))
 @option("--scheduler", "Dask scheduler whose workers run the jobs instead.", metavar="ADDRESS")
+@option(
+    "--commands",
+    "Commands of coilcal --via local: carried out beside the service, alone without it, or not at all.",
+    click.Choice(["beside", "alone", "none"]),
+    default="beside",
+)
 @flag("--open opens", "Show the page in the browser.")
 @flag("--check", "Say what would be done, and end.")
 @json_option
 @click.pass_context
 def serve_group(
-    ctx: click.Context, /, config: Path | None, opens: bool, check: bool, as_json: bool, **options: Any
+    ctx: click.Context,
+    /,
+    config: Path | None,
+    commands: str,
+    opens: bool,
+    check: bool,
+    as_json: bool,
+    **options: Any,
 ) -> None:
     """Serve calibrations and diagnoses over HTTP.
 
@@ -84,6 +99,9 @@ def serve_group(
                 )
                 raise click.UsageError(f"{option} {rule}")
         return
+    if commands == "alone":
+        _carry_out_commands()
+        return
     with _settings(config, **options) as settings:
         from estimator.service.serve import plan_of, serve
     if check:
@@ -91,7 +109,21 @@ def serve_group(
         show(plan, _plan_text(plan), as_json)
         return
     use_threads(ctx.find_root().params.get("threads", 1))
-    serve(settings, lambda address: click.echo(f"coilcal: serving {settings.data} at {address}"), opens)
+    from estimator.cli.local_server import carrying_out
+
+    with carrying_out() if commands == "beside" else nullcontext():
+        serve(settings, lambda address: click.echo(f"coilcal: serving {settings.data} at {address}"), opens)
+
+
+def _carry_out_commands() -> None:
+    """Carry out commands until a signal comes."""
+    from estimator.cli.local_server import EXIT_TAKEN, carrying_out
+
+    interrupted_by(signal.SIGINT, signal.SIGTERM)
+    with suppress(KeyboardInterrupt), carrying_out() as processes:
+        click.echo("coilcal: carrying out commands of coilcal --via local")
+        if processes[0].wait() == EXIT_TAKEN:
+            raise InvalidInput("no other coilcal serve of yours may carry out commands; one does")
 
 
 @serve_group.command("backup", cls=CoilcalCommand)

@@ -20,15 +20,20 @@ from estimator.tensors import compute_on_numpy, lacking
 WITH_TORCH = "COILCAL_WITH_TORCH"  # a variable that tells the second run what it is, and may tell the first
 
 
-@contextmanager
-def on_numpy(parameters: Mapping[str, Any]) -> Iterator[None]:
-    """Let a command compute on NumPy, and run it once more with torch where it cannot.
+def is_numpy_enough(parameters: Mapping[str, Any]) -> bool:
+    """Whether a command that takes no derivative computes on NumPy.
 
     Args:
         parameters: Of the command: a device or a precision that NumPy has not asks for torch.
     """
     is_plain = (parameters.get("device", "cpu"), parameters.get("precision", "double")) == ("cpu", "double")
-    if not is_plain or WITH_TORCH in os.environ or not compute_on_numpy():
+    return is_plain and WITH_TORCH not in os.environ
+
+
+@contextmanager
+def on_numpy(parameters: Mapping[str, Any]) -> Iterator[None]:
+    """Let a command with these parameters compute on NumPy, and run it once more with torch where it cannot."""
+    if not is_numpy_enough(parameters) or not compute_on_numpy():
         yield
         return
     try:

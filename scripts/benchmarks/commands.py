@@ -3,6 +3,7 @@
 Medians of repeats, smallest to largest in brackets: seconds until the first line of the result and until the end, seconds of the processor,
 and peak memory. Cold is one run without bytecode and machine code of an earlier one; what the system holds of files stays. With `--beside`
 another checkout takes turns, and its numbers stand below. With `--stages` the instant of each line on standard error is printed, too.
+Commands with `--via local` are carried out by a `coilcal serve` that has its libraries; processor and memory are those of the caller.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +28,7 @@ PROGRAM = "from estimator.cli.main import main; main(prog_name='coilcal')"
 RIG, PLAN = CONFIGS / "paper_simulation.yaml", CONFIGS / "plans/paper_grid.yaml"
 TRUTH = CONFIGS / "truth/paper_simulation.json"
 NOTHING = "python -c pass"
+LOCAL = ["--via", "local"]
 BYTES_PER_MB = 1e6
 
 
@@ -63,9 +67,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         calls = prepared(folder)
-        for command, arguments in calls.items():
-            if not options.only or command in options.only:
-                measure(command, arguments, trees, folder, options)
+        wanted = {name: call for name, call in calls.items() if not options.only or name in options.only}
+        for command, arguments in wanted.items():
+            measure(command, arguments, trees, folder, options)
+        options.no_cold = True
+        with serving(folder):
+            for command, arguments in wanted.items():
+                if command in ("check rig", "check readings", "predict", "calibrate"):
+                    call = [*LOCAL, *arguments]
+                    run(ROOT, call, os.environ, folder / "out")  # loads the libraries
+                    measure(f"{command}, local", call, [ROOT], folder, options)
 
 
 def prepared(folder: Path) -> dict[str, list[str]]:
@@ -105,6 +116,22 @@ def prepared(folder: Path) -> dict[str, list[str]]:
         "diagnose": ["diagnose", sessions["flawed"], "--out", out, "--seed", 1],
     }
     return {command: [str(part) for part in call] for command, call in calls.items()}
+
+
+@contextmanager
+def serving(folder: Path) -> Iterator[None]:
+    """A `coilcal serve` that carries out commands."""
+    os.environ["XDG_RUNTIME_DIR"] = str(folder)
+    call = [sys.executable, "-c", PROGRAM, "serve", "--commands", "alone"]
+    with subprocess.Popen(
+        call, cwd=ROOT, env=variables(ROOT, os.environ), stdout=subprocess.DEVNULL
+    ) as server:
+        while not all((folder / "coilcal" / kind).exists() for kind in ("numpy", "torch")):
+            time.sleep(0.1)
+        try:
+            yield
+        finally:
+            server.terminate()
 
 
 def measure(
@@ -151,10 +178,10 @@ def run(
         shutil.rmtree(out, ignore_errors=True)
         out.unlink(missing_ok=True)
     call = [sys.executable, "-c", *([PROGRAM, *arguments] if arguments else ["pass"])]
-    told = {**environment, "PYTHONPATH": str(tree)}
-    told.pop("PYTHONDONTWRITEBYTECODE", None)  # or every run would compile the project anew
     begin_s = time.perf_counter()
-    process = subprocess.Popen(call, cwd=tree, env=told, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        call, cwd=tree, env=variables(tree, environment), stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     first_s, lines = followed(process, begin_s)
     _, status, used = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
@@ -163,6 +190,13 @@ def run(
         sys.exit(f"{' '.join(arguments)} failed:\n" + "\n".join(words for _, words in lines))
     memory_MB = used.ru_maxrss * (1.0 if sys.platform == "darwin" else 1024.0) / BYTES_PER_MB
     return Run(first_s or end_s, end_s, used.ru_utime + used.ru_stime, memory_MB, lines)
+
+
+def variables(tree: Path, environment: os._Environ[str] | dict[str, str]) -> dict[str, str]:
+    """Variables with which commands of a checkout are called."""
+    told = {**environment, "PYTHONPATH": str(tree)}
+    told.pop("PYTHONDONTWRITEBYTECODE", None)  # or every run would compile the project anew
+    return told
 
 
 def followed(
