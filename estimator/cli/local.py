@@ -18,7 +18,6 @@ import click
 from click.core import ParameterSource
 
 from estimator.cli.local_socket import address, circumstances, is_own, opened_folder, send_request
-from estimator.cli.output import GIVEN
 from estimator.cli.without_torch import is_numpy_enough
 from estimator.errors import InvalidInput
 
@@ -51,7 +50,7 @@ def carry_out(context: click.Context, takes_derivatives: bool) -> None:
         with _connected(kind) as connection:
             difference = _difference(connection)
             if not difference:
-                _end(_carried_out(connection, context.meta[GIVEN]))
+                _end(_carried_out(connection, context.meta["coilcal.given"]))
     except InvalidInput as error:
         difference = str(error)
     except (OSError, ValueError):

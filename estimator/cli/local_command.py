@@ -10,6 +10,7 @@ import socket
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from importlib import import_module
 from typing import Any
@@ -59,8 +60,13 @@ def _hand_on(command: int, number: int) -> None:
             os.kill(command, number)
 
 
-def run(request: dict[str, Any], descriptors: list[int]) -> None:
-    """Run a command as its caller would."""
+def run(command: Callable[..., object], request: dict[str, Any], descriptors: list[int]) -> None:
+    """Run a command as its caller would.
+
+    Args:
+        command: The program.
+        request, descriptors: Of the caller.
+    """
     os.fchdir(descriptors[-1])
     for number, descriptor in enumerate(descriptors[:-1]):
         os.dup2(descriptor, number)
@@ -83,6 +89,4 @@ def run(request: dict[str, Any], descriptors: list[int]) -> None:
         setattr(sys, f"__{name}__", stream)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    from estimator.cli.main import main as command
-
     command(args=request["arguments"], prog_name="coilcal", obj=CARRIED_OUT)

@@ -48,7 +48,6 @@ CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f]")
 
 # Keys of what a call shares between its parts.
 QUIET = "coilcal.is_quiet"
-GIVEN = "coilcal.given"  # all arguments of the program
 
 
 def is_quiet() -> bool:
@@ -96,7 +95,7 @@ class CoilcalGroup(ShortMessages, click.Group):
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """See `click.Command.parse_args`."""
-        ctx.meta.setdefault(GIVEN, list(args))  # those of the program come first
+        ctx.meta.setdefault("coilcal.given", list(args))  # those of the program come first
         return super().parse_args(ctx, args)
 
     def resolve_command(
