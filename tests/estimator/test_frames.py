@@ -174,13 +174,6 @@ def test_rotate_ignores_the_translation_and_unrotate_undoes_it() -> None:
     torch.testing.assert_close(world_from_coil.unrotate(field_world_T), field_coil_T)
 
 
-def test_identity_changes_nothing() -> None:
-    transform = random_transform(2)
-    for same in (Transform.identity() @ transform, transform @ Transform.identity()):
-        assert torch.equal(same.rotation, transform.rotation)
-        assert torch.equal(same.translation_m, transform.translation_m)
-
-
 def test_single_precision_stays_single_precision() -> None:
     pose = Transform.from_pose(random_vectors(2).float(), 1e-3 * random_vectors(2, seed=1).float())
     chain = Transform.identity(torch.float32) @ pose @ pose.inverse()
@@ -231,19 +224,3 @@ def test_relative_displacement_formula_equals_the_chain_of_frames() -> None:
     moved = world_from_coil0 @ other_offset.inverse() @ displacement @ other_offset
     torch.testing.assert_close(moved.inverse().apply(sensor_world_m), chain_m)
     assert not torch.allclose(formula_m, -dt_flange_m - world_from_coil0.inverse().rotate(sensor_world_m))
-
-
-@pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 0.03, 0.032, 1.0, 6.0])
-def test_few_rotations_are_those_of_many(angle_rad: float) -> None:
-    """Few are computed as plain numbers."""
-    many = angle_rad * torch.nn.functional.normalize(random_vectors(9), dim=-1)
-    one_by_one = torch.stack([rotation_from_vector(vector) for vector in many])
-    torch.testing.assert_close(one_by_one, rotation_from_vector(many), rtol=1e-14, atol=1e-15)
-    assert rotation_from_vector(many[:4].unflatten(0, (2, 2))).shape == (2, 2, 3, 3)
-
-
-def test_few_rotations_of_plain_numbers_are_not_left_to_tensors(monkeypatch: pytest.MonkeyPatch) -> None:
-    vector_rad = torch.tensor([0.1, -0.2, 0.3], dtype=torch.float64)
-    expected = rotation_from_vector(vector_rad.clone().requires_grad_()).detach()
-    monkeypatch.setattr(torch.Tensor, "sin", None)
-    torch.testing.assert_close(rotation_from_vector(vector_rad), expected, rtol=1e-15, atol=1e-16)

@@ -51,11 +51,6 @@ def test_a_date_and_a_version_stay_text() -> None:
     assert (s.value("day"), s.value("version")) == ("2025-13-45", "1.2.3")
 
 
-def test_a_number_has_a_default_only_where_one_is_given() -> None:
-    assert section("b: 1").number("a", 7.0) == 7.0
-    assert refusal("\nb: 1", lambda s: s.number("a")) == "a is missing (rig.yaml, line 2)"
-
-
 @pytest.mark.parametrize(
     ("key", "si"), [("radius_m", 0.25), ("radius_cm", 0.0025), ("radius_mm", 0.00025), ("radius_um", 2.5e-7)]
 )
@@ -78,10 +73,6 @@ def test_a_length_is_converted_to_metres(key: str, si: float) -> None:
 )
 def test_other_units_are_converted(key: str, dimension: str, si: float) -> None:
     assert section(f"{key}: 3").quantity("a", dimension)[1] == pytest.approx(si, rel=1e-15)
-
-
-def test_an_absent_quantity_is_none() -> None:
-    assert section("radius_mm: 1").quantity("length", "length") is None
 
 
 @pytest.mark.parametrize(
@@ -109,17 +100,6 @@ def test_a_quantity_without_its_unit_is_refused(text: str, message: str) -> None
     assert refusal(text, lambda s: s.quantity("radius", "length")) == message
 
 
-def test_paths_of_keys_are_dotted() -> None:
-    message = refusal("a:\n  b:\n    c: 1", lambda s: s.section("a").section("b").finish())
-    assert message == "a.b.c is not a known key (rig.yaml, line 3)"
-
-
-def test_a_key_that_was_taken_is_known() -> None:
-    s = section("a: 1\nb: {c: 2}\nd: 3")
-    assert (s.value("a"), s.section("b").value("c"), s.number("d")) == (1, 2, 3.0)
-    s.finish()
-
-
 def test_a_key_given_twice_is_refused_with_both_lines() -> None:
     message = refusal("a: 1\nb: 2\na: 3", lambda s: s)
     assert message == "a must be given once; received it in lines 1 and 3 (rig.yaml)"
@@ -131,15 +111,6 @@ def test_an_absent_section_is_empty_and_a_value_is_no_section() -> None:
         refusal("a: 1", lambda s: s.section("a"))
         == "a must hold keys and values; received 1 (rig.yaml, line 1)"
     )
-
-
-@pytest.mark.parametrize(
-    ("text", "received"), [("a: {}", "nothing"), ("a: {x: 1, y: 2}", "x and y"), ("a: {z: 1}", "z")]
-)
-def test_one_key_out_of_a_list(text: str, received: str) -> None:
-    assert section("a: {y: 1}").key_of(("x", "y"), "a") == "y"
-    message = refusal(text, lambda s: s.key_of(("x", "y"), "a"))
-    assert message == f"a must be one of x, y; received {received} (rig.yaml, line 1)"
 
 
 def test_a_choice_outside_its_list_is_refused() -> None:

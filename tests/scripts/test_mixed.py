@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from scripts.studies.mixed import show
 from scripts.studies.mixed_counts import (
     Judged,
     coil_inside,
@@ -14,7 +13,6 @@ from scripts.studies.mixed_counts import (
     is_stated_alone,
     is_taken,
     judged,
-    link_of_correction,
     link_told,
     p_of_its_links,
     p_unlisted,
@@ -147,42 +145,3 @@ def test_links_are_right_where_an_honest_physicist_would_accept_them() -> None:
     assert p_of_its_links(told) == pytest.approx(0.55)
     assert link_told(row()) is None
     assert p_of_its_links(row()) == 0.0
-
-
-def test_the_strongest_departure_has_a_link() -> None:
-    parts = [{"name": "guide_errors", "log_bayes_factor": 9.0}]
-    of_session = [{"name": "zero_wanders[hall]", "log_bayes_factor": 30.0}]
-    assert link_of_correction(row(correction={"parts": parts, "of_session": of_session})) == "zero"
-    assert link_of_correction(row(correction={"parts": parts, "of_session": []})) == "mover"
-    assert link_of_correction(row()) is None
-
-
-def test_the_summary_counts_by_size(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = [
-        row(cause("axis_gain", 1.0), hidden=(truth("axis_gain", 9.0),)),
-        row(cause("backlash", 1.0), hidden=(truth("axis_gain", 16.0),), verdict="unexplained"),
-        row(
-            cause("axis_gain", 0.95),
-            hidden=(truth("axis_gain", 35.0), truth("backlash", 14.0)),
-            links={"current": 0.8, "room": 0.2},
-        ),
-    ]
-    show(rows)
-    printed = capsys.readouterr().out
-    for words in (
-        "listed causes: stated 50.0% (2 of 4)",
-        "listed causes of 8 to 15 sigma: stated 50.0% (1 of 2)",
-        "listed causes of 15 to 30 sigma: stated 0.0% (0 of 1)",
-        "listed causes of 30 to inf sigma: stated 100.0% (1 of 1)",
-        "sessions whose listed causes are all stated: 33.3% (1 of 3)",
-        "statements of a listed cause: 3",
-        "not there                33.3% (1 of 3)",
-        "verdicts `named` with a name that is not there: 0.0% (0 of 2)",
-        "listed causes in any set of the verdict, or in the rig unnamed: 50.0% (2 of 4)",
-        "something unlisted is told: 33.3% (1 of 3)",
-        "most probable link right where it has 50% or more: 100.0% (1 of 1)",
-        "probability of its links, mean: 0.80",
-        "error on unseen readings over the noise, after: median 1.04, within 1.1 in 100.0% (3 of 3)",
-        "time of a diagnosis: median 3.0 s, longest 3.0 s",
-    ):
-        assert words in printed

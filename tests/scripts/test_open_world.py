@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from estimator import diagnose, load_rig
-from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS, ORDER
-from estimator.store.importers.readings_csv import read_readings_csv
-from scripts.studies.imitation import left_of_truth
 from scripts.studies.leave_one_out import mark, says_unknown, without, wrong_names
 from scripts.studies.open_world import (
     ABSENT,
     ANOTHER,
-    NEAR_SIGMA,
     lone_name,
     lone_names,
     outcome,
@@ -26,7 +20,6 @@ from scripts.studies.open_world import (
     stated,
     statements,
 )
-from tests.hidden.open_session import draw_open_session
 
 Row = dict[str, Any]
 
@@ -102,10 +95,6 @@ def test_a_prediction_is_a_distribution_and_one_of_it_is_true(
     assert outcome(found, named) == truth
 
 
-def test_what_found_nothing_states_nothing() -> None:
-    assert prediction(row("backlash", "nothing_found")) is None
-
-
 def test_the_summary_counts_verdicts_and_scores(capsys: pytest.CaptureFixture[str]) -> None:
     rows = [
         row("backlash", "named", cause("backlash", 0.5, robot_scale=0.5)),
@@ -133,19 +122,6 @@ def test_a_twin_of_the_truth_is_no_name_that_readings_could_refute(
     printed = capsys.readouterr().out
     assert "named, not the truth 100.0% (1 of 1)" in printed
     assert "of these a name that readings could refute 0.0% (0 of 1)" in printed
-
-
-@pytest.mark.whole
-@pytest.mark.slow
-def test_what_is_left_of_the_truth_is_its_visible_size_without_causes_and_little_with_a_twin(
-    tmp_path: Path,
-) -> None:
-    hidden = draw_open_session([1], lambda possible: ["sensor_offset"], 30.0, 150_000)
-    hidden.write(tmp_path)
-    session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
-    without_causes, named = (diagnose(session, has_corrections=False, limits=Limits(most)) for most in (0, 1))
-    assert left_of_truth(hidden, without_causes) == pytest.approx(hidden.visible[0].sigma, rel=0.1)
-    assert left_of_truth(hidden, named) < NEAR_SIGMA  # `background_field`, its twin with one sensor
 
 
 def test_a_cause_left_out_comes_back_in_its_place_even_after_a_failure() -> None:

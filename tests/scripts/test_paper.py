@@ -14,7 +14,6 @@ from scripts.paper import (
     experiment_twin,
     printed,
     programme,
-    reproduce,
     residual_causes,
     residual_ranking,
     solvers,
@@ -133,17 +132,6 @@ def test_the_cause_that_gives_the_printed_numbers_comes_first() -> None:
 def _twin(cause: str, seed: int) -> Twin:
     numbers = [*printed.CALIBRATED, *printed.CALIBRATED_POSE]
     return Twin(cause, seed, list(numbers), 1.0, [4.3e-3, 2.7e-3], [9.2e-3, 7.0e-3], 0.04, 0.104, 1000)
-
-
-def test_a_study_that_this_commit_has_run_is_not_run_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs: list[str] = []
-    monkeypatch.setattr(reproduce, "studies", lambda out: {"A (Table 1)": lambda: runs.append("A") or "text"})
-    for version, expected in (("abc", 1), ("abc", 1), ("def", 2), ("def-dirty", 3), ("def-dirty", 4)):
-        monkeypatch.setattr(reproduce, "code_version", lambda version=version: version)
-        assert reproduce.run("A (Table 1)", tmp_path).startswith("## A (Table 1)\n\ntext\n")
-        assert len(runs) == expected
 
 
 @pytest.mark.slow

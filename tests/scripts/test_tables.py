@@ -21,22 +21,9 @@ def test_results_fit_on_200_lines() -> None:
     assert len((DOCS / "results.md").read_text(encoding="utf-8").splitlines()) <= 200
 
 
-def test_empty_columns_are_left_out_and_commands_are_code() -> None:
-    text = table(COLUMNS, [{"what": "a", "result": "1", "command": "make a"}])
-    assert text.splitlines() == ["|What|Result|Command|", "|---|---|---|", "|a|1|`make a`|"]
-
-
 def written(*rows: dict[str, str]) -> str:
     section = {"title": "S", "command": "make a", "rows": list(rows)}
     return page({"title": "T", "columns": COLUMNS, "text": "x", "sections": [section]})
-
-
-def test_what_all_rows_share_stands_once_above_them() -> None:
-    text = written({"what": "a"}, {"what": "b"})
-    assert "\n\nCommand: `make a`\n\n|What|\n" in text
-    text = written({"what": "a"}, {"what": "b", "command": "make b"})
-    assert "\n\nCommand: `make a`; rows that differ say so\n\n" in text
-    assert "|a||\n|b|`make b`|" in text
 
 
 def test_key_that_is_no_column_is_refused() -> None:

@@ -13,7 +13,6 @@ import torch
 
 from estimator import SamplerSettings, calibrate
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE, with_next_degree
-from estimator.calibration.report import calibration_report
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.limits import Limits
@@ -196,14 +195,6 @@ def test_a_system_of_it_makes_a_wanted_field(calibration: Calibration) -> None:
     assert (lower < upper).all()
 
 
-def test_the_report_draws_it_without_a_winding(calibration: Calibration) -> None:
-    page = calibration_report(calibration, "coilcal calibrate")
-    assert "Field of c1" in page
-    assert "The readings determine 120 of 120 amplitudes of c1" in page
-    assert "Amplitudes of coils without a winding" in page
-    assert "degree10" not in page  # 120 rows say less than ten
-
-
 def test_it_is_saved_and_written_back_with_what_was_found(calibration: Calibration, tmp_path: Path) -> None:
     calibration.save(tmp_path / "again")
     again = Calibration.load(tmp_path / "again")
@@ -241,11 +232,6 @@ def test_too_few_readings_are_refused(rig: Rig) -> None:
         InvalidInput, match=r"at least as many components as there are free parameters \(121\)"
     ):
         calibrate(session_at(rig, in_ball(40, 1)), rig, settings=SETTINGS)
-
-
-def test_single_precision_is_refused_for_differences_of_predictions(rig: Rig) -> None:
-    with pytest.raises(InvalidInput, match="coils without a winding must be calibrated in double precision"):
-        calibrate(session_at(rig, in_ball(150, 1)), rig, settings=SETTINGS, precision="single")
 
 
 def test_a_diagnosis_of_it_names_no_cause_and_asks_none_of_a_winding() -> None:

@@ -35,15 +35,6 @@ def test_what_is_right_is_told_in_a_few_lines() -> None:
     assert lines[-1] == "no mistake found"
 
 
-@pytest.mark.usefixtures("in_workspace")
-def test_a_plan_is_told_too() -> None:
-    told = json.loads(run("check", "rig.yaml", "plan.yaml", "--json").stdout)
-    assert told["faults"] == []
-    assert told["plan"]["readings"] == 36
-    assert told["rig"]["free"]["coil1.radius_m"] == {"unit": "m", "prior": "0.051 ± 0.001, at least 0"}
-    assert "plan.yaml: plan 'small grid'" in run("check", "rig.yaml", "plan.yaml").stdout
-
-
 def test_mistakes_of_both_files_are_told_at_once(workspace: Path, tmp_path: Path) -> None:
     rig, readings = tmp_path / "rig.yaml", tmp_path / "readings.csv"
     text = (workspace / "rig.yaml").read_text(encoding="utf-8")
@@ -76,16 +67,6 @@ def test_mistakes_of_both_files_are_told_at_once(workspace: Path, tmp_path: Path
     assert f"{rig}, line 17, column 5: sensors.hall.noise_uT must be > 0; received -5\n" in told.stdout
     assert told.stdout.endswith("6 mistakes\n")
     assert "no mistake found" not in told.stdout
-
-
-def test_how_a_file_of_other_headers_is_read_is_told(workspace: Path, tmp_path: Path) -> None:
-    rows = (workspace / "readings.csv").read_text(encoding="utf-8")
-    rows = rows.replace("arm1_x_m", "X / m").replace("Bx_T", "Hall Bx [T]")
-    (tmp_path / "readings.csv").write_text(rows, encoding="utf-8")
-    told = " ".join(run("check", workspace / "rig.yaml", tmp_path / "readings.csv").stdout.split())
-    assert "X / m arm1_x_m" in told
-    assert "Hall Bx [T] Bx_T" in told
-    assert "Text in utf-8, separated by commas, with decimal points; names of columns in line 1." in told
 
 
 DEVICES = """
@@ -135,17 +116,6 @@ def test_mistakes_in_settings_of_instruments_are_told_at_once_and_none_is_opened
         assert fault["file"] == str(paths[-1])
 
 
-def test_instruments_that_are_described_right_are_listed(workspace: Path, tmp_path: Path) -> None:
-    (tmp_path / "devices.yaml").write_text(
-        "devices:\n  hall: {sensor: lakeshore_f71, tcp: 192.168.0.2}\n", encoding="utf-8"
-    )
-    result = run("check", workspace / "rig.yaml", tmp_path / "devices.yaml")
-    assert (result.exit_code, result.stdout.splitlines()[-2:]) == (
-        0,
-        [f"{tmp_path / 'devices.yaml'}: instruments of hall", "no mistake found"],
-    )
-
-
 def test_readings_wait_where_nobody_can_say_what_columns_there_are(workspace: Path, tmp_path: Path) -> None:
     text = (workspace / "rig.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(
@@ -178,36 +148,6 @@ def test_readings_that_an_import_would_refuse_are_named(
     faults = json.loads(result.stdout)["faults"]
     assert any(word in faults[0]["message"] for word in words)
     assert imported.stderr == f"coilcal: {faults[0]['message']}\n"
-
-
-def test_many_mistakes_are_counted(workspace: Path, tmp_path: Path) -> None:
-    further = "".join(f"\n    key{i}: 1" for i in range(72))
-    text = (
-        (workspace / "rig.yaml").read_text(encoding="utf-8").replace("noise_uT: 5", f"noise_uT: 5{further}")
-    )
-    (tmp_path / "rig.yaml").write_text(text, encoding="utf-8")
-    result = run("check", tmp_path / "rig.yaml")
-    assert result.stdout.endswith("\nand 22 more; --json lists them all\n72 mistakes\n")
-    assert len(json.loads(run("check", tmp_path / "rig.yaml", "--json").stdout)["faults"]) == 72
-
-
-def test_one_cause_in_many_rows_is_one_mistake(workspace: Path, tmp_path: Path) -> None:
-    header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
-    (tmp_path / "readings.csv").write_text(
-        "\n".join([header, *[f"x{row}" for row in rows]]), encoding="utf-8"
-    )
-    told = run("check", workspace / "rig.yaml", tmp_path / "readings.csv").stdout
-    assert told.endswith("\n1 mistake\n")
-    assert "in line 2, 'x" in told
-    assert f"and {len(rows) - 3} more" in told
-
-
-def test_a_file_that_is_not_there_is_one_mistake(tmp_path: Path) -> None:
-    result = run("check", tmp_path / "no.yaml")
-    assert result.exit_code == 2
-    assert result.stdout.splitlines()[0].endswith(
-        "no.yaml must be readable as text: No such file or directory"
-    )
 
 
 def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(

@@ -139,14 +139,6 @@ def test_calibrate_writes_summary_posterior_and_report_and_prints_the_summary(
     assert "Calibration of small" in (workspace / "calibration" / "report.html").read_text(encoding="utf-8")
 
 
-def test_progress_of_a_calibration_is_plain_lines_on_standard_error(results: dict[str, Printed]) -> None:
-    lines = results["calibrate"].stderr.splitlines()
-    assert lines[0] == "point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"
-    assert "posterior sampling with emcee" in lines
-    assert any(line.startswith("  step 50, effective samples ") for line in lines)
-    assert len(set(lines)) == len(lines)
-
-
 def test_predict_writes_field_and_intervals_of_the_calibration(
     workspace: Path, results: dict[str, Printed]
 ) -> None:
@@ -185,24 +177,6 @@ def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, tmp_path
     assert (first["Bz_T"], first["Bx_lower_T"], first["inside_winding"]) == ("", "", "1")
     assert float(second["Bz_T"]) < 0.0
     assert second["inside_winding"] == "0"
-
-
-def test_predict_takes_motion_and_level(workspace: Path, tmp_path: Path) -> None:
-    folder, widths = workspace / "calibration", []
-    for level in (0.5, 0.95):
-        call = f"--grid x_mm=0 --current coil1=3 --motion arm1=0,0,0.01,0,0,0 --level {level} --overwrite"
-        result = run("predict", folder, *call.split(), "--out", tmp_path / "f.csv", "--json")
-        assert json.loads(result.stdout) == {
-            "file": str(tmp_path / "f.csv"),
-            "points": 1,
-            "inside_winding": 0,
-            "level": level,
-        }
-        (row,) = rows(tmp_path / "f.csv")
-        widths.append(float(row["Bz_upper_T"]) - float(row["Bz_lower_T"]))
-    assert widths[1] > 2 * widths[0]
-    at_rest = Calibration.load(folder).field(torch.tensor([[0.0, 0.0, -0.01]]).double(), {"coil1": 3.0})
-    assert float(row["Bz_T"]) == pytest.approx(at_rest[0, 2].item(), rel=1e-6)
 
 
 def test_predict_in_single_precision_and_on_a_device_that_is_not_there(

@@ -48,23 +48,9 @@ def test_a_map_is_planned(workspace: Path, tmp_path: Path) -> None:
     assert again.exit_code == 0
 
 
-def test_odds_of_twenty_to_one_are_counted_or_out_of_reach(workspace: Path) -> None:
-    reached = run("design", workspace / "session.zarr", "--split", "axis_gain", "--split", "current_offset")
-    assert "stops that reach odds of 20 to 1: " in reached.stdout
-    twins = run("design", workspace / "session.zarr", *TWINS, "--readings", 3)
-    assert "out of reach" in twins.stdout
-
-
 def test_an_existing_plan_is_kept(workspace: Path) -> None:
     result = run("design", workspace / "session.zarr", *TWINS, "--out", workspace / "plan.yaml")
     assert "plan.yaml" in refused(result)
-
-
-@pytest.mark.parametrize("options", [(), ("--split", "axis_gain"), (*TWINS, "--shrink", "coil1.radius_m")])
-def test_one_goal_is_needed(workspace: Path, options: tuple[str, ...]) -> None:
-    assert "must split two or more causes, or shrink one" in refused(
-        run("design", workspace / "session.zarr", *options)
-    )
 
 
 def test_a_hidden_cause_is_in_the_truth_by_its_full_name_and_in_the_readings(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import importlib
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -103,14 +102,6 @@ def test_hidden_offset_is_found_with_its_twin(record: dict[str, Any]):
     assert size["sd"] < 0.2 * OFFSET_T
     assert size["ci90"][0] < size["median"] < size["ci90"][1]
     assert any({"background_field", "sensor_offset"} <= set(group) for group in record["indistinguishable"])
-
-
-def test_gain_is_measured_on_readings_kept_out(record: dict[str, Any]):
-    before, after = record["gain"]["before"], record["gain"]["after"]
-    assert after["vector_T"] < before["vector_T"]
-    assert record["elpd_difference"] == pytest.approx(after["elpd"] - before["elpd"])
-    assert record["elpd_difference"] > 2.0 * record["elpd_se"] > 0.0
-    assert math.isfinite(after["elpd"])
 
 
 def test_extended_rig_takes_the_session(biased: Path, out: Path, record: dict[str, Any]):

@@ -10,11 +10,10 @@ from typing import Any
 import click
 import pytest
 
-from estimator.errors import InvalidInput
 from estimator.readings.clock import Clock
-from estimator.store.importers.forms.recipe import Recipe, named_constants, read_recipe
+from estimator.store.importers.forms.recipe import Recipe, read_recipe
 from tests.estimator.cli.conftest import run
-from tests.estimator.store.importers.forms.written import RIG, TABLE, columns, shown, text, workbook
+from tests.estimator.store.importers.forms.written import RIG, TABLE, columns, text, workbook
 
 HEADER = [
     "Time [s]",
@@ -78,13 +77,6 @@ def test_a_recipe_reads_the_next_file_without_a_question(folder: Path) -> None:
     assert (folder / "session.columns.yaml").exists()
 
 
-@pytest.mark.usefixtures("folder")
-def test_readings_without_a_date_are_said_to_count_as_of_now() -> None:
-    undated = "No date is given, so these readings count as recorded now"
-    assert undated in run(*CALL, "--yes").stdout
-    assert undated not in run(*CALL, "--yes", "--overwrite", "--recorded-at", "2026-03-01").stdout
-
-
 def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[str] = []
     answers = iter((False, True))
@@ -101,14 +93,6 @@ def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.Monkey
     assert run(*CALL[:1], "plain.csv", *CALL[2:-1], "plain.zarr").exit_code == 0
     assert len(asked) == 2, "a readings CSV needs no question"
     assert (folder / "columns.yaml").exists()
-
-
-def test_check_takes_the_same_options(folder: Path) -> None:
-    rows = text([*HEADER[:7], "Probe 3"]).encode()
-    (folder / "mine.csv").write_bytes(rows)
-    told = run("check", "rig.yaml", "mine.csv", "--column", "Probe 3=Bz_uT").stdout
-    assert told.endswith("no mistake found\n")
-    assert "Not measured: Bz." in run("check", "rig.yaml", "mine.csv").stdout
 
 
 def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path) -> None:
@@ -172,10 +156,3 @@ def test_a_recipe_with_a_mistake_is_refused(folder: Path, change: tuple[str, str
     refused = run(*CALL[:-1], "new.zarr", "--map", "columns.yaml")
     assert refused.exit_code == 2
     assert words in refused.stderr
-
-
-def test_constants_are_numbers_with_names() -> None:
-    assert shown(named_constants(["arm1_y_mm=-1.5e1"])["arm1_y_mm"]) == "-15"
-    for texts in (["a"], ["a="], ["a=1_0"], ["a=nan"], ["a=1", "a=2"], ["a=1e300"]):
-        with pytest.raises(InvalidInput, match="--constant must look like NAME=1.0"):
-            named_constants(texts)

@@ -90,13 +90,6 @@ def test_an_answer_that_is_refused_is_asked_again_and_the_others_stay(
     assert (rig.name, values["coil1.axial_loops"], values["coil2.radial_loops"]) == ("our pair", 12.0, 9.0)
 
 
-def test_an_option_of_another_set_up_is_refused(tmp_path: Path) -> None:
-    result = run("init", tmp_path / "new", "--kind", "cage", "--radius-mm", 30)
-    assert (result.exit_code, "--radius-mm is no answer for --kind cage" in result.stderr) == (2, True)
-    made = run("init", tmp_path / "new", "--kind", "array", "--n-sensors", 5, "--json")
-    assert len(load_rig(json.loads(made.stdout)["rig"]).sensors) == 5
-
-
 @pytest.mark.parametrize(("moved", "motion"), list(itertools.product(Moved, Motion)))
 def test_whatever_is_moved_no_draw_of_the_truth_puts_a_sensor_into_the_winding(
     moved: Moved, motion: Motion

@@ -17,7 +17,7 @@ import torch
 from rich.console import Console
 
 from estimator.cli import live_session
-from estimator.cli.live_view import LiveState, LiveView, screen
+from estimator.cli.live_view import LiveState, screen
 from estimator.live import engine, refresh
 from estimator.live.refresh import Background, Refreshed
 from estimator.live.stream import Stream
@@ -29,7 +29,7 @@ from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
-from tests.estimator.cli.conftest import run, terminal
+from tests.estimator.cli.conftest import run
 
 N_STOPS = 108
 
@@ -159,12 +159,6 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     assert low < high
 
 
-def test_what_is_no_session_is_one_sentence(tmp_path: Path) -> None:
-    result = run("live", tmp_path / "none", "--wait", "0")
-    assert result.exit_code == 2
-    assert "must be one that coilcal acquire writes or wrote" in result.stderr
-
-
 def empty_state(rig: Rig) -> LiveState:
     return LiveState("session.zarr", rig.movers, 0, (), 0, 0.0, None, (), None, False)
 
@@ -276,16 +270,6 @@ def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(
     state = replace(empty_state(small_rig), alarms=alarms, refreshed=known)
     assert state.since == since
     assert state.verdict.endswith(f"; residuals are off since reading {since}")
-
-
-def test_on_a_terminal_the_screen_is_drawn_and_taken_away(
-    small_rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown_on = terminal(monkeypatch)
-    with LiveView() as view:
-        view(replace(empty_state(small_rig), n_stops=7, trouble="it was killed"))
-    assert "stop 0 of 7" in shown_on.getvalue()
-    assert "it was killed" in shown_on.getvalue()
 
 
 def test_the_screen_shows_instruments_intervals_alarms_and_verdict(

@@ -56,10 +56,3 @@ def test_places_of_a_plan_are_those_within_the_limits(workspace: Path, devices: 
     assert {stop.current_A["coil1"] for stop in load_plan(out, load_rig(rig)).stops} == {1.0}
     places.write_text(text.replace("currents_A: [{coil1: 3}]", "currents_A: [{coil1: 30}]"))
     assert "must be within the limits of the instruments" in refused(run(*call[:-1], "--overwrite"))
-
-
-def test_what_is_missing_is_said(workspace: Path) -> None:
-    rig = workspace / "rig.yaml"
-    assert "coil1 has no limits" in refused(run("plan", rig, "--stops", 10))
-    assert "a number of stops or a goal" in refused(run("plan", rig, workspace / "plan.yaml"))
-    assert "'field 3'" in refused(run("plan", rig, workspace / "plan.yaml", "--goal", "field 3"))

@@ -73,14 +73,6 @@ def test_files(workspace: Path) -> None:
     assert (record["kind"], record["points"]) == ("field CSV", 5)
 
 
-def test_a_folder_of_all_sorts(workspace: Path) -> None:
-    record, lines = told(workspace)
-    held = {entry["name"]: entry["kind"] for entry in record["holds"]}  # type: ignore[attr-defined]
-    expected = {"calibration": "calibration", "session.zarr": "session", "rig.yaml": "rig file"}
-    assert held.items() >= expected.items()
-    assert "session.zarr: session" in lines or lines[-1].startswith("and more")
-
-
 def test_a_session_that_grows(small_rig: Rig, tmp_path: Path) -> None:
     with Journal.create(tmp_path / "new.zarr", new_header(small_rig, "bench", "plan", {})) as journal:
         stop = StopReadings(0.0, [3.0], {"arm1": [0.0] * 6}, {"hall": [1e-3, 0.0, 0.0]}, False, 0)
@@ -129,14 +121,6 @@ def test_names_that_mark_a_folder_are_those_of_what_writes_it() -> None:
     assert (kinds.VERSIONS, kinds.LOG) == (registry.VERSIONS, registry.LOG)
     assert (kinds.RESULT_FILE, kinds.DATABASE) == (RESULT_FILE, DATABASE)
     assert (kinds.UNKNOWN, kinds.FIELD) == (UNKNOWN, FIELD)
-
-
-def test_a_batch_and_the_data_of_the_service(tmp_path: Path) -> None:
-    (tmp_path / "jobs" / "a").mkdir(parents=True)
-    (tmp_path / "jobs" / "a" / RESULT_FILE).touch()
-    assert told(tmp_path)[0] == {"kind": "batch", "fits": 1, "sampled": 0}
-    (tmp_path / DATABASE).touch()
-    assert told(tmp_path)[0] == {"kind": "data of the service", "sessions": 0, "jobs": 1}
 
 
 @pytest.mark.parametrize(

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-import torch
-from torch.testing import assert_close
 
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.elsewhere import computed_on
-from estimator.diagnosis.fit_place import FitSetting, fitting_by
-from estimator.diagnosis.fitting import Fit, fit_rig
-from estimator.diagnosis.hypotheses.candidates import Candidate
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import ask
 from estimator.diagnosis.mixture.correcting import corrected
-from estimator.diagnosis.mixture.expansion import Expansion
-from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.result import Diagnosis
-from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
@@ -37,93 +28,6 @@ GAIN = Cause("axis_gain", "hall")
 def plain(small_rig: Rig, small_session: Session) -> Fit:
     """Without a cause that is there."""
     return fit_of(small_rig, with_wrong(small_rig, small_session.observations, GAIN, {"x": 0.06}))
-
-
-@dataclass(frozen=True)
-class Weighed:
-    """What the readings say at a fit, item by item."""
-
-    pool: tuple[Candidate, ...]
-    dictionary: Dictionary
-    alone: torch.Tensor
-    leading: tuple[int, ...]
-    beside: torch.Tensor
-
-
-def weighed(fit: Fit) -> Weighed:
-    asked = ask(Expansion.of(fit), Limits(), 1, {})
-    products = asked.slots.products
-    alone, beside = products.beside([], asked.noise), products.beside(asked.leading, asked.noise)
-    return Weighed(asked.pool, asked.dictionary, alone, asked.leading, beside)
-
-
-def assert_alike(there: Weighed, near: Weighed) -> None:
-    assert [(c.cause, c.keys) for c in there.pool] == [(c.cause, c.keys) for c in near.pool]
-    for far, here in zip(there.pool, near.pool, strict=True):
-        assert far.shapes == pytest.approx(here.shapes, rel=1e-12)
-        assert (far.columns.device.type, far.columns.dtype) == ("cpu", torch.float64)
-        assert_close(far.columns * far.prior_sd, here.columns * here.prior_sd, rtol=1e-6, atol=1e-6)
-    assert there.dictionary.columns.device.type == "cpu"
-    items = near.dictionary.items
-    assert [(item.name, item.keys) for item in there.dictionary.items] == [(i.name, i.keys) for i in items]
-    assert {item.is_listed for item in items} == {True, False}
-    assert_close(there.alone, near.alone, rtol=1e-5, atol=1e-5)
-    assert there.leading == near.leading
-    assert {items[i].cause for i in near.leading} == {GAIN}
-    assert_close(there.beside, near.beside, rtol=1e-5, atol=1e-5)
-
-
-def test_items_on_another_device_say_the_same(plain: Fit) -> None:
-    near = weighed(plain)
-    with far_device() as far:
-        assert_alike(computed_on(far, weighed, plain), near)
-
-
-def test_the_fit_of_what_leads_there_is_that_of_the_processor(plain: Fit) -> None:
-    def moved(fit: Fit) -> Fit:
-        asked = ask(Expansion.of(fit), Limits(), 1, {})
-        sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
-        return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
-
-    near = moved(plain)
-    assert near.rig.effects == (GAIN,)
-    with far_device() as far:
-        there = computed_on(far, moved, plain)
-    assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)
-
-
-def test_items_do_not_depend_on_the_precision_of_new_tensors(plain: Fit) -> None:
-    """torch makes tensors in a default precision, single where nobody says otherwise."""
-    assert torch.get_default_dtype() is torch.float32
-    in_single = weighed(plain)
-    torch.set_default_dtype(torch.float64)
-    try:
-        in_double = weighed(plain)
-    finally:
-        torch.set_default_dtype(torch.float32)
-    assert_alike(in_single, in_double)
-
-
-def test_full_fit_of_a_cause_there_climbs_in_single_precision_and_ends_in_double(plain: Fit) -> None:
-    def fitted(fit: Fit) -> Fit:
-        rig = with_effect(fit.rig, GAIN, fit.observations, {})
-        return fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.model.rules)
-
-    near = fitted(plain)
-    with far_device() as far:
-        for dtype in (torch.float64, torch.float32):
-            with fitting_by(FitSetting(place=(far, dtype))):
-                there = computed_on(far, fitted, plain)
-            assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)
-            assert there.observations is plain.observations
-            assert there.vector.dtype == torch.float64
-            assert float(((there.vector - near.vector) ** 2 / near.covariance.diagonal()).max()) < 1e-4
-
-
-def test_on_the_processor_nothing_is_moved(plain: Fit) -> None:
-    asked: list[Fit] = []
-    assert computed_on(torch.device("cpu"), lambda fit: asked.append(fit) or fit, plain) is plain
-    assert asked == [plain]
 
 
 @pytest.mark.slow

@@ -9,10 +9,8 @@ import torch
 from estimator.diagnosis import widening
 from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.structure.jackknife import jackknife_covariance
-from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, have_whole_counts, within_prior
+from estimator.diagnosis.widening import Widening, envelope, within_prior
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
@@ -60,13 +58,6 @@ def test_more_readings_make_nothing_surer_of_what_the_mixture_leaves_open(small_
     for name, factor in Widening.of(searched, fitted_to_all, names, spread).factors.items():
         assert factor * fitted_to_all.value_sd(name) >= 0.99 * searched.value_sd(name, spread)
         assert factor > 1.0
-
-
-def test_of_right_readings_little_is_made_less_sure_and_nothing_surer(of_nothing: Answer) -> None:
-    plain, numbers = of_nothing.plain, Numbers.of(of_nothing)
-    factors = Widening.of(plain, plain, numbers.names, numbers.about(plain)).factors
-    assert set(factors) == {parameter.name for parameter in plain.rig.free}
-    assert all(1.0 <= factor < 2.5 for factor in factors.values())
 
 
 def test_what_is_open_of_some_numbers_opens_those_that_follow_them(small_rig, small_session) -> None:
@@ -163,13 +154,6 @@ def test_a_whole_count_has_the_probability_that_the_widening_gives_it(fit: Fit) 
     assert len(np.unique(counts)) > 3
 
 
-def test_counts_that_are_hardly_known_become_real_numbers(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One coil alone has hardly more plausible counts than a table holds."""
-    monkeypatch.setattr(widening, "MOST_EFFECTIVE", 3.0)
-    assert have_whole_counts(fit.rig, drawn(fit, 1.0))
-    assert not have_whole_counts(fit.rig, drawn(fit, 10.0))
-
-
 def test_no_draw_leaves_the_bounds_of_its_prior(rig_text: str, small_session: Session, fit: Fit) -> None:
     most_mm = 1e3 * (float(fit.values[RADIUS]) + fit.value_sd(RADIUS))
     rig = rig_from_text(rig_text.replace("mean: 51, sd: 1}", f"mean: 51, sd: 1, upper: {most_mm}}}"))
@@ -215,14 +199,6 @@ def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow
         )
         assert torch.linalg.eigvalsh(0.5 * (more + more.T)).min() > -1e-6 * more.abs().max()
     assert max(wider.factors.values()) > 1.5
-
-
-def test_directions_that_rounding_made_negative_do_not_stop_an_envelope() -> None:
-    """Two zeros that readings cannot tell apart have a correlation so near to one that a Cholesky factorization fails."""
-    covariance = torch.tensor([[1.0, 1.0 + 1e-11], [1.0 + 1e-11, 1.0]], dtype=torch.float64)
-    assert float(torch.linalg.eigvalsh(covariance)[0]) < -LEAST_SHARE
-    wider = envelope(covariance, torch.full((2, 2), 4.0, dtype=torch.float64))
-    torch.testing.assert_close(wider, torch.full((2, 2), 4.0, dtype=torch.float64), atol=1e-5, rtol=0.0)
 
 
 def test_envelope_of_many_keeps_the_digits_of_what_is_sure() -> None:

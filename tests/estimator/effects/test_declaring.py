@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import pickle
 
 import pytest
 import torch
@@ -135,11 +134,6 @@ def test_first_number_that_breaks_its_rule_is_named() -> None:
     effect = ReadingEffect.cause(**BENT | {"quantities": numbers})(bent)
     assert effect.broken_rule({"a": -1.0, "b": 1.0}) == ("a", "must be > 0")
     assert effect.broken_rule({"a": 1.0, "b": 5.0}) is None
-
-
-def test_effect_is_the_same_in_another_process() -> None:
-    for name in ("axis_gain", "offset_spell", "room_wanders"):
-        assert type(pickle.loads(pickle.dumps(EFFECTS[name]))) is type(EFFECTS[name])
 
 
 def of_stage(stage, *names, **others):

@@ -16,14 +16,12 @@ import torch
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
-from estimator.errors import InvalidInput
 from estimator.export.json_model import calibration_schema
 from estimator.export.magnet import Magnet
 from estimator.export.torch_program import MagnetProgram
 from estimator.model.room_field import RoomField
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.system.system import System
 from tests.estimator.export.compared import Question, needs_gcc, needs_octave
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS, outline
 
@@ -149,13 +147,3 @@ def test_the_program_of_torch_has_field_and_gradient(
     currents_A = torch.tensor(list(CURRENTS_A.values()), dtype=torch.float64)
     field_T, gradient = program(question.points_m, currents_A, MOTION["stage"][None])
     question.check(torch.cat((field_T, gradient.flatten(1)), dim=1).numpy(), magnet)
-
-
-def test_a_system_has_their_field_but_not_in_machine_code(magnet: Calibration, points_m: Tensor) -> None:
-    system = System.of(magnet)
-    with pytest.raises(InvalidInput, match="machine code must express the whole model"):
-        system.compiled()
-    matrix = system.at(points_m, MOTION).actuation()
-    expected_T = magnet.field(points_m, CURRENTS_A, MOTION)
-    current_A = torch.tensor(list(CURRENTS_A.values()), dtype=torch.float64)
-    torch.testing.assert_close(matrix[..., :3, :] @ current_A, expected_T, rtol=1e-9, atol=1e-15)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import runpy
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -114,17 +113,6 @@ def test_octave_finds_the_system(
     system: System, expected: tuple[Tensor, Tensor, Tensor], tmp_path: Path
 ) -> None:
     check(QUESTION.by_octave(system, tmp_path), expected)
-
-
-def test_magpylib_makes_the_same_field(system: System, tmp_path: Path) -> None:
-    """It sums every loop; `coilcal predict` sums them to 1e-6 of the field."""
-    path = system.export("magpylib", tmp_path / "both.py", motion=MOTION)
-    field_T = runpy.run_path(str(path))["magnet"]([CURRENTS_A[name] for name in system.coils]).getB(
-        POINTS_M.numpy()
-    )
-    expected_T = system.at(POINTS_M, MOTION).field_T(system.currents(CURRENTS_A)).numpy()
-    size_T = np.linalg.norm(expected_T, axis=1)
-    assert (np.linalg.norm(field_T - expected_T, axis=1) < 3e-6 * size_T).all()
 
 
 def test_json_has_all_coils_and_tells_like_parameters_apart(system: System, tmp_path: Path) -> None:

@@ -174,14 +174,3 @@ def test_at_a_bound_of_the_prior_it_gives_up_and_says_so(small_rig: Rig, reading
     polished(running, readings)
     assert not running.is_polished
     assert running.n_sweeps <= MOST_SWEEPS
-
-
-def test_a_better_start_leaves_it_to_be_polished_again(small_rig: Rig, readings: Observations) -> None:
-    running = RunningFit(small_rig)
-    running.update(readings, N)
-    polished(running, readings)
-    running.refit(readings, running.coordinates.start())
-    assert not running.is_polished
-    polished(running, readings)
-    assert running.is_polished
-    assert distance_sd(running, small_rig, readings) < EQUAL_SD

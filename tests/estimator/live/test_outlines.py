@@ -85,10 +85,3 @@ def test_a_coil_with_straight_sides_is_a_rectangle_between_its_layers(
         assert outline.radius_m == pytest.approx(radius_m)
         assert outline.straight_m == pytest.approx((0.168 - 2 * radius_m, 0.128 - 2 * radius_m))
     assert math.dist(first.origin_m, second.origin_m) > 0.05
-
-
-def test_coils_without_a_winding_have_a_place_and_no_width() -> None:
-    rig = load_rig(CONFIGS / "mfg_8coil.yaml")
-    drawn = of(rig, at_rest(rig))
-    assert [outline.name for outline in drawn] == [coil.name for coil in rig.coils]
-    assert {outline.radius_m for outline in drawn} == {0.0}

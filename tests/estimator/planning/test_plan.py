@@ -78,10 +78,6 @@ def test_intervals_never_widen_and_the_number_of_stops_follows_from_the_goal(
     assert 0.5 * len(found.stops) < found.n_needed
 
 
-def test_a_seed_repeats_the_plan(planned: Planned, small_rig: Rig, both_signs: Plan) -> None:
-    assert plan(small_rig, both_signs, [GOAL], n_stops=40).text == planned.text
-
-
 def test_random_order_has_the_same_stops_and_takes_longer(
     planned: Planned, small_rig: Rig, both_signs: Plan
 ) -> None:

@@ -240,12 +240,6 @@ def test_mistakes_in_stops_are_named(tmp_path: Path, rig: Rig, old: str, new: st
     assert "plan.yaml, line " in str(caught.value)
 
 
-def test_stops_must_be_a_list(tmp_path: Path, rig: Rig) -> None:
-    (tmp_path / "plan.yaml").write_text("schema_version: 1\nname: none\nstops: 3\n", encoding="utf-8")
-    with pytest.raises(InvalidInput, match="stops must be a list of keys and values; received 3"):
-        load_plan(tmp_path / "plan.yaml", rig)
-
-
 RECOMMENDED = """\
 schema_version: 1
 name: recommended
@@ -298,10 +292,3 @@ def test_mistakes_of_all_parts_are_told_at_once(rig: Rig, tmp_path: Path) -> Non
     path.write_text(text, encoding="utf-8")
     told = [str(fault).partition(" ")[0] for fault in plan_and_faults(path, rig)[1]]
     assert told == ["poses.validation.stage.x_kg", "currents_A", "order", "repeats"]
-
-
-def test_a_plan_without_faults_is_the_one_that_is_loaded(rig: Rig, tmp_path: Path) -> None:
-    plan = loaded(tmp_path, rig)
-    again, faults = plan_and_faults(tmp_path / "plan.yaml", rig)
-    assert again is not None
-    assert (faults, again.name, again.currents_A) == ([], plan.name, plan.currents_A)

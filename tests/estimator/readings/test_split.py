@@ -71,12 +71,6 @@ def test_blocks_are_neighbours_in_units_of_their_own_spread() -> None:
     assert torch.equal(block_split(readings(scaled), 0.2, 0), block_split(readings(grid(6)), 0.2, 0))
 
 
-def test_the_seed_decides() -> None:
-    observations = readings(grid(5))
-    assert torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 3))
-    assert not torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 4))
-
-
 def test_blocks_of_time_hold_readings_that_follow_each_other() -> None:
     observations = readings(grid(5))
     backwards = observations.rows(torch.arange(len(observations)).flip(0))
@@ -124,12 +118,3 @@ def test_blocks_are_of_neighbours_where_only_some_poses_place_them(monkeypatch: 
     nearest_m = np.linalg.norm(position_m[:, None] - centres, axis=2).min(axis=1)
     assert np.quantile(own_m - nearest_m, 0.9) < 0.02
     assert len(np.unique(block)) > 15
-
-
-@given(st.integers(1, 5), st.integers(0, 100))
-def test_different_poses_are_those_of_numpy(n_columns: int, seed: int) -> None:
-    poses = np.random.default_rng(seed).integers(-2, 3, (60, n_columns)) * -1.0
-    expected, expected_row = np.unique(poses, axis=0, return_inverse=True)
-    distinct, row = split._distinct(poses)
-    assert (distinct == expected).all()
-    assert (row == expected_row.ravel()).all()

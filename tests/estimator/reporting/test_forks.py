@@ -34,12 +34,6 @@ def test_results_come_in_the_order_of_the_items_from_other_processes() -> None:
     assert len({pid for _, pid in results}) == 7
 
 
-def test_one_item_or_one_core_needs_no_fork(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert in_forks(lambda _: os.getpid(), [1]) == [os.getpid()]
-    monkeypatch.setattr(side_by_side, "MOST_CORES", 1)
-    assert in_forks(lambda _: os.getpid(), [1, 2]) == [os.getpid()] * 2
-
-
 def test_a_result_larger_than_a_pipe_arrives() -> None:
     assert [len(text) for text in in_forks(lambda n: "x" * n, [3_000_000, 2_000_000])] == [
         3_000_000,

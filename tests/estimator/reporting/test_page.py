@@ -12,7 +12,6 @@ from matplotlib.backend_bases import RendererBase
 from matplotlib.figure import Figure
 from PIL import Image
 
-from estimator.errors import InvalidInput
 from estimator.reporting.page import Picture, ReportPage, Table, render_report
 
 NAUGHTY = '<script>alert("x")</script> & <b>'
@@ -144,24 +143,3 @@ def test_pictures_have_a_palette_and_look_as_they_were_drawn() -> None:
         Image.open(drawn).convert("RGB"), float
     )
     assert np.abs(difference).mean() < 2.0  # of 255 levels
-
-
-def test_a_report_without_warnings_figures_and_tables_has_no_empty_boxes() -> None:
-    text = render_report(ReportPage("rig a", "2026-01-01", ["Fine."]))
-    body = text[text.index("<body>") :]
-    assert not any(word in body for word in ("Warning", "<table", "<h2", "<figure"))
-
-
-def test_columns_of_numbers_are_aligned_to_the_right() -> None:
-    table = Table(
-        "t",
-        ["name", "value", "words"],
-        [["r", "−1.5 mm", "5 of them"], ["s", "—", "none"], ["t", "< 3 %", "a"]],
-    )
-    assert table.is_number == [False, True, False]
-    assert '<td class="number">51.0 mm</td>' in render_report(page())
-
-
-def test_a_row_of_the_wrong_length_is_refused() -> None:
-    with pytest.raises(InvalidInput, match="'Errors' must have 2 cells"):
-        Table("Errors", ["a", "b"], [["only one"]])

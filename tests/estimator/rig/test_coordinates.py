@@ -77,22 +77,6 @@ def test_values_and_vectors_are_inverse_to_each_other(text, integer_counts):
 
 @EVERY_RIG
 @BOTH_KINDS
-def test_values_of_coordinates_that_stand_apart_are_the_same(text, integer_counts):
-    coordinates = Coordinates(rig(text), integer_counts)
-    vectors = prior_vectors(coordinates, 5)
-    columns = [column.clone().requires_grad_() for column in vectors.unbind(-1)]
-    values = coordinates.values_of_each(columns)
-    for name, value in coordinates.values(vectors).items():
-        torch.testing.assert_close(values[name], value, rtol=1e-13, atol=1e-16)
-    noise = columns[coordinates.names.index("hall.noise_T")] if "hall.noise_T" in coordinates.names else None
-    if noise is not None:
-        others = [column for column in columns if column is not noise]
-        gradients = torch.autograd.grad(values["hall.noise_T"].sum(), others, allow_unused=True)
-        assert all(gradient is None for gradient in gradients)
-
-
-@EVERY_RIG
-@BOTH_KINDS
 def test_start_holds_the_nominal_values(text, integer_counts):
     of = rig(text)
     coordinates = Coordinates(of, integer_counts)
@@ -195,21 +179,6 @@ def test_with_whole_counts_they_are_the_last_columns_as_they_are():
     assert torch.equal(draws, draws.round())
     assert draws.min() >= 1.0
     assert draws.std(0).min() > 1.0
-
-
-def test_labels_name_every_coil_and_what_is_not_natural_keeps_its_name():
-    both = Coordinates(rig(RIGS["two coils, both natural"]))
-    labels = both.labels
-    assert {"coil1 turns", "coil2 turns", "coil1 rms radius", "coil2 winding length"} <= set(labels)
-    assert {"coil1.turns", "coil2.rms_radius_m", "coil1.thickness_m", "hall.noise_T"} <= set(both.quantities)
-    assert "coil1.axial_loops" not in both.quantities
-    assert len(set(labels)) == len(labels)
-    assert Coordinates(rig(RIGS["wire fixed, counts free"])).labels == (
-        "coil1 rms radius",
-        "coil1.axial_loops",
-        "coil1.radial_loops",
-        "hall.noise_T",
-    )
 
 
 def test_ties_follow_what_they_are_tied_to():

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import yaml
 from hypothesis import HealthCheck, assume, given, settings
@@ -213,17 +211,6 @@ def test_any_rig_is_read_as_it_was_written(rig: Rig) -> None:
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_rig_files_of_the_repository_are_read_as_they_were_written(path: Path) -> None:
     check_same(load_rig(path))
-
-
-def test_both_coils_of_the_tests_with_what_a_fit_left_of_their_numbers(two_coils_text: str) -> None:
-    rig = rig_from_text(two_coils_text)
-    check_same(rig)
-    check_same(rig.with_values({"coil1.radius_m": math.pi / 70.0}).with_fixed(["coil1.axial_loops"]))
-
-
-def test_numbers_of_python_and_numpy_are_written_as_floats(small_rig: Rig) -> None:
-    rig = small_rig.with_values({"coil1.radius_m": np.float64(0.0517), "coil1.axial_loops": 13})
-    assert rig_from_text(rig_text(rig)) == rig
 
 
 def test_what_goes_without_saying_is_not_written(small_rig: Rig) -> None:

@@ -13,8 +13,6 @@ import pytest
 from starlette.testclient import TestClient
 
 from estimator.errors import InvalidInput
-from estimator.recalibration.alerts import calls_for_action
-from estimator.recalibration.conclusion import IS_CONVERGED
 from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import Registry
 from estimator.service import alerts, tasks
@@ -111,14 +109,6 @@ def test_a_recalibration_leaves_a_conclusion_that_calls_for_action(
     assert [(one["rig"], one["session"], one["reason"]) for one in left] == (
         [("small", "abc", entry.reason)] if has_alerts else []
     )
-
-
-def test_what_calls_for_action() -> None:
-    assert calls_for_action(DRIFT)
-    assert calls_for_action(LATER)
-    assert calls_for_action(Entry("updated", "x", checks={IS_CONVERGED: False}))
-    assert not calls_for_action(Entry("updated", "x", checks={IS_CONVERGED: True}))
-    assert not calls_for_action(Entry("unchanged", "x"))
 
 
 def test_a_command_comes_from_the_settings_only(idle: Callable[..., TestClient]) -> None:

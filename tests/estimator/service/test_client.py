@@ -21,7 +21,6 @@ import torch
 from starlette.testclient import TestClient
 
 from estimator.calibration.calibrate import calibrate
-from estimator.calibration.result import Calibration
 from estimator.client import (
     AsyncClient,
     AsyncRemoteCalibration,
@@ -194,14 +193,6 @@ def test_a_service_that_is_not_there_is_said_in_words(
 
     with pytest.raises(ServiceFault, match=sentence):
         asyncio.run(there())
-
-
-@pytest.mark.parametrize(
-    "name", ["field", "gradient", "field_interval", "gradient_interval", "coils_alone", "summary", "export"]
-)
-def test_reading_methods_have_the_parameters_of_the_python_api(name: str) -> None:
-    here, there = (inspect.signature(getattr(kind, name)) for kind in (Calibration, RemoteCalibration))
-    assert list(here.parameters) == list(there.parameters)
 
 
 def test_of_coils_alone_every_prediction_and_export_is_asked_so(tmp_path: Path) -> None:

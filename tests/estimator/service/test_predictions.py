@@ -237,17 +237,6 @@ def test_what_arrives_together_runs_as_one_batch_and_a_fault_stays_with_its_own(
     assert slow["sizes"] == [1, 4, 1, 1, 1, 1]
 
 
-def test_batches_hold_one_calibration_one_wish_and_a_limited_number_of_points() -> None:
-    def waiting(folder: str, n: int, *, has_gradient: bool = False) -> Any:
-        wanted = Wanted(has_gradient=has_gradient)
-        points_m = torch.zeros(n, 3, dtype=torch.float64)
-        return module._Waiting(Path(folder), Question(points_m, {}, {}), wanted)
-
-    a, b, c = waiting("a", 900), waiting("b", 1), waiting("a", 900)
-    other, beyond = waiting("a", 1, has_gradient=True), waiting("a", 900)
-    assert module._batches([a, b, c, other, beyond]) == [[a, c], [b], [other], [beyond]]
-
-
 def test_a_full_queue_says_when_to_come_again(slow: dict[str, Any], client: TestClient) -> None:
     slow["go"].set()
     small: Predictor = slow["predictor"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -107,18 +106,6 @@ def test_an_earlier_version_comes_back_and_the_log_has_pages(
     assert str(core.data) not in json.dumps(over_time)
     audit = api.get("/v1/audit").json()
     assert (audit[0]["action"], audit[0]["target"]) == ("registry.roll_back", f"{rig_id} 1")
-
-
-def test_a_rig_without_sessions_has_an_empty_registry(idle: Callable[..., TestClient], rig_text: str) -> None:
-    client = idle()
-    path = f"/v1/rigs/{upload_rig(client, rig_text)}/registry"
-    assert client.get(path).json()["current"] is None
-    assert client.get(f"{path}/versions").json() == {"items": [], "next": None}
-    over_time = client.get(f"{path}/history").json()
-    assert (over_time["sessions"], over_time["periods"], over_time["current"]) == ([], [], None)
-    refused = refusal(client.post(f"{path}/roll-back", json={"version": 1}), 409)
-    assert refused["rule"] == "must have a version; it has none"
-    refusal(client.get(f"/v1/rigs/{'0' * 32}/registry"), 404)
 
 
 def test_a_batch_fits_every_session_under_every_hypothesis(

@@ -17,9 +17,8 @@ from starlette.testclient import TestClient
 
 from estimator.live.stream import Stream
 from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
-from estimator.service.live_state import REDRAWN_AT, Device, LiveState, updated
+from estimator.service.live_state import REDRAWN_AT, LiveState
 from estimator.service.watched import Watched
 from estimator.store.made import JOURNAL
 from estimator.store.session import Session
@@ -133,26 +132,6 @@ def test_without_new_readings_the_estimate_becomes_that_of_the_batch_fit(
         assert interval.value == pytest.approx(stream.intervals()[name].value, abs=1e-6 * interval.sd)
 
 
-def test_devices_are_those_of_the_readings_with_what_they_showed_last(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
-    lines = [json.loads(line) for line in lines_of(small_session, small_rig, 0, 12).splitlines()]
-    for line in lines[:9]:
-        line |= {"measured_A": {"coil1": 2.5}, "temperature_C": {"coil1": 20.0 + line["sequence"]}}
-    lines[8]["temperature_C"] = {"coil1": None}
-    lines[-1]["field_T"] = {"hall": [1e-3, None, 2e-3]}
-    body = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
-    told = watched(client, session_id, {0: lambda: append(client, session_id, body)}, 12)
-    commanded_A = lines[8]["current_A"]["coil1"]
-    assert told[0].devices == []
-    assert told[-1].devices == [
-        Device("sensor", "hall", [1e-3, None, 2e-3], "T", n_readings=12),
-        Device("mover", "arm1", lines[-1]["motion"]["arm1"][:3], "m", n_readings=12),
-        Device("supply", "coil1", [2.5], "A", commanded_A, n_readings=9, n_silent=3),
-        Device("thermometer", "coil1", [None], "°C", n_readings=9, n_silent=3),
-    ]
-
-
 def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(
     client: TestClient, session_id: str, small_session: Session, small_rig: Rig
 ) -> None:
@@ -217,15 +196,3 @@ def test_watched_sessions_are_counted_and_need_free_parameters(
         full = refusal(client.get(f"/v1/sessions/{others[1]}/live"), 429)
         assert full["detail"] == "watched sessions must be at most 2 at once"
     refusal(client.get(f"/v1/sessions/{'0' * 32}/live"), 404)
-
-
-def test_an_arm_that_reports_joints_is_shown_by_its_joints(two_coils_text: str) -> None:
-    rig = rig_from_text(two_coils_text)
-    joints = [0.1, -1.2, 1.3, 0.0, 0.5, 0.0]
-    motion = {mover.name: joints for mover in rig.movers}
-    entry = {"current_A": [0.0] * len(rig.coils), "field_T": {}, "motion": motion}
-    shown = {device.name: device for device in updated([], [entry], rig)}
-    for mover in rig.movers:
-        values, unit = (joints[:3], "m") if mover.table is None else (joints, "rad")
-        assert shown[mover.name] == Device("mover", mover.name, values, unit, n_readings=1)
-    assert {device.unit for device in shown.values()} == {"m", "rad"}

@@ -51,22 +51,6 @@ def test_posterior_of_the_amplitudes_is_that_of_linear_least_squares(small_rig: 
     torch.testing.assert_close(fit.covariance, torch.linalg.inv(precision), rtol=1e-6, atol=1e-12 * width**2)
 
 
-def test_columns_of_many_starts_are_those_of_each(small_rig: Rig, small_session: Session):
-    """Also in weak fields: a gain above some level depends on the field, not on the noise of what was read."""
-    readings = small_session.observations.calibration
-    noise_T = 0.3 * float(readings.field_sensor_T.square().mean().sqrt())
-    drawn = torch.randn(readings.field_sensor_T.shape, generator=torch.Generator().manual_seed(1)).double()
-    noisy = fit_of(small_rig, readings.with_field(readings.field_sensor_T + noise_T * drawn))
-    several = {kind.cause.name: kind for kind in kinds_of(noisy) if len(kind.starts) > 1}
-    assert several.keys() >= {"gain_steps", "axis_steps", "zero_steps", "current_steps"}
-    for name, kind in several.items():
-        some = kind.starts[:: max(1, len(kind.starts) // 5)]
-        together = kind.columns(noisy, some, kind.lowest)
-        for start, columns in zip(some, together, strict=True):
-            (alone,) = kind.columns(noisy, [start], kind.lowest)
-            assert (columns - alone).norm() <= 0.01 * alone.norm() + 1e-9, (name, start)
-
-
 def test_only_what_predictions_have_is_handed_out(small_rig: Rig, small_session: Session):
     """Of a current that depends on what was before, its sign; nothing of time, of a sensor, or of where a probe was carried."""
     plain = fit_of(small_rig, small_session.observations.calibration)

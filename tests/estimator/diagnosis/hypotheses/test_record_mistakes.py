@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
@@ -20,7 +19,6 @@ from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.use import shifts_rows
-from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.mixture.hand_made import said
@@ -71,14 +69,6 @@ def test_mistake_is_doubtful_where_more_is_left_than_it_explained(of_nothing: An
     for log_bayes_factor, is_doubtful in ((50.0, False), (30.0, True)):
         mistake = RecordMistake(Cause("axes_swapped", "hall"), log_bayes_factor, ())
         assert _are_doubtful([mistake], found) is is_doubtful
-
-
-def turning(observations: Observations) -> Observations:
-    """The readings with the arm turned a little at each."""
-    motion = observations.motion["arm1"].clone()
-    generator = torch.Generator().manual_seed(4)
-    motion[:, 3:] = 0.3 * torch.randn(len(motion), 3, dtype=torch.float64, generator=generator)
-    return replace(observations.alone, motion={"arm1": motion})
 
 
 def test_fields_that_were_written_beside_their_rows_are_put_back(
@@ -137,30 +127,3 @@ def test_an_axis_that_is_reversed_in_mid_session_is_found_to_the_reading(
     is_taken_wrongly = ((readings.time_s - readings.time_s[0]) / 3600.0 > since_h) != is_late
     assert not (field_T[is_taken_wrongly, 1].abs() > 4.0 * noise_T).any()  # others have no sign to be seen
     assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        for name, e in EFFECTS.items()
-        if e.is_record_mistake and "_exchanged" not in name and name != "field_frame"  # its sensor is carried
-    ],
-)
-def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
-    small_rig: Rig, small_session: Session, name: str
-):
-    base = fit_of(small_rig, turning(small_session.observations.calibration))
-    circumstances = base.posterior.model.circumstances
-    (place,) = EFFECTS[name].places(small_rig)
-    starts = EFFECTS[name].starts(circumstances, place)[:20]
-    cause, few = Cause(name, place), base.observations
-    one_by_one = [
-        value
-        for start in starts
-        for value in record_mistakes._start_log_likelihoods(base, cause, [start], few)
-    ]
-    assert record_mistakes._start_log_likelihoods(base, cause, starts, few) == pytest.approx(
-        one_by_one, rel=1e-9
-    )
-    assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2

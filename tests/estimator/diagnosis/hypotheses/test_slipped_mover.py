@@ -5,10 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-import torch
 
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import at_starts, causes_of
+from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.rig.rig import Cause
@@ -42,19 +41,6 @@ def test_the_same_shift_at_all_sensors_is_the_movers_and_at_one_the_sensors(
     best = max(evidence, key=evidence.__getitem__)
     assert best == Cause(name, "arm1" if name == SLIPPED else place)
     assert all(evidence[best] > value + 5.0 for cause, value in evidence.items() if cause != best)
-
-
-@pytest.mark.whole
-@pytest.mark.parametrize("name", [SLIPPED, "mover_spell", BUMPED])
-def test_columns_at_many_instants_are_those_of_each_alone(name: str, tmp_path: Path) -> None:
-    fit, _ = fit_of_hidden(SLIPPED, tmp_path)
-    cause = next(cause for cause in causes_of(fit.rig, fit) if cause.name == name)
-    starts = list(EFFECTS[name].starts(fit.circumstances, cause.place))[::40]
-    together = at_starts(fit, cause, starts)
-    for start, one_of_many in zip(starts, together, strict=True):
-        (alone,) = at_starts(fit, cause, [start])
-        assert one_of_many.shapes == start
-        torch.testing.assert_close(one_of_many.columns, alone.columns, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.whole

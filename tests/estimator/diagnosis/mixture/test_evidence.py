@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from estimator.diagnosis.mixture.evidence import Beside, Products
-from tests.estimator.diagnosis.mixture.dictionaries import N, dictionary, item, log_density
+from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item, log_density
 
 ITEMS = [
     item("one", [0]),
@@ -37,14 +37,6 @@ def test_evidence_beside_others_is_the_ratio_of_full_densities(chosen):
             assert float(beside[i]) == pytest.approx(log_density(made, [*chosen, i]) - before, abs=1e-8)
 
 
-@pytest.mark.parametrize("noise", [0.5, 1.3])
-def test_another_noise_changes_it_as_the_density_says_where_the_numbers_are_free(noise):
-    made = dictionary(ITEMS, prior_precision=1e-5)
-    beside = Products(made).beside([1], noise)
-    expected = log_density(made, [1, 2], noise) - log_density(made, [1], noise)
-    assert float(beside[2]) == pytest.approx(expected, abs=1e-3)
-
-
 @pytest.mark.parametrize("prior_precision", [1e-5, 0.3, 1e3])
 @pytest.mark.parametrize("chosen", [[], [0], [1, 3], [2, 4]])
 def test_likelihood_of_any_noise_is_that_of_the_full_density_however_tight_the_priors(
@@ -65,20 +57,6 @@ def test_likelihood_of_a_set_and_evidence_of_its_last_item_agree_where_the_numbe
     gained = products.log_likelihood([0, 2, 3], noise) - products.log_likelihood([0, 3], noise)
     beside = [float(products.beside([0, 3], float(one))[2]) for one in noise]
     assert gained.tolist() == pytest.approx(beside, abs=1e-8)
-
-
-def test_components_without_weight_are_as_if_they_had_not_been_measured():
-    made = dictionary(ITEMS)
-    kept = torch.arange(N) % 2 == 0
-    few = replace(
-        made,
-        columns=made.columns[kept],
-        residual=made.residual[kept],
-        always=made.always.of(made.always.jacobian[kept], made.prior_precision),
-    )
-    by_weight, by_rows = Products(made, kept.to(torch.float64)), Products(few)
-    assert by_weight.n == by_rows.n
-    assert torch.allclose(by_weight.beside([0], 1.0), by_rows.beside([0], 1.0), atol=1e-9)
 
 
 def test_sizes_are_those_of_a_regression_with_the_same_priors():
@@ -132,14 +110,3 @@ def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(
     beside = Products(made).beside([0], noise)
     assert float(beside[2]) == pytest.approx(expected, abs=1e-3)
     assert float(beside[1]) != pytest.approx(float(beside[2]), abs=0.1)
-
-
-@pytest.mark.parametrize("without", [0, 3, 2])
-@pytest.mark.parametrize("noise", [0.6, 1.0])
-def test_beside_all_but_one_is_as_if_that_one_had_never_been_there(without, noise):
-    products, chosen = Products(dictionary(ITEMS)), [0, 2, 3]
-    rest = [i for i in chosen if i != without]
-    expected = products.beside(rest, noise)
-    torch.testing.assert_close(
-        Beside(products, chosen, noise).evidence(without), expected, rtol=1e-8, atol=1e-8
-    )

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 
 import pytest
 import torch
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import Expansion
@@ -24,29 +22,6 @@ pytestmark = pytest.mark.whole
 
 BODY = Cause("iron_body", "room")
 PLACE_M = {"x_m": 0.03, "y_m": -0.05, "z_m": 0.05}
-
-
-@pytest.fixture(scope="module")
-def plain(small_rig: Rig, small_session: Session) -> Fit:
-    return fit_of(small_rig, small_session.observations.calibration)
-
-
-def test_all_items_of_the_listed_causes_share_one_prior_by_names_then_places_then_starts(plain: Fit):
-    starts = starts_of(plain, candidates(plain, causes_of(plain.rig, plain)))
-    by_name: dict[str, float] = defaultdict(float)
-    for item in present_items(starts):
-        by_name[item.start.candidate.cause.name] += math.exp(item.log_prior)
-    assert sum(by_name.values()) == pytest.approx(1.0)
-    assert list(by_name.values()) == pytest.approx([1.0 / len(by_name)] * len(by_name))
-
-
-def test_half_of_a_cause_is_for_all_its_quantities_and_widths_are_as_probable_as_stated(plain: Fit):
-    (start,) = starts_of(plain, candidates(plain, [Cause("axis_gain", "hall")]))
-    items = present_items([start])
-    whole = [item for item in items if len(item.subset) == 3]
-    assert sum(math.exp(item.log_prior - start.log_prior) for item in whole) == pytest.approx(0.5)
-    shares = {item.width: 2.0 * math.exp(item.log_prior - start.log_prior) for item in whole}
-    assert shares == pytest.approx(dict(policy.WIDTHS))
 
 
 def test_a_place_between_starts_is_found(

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.path import Path
 
 from estimator.reporting.plots import corner
-from estimator.reporting.plots.corner import _credible_set_colours
-from estimator.reporting.plots.style import INSIDE_68, INSIDE_95, OUTSIDE, TRUTH
+from estimator.reporting.plots.style import TRUTH
 
 pytestmark = pytest.mark.whole
 
@@ -45,13 +44,6 @@ def test_corner_has_one_panel_per_pair_and_shows_units(
     ):
         assert label in text
     assert "truth" not in text
-
-
-def test_counts_are_bars_over_whole_numbers(draws: dict[str, np.ndarray]) -> None:
-    fig = corner({"coil1.axial_loops": draws["coil1.axial_loops"]})
-    bars = fig.axes[0].patches
-    assert [bar.get_x() + 0.4 for bar in bars] == pytest.approx(np.unique(draws["coil1.axial_loops"]))
-    assert sum(bar.get_height() for bar in bars) == pytest.approx(1.0)
 
 
 def test_truth_and_point_estimate_are_marked_in_display_units(
@@ -91,25 +83,10 @@ def _share_inside(rings: ContourSet, i: int, x: np.ndarray, y: np.ndarray) -> fl
     return float(np.mean(counts % 2))
 
 
-def test_the_most_probable_counts_are_shaded_first() -> None:
-    assert _credible_set_colours(np.array([0.02, 0.7, 0.2, 0.08])) == [
-        OUTSIDE,
-        INSIDE_68,
-        INSIDE_95,
-        INSIDE_95,
-    ]
-
-
 def test_a_count_that_is_certain_can_be_drawn(words: Callable[[Axes | Figure], str]) -> None:
     rng = np.random.default_rng(0)
     fig = corner({"c.radius_m": rng.normal(0.05, 1e-4, 500), "c.axial_loops": np.full(500, 48.0)})
     assert "48 (> 99 %)" in words(fig)
-
-
-@pytest.mark.slow
-def test_twelve_parameters_can_be_drawn(words: Callable[[Axes | Figure], str]) -> None:
-    rng = np.random.default_rng(0)
-    words(corner({f"coil1.length{i}_m": rng.normal(size=200) for i in range(12)}))
 
 
 def test_labels_do_not_overlap_and_none_is_cut_off(draws: dict[str, np.ndarray]) -> None:

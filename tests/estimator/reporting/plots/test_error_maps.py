@@ -100,21 +100,6 @@ def test_a_single_plane_with_jitter_stays_visible(
     assert np.allclose(fig.axes[0].collections[0].get_heights(), 0.92 * 20.0)
 
 
-def test_a_plane_that_is_tilted_a_little_stays_visible_from_the_front(winding: Winding) -> None:
-    plane_m = np.unique(GRID_M * [1.0, 0.0, 1.0], axis=0)
-    plane_m[:, 1] = 0.012 * plane_m[:, 2]
-    for ax in residual_map(plane_m, np.full(plane_m.shape, 1e-5), winding).axes[:2]:
-        (drawn,) = (item for item in ax.collections if isinstance(item, EllipseCollection))
-        assert drawn.get_widths().min() > 0.01 * np.ptp(ax.get_xlim())
-
-
-def test_a_long_scan_is_not_squeezed_into_a_line(winding: Winding) -> None:
-    positions_m = GRID_M * [0.2, 0.2, 20.0]
-    side, front = residual_map(positions_m, np.ones(positions_m.shape), winding).axes[:2]
-    assert side.get_aspect() == "auto"
-    assert front.get_aspect() == 1.0
-
-
 def test_one_position_can_be_drawn(winding: Winding, words: Callable[[Axes | Figure], str]) -> None:
     words(residual_map(GRID_M[:1], np.zeros((1, 3)), winding))
 

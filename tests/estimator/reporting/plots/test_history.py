@@ -62,12 +62,3 @@ def test_labels_of_close_sessions_and_versions_do_not_lie_on_each_other() -> Non
         if i < j and boxes[i].overlaps(boxes[j])
     ]
     assert overlaps == []
-
-
-def test_what_drifted_is_drawn_before_a_version_has_it() -> None:
-    drift = {"axis_gain[hall].x": (0.033, 4e-3)}
-    sessions = [SessionSummary(day(n), "drifted", "axis gain", drift) for n in (2, 3)]
-    fig = history(sessions, [VersionInUse(day(1), day(4), 1, {"coil1.radius_m": (0.0508, 0.051, 0.0512)})])
-    _, gain_panel, _ = fig.axes
-    assert gain_panel.get_ylabel() == "axis gain x"
-    assert len(gain_panel.containers) == 2

@@ -1,12 +1,9 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from estimator.reporting.plots import Role, error_budget, evidence_bars, explained_residual, structure_bars
@@ -50,19 +47,6 @@ def test_names_alternatives_unsure_ones_and_what_is_left_are_groups_apart_that_a
     assert stated.xy[1] == ax.get_yticks()[0]
 
 
-def test_hopeless_hypotheses_are_cut_off_and_said_to_be(words: Callable[[Axes | Figure], str]) -> None:
-    ax = evidence_bars(EVIDENCE, "axis_gain")
-    assert bars(ax)[3].get_width() > -20.0
-    assert "< −8" in words(ax)
-
-
-def test_nothing_and_the_unexplained_are_shown_however_far_behind() -> None:
-    evidence = {f"cause{i}": 50.0 - i for i in range(30)} | {"nothing": 0.0, "unexplained": -2.0}
-    names = labels(evidence_bars(evidence))
-    assert {"nothing wrong", "something unlisted"} <= set(names)
-    assert len(names) == 12
-
-
 def test_points_lie_on_the_line_where_everything_is_explained() -> None:
     rng = np.random.default_rng(1)
     change_T = rng.normal(size=(80, 3)) * 50e-6
@@ -72,15 +56,6 @@ def test_points_lie_on_the_line_where_everything_is_explained() -> None:
     for line in points:
         assert np.allclose(line.get_xdata(), line.get_ydata())
     assert "µT" in ax.get_xlabel()
-
-
-def test_missing_components_are_left_out_of_the_picture() -> None:
-    change_T = np.full((30, 3), np.nan)
-    change_T[:, 2] = np.linspace(-1e-5, 1e-5, 30)
-    ax = explained_residual(change_T, change_T, 1e-6)
-    assert [text.get_text() for text in ax.get_legend().get_texts() if text.get_text().startswith("B")] == [
-        "Bz"
-    ]
 
 
 def test_structure_is_longer_the_surer_it_is_and_an_arrow_where_no_smaller_p_value_can_be_told() -> None:

@@ -25,14 +25,6 @@ def test_bands_are_the_quantiles_over_walkers() -> None:
     assert np.mean(median) == pytest.approx(50.0, abs=0.02)
 
 
-def test_traces_give_every_parameter_a_panel(words: Callable[[Axes | Figure], str]) -> None:
-    fig = traces(
-        {f"coil1.{name}_m": chain(i) for i, name in enumerate(("radius", "x", "y"))}, "rig, 2026-01-01"
-    )
-    text = words(fig)
-    assert all(label in text for label in ("radius (mm)", "x (mm)", "y (mm)", "step", "rig, 2026-01-01"))
-
-
 @pytest.mark.parametrize("width_in", [10.0, 5.0])
 def test_names_of_traces_do_not_overlap(width_in: float) -> None:
     causes = ("background_field[room]", "sensor_offset[hall]")

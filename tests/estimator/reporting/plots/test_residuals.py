@@ -13,7 +13,6 @@ from estimator.reporting.plots import (
     residual_by_sensor,
     residual_histogram,
 )
-from estimator.reporting.plots.residuals import _means, _neighbours
 
 SIGMA_T = 20e-6
 TITLE = "rig $a$, 2026-01-01"
@@ -74,18 +73,6 @@ def test_residual_against_counts_in_sigmas_where_sensors_differ(
     assert noise_band(ax) == pytest.approx((-1.0, 1.0))
 
 
-def test_means_of_neighbours_reveal_a_drift_below_the_noise() -> None:
-    time_s = np.linspace(0.0, 1.0, 1600)
-    drift = 0.5 * (time_s - 0.5) + np.random.default_rng(0).normal(0.0, 1.0, 1600)
-    centre, mean, error = _means(time_s, drift, _neighbours(time_s))
-    assert np.corrcoef(centre, mean)[0, 1] > 0.7
-    assert np.median(error) == pytest.approx(0.1, rel=0.2)
-
-
-def test_few_distinct_values_are_their_own_groups() -> None:
-    assert _neighbours(np.array([-1.0, 1.0, -1.0, 3.0])).tolist() == [0, 1, 0, 2]
-
-
 def test_histogram_is_whitened_and_shows_the_unit_normal(
     residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
 ) -> None:
@@ -96,13 +83,6 @@ def test_histogram_is_whitened_and_shows_the_unit_normal(
     assert has_zero_line(ax, upright=True)
     assert noise_band(ax, upright=True) == pytest.approx((-1.0, 1.0))
     assert ax.lines[1].get_ydata().max() == pytest.approx(0.3989, rel=1e-3)
-
-
-def test_histogram_survives_a_component_never_measured(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
-    residual_T[:, 2] = np.nan
-    assert "Bz" not in words(residual_histogram(residual_T, SIGMA_T))
 
 
 def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(
@@ -121,19 +101,3 @@ def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(
     assert [row for row, _ in marks] == [0, 0, 1, 1, 1]
     assert [rms for _, rms in marks] == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0], rel=0.15)
     assert [label.get_text() for label in ax.get_legend().get_texts()] == ["Bx", "By", "Bz"]
-
-
-def test_legend_stays_above_the_line_wherever_points_lie(residual_T: np.ndarray) -> None:
-    """Nothing is searched for its place: among the points of a large session that takes seconds."""
-    far_off_T = 0.1 + np.abs(residual_T)
-    upper, _ = predicted_against_measured(-far_off_T, far_off_T, SIGMA_T).child_axes
-    upper.figure.canvas.draw()
-    legend, panel = upper.get_legend().get_window_extent(), upper.get_window_extent()
-    assert legend.x0 - panel.x0 < 0.05 * panel.width
-    assert panel.y1 - legend.y1 < 0.05 * panel.height
-
-
-def test_legend_names_only_components_that_were_measured(residual_T: np.ndarray) -> None:
-    residual_T[:, :2] = np.nan
-    upper, _ = predicted_against_measured(residual_T, residual_T, SIGMA_T).child_axes
-    assert [label.get_text() for label in upper.get_legend().get_texts()] == ["Bz", "equal"]
