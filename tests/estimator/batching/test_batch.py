@@ -18,7 +18,7 @@ from estimator.batching import batch
 from estimator.batching.jobs import PLAIN, jobs_of, stacks
 from estimator.batching.page import _best, _scalars, _verdict, overview
 from estimator.batching.result import BatchResult
-from estimator.batching.work import fit
+from estimator.batching.work import fit, is_enough
 from estimator.errors import InvalidInput
 from estimator.model.simulate import simulate
 from estimator.readings.plan import Plan, load_plan
@@ -152,11 +152,52 @@ def test_a_posterior_goes_on_where_more_is_asked_for_and_ends_as_if_that_had_bee
     assert ask("twice", little)[0].n_new == 0
 
 
+def test_other_walkers_are_another_job(sessions):
+    names = {
+        jobs_of(str(sessions[0]), None, ("plain",), False, 0, SamplerSettings(n_walkers=n, target_ess=ess))[
+            0
+        ][0].name
+        for n, ess in ((16, 100.0), (18, 100.0), (18, 200.0))
+    }
+    assert len(names) == 2
+
+
+def test_another_precision_is_another_job_with_nearly_the_same_result(fitted, sessions, tmp_path):
+    (plain,), _ = jobs_of(str(sessions[0]), None, ("plain",), False, 0)
+    result = batch(sessions[:1], out=tmp_path, precision="single", has_posterior=False, workers=0)
+    assert result.names[0] != plain.name
+    old, new = (
+        json.loads((folder / name / "result.json").read_text())
+        for folder, name in ((fitted.folder, plain.name), (result.folder, result.names[0]))
+    )
+    assert (new["precision"], old["precision"]) == ("single", "double")
+    assert new["log_evidence"] == pytest.approx(old["log_evidence"], abs=1e-3)
+
+
 def test_device_and_precision_that_do_not_exist_are_refused_at_once(sessions, tmp_path):
     with pytest.raises(InvalidInput, match="device must be one that torch can compute on"):
         batch(sessions[:1], out=tmp_path, device="gpu", workers=0)
     with pytest.raises(InvalidInput, match="precision must be one of double, single"):
         batch(sessions[:1], out=tmp_path, precision="half", workers=0)
+
+
+def test_what_is_enough_depends_on_what_is_asked_for(tmp_path):
+    sampling = {"smallest_ess": 150.0, "largest_rhat": 1.005, "steps": 1000}
+    (tmp_path / "summary.json").write_text(json.dumps({"sampling": sampling}))
+    assert is_enough(tmp_path, SamplerSettings(target_ess=100.0))
+    assert not is_enough(tmp_path, SamplerSettings(target_ess=200.0))
+    assert not is_enough(tmp_path, SamplerSettings(target_ess=100.0, largest_rhat=1.001))
+    assert is_enough(tmp_path, SamplerSettings(target_ess=200.0, max_steps=1000))
+    assert not is_enough(tmp_path / "none", SamplerSettings())
+
+
+def test_only_what_is_missing_of_a_stack_counts_as_new(sessions, address, tmp_path):
+    def ask() -> BatchResult:
+        return batch(sessions, out=tmp_path, has_posterior=False, scheduler=address)
+
+    first = ask()
+    shutil.rmtree(first.folder / first.names[1])
+    assert ask().n_new == 1
 
 
 def test_copies_and_what_is_asked_for_twice_are_fitted_once(sessions, address, tmp_path):
@@ -303,6 +344,16 @@ def test_a_session_with_a_cause_is_said_first_and_not_covered_by_parameters_that
     assert first.startswith(f"Most probable is {name} in ")
     assert "(> 99 %): look at it with coilcal diagnose." in first
     assert not any(sentence.startswith("Every parameter agrees") for sentence in others)
+
+
+def test_table_is_written_with_all_digits(fitted, tmp_path):
+    import pandas as pd
+
+    fitted.save_table(tmp_path)
+    table = fitted.table()
+    pd.testing.assert_frame_equal(pd.read_parquet(tmp_path / "summary.parquet"), table)
+    read = pd.read_csv(tmp_path / "summary.csv")
+    assert read["coil1.radius_m"].to_numpy() == pytest.approx(table["coil1.radius_m"].to_numpy(), rel=1e-15)
 
 
 def test_no_session_and_an_unknown_cause_are_refused(sessions, tmp_path, address):

@@ -234,6 +234,11 @@ def test_too_few_readings_are_refused(rig: Rig) -> None:
         calibrate(session_at(rig, in_ball(40, 1)), rig, settings=SETTINGS)
 
 
+def test_single_precision_is_refused_for_differences_of_predictions(rig: Rig) -> None:
+    with pytest.raises(InvalidInput, match="coils without a winding must be calibrated in double precision"):
+        calibrate(session_at(rig, in_ball(150, 1)), rig, settings=SETTINGS, precision="single")
+
+
 def test_a_diagnosis_of_it_names_no_cause_and_asks_none_of_a_winding() -> None:
     low = rig_from_text(TEXT.replace("degree: 10", "degree: 4"))
     session = session_at(low, 0.5 * in_ball(150, 1))

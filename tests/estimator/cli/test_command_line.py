@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from typing import Any
 
 import click
 import pytest
@@ -48,3 +49,8 @@ def test_the_command_has_every_parameter_that_was_given(call: str) -> None:
 )
 def test_it_names_the_seed_and_leaves_out_what_changes_no_result(call: str, expected: str) -> None:
     assert command_of(context_of(shlex.split(call))) == expected
+
+
+def test_a_changed_result_is_seen_in_the_command() -> None:
+    commands: set[Any] = {command_of(context_of(shlex.split(call))) for call in CALLS}
+    assert len(commands) == len(CALLS)

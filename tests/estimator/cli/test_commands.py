@@ -179,6 +179,24 @@ def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, tmp_path
     assert second["inside_winding"] == "0"
 
 
+def test_predict_takes_motion_and_level(workspace: Path, tmp_path: Path) -> None:
+    folder, widths = workspace / "calibration", []
+    for level in (0.5, 0.95):
+        call = f"--grid x_mm=0 --current coil1=3 --motion arm1=0,0,0.01,0,0,0 --level {level} --overwrite"
+        result = run("predict", folder, *call.split(), "--out", tmp_path / "f.csv", "--json")
+        assert json.loads(result.stdout) == {
+            "file": str(tmp_path / "f.csv"),
+            "points": 1,
+            "inside_winding": 0,
+            "level": level,
+        }
+        (row,) = rows(tmp_path / "f.csv")
+        widths.append(float(row["Bz_upper_T"]) - float(row["Bz_lower_T"]))
+    assert widths[1] > 2 * widths[0]
+    at_rest = Calibration.load(folder).field(torch.tensor([[0.0, 0.0, -0.01]]).double(), {"coil1": 3.0})
+    assert float(row["Bz_T"]) == pytest.approx(at_rest[0, 2].item(), rel=1e-6)
+
+
 def test_predict_in_single_precision_and_on_a_device_that_is_not_there(
     workspace: Path, tmp_path: Path
 ) -> None:

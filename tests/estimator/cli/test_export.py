@@ -26,6 +26,18 @@ def test_json_follows_the_schema_that_is_printed(tmp_path: Path) -> None:
     jsonschema.validate(json.loads(out.read_text()), json.loads(run("schema", "calibration").stdout))
 
 
+def test_file_is_named_after_the_rig_and_not_replaced(
+    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run("export", workspace / "calibration", "--to", "cpp")
+    assert result.stdout == "C++17 header without dependencies written to coilcal_small.hpp\n"
+    text = Path("coilcal_small.hpp").read_text()
+    assert "namespace coilcal_small {" in text
+    assert "readings about coil1 lay at x " in text
+    assert "--overwrite" in refused(run("export", workspace / "calibration", "--to", "cpp"))
+
+
 def block(language: str) -> str:
     """The first example of a language on the page that explains exports."""
     text = PAGE.read_text(encoding="utf-8")

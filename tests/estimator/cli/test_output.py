@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from estimator.calibration.calibrate import Stage
 from estimator.cli.main import main
+from estimator.cli.named import named_number, named_numbers
 from estimator.cli.output import CoilcalCommand, explained_errors
 from estimator.cli.progress import Reporter
 from estimator.errors import CorruptStore, InvalidInput
@@ -52,6 +53,17 @@ def test_a_program_gets_the_fault_as_json_too(capsys: pytest.CaptureFixture[str]
 def test_a_closed_pipe_and_a_bug_are_not_explained_away(fault: Exception) -> None:
     with pytest.raises(type(fault)), explained_errors():
         raise fault
+
+
+def test_options_name_numbers() -> None:
+    assert named_number(["coil1=3", "coil2=-2e-3"], "--current") == {"coil1": 3.0, "coil2": -2e-3}
+    assert named_numbers("arm1=0,0,0.1,0,0,-1", "--motion", 6) == ("arm1", [0.0, 0.0, 0.1, 0.0, 0.0, -1.0])
+
+
+@pytest.mark.parametrize("text", ["coil1", "coil1=", "coil1=3 A", "coil1=1,2", "coil1=inf", "3", ""])
+def test_what_is_no_named_number_is_refused(text: str) -> None:
+    with pytest.raises(InvalidInput, match=r"--current must look like NAME=1\.0; received"):
+        named_number([text], "--current")
 
 
 def test_quiet_keeps_progress_back_and_verbose_logs(tmp_path: Path) -> None:

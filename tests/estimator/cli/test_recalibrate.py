@@ -114,6 +114,11 @@ def test_a_signal_just_after_a_run_ends_the_service_without_a_word_more(
     assert not caplog.records
 
 
+def test_json_holds_every_conclusion_in_one_object(concluding: Callable[..., Result]) -> None:
+    result = concluding(("unchanged", "rejected"), "--json")
+    assert [entry["conclusion"] for entry in json.loads(result.stdout)["added"]] == ["unchanged", "rejected"]
+
+
 def test_alerts_go_out_for_drifts_and_rejections_only_and_a_failing_one_is_not_fatal(
     concluding: Callable[..., Result], tmp_path: Path
 ) -> None:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from itertools import permutations
-
 import pytest
 import torch
 
-from estimator.diagnosis.budget import Budget, _orders, budget
+from estimator.diagnosis.budget import Budget, budget
 from estimator.diagnosis.fitting import Fit
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -105,15 +103,3 @@ def test_noise_is_that_of_the_record(small_rig: Rig, small_session: Session) -> 
     rig = with_effect(small_rig, Cause("unit_error", place), readings, unit)
     plain, wider = (fit_of(rig, readings.calibration, *some) for some in ((), (GAIN,)))
     assert budget(plain, wider, readings.validation, seed=1) is None
-
-
-@pytest.mark.parametrize("n", [1, 3])
-def test_few_causes_are_added_in_all_orders(n: int) -> None:
-    assert sorted(_orders(n, 1)) == sorted(permutations(range(n)))
-
-
-def test_many_causes_are_added_in_one_order_and_its_reverse() -> None:
-    orders = _orders(9, 1)
-    assert all(sorted(order) == list(range(9)) for order in orders)
-    assert all(order[::-1] in orders for order in orders)
-    assert _orders(9, 1) == orders

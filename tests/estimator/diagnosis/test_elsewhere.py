@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+import torch
+from torch.testing import assert_close
 
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.climb import ask
 from estimator.diagnosis.mixture.correcting import corrected
+from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.result import Diagnosis
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
@@ -28,6 +35,46 @@ GAIN = Cause("axis_gain", "hall")
 def plain(small_rig: Rig, small_session: Session) -> Fit:
     """Without a cause that is there."""
     return fit_of(small_rig, with_wrong(small_rig, small_session.observations, GAIN, {"x": 0.06}))
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """What the readings say at a fit, item by item."""
+
+    pool: tuple[Candidate, ...]
+    dictionary: Dictionary
+    alone: torch.Tensor
+    leading: tuple[int, ...]
+    beside: torch.Tensor
+
+
+def weighed(fit: Fit) -> Weighed:
+    asked = ask(Expansion.of(fit), Limits(), 1, {})
+    products = asked.slots.products
+    alone, beside = products.beside([], asked.noise), products.beside(asked.leading, asked.noise)
+    return Weighed(asked.pool, asked.dictionary, alone, asked.leading, beside)
+
+
+def assert_alike(there: Weighed, near: Weighed) -> None:
+    assert [(c.cause, c.keys) for c in there.pool] == [(c.cause, c.keys) for c in near.pool]
+    for far, here in zip(there.pool, near.pool, strict=True):
+        assert far.shapes == pytest.approx(here.shapes, rel=1e-12)
+        assert (far.columns.device.type, far.columns.dtype) == ("cpu", torch.float64)
+        assert_close(far.columns * far.prior_sd, here.columns * here.prior_sd, rtol=1e-6, atol=1e-6)
+    assert there.dictionary.columns.device.type == "cpu"
+    items = near.dictionary.items
+    assert [(item.name, item.keys) for item in there.dictionary.items] == [(i.name, i.keys) for i in items]
+    assert {item.is_listed for item in items} == {True, False}
+    assert_close(there.alone, near.alone, rtol=1e-5, atol=1e-5)
+    assert there.leading == near.leading
+    assert {items[i].cause for i in near.leading} == {GAIN}
+    assert_close(there.beside, near.beside, rtol=1e-5, atol=1e-5)
+
+
+def test_items_on_another_device_say_the_same(plain: Fit) -> None:
+    near = weighed(plain)
+    with far_device() as far:
+        assert_alike(computed_on(far, weighed, plain), near)
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 pytestmark = pytest.mark.whole
 
 NOISE_T = 5e-6
+GAIN = Cause("axis_gain", "hall")
 OFFSET = Cause("sensor_offset", "hall")
 
 
@@ -117,6 +118,22 @@ def test_few_readings_know_their_own_error_too_little_to_refute(improvement):
     assert not replace(lost, before=few, elpd_difference=6.0).is_significant
 
 
+def test_parameters_that_stood_in_for_the_cause_move_back(improvement, fits, small_truth):
+    before, after = fits
+    assert set(improvement.moved_sd) == set(small_truth)
+    for name, moved in improvement.moved_sd.items():
+        expected = float(after.values[name] - before.values[name]) / before.value_sd(name)
+        assert moved == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert max(abs(moved) for moved in improvement.moved_sd.values()) > 2.0
+
+
+def test_superfluous_cause_gains_nothing(small_rig, small_session):
+    seen, unseen = small_session.observations.calibration, small_session.observations.validation
+    chance = improvement_of(fit_of(small_rig, seen), fit_of(small_rig, seen, GAIN), unseen)
+    assert not chance.is_significant
+    assert abs(chance.elpd_difference) < 3.0
+
+
 @pytest.fixture(scope="module")
 def large_session(truth_rig: Rig, small_plan: Plan) -> Observations:
     """The small plan, repeated twenty times."""
@@ -128,6 +145,20 @@ def test_intervals_of_a_right_model_cover_what_they_say(small_rig, large_session
     scores = validation_scores(fit_of(small_rig, large_session.calibration), large_session.validation)
     assert scores.coverage90 == pytest.approx(0.9, abs=0.04)
     assert scores.coverage50 == pytest.approx(0.5, abs=0.065)
+
+
+def test_missing_components_do_not_count_and_nothing_becomes_nan_in_json(fits, wrong_zero):
+    unseen = wrong_zero.validation
+    holes = unseen.field_sensor_T.clone()
+    holes[0, 1:], holes[1:, 2] = math.nan, math.nan
+    scores = validation_scores(fits[1], unseen.with_field(holes))
+    complete = validation_scores(fits[1], unseen)
+    assert len(scores.log_density) == len(unseen)
+    assert scores.elpd < complete.elpd  # densities in tesla are large: fewer components, less of them
+    assert math.isnan(scores.errors.angular_deviation_rad)
+    record = scores.to_json()
+    assert record["angular_deviation_rad"] is None
+    assert all(value is None or math.isfinite(value) for value in record.values())
 
 
 def test_naming_outliers_gains_on_unseen_readings_that_have_them(small_rig, large_session):

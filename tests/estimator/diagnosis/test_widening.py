@@ -9,8 +9,10 @@ import torch
 from estimator.diagnosis import widening
 from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.fitting import Fit
+from estimator.diagnosis.mixture.answer import Answer
+from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.structure.jackknife import jackknife_covariance
-from estimator.diagnosis.widening import Widening, envelope, within_prior
+from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, within_prior
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
@@ -58,6 +60,13 @@ def test_more_readings_make_nothing_surer_of_what_the_mixture_leaves_open(small_
     for name, factor in Widening.of(searched, fitted_to_all, names, spread).factors.items():
         assert factor * fitted_to_all.value_sd(name) >= 0.99 * searched.value_sd(name, spread)
         assert factor > 1.0
+
+
+def test_of_right_readings_little_is_made_less_sure_and_nothing_surer(of_nothing: Answer) -> None:
+    plain, numbers = of_nothing.plain, Numbers.of(of_nothing)
+    factors = Widening.of(plain, plain, numbers.names, numbers.about(plain)).factors
+    assert set(factors) == {parameter.name for parameter in plain.rig.free}
+    assert all(1.0 <= factor < 2.5 for factor in factors.values())
 
 
 def test_what_is_open_of_some_numbers_opens_those_that_follow_them(small_rig, small_session) -> None:
@@ -199,6 +208,14 @@ def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow
         )
         assert torch.linalg.eigvalsh(0.5 * (more + more.T)).min() > -1e-6 * more.abs().max()
     assert max(wider.factors.values()) > 1.5
+
+
+def test_directions_that_rounding_made_negative_do_not_stop_an_envelope() -> None:
+    """Two zeros that readings cannot tell apart have a correlation so near to one that a Cholesky factorization fails."""
+    covariance = torch.tensor([[1.0, 1.0 + 1e-11], [1.0 + 1e-11, 1.0]], dtype=torch.float64)
+    assert float(torch.linalg.eigvalsh(covariance)[0]) < -LEAST_SHARE
+    wider = envelope(covariance, torch.full((2, 2), 4.0, dtype=torch.float64))
+    torch.testing.assert_close(wider, torch.full((2, 2), 4.0, dtype=torch.float64), atol=1e-5, rtol=0.0)
 
 
 def test_envelope_of_many_keeps_the_digits_of_what_is_sure() -> None:

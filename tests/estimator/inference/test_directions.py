@@ -48,6 +48,29 @@ def test_what_may_change_readings_of_another_sensor_has_a_direction_of_its_own(p
     assert len(directions.each) == len(directions.of_coordinate)
 
 
+def test_derivatives_of_one_sensor_stay_in_the_order_of_the_coordinates() -> None:
+    """Its noise stands before the causes of the room."""
+    posterior = posterior_with(
+        make_problem(COIL, f"{{one: {{{SENSOR}}}}}"), Cause("background_field", "room")
+    )
+    vector = posterior.coordinates.start() + 1e-3
+    expected = jacobian_of(posterior.predicted, vector)
+    assert torch.allclose(posterior.to_first_order(vector).jacobian_T, expected, rtol=1e-9, atol=1e-12)
+
+
+def test_derivatives_in_some_coordinates_are_theirs(problem: Problem) -> None:
+    """Two of them share a direction with others, and one comes before a coordinate that is numbered lower."""
+    posterior = posterior_with(problem, *CAUSES)
+    names = posterior.coordinates.names
+    asked = ("c.radius_m", "one.noise_T", "axis_gain[two].y", "sensor_misplaced[one].x_m")
+    columns = torch.tensor(sorted(names.index(name) for name in asked))
+    vector = posterior.coordinates.start()[None] + 1e-3
+    some, whole = posterior.to_first_order(vector, columns), posterior.to_first_order(vector)
+    assert torch.allclose(some.jacobian_T, whole.jacobian_T[..., columns], rtol=1e-12, atol=0.0)
+    assert torch.allclose(some.log_sigma_jacobian, whole.log_sigma_jacobian[..., columns], atol=1e-12)
+    assert torch.allclose(posterior.log_sigma_jacobian(vector), whole.log_sigma_jacobian, atol=1e-12)
+
+
 @pytest.mark.parametrize("places", [("one",), ("one", "two")])
 def test_derivatives_by_poses_may_go_through_the_points(problem: Problem, places: tuple[str, ...]) -> None:
     """With elements apart at some or all sensors, each component has a point of its own."""

@@ -169,6 +169,19 @@ def test_chain_longer_than_its_targets_ask_for_is_returned_whole(counts_problem,
     assert again.n_steps == 300
 
 
+def test_finished_chain_is_looked_at_again_and_not_prolonged(counts_problem, mixture):
+    backend = Backend()
+    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=30)
+    first = sample(counts_problem.whole, mixture, settings, backend)
+    for max_steps in (30, 20):
+        again = sample(counts_problem.whole, mixture, replace(settings, max_steps=max_steps), backend)
+        assert again.n_steps == 30
+        np.testing.assert_array_equal(again.chain, first.chain)
+    longer = sample(counts_problem.whole, mixture, replace(settings, max_steps=40), backend)
+    assert longer.n_steps == 40
+    np.testing.assert_array_equal(longer.chain[: 40 - 8], backend.get_chain()[4:36])
+
+
 def test_walkers_start_inside_the_prior(counts_problem, mixture):
     """Two thirds of this proposal lie where a negative number of ... gain is cut off by the prior's bound."""
     samples = steps_of(counts_problem, mixture, max_steps=1, check_every=1)

@@ -160,6 +160,36 @@ def test_linear_problem_is_solved_as_by_linear_algebra(linear_problem):
     torch.testing.assert_close(fit.precision[0], matrix, rtol=1e-9, atol=1e-6)
 
 
+def test_starts_do_not_disturb_each_other(counts_problem):
+    posterior = counts_problem.real
+    starts = posterior.coordinates.sample_prior(np.random.default_rng(6), 3)
+    together = levenberg_marquardt(posterior, starts)
+    for i, start in enumerate(starts):
+        alone = levenberg_marquardt(posterior, start[None])
+        assert ((alone.vector[0] - together.vector[i]).abs() < 1e-4 * posterior.coordinates.scale).all()
+        assert alone.log_posterior[0].item() == pytest.approx(together.log_posterior[i].item(), abs=1e-7)
+
+
+def test_whole_numbered_counts_stay_where_they_are(counts_problem):
+    posterior = counts_problem.whole
+    start = posterior.coordinates.start()[None].repeat(3, 1)
+    start[:, -2:] = torch.tensor([[6.0, 4.0], [7.0, 4.0], [8.0, 3.0]])
+    fit = levenberg_marquardt(posterior, start)
+    assert torch.equal(fit.vector[:, -2:], start[:, -2:])
+    assert fit.is_converged.all()
+    n = posterior.coordinates.n_continuous
+    assert fit.precision.shape == fit.information.shape == (3, n, n)
+    for vector in fit.vector:
+        assert gradient(posterior, vector)[:n].norm() < 1e-3 * gradient(posterior, start[0])[:n].norm()
+
+
+def test_too_few_iterations_are_reported_and_leave_no_worse_point(winding_problem, starts):
+    fit = levenberg_marquardt(winding_problem.real, starts, max_iterations=2)
+    assert fit.n_iterations == 2
+    assert not fit.is_converged.all()
+    assert (fit.log_posterior >= winding_problem.real(starts)).all()
+
+
 def test_maximum_in_a_corner_of_curved_bounds_is_that_of_another_optimizer(problem):
     """Radius and pitches share coordinates, and readings of a larger, longer and thicker coil pull all of them to their bounds."""
     simulated = problem(

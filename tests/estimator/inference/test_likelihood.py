@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 import pytest
@@ -192,3 +193,27 @@ def test_derivatives_by_amplitudes_of_corrections_are_those_of_automatic_differe
     )
     own = torch.tensor(is_amplitude).nonzero().flatten()
     assert torch.equal(corrected.to_first_order(vector[None], own).jacobian_T, found.jacobian_T[..., own])
+
+
+def computed_in(posterior: LogPosterior) -> set[str]:
+    """Names of what a density computes once and keeps, all computed now."""
+    names = {name for name, each in vars(LogPosterior).items() if isinstance(each, cached_property)}
+    for name in names:
+        getattr(posterior, name)
+    return names
+
+
+def test_a_changed_copy_of_a_density_keeps_nothing_that_was_computed_from_the_old_readings(posterior):
+    coordinates, model, vector = posterior.coordinates, posterior.model, prior_draws(posterior, 3)
+    observations, few = model.circumstances.observations, torch.tensor([0, 1, 4])
+    whole = LogPosterior(coordinates, model, observations)
+    assert len(computed_in(whole)) > 3
+    by_row = whole.with_rows(whole.measured_T + 1e-6 * torch.arange(1.0, 4.0)[:, None])
+    assert bool((by_row(vector) != whole(vector)).all())
+    torch.testing.assert_close(by_row.for_jacobian(vector), by_row(vector), rtol=1e-9, atol=1e-9)
+    part, fresh = whole.part(few), LogPosterior(coordinates, model.part(few), observations.rows(few))
+    for density in (part, part.for_jacobian):
+        torch.testing.assert_close(density(vector), fresh(vector), rtol=1e-9, atol=1e-9)
+    torch.testing.assert_close(part.gradient(vector[0]), fresh.gradient(vector[0]), rtol=1e-9, atol=1e-6)
+    both = (density.to_first_order(vector[:1]).jacobian_T for density in (part, fresh))
+    torch.testing.assert_close(*both, rtol=1e-9, atol=1e-12)

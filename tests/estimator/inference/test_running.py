@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
+from estimator.field.winding_shape import DEFAULT_TOLERANCE
 from estimator.inference.levenberg_marquardt import levenberg_marquardt
 from estimator.inference.likelihood import LogPosterior
 from estimator.inference.running import RunningFit
+from estimator.model.clearance import nearest_m
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.session import Session
 
@@ -68,3 +73,27 @@ def test_a_better_start_is_taken_and_a_worse_one_is_not(small_session: Session) 
     best = running.vector
     running.refit(observations, running.coordinates.start())
     assert torch.allclose(running.vector, best, rtol=1e-4, atol=1e-6)
+
+
+def test_rules_are_kept_until_a_sensor_comes_nearer_and_stay_exact(
+    small_session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, observations = small_session.rig, small_session.observations.calibration.alone
+    chosen = []
+    choose = MeasurementModel.choose_rules
+    monkeypatch.setattr(
+        MeasurementModel, "choose_rules", lambda self, *rest: chosen.append(1) or choose(self, *rest)
+    )
+    running = RunningFit(rig)
+    one_by_one = [observations.rows(torch.tensor([row])).alone for row in range(len(observations))]
+    least_m, n_nearer = math.inf, 0
+    for reading in one_by_one:
+        (distance_m,) = nearest_m(MeasurementModel.unruled(rig, reading)).values()
+        n_nearer += distance_m < least_m
+        least_m = min(least_m, distance_m)
+        kept = running._model(reading).predict(nominal_tensors(rig))
+        exact = choose(MeasurementModel.unruled(rig, reading), nominal_tensors(rig), 0.0).predict(
+            nominal_tensors(rig)
+        )
+        assert float((kept - exact).norm() / exact.norm()) < DEFAULT_TOLERANCE
+    assert len(chosen) == n_nearer < len(observations)

@@ -77,6 +77,22 @@ def test_values_and_vectors_are_inverse_to_each_other(text, integer_counts):
 
 @EVERY_RIG
 @BOTH_KINDS
+def test_values_of_coordinates_that_stand_apart_are_the_same(text, integer_counts):
+    coordinates = Coordinates(rig(text), integer_counts)
+    vectors = prior_vectors(coordinates, 5)
+    columns = [column.clone().requires_grad_() for column in vectors.unbind(-1)]
+    values = coordinates.values_of_each(columns)
+    for name, value in coordinates.values(vectors).items():
+        torch.testing.assert_close(values[name], value, rtol=1e-13, atol=1e-16)
+    noise = columns[coordinates.names.index("hall.noise_T")] if "hall.noise_T" in coordinates.names else None
+    if noise is not None:
+        others = [column for column in columns if column is not noise]
+        gradients = torch.autograd.grad(values["hall.noise_T"].sum(), others, allow_unused=True)
+        assert all(gradient is None for gradient in gradients)
+
+
+@EVERY_RIG
+@BOTH_KINDS
 def test_start_holds_the_nominal_values(text, integer_counts):
     of = rig(text)
     coordinates = Coordinates(of, integer_counts)

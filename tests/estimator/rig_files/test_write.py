@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 from hypothesis import HealthCheck, assume, given, settings
@@ -211,6 +212,11 @@ def test_any_rig_is_read_as_it_was_written(rig: Rig) -> None:
 @pytest.mark.parametrize("path", CONFIGS, ids=lambda path: path.stem)
 def test_rig_files_of_the_repository_are_read_as_they_were_written(path: Path) -> None:
     check_same(load_rig(path))
+
+
+def test_numbers_of_python_and_numpy_are_written_as_floats(small_rig: Rig) -> None:
+    rig = small_rig.with_values({"coil1.radius_m": np.float64(0.0517), "coil1.axial_loops": 13})
+    assert rig_from_text(rig_text(rig)) == rig
 
 
 def test_what_goes_without_saying_is_not_written(small_rig: Rig) -> None:

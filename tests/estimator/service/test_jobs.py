@@ -125,6 +125,20 @@ def test_a_running_job_is_cancelled_and_its_worker_takes_the_next(api: TestClien
     assert api.get(f"/v1/jobs/{first['id']}").json()["state"] == "cancelled"
 
 
+def test_lists_come_in_pages(api: TestClient, session_id: str, job: dict[str, Any]) -> None:  # noqa: ARG001
+    whole = api.get("/v1/jobs", params={"limit": 100}).json()
+    assert whole["next"] is None
+    collected: list[dict[str, Any]] = []
+    cursor: str | None = None
+    while not collected or cursor is not None:
+        page = api.get("/v1/jobs", params={"limit": 1, "cursor": cursor} if cursor else {"limit": 1}).json()
+        collected += page["items"]
+        cursor = page["next"]
+    assert collected == whole["items"]
+    assert [item["id"] for item in api.get("/v1/calibrations").json()["items"]]
+    assert refusal(api.get("/v1/jobs", params={"cursor": "what"}), 422)["thing"] == "cursor"
+
+
 def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api: TestClient, session_id: str) -> None:
     body = {"session_id": session_id, "most_causes": 0, "minutes": 1}
     answer = api.post("/v1/jobs/diagnose", json=body)

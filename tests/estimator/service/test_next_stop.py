@@ -18,7 +18,7 @@ from estimator.rig.rig import Rig
 from estimator.service.next_stops import NextStops
 from estimator.store.session import Session
 from tests.estimator.conftest import PLAN
-from tests.estimator.service.conftest import append, begin_session, lines_of, upload_rig
+from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, refusal, upload_rig
 
 GOAL = "field 1 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
 PLACES = PLAN.replace("[{coil1: 3}]", "[{coil1: 3}, {coil1: -3}, {}]")
@@ -67,3 +67,18 @@ def test_a_session_ends_where_its_goal_is_reached(url: str, small_session: Sessi
             return await client.session(session.id).next([goal], PLACES, most_stops=len(readings))
 
     assert asyncio.run(awaited()) == told
+
+
+def test_what_cannot_be_asked_is_refused(api: TestClient, rig_text: str, readings_csv: bytes) -> None:
+    rig_id = upload_rig(api, rig_text)
+    path = f"/v1/sessions/{begin_session(api, rig_id)}/next"
+    for goals, places, words in (
+        (["field 1 % in points /etc/passwd"], PLACES, "a service reads no files"),
+        (["field 0 %"], PLACES, "a goal must"),
+        ([GOAL], PLACES.replace("arm1", "arm9"), "arm9"),
+        ([GOAL.replace("1 %", "0.00001 %")], PLACES, "within reach"),
+        ([], PLACES, "goals"),
+    ):
+        assert words in refusal(api.post(path, json={"goals": goals, "places": places}), 422)["detail"], words
+    closed = import_csv(api, rig_id, readings_csv)["id"]
+    refusal(api.post(f"/v1/sessions/{closed}/next", json={"goals": [GOAL], "places": PLACES}), 409)

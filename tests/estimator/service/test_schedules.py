@@ -99,6 +99,17 @@ def test_what_is_no_schedule_is_refused(
     assert client.get("/v1/schedules").json()["items"] == []
 
 
+def test_a_schedule_is_made_listed_and_deleted(client: TestClient, rig_id: str) -> None:
+    new = made(client, rig_id, cron="0 6 * * mon", timezone="Europe/Zurich", seed=3)
+    assert (new["rig_name"], new["last_run"], new["is_at_work"]) == ("small", None, False)
+    assert datetime.fromisoformat(new["next_run"]) > datetime.now(UTC)
+    assert client.get("/v1/schedules").json()["items"] == [new]
+    assert client.get(f"/v1/schedules/{new['id']}").json() == new
+    assert client.delete(f"/v1/schedules/{new['id']}").status_code == 204
+    refusal(client.get(f"/v1/schedules/{new['id']}"), 404)
+    refusal(client.post("/v1/schedules", json={"rig_id": "0" * 32, "every_s": 60}), 404)
+
+
 def tick(client: TestClient) -> int:
     return int(client.app.state.core.schedules.tick())
 

@@ -18,7 +18,7 @@ from starlette.testclient import TestClient
 from estimator.live.stream import Stream
 from estimator.rig.rig import Rig
 from estimator.service.core import Core
-from estimator.service.live_state import REDRAWN_AT, LiveState
+from estimator.service.live_state import REDRAWN_AT, Device, LiveState
 from estimator.service.watched import Watched
 from estimator.store.made import JOURNAL
 from estimator.store.session import Session
@@ -130,6 +130,26 @@ def test_without_new_readings_the_estimate_becomes_that_of_the_batch_fit(
         stream.polish()
     for name, interval in told[-1].intervals.items():
         assert interval.value == pytest.approx(stream.intervals()[name].value, abs=1e-6 * interval.sd)
+
+
+def test_devices_are_those_of_the_readings_with_what_they_showed_last(
+    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
+) -> None:
+    lines = [json.loads(line) for line in lines_of(small_session, small_rig, 0, 12).splitlines()]
+    for line in lines[:9]:
+        line |= {"measured_A": {"coil1": 2.5}, "temperature_C": {"coil1": 20.0 + line["sequence"]}}
+    lines[8]["temperature_C"] = {"coil1": None}
+    lines[-1]["field_T"] = {"hall": [1e-3, None, 2e-3]}
+    body = b"".join(json.dumps(line).encode() + b"\n" for line in lines)
+    told = watched(client, session_id, {0: lambda: append(client, session_id, body)}, 12)
+    commanded_A = lines[8]["current_A"]["coil1"]
+    assert told[0].devices == []
+    assert told[-1].devices == [
+        Device("sensor", "hall", [1e-3, None, 2e-3], "T", n_readings=12),
+        Device("mover", "arm1", lines[-1]["motion"]["arm1"][:3], "m", n_readings=12),
+        Device("supply", "coil1", [2.5], "A", commanded_A, n_readings=9, n_silent=3),
+        Device("thermometer", "coil1", [None], "°C", n_readings=9, n_silent=3),
+    ]
 
 
 def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(

@@ -7,21 +7,14 @@ import math
 import pytest
 import torch
 
-from estimator.diagnosis.asking import _are_doubtful
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses import record_mistakes
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
-from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import ask
-from estimator.diagnosis.mixture.comparison import Left
-from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistakes
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.use import shifts_rows
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
-from tests.estimator.diagnosis.mixture.hand_made import said
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 pytestmark = pytest.mark.whole
@@ -45,30 +38,6 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     readings = with_wrong(truth_rig, small_session.observations, cause, {"y_T": 40e-6}).calibration
     _, mistakes = without_record_mistakes(fit_of(small_rig, readings))
     assert [mistake.cause.name for mistake in mistakes] == []
-
-
-@pytest.mark.parametrize(
-    ("gain", "left", "is_doubtful"), [(0.3, 10.0, True), (0.3, None, False), (0.02, 10.0, False)]
-)
-def test_mistake_is_doubtful_where_something_is_left_and_the_record_was_far_from_right(
-    small_rig: Rig, small_session: Session, gain: float, left: float | None, is_doubtful: bool
-):
-    """An axis that reads too much leaves a share of the field, beside a mistake of 300 in log evidence."""
-    wrong = with_wrong(small_rig, small_session.observations, Cause("axis_gain", "hall"), {"x": gain})
-    asked = ask(Expansion.of(fit_of(small_rig, wrong.calibration)), Limits(), 1, {})
-    departure = Cause("gain_steps", "hall")
-    found = said(asked, {(): 100} if left is None else {(departure,): 100})
-    found.__dict__["left"] = Left(left or 0.0, "", 1.0)
-    mistake = RecordMistake(Cause("axes_swapped", "hall"), 300.0, ())
-    assert _are_doubtful([mistake], found) is is_doubtful
-
-
-def test_mistake_is_doubtful_where_more_is_left_than_it_explained(of_nothing: Answer):
-    found = said(of_nothing.first, {(Cause("gain_steps", "hall"),): 100})
-    found.__dict__["left"] = Left(40.0, "", 1.0)
-    for log_bayes_factor, is_doubtful in ((50.0, False), (30.0, True)):
-        mistake = RecordMistake(Cause("axes_swapped", "hall"), log_bayes_factor, ())
-        assert _are_doubtful([mistake], found) is is_doubtful
 
 
 def test_fields_that_were_written_beside_their_rows_are_put_back(

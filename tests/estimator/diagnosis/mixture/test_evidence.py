@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from estimator.diagnosis.mixture.evidence import Beside, Products
-from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item, log_density
+from tests.estimator.diagnosis.mixture.dictionaries import N, dictionary, item, log_density
 
 ITEMS = [
     item("one", [0]),
@@ -57,6 +57,20 @@ def test_likelihood_of_a_set_and_evidence_of_its_last_item_agree_where_the_numbe
     gained = products.log_likelihood([0, 2, 3], noise) - products.log_likelihood([0, 3], noise)
     beside = [float(products.beside([0, 3], float(one))[2]) for one in noise]
     assert gained.tolist() == pytest.approx(beside, abs=1e-8)
+
+
+def test_components_without_weight_are_as_if_they_had_not_been_measured():
+    made = dictionary(ITEMS)
+    kept = torch.arange(N) % 2 == 0
+    few = replace(
+        made,
+        columns=made.columns[kept],
+        residual=made.residual[kept],
+        always=made.always.of(made.always.jacobian[kept], made.prior_precision),
+    )
+    by_weight, by_rows = Products(made, kept.to(torch.float64)), Products(few)
+    assert by_weight.n == by_rows.n
+    assert torch.allclose(by_weight.beside([0], 1.0), by_rows.beside([0], 1.0), atol=1e-9)
 
 
 def test_sizes_are_those_of_a_regression_with_the_same_priors():

@@ -10,6 +10,7 @@ import torch
 from estimator import Design, InvalidInput, Session, design, load_plan, simulate
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.next_readings.map_places import with_correction
+from estimator.model.clearance import clearance_m
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from tests.estimator.diagnosis.sessions import RIG, TRUTH, session_with, together
@@ -63,6 +64,13 @@ def test_what_is_foretold_is_what_a_fit_to_the_places_gives(
     both = together(flat.observations, more)
     fit = fit_rig(corrected.rig, both, corrected.values, MeasurementModel.build(RIG, both).rules)
     assert rms_sd(fit, names) == pytest.approx(proposed.reached[-1], rel=0.15)
+
+
+def test_no_place_is_nearer_to_the_winding_than_a_reading_was(flat: Session, proposed: Design) -> None:
+    def nearest_m(readings: Observations) -> float:
+        return float(clearance_m(MeasurementModel.unruled(RIG, readings)).min())
+
+    assert nearest_m(proposed.readings) >= nearest_m(flat.observations) > 0.0
 
 
 @pytest.mark.parametrize(
