@@ -55,7 +55,7 @@ def commands(page: Path) -> Iterator[list[str]]:
                 yield call[:end]
 
 
-def test_commands_exist_with_their_options() -> None:
+def test_commands_exist_with_their_options():
     for page in PAGES:
         for words in commands(page):
             command, arguments = command_of(words, page)
@@ -89,7 +89,7 @@ def rigs_and_plans(page: Path) -> tuple[list[Rig], list[str]]:
     return rigs, plans
 
 
-def test_rig_files_and_plans_are_read(tmp_path: Path) -> None:
+def test_rig_files_and_plans_are_read(tmp_path):
     for page in PAGES:
         rigs, plans = rigs_and_plans(page)
         rigs = rigs or rigs_and_plans(FIRST_TUTORIAL)[0]
@@ -107,7 +107,7 @@ def _is_plan_of(path: Path, rig: Rig) -> bool:
     return True
 
 
-def test_cells_of_tutorials_are_python() -> None:
+def test_cells_of_tutorials_are_python():
     """The building of the site runs them."""
     for page in PAGES:
         for language, text in blocks(page):
@@ -115,7 +115,7 @@ def test_cells_of_tutorials_are_python() -> None:
                 compile(text, str(page), "exec")
 
 
-def test_cells_of_tutorials_hide_no_error() -> None:
+def test_cells_of_tutorials_hide_no_error():
     """Lines are chosen by options of `%%sh`: an error in a file is not quoted, and `head` may end what writes to it."""
     for page in PAGES:
         for language, text in blocks(page):
@@ -151,7 +151,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.whole
 @pytest.mark.parametrize("page", documents(), ids=lambda page: str(page.relative_to(ROOT)))
-def test_python_blocks_run(page: Path, calibrated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_blocks_run(page, calibrated, monkeypatch):
     """All in the order of the page, those after `<!--- skip: next -->` left out."""
     monkeypatch.chdir(calibrated)
     document: Document = Sybil(parsers=[PythonCodeBlockParser(), SkipParser()]).parse(page)
@@ -159,7 +159,7 @@ def test_python_blocks_run(page: Path, calibrated: Path, monkeypatch: pytest.Mon
         example.evaluate()
 
 
-def test_generated_pages_are_those_of_the_library() -> None:
+def test_generated_pages_are_those_of_the_library():
     from scripts.documentation.causes import library
 
     assert {path.stem for path in CAUSE_PAGES} == {*library(), "index", "corrections"}

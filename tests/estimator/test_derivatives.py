@@ -19,13 +19,13 @@ def entangled(x: Sequence[Tensor]) -> Tensor:
 
 
 @pytest.mark.parametrize("paths", [[[0, 1, 2, 3]], [[0], [1], [2], [3]], [[2, 0], [3, 1]]])
-def test_paths_do_not_change_the_derivatives(paths: list[list[int]]) -> None:
+def test_paths_do_not_change_the_derivatives(paths):
     values, along = value_and_jacobian_by_paths(entangled, POINT, EVERY, paths)
     assert torch.equal(values, entangled(POINT.unbind()))
     assert torch.allclose(along, jacobian_of(lambda x: entangled(x.unbind()), POINT), atol=1e-14)
 
 
-def test_a_path_visits_nothing_that_only_others_act_through() -> None:
+def test_a_path_visits_nothing_that_only_others_act_through():
     visited: list[str] = []
 
     def watched(name: str, x: Tensor) -> Tensor:
@@ -43,7 +43,7 @@ def test_a_path_visits_nothing_that_only_others_act_through() -> None:
     ]  # once each: by one pass for both, each would be visited by both
 
 
-def test_what_changes_nothing_has_derivatives_of_zero() -> None:
+def test_what_changes_nothing_has_derivatives_of_zero():
     _, along = value_and_jacobian_by_paths(lambda x: x[0] * torch.ones(3), POINT, EVERY, [[0, 1], [2, 3]])
     assert along.tolist() == [[1.0, 0.0, 0.0, 0.0]] * 3
     _, none = value_and_jacobian_by_paths(lambda x: torch.ones(3), POINT, EVERY, [[0, 1, 2, 3]])

@@ -17,7 +17,7 @@ def system(rank: int) -> tuple[Tensor, Tensor]:
 
 
 @pytest.mark.parametrize("rank", [1, 3, 4])
-def test_the_shortest_solution_is_that_of_numpy(rank: int) -> None:
+def test_the_shortest_solution_is_that_of_numpy(rank):
     matrix, right = system(rank)
     expected = np.linalg.lstsq(matrix.numpy(), right.numpy(), rcond=1e-12)[0]
     np.testing.assert_allclose(least_squares(matrix, right).numpy(), expected, rtol=1e-9, atol=1e-12)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.whole
 CASES = Path(__file__).parents[1] / "fixtures/unit_gate_and_frozen"
 
 
-def test_fields_in_the_axes_of_the_base_are_named() -> None:
+def test_fields_in_the_axes_of_the_base_are_named():
     session = checked(read_readings_csv(CASES / "base_frame.csv", load_rig(CASES / "rig_pose.yaml"))).session
     diagnosis = diagnose(session, seed=1)
     (mistake,) = diagnosis.record_mistakes
@@ -26,7 +26,7 @@ def test_fields_in_the_axes_of_the_base_are_named() -> None:
 
 
 @pytest.mark.parametrize("holder_mm", [20, 35, 50])
-def test_a_sensor_elsewhere_on_its_holder_is_no_mistake_of_the_record(holder_mm: int) -> None:
+def test_a_sensor_elsewhere_on_its_holder_is_no_mistake_of_the_record(holder_mm):
     """At 50 mm the nominal place of the sensor is in the winding at three poses."""
     path = CASES / f"holder_{holder_mm}mm.csv"
     session = checked(read_readings_csv(path, load_rig(CASES / "rig_pose.yaml"))).session

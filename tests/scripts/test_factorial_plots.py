@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from scripts.paper.factorial import Factorial
 from scripts.paper.factorial_plots import interactions, main_effect, main_effects
@@ -24,9 +20,7 @@ def runs() -> Factorial:
     return Factorial(("coil1.radius_m", "coil1.axial_loops"), (RADIUS_M, LOOPS), response)
 
 
-def test_main_effect_shows_the_mean_at_every_level_in_mm_and_mT(
-    runs: Factorial, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_main_effect_shows_the_mean_at_every_level_in_mm_and_mT(runs, words):
     ax = main_effect(runs, "coil1.radius_m")
     np.testing.assert_allclose(ax.lines[0].get_xdata(), 1e3 * RADIUS_M)
     np.testing.assert_allclose(ax.lines[0].get_ydata(), RADIUS_M / 0.05 * 48.0)
@@ -35,9 +29,7 @@ def test_main_effect_shows_the_mean_at_every_level_in_mm_and_mT(
     assert "rms field (mT)" in said
 
 
-def test_figures_have_a_panel_for_each_parameter_and_each_pair(
-    runs: Factorial, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_figures_have_a_panel_for_each_parameter_and_each_pair(runs, words):
     drawn = main_effects(runs, "rig $a$")
     assert len(drawn.axes) == 2
     assert "rig \\$a\\$" in words(drawn)

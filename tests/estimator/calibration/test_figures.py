@@ -26,8 +26,8 @@ def drawn(small_calibration: Calibration) -> dict:
 
 
 def test_plane_of_the_field_follows_the_readings_but_not_to_where_the_field_is_a_dipoles(
-    small_calibration: Calibration, drawn: dict
-) -> None:
+    small_calibration, drawn
+):
     low_mm, high_mm = drawn["Field of coil1"].axes[0].get_ylim()
     assert 50.0 < high_mm < 80.0  # the sensor is at most 6.5 cm in front of the coil
     far = small_calibration.observations.motion["arm1"].clone()
@@ -39,7 +39,7 @@ def test_plane_of_the_field_follows_the_readings_but_not_to_where_the_field_is_a
     assert low_mm > -1.2 * width_mm
 
 
-def test_field_of_a_coil_is_without_that_of_the_room(small_calibration: Calibration) -> None:
+def test_field_of_a_coil_is_without_that_of_the_room(small_calibration):
     """The Earth's field is no field per ampere, and its uncertainty is not the coil's."""
     room = Cause("background_field", "room")
     given = {"x_T": 1e-3, "y_T": 0.0, "z_T": 2e-3}

@@ -23,9 +23,7 @@ def panels(small_calibration: Calibration) -> CalibrationPanels:
     return calibration_panels(small_calibration)
 
 
-def test_panels_are_json_and_hold_what_the_report_says(
-    panels: CalibrationPanels, small_calibration: Calibration
-) -> None:
+def test_panels_are_json_and_hold_what_the_report_says(panels, small_calibration):
     json.dumps(asdict(panels), allow_nan=False)
     assert panels.headline[0].startswith(f"{panels.verdict}:".capitalize())
     assert [one.name for one in panels.taught] == [p.name for p in small_calibration.rig.free]
@@ -34,7 +32,7 @@ def test_panels_are_json_and_hold_what_the_report_says(
     assert (panels.coils, list(panels.movers)) == (["coil1"], ["arm1"])
 
 
-def test_groups_say_where_a_residual_is(small_calibration: Calibration) -> None:
+def test_groups_say_where_a_residual_is(small_calibration):
     fit = fitted(small_calibration)
     o = small_calibration.observations
     changed_T, current_A = o.field_sensor_T.clone(), o.current_A.clone()
@@ -63,9 +61,7 @@ def test_groups_say_where_a_residual_is(small_calibration: Calibration) -> None:
     assert "Residuals by current, axis, height and sensor" in calibration_report(changed, "")
 
 
-def test_a_coil_that_only_a_cause_drives_is_in_the_report_without_heights(
-    small_calibration: Calibration,
-) -> None:
+def test_a_coil_that_only_a_cause_drives_is_in_the_report_without_heights(small_calibration):
     """Its rows count as powered although no current was commanded."""
     o = small_calibration.observations
     idle = replace(o, current_A=torch.zeros_like(o.current_A))

@@ -22,7 +22,7 @@ needs_magpylib = pytest.mark.skipif(find_spec("magpylib") is None, reason="magpy
 
 @pytest.mark.slow  # `test_only_takes_some_parts_in_words` runs two
 @pytest.mark.whole
-def test_every_part_has_rows_beside_their_peers() -> None:
+def test_every_part_has_rows_beside_their_peers():
     printed = run("bench", "--tiny", "--repeats", 1, "--seed", 150000, "--json")
     assert printed.exit_code == 0
     result = json.loads(printed.stdout)
@@ -41,7 +41,7 @@ def test_every_part_has_rows_beside_their_peers() -> None:
     assert len(result["parts"]["diagnosis"]) == 2
 
 
-def test_a_load_above_half_of_the_cores_is_warned_of(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_load_above_half_of_the_cores_is_warned_of(monkeypatch):
     monkeypatch.setattr(machine, "usable_cores", lambda: 4)
     for load, is_warned in ((1.9, False), (2.1, True)):
         monkeypatch.setattr(os, "getloadavg", lambda load=load: (load, 0.0, 0.0))
@@ -50,7 +50,7 @@ def test_a_load_above_half_of_the_cores_is_warned_of(monkeypatch: pytest.MonkeyP
 
 
 @needs_magpylib
-def test_what_is_compared_is_the_same_field_and_the_same_derivatives() -> None:
+def test_what_is_compared_is_the_same_field_and_the_same_derivatives():
     points_m, winding = fields.points_of(20, seed=1), fields.winding_of()
     rule = fields.exact_rule(winding, torch.from_numpy(points_m))
     peer = fields.over_loops(fields.magpylib_loops, *fields.loops_of_paper(fields.N_AXIAL, fields.N_RADIAL))
@@ -63,5 +63,5 @@ def test_what_is_compared_is_the_same_field_and_the_same_derivatives() -> None:
     )
 
 
-def test_the_rig_of_the_wheel_is_that_of_the_checkout() -> None:
+def test_the_rig_of_the_wheel_is_that_of_the_checkout():
     assert RIG.read_bytes() == (CONFIGS / "paper_simulation.yaml").read_bytes()

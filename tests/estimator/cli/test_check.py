@@ -20,7 +20,7 @@ from tests.estimator.cli.conftest import run
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_what_is_right_is_told_in_a_few_lines() -> None:
+def test_what_is_right_is_told_in_a_few_lines():
     result = run("check", "rig.yaml", "readings.csv")
     assert (result.exit_code, result.stderr) == (0, "")
     lines = [re.sub(r"(?<=\S) +", " ", line) for line in result.stdout.splitlines()]
@@ -35,7 +35,7 @@ def test_what_is_right_is_told_in_a_few_lines() -> None:
     assert lines[-1] == "no mistake found"
 
 
-def test_mistakes_of_both_files_are_told_at_once(workspace: Path, tmp_path: Path) -> None:
+def test_mistakes_of_both_files_are_told_at_once(workspace, tmp_path):
     rig, readings = tmp_path / "rig.yaml", tmp_path / "readings.csv"
     text = (workspace / "rig.yaml").read_text(encoding="utf-8")
     for old, new in (("radial_loops: 3", "radial_lops: 3"), ("noise_uT: 5", "noise_uT: -5\n    gian: 1")):
@@ -99,8 +99,8 @@ OF_DEVICES = [
 
 @pytest.mark.parametrize("is_own_file", [True, False])
 def test_mistakes_in_settings_of_instruments_are_told_at_once_and_none_is_opened(
-    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_own_file: bool
-) -> None:
+    workspace, tmp_path, monkeypatch, is_own_file
+):
     monkeypatch.setattr(PortSettings, "open", lambda *_: pytest.fail("a port was opened"))
     rig = (workspace / "rig.yaml").read_text(encoding="utf-8")
     before = 0 if is_own_file else len(rig.splitlines())
@@ -116,7 +116,7 @@ def test_mistakes_in_settings_of_instruments_are_told_at_once_and_none_is_opened
         assert fault["file"] == str(paths[-1])
 
 
-def test_readings_wait_where_nobody_can_say_what_columns_there_are(workspace: Path, tmp_path: Path) -> None:
+def test_readings_wait_where_nobody_can_say_what_columns_there_are(workspace, tmp_path):
     text = (workspace / "rig.yaml").read_text(encoding="utf-8")
     (tmp_path / "rig.yaml").write_text(
         text.replace("motion: displacement", "motion: shift"), encoding="utf-8"
@@ -134,9 +134,7 @@ def test_readings_wait_where_nobody_can_say_what_columns_there_are(workspace: Pa
         ("set", "validation", ["session must hold calibration readings"]),
     ],
 )
-def test_readings_that_an_import_would_refuse_are_named(
-    workspace: Path, tmp_path: Path, column: str, value: str, words: list[str]
-) -> None:
+def test_readings_that_an_import_would_refuse_are_named(workspace, tmp_path, column, value, words):
     header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     index = header.split(",").index(column)
     changed = [[*cells[:index], value, *cells[index + 1 :]] for cells in (row.split(",") for row in rows)]
@@ -150,9 +148,7 @@ def test_readings_that_an_import_would_refuse_are_named(
     assert imported.stderr == f"coilcal: {faults[0]['message']}\n"
 
 
-def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(
-    workspace: Path, tmp_path: Path
-) -> None:
+def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(workspace, tmp_path):
     header, *rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     fields = [header.split(",").index(f"B{axis}_T") for axis in "xyz"]
     for row in range(18, 24):
@@ -172,7 +168,7 @@ def test_a_block_that_was_pasted_twice_is_told_before_and_after_the_import(
     assert words in run("import", path, "--rig", rig, "--out", tmp_path / "copied.zarr").stdout
 
 
-def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(workspace: Path, tmp_path: Path) -> None:
+def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(workspace, tmp_path):
     rows = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     header = rows[0].split(",")
     fields = [header.index(f"B{axis}_T") for axis in "xyz"]
@@ -212,8 +208,8 @@ def test_readings_that_a_sensor_repeated_while_it_was_moved_are_told(workspace: 
     ],
 )
 def test_a_length_of_another_unit_is_told_with_its_place_and_its_cure(
-    right: str, wrong: str, words: str, workspace: Path, tmp_path: Path
-) -> None:
+    right, wrong, words, workspace, tmp_path
+):
     rig = tmp_path / "rig.yaml"
     text = (workspace / "rig.yaml").read_text(encoding="utf-8")
     assert right in text
@@ -239,7 +235,7 @@ def test_a_length_of_another_unit_is_told_with_its_place_and_its_cure(
         ),
     ],
 )
-def test_positions_of_another_unit_are_told(factor: float, words: str) -> None:
+def test_positions_of_another_unit_are_told(factor, words):
     session = load_session("session.zarr")
     motion = {"arm1": session.observations.motion["arm1"] * factor}
     wrong = replace(session.observations, motion=motion)
@@ -250,7 +246,7 @@ def test_positions_of_another_unit_are_told(factor: float, words: str) -> None:
 
 
 @pytest.mark.parametrize("path", sorted(Path("configs").glob("*.yaml")), ids=lambda path: path.stem)
-def test_no_length_of_a_known_rig_is_unlikely(path: Path) -> None:
+def test_no_length_of_a_known_rig_is_unlikely(path):
     numbers = Numbers()
     assert rig_and_faults(path, numbers)[1] == []
     assert unlikely_lengths(numbers) == []

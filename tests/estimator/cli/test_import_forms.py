@@ -41,7 +41,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 CALL = ("import", "mine.csv", "--rig", "rig.yaml", "--out", "session.zarr")
 
 
-def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder: Path) -> None:
+def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder):
     refused = run(*CALL)
     assert refused.exit_code == 2
     lines = refused.stderr.splitlines()
@@ -62,7 +62,7 @@ def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["mine.csv", "plain.csv", "rig.yaml"]
 
 
-def test_a_recipe_reads_the_next_file_without_a_question(folder: Path) -> None:
+def test_a_recipe_reads_the_next_file_without_a_question(folder):
     first = json.loads(run(*CALL, "--yes", "--json").stdout)
     assert first["columns"] == "columns.yaml"
     again = json.loads(run(*CALL[:-1], "again.zarr", "--map", "columns.yaml", "--json").stdout)
@@ -77,7 +77,7 @@ def test_a_recipe_reads_the_next_file_without_a_question(folder: Path) -> None:
     assert (folder / "session.columns.yaml").exists()
 
 
-def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_terminal_it_is_asked_once(folder, monkeypatch):
     asked: list[str] = []
     answers = iter((False, True))
 
@@ -95,7 +95,7 @@ def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.Monkey
     assert (folder / "columns.yaml").exists()
 
 
-def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path) -> None:
+def test_wild_rows_and_clocks_are_told_by_check_and_import(folder):
     rows = TABLE.copy()
     rows[40:, 0] -= 15.25
     rows[13, 5:] = [266000.5, -31000.25, 77000.125]
@@ -105,9 +105,7 @@ def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path) -> None
         assert "Line 15: far from all others beside the rig's nominal model" in told
 
 
-def test_a_package_that_is_missing_is_named_with_the_command(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_that_is_missing_is_named_with_the_command(folder, monkeypatch):
     book = workbook({"Data": [HEADER[:8], *TABLE.tolist()]}) or b"PK"
     if book == b"PK":
         pytest.skip("needs openpyxl")
@@ -117,7 +115,7 @@ def test_a_package_that_is_missing_is_named_with_the_command(
     assert "install it with: pip install 'coilcal[files]' (mine.xlsx)" in sentence
 
 
-def test_a_recipe_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_a_recipe_is_read_as_it_was_written(tmp_path):
     recipe = Recipe(
         {"Zeit [ms]": "t_ms", "no": "-", 'a "b": c': "Bx_mT", "Uhr": "clock"},
         {"coil1_current_A": 3.0},

@@ -45,7 +45,7 @@ def report_calibration() -> None:
             reporter.calibration(stage)
 
 
-def test_a_pipe_gets_every_line_of_a_calibration_once_and_plainly(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_gets_every_line_of_a_calibration_once_and_plainly(capsys):
     report_calibration()
     assert capsys.readouterr().err.splitlines() == [
         "point estimate",
@@ -57,7 +57,7 @@ def test_a_pipe_gets_every_line_of_a_calibration_once_and_plainly(capsys: pytest
     ]
 
 
-def test_the_time_left_follows_from_what_was_done_since_the_beginning(now_s: list[float]) -> None:
+def test_the_time_left_follows_from_what_was_done_since_the_beginning(now_s):
     left = TimeLeft()
     assert left.seconds(50.0, 250.0) == inf
     now_s[0] += 10.0
@@ -69,9 +69,7 @@ def test_the_time_left_follows_from_what_was_done_since_the_beginning(now_s: lis
     assert left_words(left.seconds(99.9, 100.0)) == ""
 
 
-def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(
-    now_s: list[float], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(now_s, capsys):
     with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
         for n in range(9):
             now_s[0] = 100.0 + 1.5 * n
@@ -79,9 +77,7 @@ def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(
     assert capsys.readouterr().err == "coilcal: predicting points: 20 of 100, about 12 s left\n"
 
 
-def test_a_pipe_gets_every_stage_of_a_diagnosis_and_fits_only_now_and_then(
-    now_s: list[float], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_gets_every_stage_of_a_diagnosis_and_fits_only_now_and_then(now_s, capsys):
     with Reporter(LINE_EVERY_S, LINE_EVERY_S) as reporter:
         reporter.stage("searching for causes")
         for now_s[0] in (110.0, 120.0, 131.0, 140.0, 150.0):
@@ -89,7 +85,7 @@ def test_a_pipe_gets_every_stage_of_a_diagnosis_and_fits_only_now_and_then(
     assert capsys.readouterr().err.splitlines() == ["coilcal: searching for causes", f"coilcal: {WORDS}"]
 
 
-def test_what_is_not_as_it_should_be_with_a_stop_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_not_as_it_should_be_with_a_stop_is_said_once(capsys):
     reading = (2.0, [3.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0)
     good = StopReadings(*reading, n_gaps={"hall": 0})
     bad = StopReadings(*reading, is_settled=False, n_gaps={"hall": 2})

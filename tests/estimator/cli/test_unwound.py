@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
@@ -22,7 +20,7 @@ def run(*arguments: object) -> str:
 
 
 @pytest.mark.slow  # calibration/test_unwound does it by the API
-def test_a_magnet_is_imported_calibrated_predicted_and_diagnosed(tmp_path: Path) -> None:
+def test_a_magnet_is_imported_calibrated_predicted_and_diagnosed(tmp_path):
     rig = tmp_path / "rig.yaml"
     rig.write_text(TEXT.replace("degree: 10", "degree: 4"))
     places_m = 0.5 * in_ball(120, 1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 import torch
@@ -15,7 +14,6 @@ from estimator.diagnosis.elsewhere import computed_on
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import ask
 from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.expansion import Expansion
@@ -71,14 +69,14 @@ def assert_alike(there: Weighed, near: Weighed) -> None:
     assert_close(there.beside, near.beside, rtol=1e-5, atol=1e-5)
 
 
-def test_items_on_another_device_say_the_same(plain: Fit) -> None:
+def test_items_on_another_device_say_the_same(plain):
     near = weighed(plain)
     with far_device() as far:
         assert_alike(computed_on(far, weighed, plain), near)
 
 
 @pytest.mark.slow
-def test_correction_on_another_device_is_the_same(of_dipole: Answer) -> None:
+def test_correction_on_another_device_is_the_same(of_dipole):
     def corrected_there(fit: Fit) -> Correction:
         found = answered(fit)
         return corrected(found, found.plain, found.plain, Limits())
@@ -93,9 +91,7 @@ def test_correction_on_another_device_is_the_same(of_dipole: Answer) -> None:
 
 
 @pytest.mark.slow
-def test_diagnosis_on_another_device_has_the_same_names(
-    plain: Fit, small_rig: Rig, small_session: Session, tmp_path: Path
-) -> None:
+def test_diagnosis_on_another_device_has_the_same_names(plain, small_rig, small_session, tmp_path):
     session = Session(small_rig, plain.observations, small_session.source)
 
     def evidence(found: Diagnosis) -> list[dict[str, float]]:

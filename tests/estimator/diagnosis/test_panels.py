@@ -8,14 +8,13 @@ from pydantic import TypeAdapter
 
 from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.panels import panels, panels_text
-from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
 from tests.estimator.diagnosis.reported import RADIUS
 
 pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("names_are_right")]
 
 
-def test_panels_show_the_residuals_of_both_fits_where_the_sensor_was(diagnosis: Diagnosis) -> None:
+def test_panels_show_the_residuals_of_both_fits_where_the_sensor_was(diagnosis):
     made = panels(diagnosis)
     (around,) = made.maps
     plain, extended = diagnosis.fits.plain, diagnosis.fits.extended
@@ -35,7 +34,7 @@ def test_panels_show_the_residuals_of_both_fits_where_the_sensor_was(diagnosis: 
     assert after == pytest.approx(1.0, abs=0.2)
 
 
-def test_panels_name_the_cause_its_rivals_and_what_it_moved(diagnosis: Diagnosis) -> None:
+def test_panels_name_the_cause_its_rivals_and_what_it_moved(diagnosis):
     made = panels(diagnosis)
     (answer,) = made.answers
     assert {answer.label, *(name for name, _ in answer.alternatives)} == {"sensor_offset", "background_field"}

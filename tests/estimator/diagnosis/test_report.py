@@ -34,7 +34,7 @@ def text(diagnosis: Diagnosis) -> str:
     return as_text(diagnosis)
 
 
-def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text: str) -> None:
+def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_tell(text):
     twins = {"sensor_offset", "background_field"}
     found = re.search(r"\((\w+), (\d+) %\), or [^(]+ \((\w+), (\d+) %\)", text)
     assert {found[1], found[3]} == twins
@@ -42,7 +42,7 @@ def test_verdict_stands_first_with_its_twin_and_says_that_the_readings_cannot_te
     assert re.search(r"To tell them apart, measure .* \(expected odds [\d.,a-z ]+ to 1\)", text)
 
 
-def test_smallest_visible_sizes_are_told_with_their_place_and_what_absorbs_them(diagnosis: Diagnosis) -> None:
+def test_smallest_visible_sizes_are_told_with_their_place_and_what_absorbs_them(diagnosis):
     (table,) = visible_tables(diagnosis)
     told = {row[0]: dict(zip(table.header, row, strict=True)) for row in table.rows}
     assert "axis_gain[hall]" in told
@@ -53,9 +53,7 @@ def test_smallest_visible_sizes_are_told_with_their_place_and_what_absorbs_them(
     assert in_json["hidden_in"] in diagnosis.fits.plain.posterior.coordinates.quantities
 
 
-def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong(
-    diagnosis: Diagnosis,
-) -> None:
+def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong(diagnosis):
     """Five standard deviations off, known as well and four times less well."""
     improvement = diagnosis.improvement
     assert improvement is not None
@@ -78,7 +76,7 @@ def test_a_number_that_the_extension_only_loosens_is_not_said_to_have_been_wrong
     assert less == "clearly less is known of radius."
 
 
-def test_without_causes_a_correction_is_told_beside_the_rig_as_described_alone(diagnosis: Diagnosis) -> None:
+def test_without_causes_a_correction_is_told_beside_the_rig_as_described_alone(diagnosis):
     improvement = diagnosis.improvement
     assert improvement is not None
     taken = Correction(diagnosis.fits.final, (), {}, "", diagnosis.fits.final)
@@ -88,7 +86,7 @@ def test_without_causes_a_correction_is_told_beside_the_rig_as_described_alone(d
         assert len(rungs(replace(diagnosis, fits=fits), improvement)) == n_rows
 
 
-def test_a_report_does_not_fail_for_one_part(diagnosis: Diagnosis, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_report_does_not_fail_for_one_part(diagnosis, monkeypatch):
     """A sentence, a warning, a table and the figures fail; all others stand, and each that fails is told in its place."""
     monkeypatch.setattr(logging.getLogger("estimator.diagnosis.part_by_part"), "handlers", [])
     whole = headline(diagnosis)
@@ -124,12 +122,12 @@ def _failing(name: str, key: str) -> Callable[..., object]:
     return failing
 
 
-def test_size_of_the_cause_is_that_which_was_put_in(text: str) -> None:
+def test_size_of_the_cause_is_that_which_was_put_in(text):
     value, sd = re.search(r"\bx (−?\d+\.?\d*) ± (\d+\.?\d*)", text).groups()
     assert float(value) == pytest.approx(1e6 * OFFSET_T, abs=4.0 * float(sd))
 
 
-def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagnosis) -> None:
+def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis):
     """Without a thermometer nothing determines the loss per kelvin, so 0 with no uncertainty would be wrong."""
     fit = diagnosis.fits.final
     rig = with_effect(fit.rig, HEATING, fit.observations, {})
@@ -138,7 +136,7 @@ def test_quantity_that_the_session_cannot_see_is_given_no_size(diagnosis: Diagno
     assert set(heated.quantities(HEATING)) == {"loss_per_A2", "tau_h"}
 
 
-def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnosis) -> None:
+def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis):
     cause = diagnosis.causes[0].cause
     key = next(iter(diagnosis.quantities(cause)))
     widening = Widening(diagnosis.fits.final, 9.0 * diagnosis.fits.final.covariance)
@@ -154,7 +152,7 @@ def test_intervals_of_rig_and_cause_are_wider_by_what_is_left(diagnosis: Diagnos
         assert low == pytest.approx(-high)
 
 
-def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(diagnosis: Diagnosis) -> None:
+def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(diagnosis):
     (named,) = diagnosis.causes
     findings = replace(diagnosis.findings, causes=(), stand_ins=(named.cause,))
     unexplained = replace(diagnosis, findings=findings, verdict=Verdict.UNEXPLAINED)
@@ -180,7 +178,7 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     assert "also has" not in _text(diagnosis)
 
 
-def test_a_cause_that_the_rig_has_anyway_is_not_said_to_have_been_found(diagnosis: Diagnosis) -> None:
+def test_a_cause_that_the_rig_has_anyway_is_not_said_to_have_been_found(diagnosis):
     known = replace(diagnosis, fits=replace(diagnosis.fits, plain=diagnosis.fits.extended))
     page = as_text(known)
     assert "What was there anyway" in page

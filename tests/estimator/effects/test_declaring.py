@@ -52,7 +52,7 @@ def circumstances() -> Circumstances:
     return Circumstances(rig_from_text(RIG), observations)
 
 
-def test_function_gives_name_and_explanation_and_takes_what_it_needs(circumstances) -> None:
+def test_function_gives_name_and_explanation_and_takes_what_it_needs(circumstances):
     effect = ReadingEffect.cause(**BENT, is_linear=False, starts=({"excess": 1.0},))(bent)
     assert (effect.name, effect.words, effect.is_linear) == ("bent", "it bends", False)
     assert inspect.getdoc(type(effect)) == "The sensor bends.\n\nWith its field."
@@ -66,7 +66,7 @@ def silent(field_sensor_T):
     return field_sensor_T
 
 
-def test_docstring_says_words_and_source_and_explains() -> None:
+def test_docstring_says_words_and_source_and_explains():
     @ReadingEffect.cause(quantities=BENT["quantities"])
     def worn(field_sensor_T):
         """The sensor is worn.
@@ -124,12 +124,12 @@ def test_docstring_says_words_and_source_and_explains() -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_a_declaration_is_said(declare, sentence: str) -> None:
+def test_what_is_wrong_with_a_declaration_is_said(declare, sentence):
     with pytest.raises(InvalidInput, match=sentence):
         declare()
 
 
-def test_first_number_that_breaks_its_rule_is_named() -> None:
+def test_first_number_that_breaks_its_rule_is_named():
     numbers = (switch("a", 0.0, 9.0, 1.0, POSITIVE), switch("b", 0.0, 1.0, 1.0))
     effect = ReadingEffect.cause(**BENT | {"quantities": numbers})(bent)
     assert effect.broken_rule({"a": -1.0, "b": 1.0}) == ("a", "must be > 0")
@@ -191,7 +191,7 @@ def added(effect: During, theta, circumstances: Circumstances) -> torch.Tensor:
 @pytest.mark.parametrize(
     "base", [more_shown, more_current, more_field, farther, turned], ids=lambda each: each.name
 )
-def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances) -> None:
+def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances):
     @during(base, words="since")
     def since():
         """Since."""
@@ -213,7 +213,7 @@ def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances) -
         assert effect.starts(circumstances, effect.places(circumstances.rig)[0])
 
 
-def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances) -> None:
+def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances):
     @during(turned, words="since")
     def since():
         """Since."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import runpy
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -55,9 +54,7 @@ def points_m() -> Tensor:
 MOTION = {"stage": torch.tensor([0.01, 0.0, -0.01, 0.1, 0.2, 0.0], dtype=torch.float64)}
 
 
-def test_json_follows_its_schema_and_holds_what_a_reader_needs(
-    magnet: Calibration, points_m: Tensor, tmp_path: Path
-) -> None:
+def test_json_follows_its_schema_and_holds_what_a_reader_needs(magnet, points_m, tmp_path):
     document = json.loads(magnet.export("json", tmp_path / "magnet.json").read_text())
     jsonschema.validate(document, calibration_schema())
     assert [coil.get("corners") for coil in document["coils"]] == ["sharp", "round", None]
@@ -91,7 +88,7 @@ def loops_T(coil: dict[str, Any], points_m: np.ndarray) -> np.ndarray:
     return total
 
 
-def test_magpylib_has_the_field_of_all_loops(magnet: Calibration, points_m: Tensor, tmp_path: Path) -> None:
+def test_magpylib_has_the_field_of_all_loops(magnet, points_m, tmp_path):
     path = magnet.export("magpylib", tmp_path / "magnet.py", motion=MOTION)
     found_T = runpy.run_path(str(path))["magnet"](list(CURRENTS_A.values())).getB(points_m.numpy())
     whole = RoomField(magnet.rig, magnet.best_values(), points_m, MOTION, tolerance=0.0)
@@ -123,23 +120,19 @@ def question(around_m: Tensor) -> Question:
 
 
 @needs_gcc
-def test_cpp_has_field_gradient_and_standard_deviation(
-    magnet: Calibration, question: Question, tmp_path: Path
-) -> None:
+def test_cpp_has_field_gradient_and_standard_deviation(magnet, question, tmp_path):
     rows = question.by_gcc(magnet, "three_shapes", tmp_path)
     question.check(rows, magnet)
     question.check_deviation(rows, magnet, 11)
 
 
 @needs_octave
-def test_octave_has_field_and_gradient(magnet: Calibration, question: Question, tmp_path: Path) -> None:
+def test_octave_has_field_and_gradient(magnet, question, tmp_path):
     question.check(question.by_octave(magnet, tmp_path), magnet)
 
 
 @pytest.mark.parametrize("is_exported", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_the_program_of_torch_has_field_and_gradient(
-    magnet: Calibration, question: Question, tmp_path: Path, is_exported: bool
-) -> None:
+def test_the_program_of_torch_has_field_and_gradient(magnet, question, tmp_path, is_exported):
     """As the module that is exported, and as the file; `test_torch_program` runs one without coilcal."""
     program = MagnetProgram(Magnet.of(magnet).model("torch"))
     if is_exported:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,7 +117,7 @@ class Killed(Exception):
 
 @pytest.mark.parametrize("killed_at", [10, 20, 30])
 def test_killed_run_continues_to_the_chain_of_the_uninterrupted_one(
-    counts_problem, mixture, tmp_path: Path, killed_at
+    counts_problem, mixture, tmp_path, killed_at
 ):
     settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=50, seed=5)
     expected = sample(counts_problem.whole, mixture, settings)

@@ -133,7 +133,7 @@ def test_chain_continued_within_a_block_is_that_of_an_uninterrupted_run(proposal
     )
 
 
-def test_draws_without_a_density_are_not_accepted(monkeypatch: pytest.MonkeyPatch):
+def test_draws_without_a_density_are_not_accepted(monkeypatch):
     """The target has one there, so that the ratio would be infinite."""
     proposal = MixtureProposal(RIGHT)
     known = proposal.log_density

@@ -45,9 +45,7 @@ def assert_same_maximum(found: Optimum, exact: Optimum) -> None:
 
 
 @pytest.mark.parametrize("more", [(), (WIDER,), (ROBUST,)], ids=["free noise", "jitter", "outliers"])
-def test_maximum_and_curvature_are_those_of_exact_jacobians(
-    problem: Problem, more: tuple[Cause, ...]
-) -> None:
+def test_maximum_and_curvature_are_those_of_exact_jacobians(problem, more):
     posterior = posterior_with(problem, *SENSOR_CAUSES, *more)
     start = posterior.coordinates.start()[None]
     found = climb_with_secants(posterior, start, TOLERANCE)
@@ -59,7 +57,7 @@ def test_maximum_and_curvature_are_those_of_exact_jacobians(
     torch.testing.assert_close(found.log_posterior, posterior(found.vector), rtol=0.0, atol=0.0)
 
 
-def test_few_jacobians_are_made(problem: Problem) -> None:
+def test_few_jacobians_are_made(problem):
     posterior = posterior_with(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
     with patch.object(
@@ -74,7 +72,7 @@ def test_few_jacobians_are_made(problem: Problem) -> None:
     assert found.n_iterations > n_with_secants
 
 
-def test_maximum_at_a_bound(problem: Problem) -> None:
+def test_maximum_at_a_bound(problem):
     """Readings of a coil 1.5 mm beyond the bound."""
     shifted = make_problem(
         COIL.replace("lower: -38, upper: -33", "lower: -60, upper: -10"),
@@ -92,7 +90,7 @@ def test_maximum_at_a_bound(problem: Problem) -> None:
     assert float(found.log_posterior) > float(exact.log_posterior) - 0.05
 
 
-def test_a_wrong_jacobian_at_the_start_leads_to_the_same_maximum(problem: Problem) -> None:
+def test_a_wrong_jacobian_at_the_start_leads_to_the_same_maximum(problem):
     posterior = posterior_with(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
     slopes = posterior.to_first_order(start)
@@ -103,7 +101,7 @@ def test_a_wrong_jacobian_at_the_start_leads_to_the_same_maximum(problem: Proble
     assert_same_maximum(found, levenberg_marquardt(posterior, start, tolerance=TOLERANCE))
 
 
-def test_a_start_that_rounding_left_outside_the_prior_climbs_all_the_same(problem: Problem) -> None:
+def test_a_start_that_rounding_left_outside_the_prior_climbs_all_the_same(problem):
     posterior = posterior_with(problem, *SENSOR_CAUSES)
     start = posterior.coordinates.start()[None]
     exact = climb_with_secants(posterior, start, TOLERANCE)

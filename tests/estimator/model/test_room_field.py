@@ -154,9 +154,7 @@ def test_batches_of_parameter_sets_and_of_currents_equal_one_by_one(rig, points_
         torch.testing.assert_close(together[i], room.field_T(values_of(rig), current), rtol=1e-12, atol=1e-20)
 
 
-def test_draws_some_at_a_time_give_what_all_give_together(
-    rig: Rig, points_m: Tensor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_draws_some_at_a_time_give_what_all_give_together(rig, points_m, monkeypatch):
     """With a block that ends in the middle, and without a batch where nothing depends on the draws."""
     values = values_of(rig)
     room = RoomField(rig, values, points_m)

@@ -57,8 +57,8 @@ def world(
 
 @pytest.mark.whole
 def test_a_calibration_that_holds_is_called_changed_at_the_stated_rate_at_most(
-    asked: Recheck, small_calibration: Calibration, stops: Observations
-) -> None:
+    asked, small_calibration, stops
+):
     truths = small_calibration.draw_values(N_SESSIONS)
     ends, lengths = [], []
     for k in range(N_SESSIONS):
@@ -80,14 +80,7 @@ def test_a_calibration_that_holds_is_called_changed_at_the_stated_rate_at_most(
         ({}, {"background_field[room].x_T": 80e-6}, "background_field[room].x_T"),
     ],
 )
-def test_what_changed_is_named_with_its_size(
-    asked: Recheck,
-    small_calibration: Calibration,
-    stops: Observations,
-    moved: Mapping[str, float],
-    hidden: Mapping[str, float],
-    name: str,
-) -> None:
+def test_what_changed_is_named_with_its_size(asked, small_calibration, stops, moved, hidden, name):
     names = list(small_calibration.draws)
     truth = {n: small_calibration.best[n] + moved.get(n, 0.0) for n in names}
     entries, end = world(asked, stops, truth, 5, **hidden).run()
@@ -97,9 +90,7 @@ def test_what_changed_is_named_with_its_size(
     assert float(size.split()[0]) == pytest.approx({**moved, **hidden}[name], rel=0.5)
 
 
-def test_what_the_calibration_knows_of_the_currents_before_is_no_change(
-    small_rig: Rig, small_truth: dict[str, float], stops: Observations
-) -> None:
+def test_what_the_calibration_knows_of_the_currents_before_is_no_change(small_rig, small_truth, stops):
     """A core keeps 3 % of the last current, as the rig says."""
     memory, sizes = Cause("current_remanence", "coil1"), {"share": 0.03}
     rig = with_effect(small_rig.with_values(small_truth), memory, stops, sizes, is_free=False)
@@ -119,9 +110,7 @@ def test_what_the_calibration_knows_of_the_currents_before_is_no_change(
 
 
 @pytest.mark.whole
-def test_stops_are_the_same_after_a_restart(
-    asked: Recheck, small_calibration: Calibration, stops: Observations
-) -> None:
+def test_stops_are_the_same_after_a_restart(asked, small_calibration, stops):
     truth = {name: small_calibration.best[name] for name in small_calibration.draws}
     entries, end = world(asked, stops, truth, 6).run()
     again = recheck(small_calibration, stops)
@@ -136,9 +125,7 @@ def test_stops_are_the_same_after_a_restart(
 
 
 @pytest.mark.whole
-def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(
-    small_calibration: Calibration, stops: Observations
-) -> None:
+def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(small_calibration, stops):
     short = recheck(small_calibration, stops, most_stops=4)
     truth = {name: small_calibration.best[name] for name in small_calibration.draws}
     entries, end = world(short, stops, truth, 7).run()
@@ -147,6 +134,6 @@ def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(
 
 
 @pytest.mark.whole
-def test_changes_that_no_stop_shows_are_refused(small_calibration: Calibration, stops: Observations) -> None:
+def test_changes_that_no_stop_shows_are_refused(small_calibration, stops):
     with pytest.raises(InvalidInput, match="must be large enough to show at the candidate stops"):
         recheck(small_calibration, stops, share=1e-5)

@@ -22,8 +22,7 @@ from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import improvement_of
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.weighed import weighed
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
@@ -38,7 +37,7 @@ SIZES = {
 
 @pytest.mark.parametrize("cause", SIZES, ids=lambda cause: cause.name)
 def test_instant_is_that_between_the_last_reading_before_and_the_first_after(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session, cause: Cause
+    small_rig, small_truth, small_session, cause
 ):
     readings = small_session.observations.calibration
     hours = (readings.time_s - readings.history.time_s.min()) / 3600.0
@@ -52,9 +51,7 @@ def test_instant_is_that_between_the_last_reading_before_and_the_first_after(
     assert float(hours[row]) < item.start["since_h"] < float(hours[row + 1])
 
 
-def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(
-    small_rig: Rig, small_session: Session
-):
+def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(small_rig, small_session):
     """It would gain by the number of its instants else."""
     fit = fit_of(small_rig, small_session.observations.calibration)
     (start, *_) = starts_of(fit, candidates(fit, [Cause("offset_step", "hall")]))
@@ -66,7 +63,7 @@ def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(
 
 
 def test_a_spell_is_found_between_the_readings_at_which_it_begins_and_ends(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+    small_rig, small_truth, small_session
 ):
     readings = small_session.observations.calibration
     hours = (readings.time_s - readings.history.time_s.min()) / 3600.0
@@ -87,7 +84,7 @@ class Judged:
 
 
 def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+    small_rig, small_truth, small_session
 ):
     """Where a block is kept out about the instant, the fitted readings beside it are all that says when it was.
 

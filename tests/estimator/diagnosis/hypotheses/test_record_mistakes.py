@@ -13,20 +13,19 @@ from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistak
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.use import shifts_rows
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 pytestmark = pytest.mark.whole
 
 
-def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
+def test_right_record_is_left_alone(small_rig, small_session):
     fit = fit_of(small_rig, small_session.observations.calibration)
     assert without_record_mistakes(fit) == (fit, [])
 
 
 def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session, monkeypatch: pytest.MonkeyPatch
+    small_rig, small_truth, small_session, monkeypatch
 ):
     """With one rotation only, for the whole search takes half a minute."""
     monkeypatch.setattr(record_mistakes, "EFFECTS", {"displacement_frame": EFFECTS["displacement_frame"]})
@@ -40,9 +39,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     assert [mistake.cause.name for mistake in mistakes] == []
 
 
-def test_fields_that_were_written_beside_their_rows_are_put_back(
-    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch
-):
+def test_fields_that_were_written_beside_their_rows_are_put_back(small_rig, small_session, monkeypatch):
     """The field that the first row was left with belongs to none, and may be anything. Beside one other mistake, for each takes seconds."""
     known = {name: EFFECTS[name] for name in ("rows_shifted", "left_handed")}
     monkeypatch.setattr(record_mistakes, "EFFECTS", known)
@@ -59,9 +56,7 @@ def test_fields_that_were_written_beside_their_rows_are_put_back(
 
 
 @pytest.mark.parametrize("taken", ["rows_shifted", "rows_shifted_since"])
-def test_rows_that_are_shifted_already_are_not_shifted_again(
-    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, taken: str
-):
+def test_rows_that_are_shifted_already_are_not_shifted_again(small_rig, small_session, monkeypatch, taken):
     """Readings that make no sense ask for a second shift, whichever of the two was taken first."""
     shifts = {name: effect for name, effect in EFFECTS.items() if shifts_rows(effect)}
     assert set(shifts) == {"rows_shifted", "rows_shifted_since"}
@@ -79,7 +74,7 @@ def test_rows_that_are_shifted_already_are_not_shifted_again(
 
 @pytest.mark.parametrize("begins_at", [8, 17])
 def test_an_axis_that_is_reversed_in_mid_session_is_found_to_the_reading(
-    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, begins_at: int
+    small_rig, small_session, monkeypatch, begins_at
 ):
     """Not at one of the instants that fits start from."""
     known = {name: EFFECTS[name] for name in ("axes_swapped_since", "current_sign_since", "axes_swapped")}

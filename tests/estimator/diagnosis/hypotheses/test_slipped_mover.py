@@ -31,9 +31,7 @@ def fit_of_hidden(name: str, folder: Path) -> tuple[Fit, str]:
 
 @pytest.mark.whole
 @pytest.mark.parametrize("name", [SLIPPED, BUMPED])
-def test_the_same_shift_at_all_sensors_is_the_movers_and_at_one_the_sensors(
-    name: str, tmp_path: Path
-) -> None:
+def test_the_same_shift_at_all_sensors_is_the_movers_and_at_one_the_sensors(name, tmp_path):
     fit, place = fit_of_hidden(name, tmp_path)
     asked = [cause for cause in causes_of(fit.rig, fit) if cause.name in (SLIPPED, BUMPED)]
     assert len(asked) == 3
@@ -44,7 +42,7 @@ def test_the_same_shift_at_all_sensors_is_the_movers_and_at_one_the_sensors(
 
 
 @pytest.mark.whole
-def test_it_is_not_asked_where_a_bumped_sensor_does_the_same(tmp_path: Path) -> None:
+def test_it_is_not_asked_where_a_bumped_sensor_does_the_same(tmp_path):
     draw_session(SEED, None, SIGMA, "recommended").write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
     both = session.observations

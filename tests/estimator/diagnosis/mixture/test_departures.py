@@ -35,7 +35,7 @@ def asked(rig_text: str, small_plan: Plan, small_truth: dict[str, float]) -> Ask
     return ask(Expansion.of(plain), Limits(), 1, {})
 
 
-def test_what_all_sensors_have_in_common_shares_the_prior_of_its_kind_with_single_ones(asked: Asked):
+def test_what_all_sensors_have_in_common_shares_the_prior_of_its_kind_with_single_ones(asked):
     items = [item for item in asked.dictionary.items if item.cause.name == COMMON.name]
     assert {item.cause.place for item in items} == {*SENSORS, EVERYWHERE}
     total = math.fsum(math.exp(item.log_prior) for item in asked.dictionary.items if not item.is_listed)
@@ -45,7 +45,7 @@ def test_what_all_sensors_have_in_common_shares_the_prior_of_its_kind_with_singl
     assert 0.0 < common <= single * (1.0 + 1e-9)
 
 
-def test_it_is_corrected_sensor_by_sensor(asked: Asked):
+def test_it_is_corrected_sensor_by_sensor(asked):
     by_hand = said(asked, {(COMMON,): 100})
     plain = asked.expansion.plain
     correction = corrected(by_hand, plain, plain, Limits())
@@ -56,7 +56,7 @@ def test_it_is_corrected_sensor_by_sensor(asked: Asked):
     assert _groups(plain, correction.final) == {COMMON: list(corrections)}  # one share of the error budget
 
 
-def test_two_sensors_that_respond_oddly_each_in_its_own_way_take_one_slot(asked: Asked):
+def test_two_sensors_that_respond_oddly_each_in_its_own_way_take_one_slot(asked):
     plain = asked.expansion.plain
     readings, random = plain.observations, torch.Generator().manual_seed(5)
     field_T = readings.field_sensor_T

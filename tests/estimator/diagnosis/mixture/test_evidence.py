@@ -102,9 +102,7 @@ def test_evidence_of_a_signal_is_that_of_readings_which_are_nothing_else():
 @pytest.mark.parametrize("noise", [1.0, 0.6])
 @pytest.mark.parametrize("shift", [None, 3])
 @pytest.mark.parametrize("size", [1.0, -1.0, -60.0])  # the last one 40 standard deviations on the wrong side
-def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(
-    size: float, shift: int | None, noise: float
-):
+def test_what_cannot_be_negative_has_the_evidence_of_a_half_normal_prior(size, shift, noise):
     """By the full density at each size, beside another item and after one with the same column that may be negative."""
     other, whole = item("other", [1, 2]), item("half", [0], width=2.0, shift=shift)
     half = replace(whole, is_one_sided=True)

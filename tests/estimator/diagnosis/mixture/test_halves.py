@@ -28,7 +28,7 @@ def test_a_block_is_nearer_together_than_all_readings(small_session):
 
 
 @pytest.mark.parametrize("size", [0.4, 0.9, 2.0])
-def test_what_a_half_is_expected_to_say_is_the_mean_of_what_halves_with_other_noise_say(size: float):
+def test_what_a_half_is_expected_to_say_is_the_mean_of_what_halves_with_other_noise_say(size):
     """One of two leading items, which the half shows hardly, in part, and clearly; over many draws of noise and of the rig's numbers."""
     items = [
         item("gain", [0]),

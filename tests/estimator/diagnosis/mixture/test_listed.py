@@ -13,8 +13,7 @@ from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.listed import _weighed, present_items, starts_of
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.weighed import weighed
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
@@ -24,9 +23,7 @@ BODY = Cause("iron_body", "room")
 PLACE_M = {"x_m": 0.03, "y_m": -0.05, "z_m": 0.05}
 
 
-def test_a_place_between_starts_is_found(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
-):
+def test_a_place_between_starts_is_found(small_rig, small_truth, small_session):
     """A piece of iron, in the linear model about the rig without it."""
     truth = small_rig.with_values(small_truth)
     readings = small_session.observations.calibration
@@ -43,9 +40,7 @@ def test_a_place_between_starts_is_found(
     assert float((found_m - place_m).norm()) < 0.3 * nearest_m
 
 
-def test_a_place_that_explains_by_negative_iron_is_not_preferred(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
-):
+def test_a_place_that_explains_by_negative_iron_is_not_preferred(small_rig, small_truth, small_session):
     """Readings that differ from the rig's as iron does, with the other sign, offer no iron that they would call sure."""
     truth = small_rig.with_values(small_truth)
     readings = small_session.observations.calibration

@@ -13,7 +13,7 @@ def day(number: int) -> datetime:
     return datetime(2026, 1, number, tzinfo=UTC)
 
 
-def test_sessions_versions_and_causes_are_drawn() -> None:
+def test_sessions_versions_and_causes_are_drawn():
     radius = {"coil1.radius_m": (0.051, 1e-4)}
     sessions = [
         SessionSummary(day(1), "updated", "", radius),
@@ -39,7 +39,7 @@ def test_sessions_versions_and_causes_are_drawn() -> None:
     assert len(gain_panel.containers) == 1
 
 
-def test_labels_of_close_sessions_and_versions_do_not_lie_on_each_other() -> None:
+def test_labels_of_close_sessions_and_versions_do_not_lie_on_each_other():
     sessions = [SessionSummary(day(1), "updated", "", {})]
     close = [2, 2, 3, 3, 4, 4, 5, 20]
     sessions += [SessionSummary(day(n), "drifted", f"axis gain of sensor {n}", {}) for n in close]

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -35,9 +33,7 @@ def noise_band(ax: Axes, upright: bool = False) -> tuple[float, float]:
     return (box.x0, box.x1) if upright else (box.y0, box.y1)
 
 
-def test_predicted_against_measured_shows_equality_and_residuals_with_zero_and_sigma(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_predicted_against_measured_shows_equality_and_residuals_with_zero_and_sigma(residual_T, words):
     measured_T = np.linspace(-5e-3, 5e-3, 600).reshape(200, 3) + residual_T
     ax = predicted_against_measured(measured_T, measured_T - residual_T, SIGMA_T, title=TITLE)
     text = words(ax)
@@ -50,9 +46,7 @@ def test_predicted_against_measured_shows_equality_and_residuals_with_zero_and_s
     assert np.allclose(lower.lines[1].get_ydata(), residual_T[:, 0] * 1e6, equal_nan=True)
 
 
-def test_residual_against_draws_into_given_axes_with_zero_sigma_and_units(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_residual_against_draws_into_given_axes_with_zero_sigma_and_units(residual_T, words):
     given = Figure(layout="constrained").add_subplot()
     ax = residual_against(np.arange(200.0), residual_T, SIGMA_T, "time (s)", ax=given, title=TITLE)
     assert ax is given
@@ -64,18 +58,14 @@ def test_residual_against_draws_into_given_axes_with_zero_sigma_and_units(
     assert noise_band(ax) == pytest.approx((-20.0, 20.0))
 
 
-def test_residual_against_counts_in_sigmas_where_sensors_differ(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_residual_against_counts_in_sigmas_where_sensors_differ(residual_T, words):
     sigma_T = np.where(np.arange(200)[:, None] < 100, 1e-5, 2e-5) * np.ones((1, 3))
     ax = residual_against(np.arange(200.0), residual_T, sigma_T, "time (s)")
     assert "residual (sigma)" in words(ax)
     assert noise_band(ax) == pytest.approx((-1.0, 1.0))
 
 
-def test_histogram_is_whitened_and_shows_the_unit_normal(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_histogram_is_whitened_and_shows_the_unit_normal(residual_T, words):
     ax = residual_histogram(residual_T, SIGMA_T, title=TITLE)
     text = words(ax)
     assert "residual / sigma" in text
@@ -85,9 +75,7 @@ def test_histogram_is_whitened_and_shows_the_unit_normal(
     assert ax.lines[1].get_ydata().max() == pytest.approx(0.3989, rel=1e-3)
 
 
-def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(residual_T, words):
     sensor = np.arange(200) % 2
     residual_T[sensor == 1] *= 2.0
     residual_T[sensor == 1, 2] *= 2.0

@@ -15,7 +15,7 @@ from estimator.units import UNITS
 CONFIGS = Path(__file__).parents[4] / "configs"
 
 
-def test_every_format_is_called_with_files_rig_and_currents(tmp_path: Path) -> None:
+def test_every_format_is_called_with_files_rig_and_currents(tmp_path):
     rig = load_rig(CONFIGS / "goettingen_long.yaml")
     path = tmp_path / "scan.dat"
     path.write_text("0 1\n")
