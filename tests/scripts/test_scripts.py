@@ -6,11 +6,13 @@ import importlib
 import runpy
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tests.estimator.conftest import rig_text, small_plan, small_rig, small_session
+import estimator
+from tests.estimator.conftest import SETTINGS, rig_text, small_plan, small_rig, small_session
 
 __all__ = ["rig_text", "small_plan", "small_rig", "small_session"]  # fixtures
 
@@ -42,6 +44,7 @@ def test_recalibrate_judges_what_lies_in_the_inbox(small_session, rig_text, tmp_
     (tmp_path / "rig.yaml").write_text(rig_text, encoding="utf-8")
     small_session.save(tmp_path / "inbox" / "first.zarr")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(estimator, "recalibrate", partial(estimator.recalibrate, settings=SETTINGS))
     run("recalibrate")
     said = capsys.readouterr().out
     assert "first.zarr: updated, first calibration" in said
