@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
-from estimator.readings.digits import flags_of_digits, step_of
+from estimator.readings.digits import FEWEST_CODES, _stuck_bits, flags_of_digits, step_of
 from estimator.readings.flags import Flag, Reason, told, without_flagged
 from estimator.readings.observations import Observations
 from tests.hidden.written_wrong import written
@@ -52,6 +54,23 @@ def test_a_bit_that_is_stuck_is_flagged_with_its_size(value):
         flag.clause(["hall"]) == f"y of hall has a bit of 32 µT that is always {value}, in all its readings"
     )
     assert without_flagged(readings, [flag]) is readings
+
+
+@given(
+    st.lists(st.integers(-(2**40), 2**40), max_size=80),
+    st.integers(0, 2**41),
+    st.integers(0, 2**41),
+    st.sampled_from([1, 30, 2**20]),
+)
+def test_stuck_bits_are_those_that_never_change_below_30_codes(values, ones, zeros, width):
+    """By the definition, which looks at all codes for each bit and takes seconds for a million of them."""
+    codes = np.array([(value % width | ones) & ~zeros for value in values], dtype=np.float64)
+    whole, expected, bit = codes.astype(np.int64), [], 0
+    while len(np.unique(whole >> (bit + 1))) >= FEWEST_CODES:
+        if len(value := np.unique(whole >> bit & 1)) == 1:
+            expected.append((bit, int(value[0])))
+        bit += 1
+    assert list(_stuck_bits(codes)) == expected
 
 
 def test_a_map_that_symmetry_repeats_is_left_alone():
