@@ -53,7 +53,7 @@ def test_steps_of_the_last_digit_that_exceed_the_noise_are_told(step_uT, is_told
     assert bool(told) is is_told
 
 
-def test_a_coil_that_is_never_on_is_told() -> None:
+def test_a_coil_that_is_never_on_is_told():
     rig = rig_from_text(RIG)
     for current_A, n_told in ((0.0, 1), (3.0, 0)):
         observations = replace(readings(rig), current_A=torch.full((30, 1), current_A).double())

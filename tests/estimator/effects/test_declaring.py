@@ -227,7 +227,7 @@ def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances):
     assert (moved.rotation[~is_turned] == eye[~is_turned]).all()
 
 
-def test_an_answer_of_another_shape_than_what_it_changes_is_said_in_one_sentence(circumstances) -> None:
+def test_an_answer_of_another_shape_than_what_it_changes_is_said_in_one_sentence(circumstances):
     def first_axis(field_sensor_T, theta):
         """The sensor gives one axis."""
         return field_sensor_T[..., 0] * (1.0 + theta["excess"][..., None])
