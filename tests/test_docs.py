@@ -8,7 +8,6 @@ from functools import cache
 from pathlib import Path
 
 import click
-import pytest
 
 from estimator.cli.main import main
 from estimator.effects import EFFECTS
@@ -44,8 +43,6 @@ MODULE_FILE = re.compile(r"(?<![\w/.])(?:estimator|drivers|scripts|tests|configs
 MODULE = re.compile(r"(?<![\w/.-])(?:estimator|drivers|scripts)(?:\.[a-z_]\w*)+")
 TERM = re.compile(r"^- \*\*(.+?)\*\*: ", re.MULTILINE)
 
-pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-
 
 @cache
 def anchors(page: Path) -> set[str]:
@@ -71,42 +68,40 @@ def is_module(name: str) -> bool:
     return False
 
 
-@pages
-def test_links_lead_to_files_and_headings(page: Path) -> None:
-    for target in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
-        if re.match(r"[a-z]+:", target):
-            continue
-        path, _, anchor = target.partition("#")
-        file = (page.parent / path).resolve() if path else page
-        assert file.exists() or file in CAUSE_PAGES, f"{target} in {page}"
-        assert not anchor or anchor in anchors(file), f"{target} in {page}"
+def test_links_lead_to_files_and_headings():
+    for page in PAGES:
+        for target in LINK.findall(CODE.sub("", page.read_text(encoding="utf-8"))):
+            if re.match(r"[a-z]+:", target):
+                continue
+            path, _, anchor = target.partition("#")
+            file = (page.parent / path).resolve() if path else page
+            assert file.exists() or file in CAUSE_PAGES, f"{target} in {page}"
+            assert not anchor or anchor in anchors(file), f"{target} in {page}"
 
 
-@pages
-def test_paths_and_modules_exist(page: Path) -> None:
-    text = page.read_text(encoding="utf-8")
-    for path in MODULE_FILE.findall(text):
-        assert "NAME" in path or (ROOT / path).exists(), f"{path} in {page}"
-    for name in MODULE.findall(text):
-        assert "NAME" in name or is_module(name), f"{name} in {page}"
+def test_paths_and_modules_exist():
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        for path in MODULE_FILE.findall(text):
+            assert "NAME" in path or (ROOT / path).exists(), f"{path} in {page}"
+        for name in MODULE.findall(text):
+            assert "NAME" in name or is_module(name), f"{name} in {page}"
 
 
-@pytest.mark.parametrize(
-    "folder", ["coilcal", "estimator", "drivers", "scripts", "tests", "configs", "docs", "."]
-)
-def test_what_is_cited_is_in_the_repository(folder: str) -> None:
+def test_what_is_cited_is_in_the_repository():
     """Pages by their path, decisions by path and number; other documents in capitals only where they are there."""
-    files = ROOT.glob("*.md") if folder == "." else (ROOT / folder).rglob("*")
-    for file in sorted(file for file in files if file.suffix in (".py", ".md", ".yaml")):
-        text = file.read_text(encoding="utf-8")
-        for path in re.findall(r"(?<![\w/.])docs/[\w/-]++(?:\.md)?(?!\[)", text):
-            is_made = path in MADE
-            assert is_made or any(ROOT.glob(f"{path}*")), f"{path} in {file}"
-        for name in re.findall(r"\b[A-Z][A-Z_]{3,}\.md\b", text):
-            assert (ROOT / name).is_file(), f"{name} in {file}"
+    for folder in ("coilcal", "estimator", "drivers", "scripts", "tests", "configs", "docs", "."):
+        files = ROOT.glob("*.md") if folder == "." else (ROOT / folder).rglob("*")
+        for file in sorted(file for file in files if file.suffix in (".py", ".md", ".yaml")):
+            text = file.read_text(encoding="utf-8")
+            for path in re.findall(r"(?<![\w/.])docs/[\w/-]++(?:\.md)?(?!\[)", text):
+                is_made = path in MADE
+                assert is_made or any(ROOT.glob(f"{path}*")), f"{path} in {file}"
+            for name in re.findall(r"\b[A-Z][A-Z_]{3,}\.md\b", text):
+                assert (ROOT / name).is_file(), f"{name} in {file}"
 
 
-def test_every_cause_is_listed_with_its_quantities() -> None:
+def test_every_cause_is_listed_with_its_quantities():
     """Rig files and scripts rely on these names: a row is added for a new cause, and none goes."""
     rows = re.findall(r"^\|`(\w+)`\|[\w ]+\|(.*?)\|", section(CAUSES), re.MULTILINE)
     library = [n for n, effect in EFFECTS.items() if type(effect).__module__.startswith("estimator.effects.")]
@@ -121,13 +116,13 @@ def test_every_cause_is_listed_with_its_quantities() -> None:
         assert listed == quantities or (set(listed) < set(quantities) and "and so on" in cell), name
 
 
-def test_every_format_of_an_export_is_listed() -> None:
+def test_every_format_of_an_export_is_listed():
     page = (ROOT / "docs/how-to/use-a-calibration-elsewhere.md").read_text(encoding="utf-8")
     first_column = re.findall(r"^\| (`\w+`(?:, `\w+`)*) \|", page.split("\n## ")[0], re.MULTILINE)
     assert sorted(re.findall(r"\w+", " ".join(first_column))) == sorted(FORMATS)
 
 
-def test_every_command_is_listed() -> None:
+def test_every_command_is_listed():
     context = click.Context(main)
     names = []
     for name, command in main.commands.items():
@@ -138,7 +133,7 @@ def test_every_command_is_listed() -> None:
     assert sorted(key for key in keys(COMMANDS) if key.startswith("coilcal")) == sorted(names)
 
 
-def test_every_setting_of_the_service_is_listed_with_its_default() -> None:
+def test_every_setting_of_the_service_is_listed_with_its_default():
     rows = re.findall(r"^\| (`.+?`) \| ([^|]+) \|", section(SERVICE), re.MULTILINE)
     listed: dict[str, str] = {}
     for names, values in rows:
@@ -154,14 +149,14 @@ def test_every_setting_of_the_service_is_listed_with_its_default() -> None:
     }
 
 
-def test_error_keys_are_those_of_the_metrics() -> None:
+def test_error_keys_are_those_of_the_metrics():
     text = section(SUMMARY).split("**Error keys.**")[1].split("\n\n")[0]
     assert [key for key in re.findall(r"`(\w+)`", text) if key != "vector_T"] == [
         field.name for field in fields(ErrorMetrics) if field.name != "vector_T"
     ]
 
 
-def test_glossary_explains_each_term_once_in_alphabetical_order() -> None:
+def test_glossary_explains_each_term_once_in_alphabetical_order():
     terms = [
         term.casefold() for term in TERM.findall((ROOT / "docs" / "glossary.md").read_text(encoding="utf-8"))
     ]

@@ -30,8 +30,6 @@ PIPES = {"|", ">", ">>", "2>&1", "&&", "&", ";"}
 NEED_A_SERVICE = {ROOT / "docs/how-to/run-the-service.md"}
 FIRST_TUTORIAL = ROOT / "docs/tutorials/first-calibration.md"  # whose rig the plans of other pages are for
 
-pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-
 
 def blocks(page: Path) -> Iterator[tuple[str, str]]:
     """Language and text of each block; a cell of a tutorial without its options, `%%writefile rig.yaml` as the language of a file."""
@@ -57,13 +55,16 @@ def commands(page: Path) -> Iterator[list[str]]:
                 yield call[:end]
 
 
-@pages
-def test_commands_exist_with_their_options(page: Path) -> None:
-    for words in commands(page):
-        command, arguments = command_of(words, page)
-        known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)} | {"--help", "-h"}
-        options = [word.partition("=")[0] for word in arguments if re.match(r"-+[a-z]", word)]
-        assert not set(options) - known, f"{command.name} in {page}"
+def test_commands_exist_with_their_options():
+    for page in PAGES:
+        for words in commands(page):
+            command, arguments = command_of(words, page)
+            known = {option for p in command.params for option in (*p.opts, *p.secondary_opts)} | {
+                "--help",
+                "-h",
+            }
+            options = [word.partition("=")[0] for word in arguments if re.match(r"-+[a-z]", word)]
+            assert not set(options) - known, f"{command.name} in {page}"
 
 
 def command_of(words: list[str], page: Path) -> tuple[click.Command, list[str]]:
@@ -88,14 +89,14 @@ def rigs_and_plans(page: Path) -> tuple[list[Rig], list[str]]:
     return rigs, plans
 
 
-@pages
-def test_rig_files_and_plans_are_read(page: Path, tmp_path: Path) -> None:
-    rigs, plans = rigs_and_plans(page)
-    rigs = rigs or rigs_and_plans(FIRST_TUTORIAL)[0]
-    for number, text in enumerate(plans):
-        path = tmp_path / f"plan{number}.yaml"
-        path.write_text(text, encoding="utf-8")
-        assert any(_is_plan_of(path, rig) for rig in rigs), f"a plan for no rig of {page}: {text}"
+def test_rig_files_and_plans_are_read(tmp_path):
+    for page in PAGES:
+        rigs, plans = rigs_and_plans(page)
+        rigs = rigs or rigs_and_plans(FIRST_TUTORIAL)[0]
+        for number, text in enumerate(plans):
+            path = tmp_path / f"plan{number}.yaml"
+            path.write_text(text, encoding="utf-8")
+            assert any(_is_plan_of(path, rig) for rig in rigs), f"a plan for no rig of {page}: {text}"
 
 
 def _is_plan_of(path: Path, rig: Rig) -> bool:
@@ -106,20 +107,20 @@ def _is_plan_of(path: Path, rig: Rig) -> bool:
     return True
 
 
-@pages
-def test_cells_of_tutorials_are_python(page: Path) -> None:
+def test_cells_of_tutorials_are_python():
     """The building of the site runs them."""
-    for language, text in blocks(page):
-        if language in ("{code-cell} ipython3", "%%writefile lab_causes.py"):
-            compile(text, str(page), "exec")
+    for page in PAGES:
+        for language, text in blocks(page):
+            if language in ("{code-cell} ipython3", "%%writefile lab_causes.py"):
+                compile(text, str(page), "exec")
 
 
-@pages
-def test_cells_of_tutorials_hide_no_error(page: Path) -> None:
+def test_cells_of_tutorials_hide_no_error():
     """Lines are chosen by options of `%%sh`: an error in a file is not quoted, and `head` may end what writes to it."""
-    for language, text in blocks(page):
-        if language.startswith("%%sh"):
-            assert not re.search(r"2>|\|\s*(head|tail|true)\b", text), f"{text} in {page}"
+    for page in PAGES:
+        for language, text in blocks(page):
+            if language.startswith("%%sh"):
+                assert not re.search(r"2>|\|\s*(head|tail|true)\b", text), f"{text} in {page}"
 
 
 def documents() -> list[Path]:
@@ -150,7 +151,7 @@ def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.whole
 @pytest.mark.parametrize("page", documents(), ids=lambda page: str(page.relative_to(ROOT)))
-def test_python_blocks_run(page: Path, calibrated: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_blocks_run(page, calibrated, monkeypatch):
     """All in the order of the page, those after `<!--- skip: next -->` left out."""
     monkeypatch.chdir(calibrated)
     document: Document = Sybil(parsers=[PythonCodeBlockParser(), SkipParser()]).parse(page)
@@ -158,7 +159,7 @@ def test_python_blocks_run(page: Path, calibrated: Path, monkeypatch: pytest.Mon
         example.evaluate()
 
 
-def test_generated_pages_are_those_of_the_library() -> None:
+def test_generated_pages_are_those_of_the_library():
     from scripts.documentation.causes import library
 
     assert {path.stem for path in CAUSE_PAGES} == {*library(), "index", "corrections"}

@@ -47,7 +47,7 @@ def local_variables(source: str) -> Iterator[tuple[int, str]]:
             yield node.lineno, node.id
 
 
-def test_no_docstring_opens_with_a_fragment() -> None:
+def test_no_docstring_opens_with_a_fragment():
     fragments = [
         f"{name}:{line}: {text}"
         for name, source in sources()
@@ -57,7 +57,7 @@ def test_no_docstring_opens_with_a_fragment() -> None:
     assert not fragments, "\n".join(fragments)
 
 
-def test_local_variables_say_what_they_hold() -> None:
+def test_local_variables_say_what_they_hold():
     empty = [
         f"{name}:{line}: {variable}"
         for name, source in sources()
@@ -67,7 +67,7 @@ def test_local_variables_say_what_they_hold() -> None:
     assert not empty, "\n".join(empty)
 
 
-def test_fragments_and_empty_names_are_seen() -> None:
+def test_fragments_and_empty_names_are_seen():
     source = '"""As above."""\nLIMIT = 1\n"""The same for two."""\nclass A:\n    kept: int\n    """Where it lies."""\n'
     assert all(FRAGMENT.match(text) for _, text in docstrings(source))
     assert len(list(docstrings(source))) == 3

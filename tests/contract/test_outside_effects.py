@@ -101,7 +101,7 @@ def registered() -> Iterator[None]:
 @pytest.mark.parametrize(
     "hidden", [pytest.param(key, marks=() if key in QUICK else pytest.mark.slow) for key in HIDDEN]
 )
-def test_an_outside_cause_is_hidden_and_named(files: Path, hidden: str) -> None:
+def test_an_outside_cause_is_hidden_and_named(files, hidden):
     rig = load_rig(files / "rig.yaml")
     readings = simulate(
         rig, load_plan(files / "plan.yaml", rig), TRUTH, seed=3, hidden={hidden: HIDDEN[hidden]}
@@ -128,7 +128,7 @@ def field_of(rig, point_m):
     return RoomField(rig, values, point_m).field_T(values, torch.tensor([3.0], dtype=torch.float64))
 
 
-def test_every_stage_has_an_outside_effect() -> None:
+def test_every_stage_has_an_outside_effect():
     """A stage that is added to the contract needs a line here."""
     stages = {stage for stage in Effect.__subclasses__() if stage.__module__ == "estimator.effects.stages"}
     used = {stage for stage in stages if any(isinstance(effect, stage) for effect in DECLARED)}
@@ -163,7 +163,7 @@ def coilcal(environment: dict[str, str], folder: Path, *arguments: str) -> str:
 @pytest.mark.whole
 @pytest.mark.slow
 @pytest.mark.parametrize("hidden", HIDDEN)
-def test_commands_know_the_causes_of_an_installed_package(files: Path, hidden: str) -> None:
+def test_commands_know_the_causes_of_an_installed_package(files, hidden):
     """From the simulation to a predicted field, each command in a process of its own."""
     environment, name = installed(files), hidden.partition(".")[0]
     simulation = (
@@ -208,7 +208,7 @@ class _WithoutUnit(CurrentEffect):
         return current_A
 
 
-def test_an_effect_that_breaks_the_contract_is_refused_in_one_sentence() -> None:
+def test_an_effect_that_breaks_the_contract_is_refused_in_one_sentence():
     with pytest.raises(InvalidInput, match="must be an instance of a stage"):
         register_effect(object())
     with pytest.raises(InvalidInput, match="must end in its unit A; received 'width'"):
@@ -216,7 +216,7 @@ def test_an_effect_that_breaks_the_contract_is_refused_in_one_sentence() -> None
     assert "without_unit" not in EFFECTS
 
 
-def test_a_package_that_does_not_load_is_named(tmp_path: Path) -> None:
+def test_a_package_that_does_not_load_is_named(tmp_path):
     environment = installed(tmp_path)
     (tmp_path / "site" / "lab_effects.py").write_text("import nothing_of_that_name\n")
     done = subprocess.run(

@@ -45,7 +45,7 @@ with SimulatedRig(section, {"hall": along_z}, circuits=circuits, homes=[home], f
 """
 
 
-def test_no_child_imports_the_program_that_started_it_nor_a_large_library(tmp_path: Path) -> None:
+def test_no_child_imports_the_program_that_started_it_nor_a_large_library(tmp_path):
     warmth = {"thermometer": "lakeshore_224", "inputs": {"coil1": "A"}}
     section = json.dumps({"hall": SENSOR, "coil1": SUPPLY, "arm1": ARM, "warmth": warmth})
     (tmp_path / "program.py").write_text(PROGRAM % (section, free_host()), encoding="utf-8")
@@ -73,9 +73,7 @@ def made_slowly(interrupt: threading.Event) -> None:
     interrupt.wait(90.0)
 
 
-def test_a_supply_process_that_has_not_started_is_told_from_a_port_that_does_not_open(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_supply_process_that_has_not_started_is_told_from_a_port_that_does_not_open(monkeypatch):
     monkeypatch.setattr(supervised, "_GRACE_S", 0.0)
     section = {"coil1": {**SUPPLY, "serial": "/dev/none", "longest_start_ms": 1}}
     with pytest.raises(
@@ -91,7 +89,7 @@ def test_a_supply_process_that_has_not_started_is_told_from_a_port_that_does_not
     assert f"coil1 must have opened within {longest_start_s:g} s; it has not" in str(refusal.value)
 
 
-def test_a_child_that_the_main_file_defines_is_refused_before_it_starts() -> None:
+def test_a_child_that_the_main_file_defines_is_refused_before_it_starts():
     program = """
     from drivers.supervised import Supervised
     def make(interrupt):

@@ -3,17 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-from pathlib import Path
-
-import pytest
 
 from estimator import code_version as module
 from estimator.code_version import code_version
 
 
-def test_a_checkout_says_its_commit_and_whether_files_differ_from_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_checkout_says_its_commit_and_whether_files_differ_from_it(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "ROOT", tmp_path)
     code_version.cache_clear()
     assert code_version() is None

@@ -11,7 +11,6 @@ from torch.testing import assert_close
 
 from estimator.batching.stacked import stacked_fits
 from estimator.calibration.calibrate import calibrate
-from estimator.calibration.result import Calibration
 from estimator.calibration.starting_point import starting_point_with_counts
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.fit_place import FitSetting, fitting_by
@@ -25,7 +24,6 @@ from estimator.model.preflight import check_precision
 from estimator.model.room_field import RoomField
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import Coordinates, nominal_tensors
-from estimator.store.session import Session
 from tests.far import far_device
 
 
@@ -43,7 +41,7 @@ def test_far_device_refuses_what_a_graphics_processor_refuses():
 
 
 @pytest.mark.whole
-def test_fits_of_stacked_sessions_on_another_device(small_session: Session) -> None:
+def test_fits_of_stacked_sessions_on_another_device(small_session):
     rig, readings = small_session.rig, small_session.observations.calibration
     random = torch.Generator().manual_seed(1)
     noise_T = 5e-6 * torch.randn(len(readings), 3, generator=random, dtype=torch.float64)
@@ -58,7 +56,7 @@ def test_fits_of_stacked_sessions_on_another_device(small_session: Session) -> N
 
 
 @pytest.mark.whole
-def test_stacked_fits_climb_elsewhere_and_take_their_last_step_at_home(small_session: Session) -> None:
+def test_stacked_fits_climb_elsewhere_and_take_their_last_step_at_home(small_session):
     rig, readings = small_session.rig, small_session.observations.calibration
     sessions = [readings, readings.with_field(1.001 * readings.field_sensor_T)]
     near = stacked_fits(rig, sessions, [0, 1], 2)
@@ -74,7 +72,7 @@ def test_stacked_fits_climb_elsewhere_and_take_their_last_step_at_home(small_ses
 
 @pytest.mark.slow
 @pytest.mark.whole
-def test_point_estimate_counts_and_chain_on_another_device(small_session: Session) -> None:
+def test_point_estimate_counts_and_chain_on_another_device(small_session):
     rig, readings = small_session.rig, small_session.observations.calibration
 
     def results(readings: Observations) -> tuple[torch.Tensor, np.ndarray]:
@@ -97,7 +95,7 @@ def test_point_estimate_counts_and_chain_on_another_device(small_session: Sessio
 
 
 @pytest.mark.whole
-def test_field_of_the_room_on_another_device_and_in_single_precision(small_session: Session) -> None:
+def test_field_of_the_room_on_another_device_and_in_single_precision(small_session):
     rig = small_session.rig
     points_m = torch.tensor([[0.0, 0.0, 0.05], [0.1, 0.02, 0.3], [0.0, 0.2, -1.0]], dtype=torch.float64)
 
@@ -112,9 +110,7 @@ def test_field_of_the_room_on_another_device_and_in_single_precision(small_sessi
 
 
 @pytest.mark.whole
-def test_single_precision_finds_the_maximum_within_a_hundredth_of_its_standard_deviation(
-    small_session: Session,
-) -> None:
+def test_single_precision_finds_the_maximum_within_a_hundredth_of_its_standard_deviation(small_session):
     rig, readings = small_session.rig, small_session.observations.calibration
     check_precision(rig, readings)
     (_, double), (_, single) = (
@@ -127,14 +123,14 @@ def test_single_precision_finds_the_maximum_within_a_hundredth_of_its_standard_d
     assert float((single.log_posterior - double.log_posterior).abs()) < 0.05
 
 
-def test_single_precision_is_refused_where_it_would_be_seen(small_session: Session) -> None:
+def test_single_precision_is_refused_where_it_would_be_seen(small_session):
     strong = replace(small_session.observations, current_A=2e4 * small_session.observations.current_A)
     with pytest.raises(InvalidInput, match="precision must be double for fields this large"):
         check_precision(small_session.rig, strong)
 
 
 @pytest.mark.whole
-def test_fit_of_a_diagnosis_climbs_elsewhere_and_ends_as_on_the_processor(small_session: Session) -> None:
+def test_fit_of_a_diagnosis_climbs_elsewhere_and_ends_as_on_the_processor(small_session):
     rig, readings = small_session.rig, small_session.observations.calibration
     rules = MeasurementModel.build(rig, readings).rules
     near = fit_rig(rig, readings, {}, rules)
@@ -150,9 +146,7 @@ def test_fit_of_a_diagnosis_climbs_elsewhere_and_ends_as_on_the_processor(small_
 
 
 @pytest.mark.whole
-def test_prediction_of_a_calibration_on_another_device_and_in_single_precision(
-    small_calibration: Calibration,
-) -> None:
+def test_prediction_of_a_calibration_on_another_device_and_in_single_precision(small_calibration):
     points_m = torch.tensor([[0.0, 0.0, 0.05], [0.1, 0.02, 0.3], [0.0, 0.2, -1.0]], dtype=torch.float64)
     currents_A = {small_calibration.rig.coils[0].name: 3.0}
 
@@ -168,7 +162,7 @@ def test_prediction_of_a_calibration_on_another_device_and_in_single_precision(
         assert_close(answer(points_m.to(far)).cpu(), near_T, rtol=1e-9, atol=1e-18)
 
 
-def test_device_that_is_not_there_is_refused(small_session: Session) -> None:
+def test_device_that_is_not_there_is_refused(small_session):
     with pytest.raises(InvalidInput, match="device must be one that torch can compute on here"):
         calibrate(small_session, device="xpu:7")
     with pytest.raises(InvalidInput, match="precision must be one of double, single"):
@@ -177,7 +171,7 @@ def test_device_that_is_not_there_is_refused(small_session: Session) -> None:
         diagnose(small_session, device="xpu:7")
 
 
-def test_readings_keep_their_history_and_the_precision_of_times(small_session: Session) -> None:
+def test_readings_keep_their_history_and_the_precision_of_times(small_session):
     readings = small_session.observations.calibration
     assert readings.to("cpu", torch.float64) is readings
     single = readings.to(dtype=torch.float32)

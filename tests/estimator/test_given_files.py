@@ -66,14 +66,7 @@ READERS: dict[str, Callable[[Path, Rig], object]] = {
 
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)
 @pytest.mark.parametrize(("make", "words"), STRANGE.values(), ids=STRANGE)
-def test_what_is_no_file_is_refused_at_once(
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    small_rig: Rig,
-    read: Callable[[Path, Rig], object],
-    make: Callable[[Path], Path],
-    words: str,
-) -> None:
+def test_what_is_no_file_is_refused_at_once(tmp_path, monkeypatch, small_rig, read, make, words):
     monkeypatch.chdir(tmp_path)
     path = make(tmp_path / "given")
     begin_s = time.process_time()
@@ -84,16 +77,14 @@ def test_what_is_no_file_is_refused_at_once(
     assert "\n" not in str(caught.value)
 
 
-def test_check_and_show_name_it_too(tmp_path: Path, small_rig: Rig) -> None:
+def test_check_and_show_name_it_too(tmp_path, small_rig):
     with pytest.raises(InvalidInput, match="it is a named pipe"):
         understood(pipe(tmp_path / "readings.csv"), small_rig)
     with pytest.raises(InvalidInput):
         contents_of(tmp_path / "readings.csv")
 
 
-def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(tmp_path, monkeypatch):
     file, path = tmp_path / "file", pipe(tmp_path / "pipe")
     file.touch()
     there = file.stat()
@@ -102,7 +93,7 @@ def test_a_pipe_that_takes_the_place_of_a_file_is_not_waited_for(
         open_given(path, 10)
 
 
-def test_a_larger_file_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_larger_file_is_not_read(tmp_path, monkeypatch):
     path = tmp_path / "large"
     with path.open("wb") as file:
         file.truncate(10**12)  # holes, which take no space
@@ -120,7 +111,7 @@ def test_a_larger_file_is_not_read(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         read_given(path, 999)
 
 
-def test_a_path_with_a_nul_is_refused() -> None:
+def test_a_path_with_a_nul_is_refused():
     with pytest.raises(InvalidInput, match="path must hold no NUL"):
         load_rig(Path("a\0b"))
 
@@ -128,16 +119,16 @@ def test_a_path_with_a_nul_is_refused() -> None:
 @pytest.mark.parametrize(
     "content", ["a µ".encode("latin-1"), "a\nb".encode("utf-16"), b"\xff\xfe\x00\x01", b"a\n\x80"]
 )
-def test_another_encoding_is_one_sentence(content: bytes) -> None:
+def test_another_encoding_is_one_sentence(content):
     with pytest.raises(InvalidInput, match="a.csv must be readable as text: .*save it in UTF-8"):
         text_of(content, "a.csv")
 
 
-def test_a_byte_order_mark_is_no_part_of_the_text() -> None:
+def test_a_byte_order_mark_is_no_part_of_the_text():
     assert text_of(b"\xef\xbb\xbfa", "a.csv") == "a"
 
 
-def test_a_receipt_is_a_file(tmp_path: Path) -> None:
+def test_a_receipt_is_a_file(tmp_path):
     assert Receipt.load(tmp_path) is None
     Receipt("http://localhost", "key", "7").save(tmp_path)
     assert Receipt.load(tmp_path) == Receipt("http://localhost", "key", "7")

@@ -52,7 +52,7 @@ OBJECTS = st.dictionaries(st.sampled_from(["a", "b", "µ", ""]), VALUES)
 
 
 @pytest.mark.parametrize(("content", "words"), REFUSED.values(), ids=REFUSED)
-def test_what_coilcal_never_writes_is_one_sentence(content: bytes, words: str) -> None:
+def test_what_coilcal_never_writes_is_one_sentence(content, words):
     for fault in (InvalidInput, CorruptStore):
         with pytest.raises(fault) as caught:
             json_of(content, "result.json", fault)
@@ -62,13 +62,13 @@ def test_what_coilcal_never_writes_is_one_sentence(content: bytes, words: str) -
 
 
 @pytest.mark.parametrize("content", ["[]", "1", "null", '"' + "x" * 5000 + '"'])
-def test_another_value_than_an_object_is_refused(content: str) -> None:
+def test_another_value_than_an_object_is_refused(content):
     with pytest.raises(CorruptStore, match=r"result.json must hold a JSON object; it holds") as caught:
         json_object(content, "result.json", CorruptStore)
     assert len(str(caught.value)) < 200
 
 
-def test_levels_up_to_the_limit_and_whole_characters_are_read() -> None:
+def test_levels_up_to_the_limit_and_whole_characters_are_read():
     assert json_of("[" * 100 + "]" * 100, "a") is not None
     assert json_of('"\\ud83d\\ude00 \\\\ud800"', "a") == "😀 \\ud800"
 
@@ -93,7 +93,7 @@ def test_no_altered_byte_is_taken_for_another_content(
     assert read == content
 
 
-def test_what_version_0_2_wrote_has_no_seal(tmp_path: Path) -> None:
+def test_what_version_0_2_wrote_has_no_seal(tmp_path):
     path = tmp_path / "diagnosis.json"
     path.write_text(json.dumps({"verdict": "named"}), encoding="utf-8")
     assert read_json(path) == {"verdict": "named"}
@@ -102,7 +102,7 @@ def test_what_version_0_2_wrote_has_no_seal(tmp_path: Path) -> None:
         read_json(path, fault=CorruptStore)
 
 
-def test_no_other_loader_reads_json() -> None:
+def test_no_other_loader_reads_json():
     """But of text that the same process has just written, or read by this loader before."""
     root = Path(__file__).parents[2] / "estimator"
     others = {

@@ -132,7 +132,7 @@ CALLS = {
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_the_same_call_gives_the_same_numbers_in_the_same_format(call: str) -> None:
+def test_the_same_call_gives_the_same_numbers_in_the_same_format(call):
     for n, (theirs, ours) in enumerate(zip(CALLS[call](torch), CALLS[call](numpy_tensors), strict=True)):
         if not isinstance(theirs, torch.Tensor):
             assert theirs == ours, n
@@ -141,7 +141,7 @@ def test_the_same_call_gives_the_same_numbers_in_the_same_format(call: str) -> N
         np.testing.assert_allclose(ours.numpy(), theirs.numpy(), rtol=1e-12, atol=1e-14, err_msg=str(n))
 
 
-def test_arrays_are_changed_in_place() -> None:
+def test_arrays_are_changed_in_place():
     def changed(t: Any) -> list[Any]:
         whole = t.zeros(2, 3)
         part = whole[0]
@@ -154,7 +154,7 @@ def test_arrays_are_changed_in_place() -> None:
     assert changed(numpy_tensors) == changed(torch)
 
 
-def test_derivatives_by_complex_steps_are_those_of_torch() -> None:
+def test_derivatives_by_complex_steps_are_those_of_torch():
     def function(t: Any, x: Any) -> Any:
         return t.stack(
             (x[0].sin() * x[1] ** 2, (x[1].abs() + x[0]).sqrt(), t.where(x[0] > 0.0, x[1], 0.0 * x[1]))
@@ -170,7 +170,7 @@ def test_derivatives_by_complex_steps_are_those_of_torch() -> None:
     np.testing.assert_allclose(slopes.numpy(), expected.numpy(), rtol=1e-14)
 
 
-def test_what_would_drop_a_derivative_is_an_error() -> None:
+def test_what_would_drop_a_derivative_is_an_error():
     t = numpy_tensors
 
     def drops(x: Any) -> Any:
@@ -184,7 +184,7 @@ def test_what_would_drop_a_derivative_is_an_error() -> None:
 
 
 @pytest.mark.whole
-def test_every_cause_predicts_on_numpy_what_it_predicts_with_torch(tmp_path: Path) -> None:
+def test_every_cause_predicts_on_numpy_what_it_predicts_with_torch(tmp_path):
     file = tmp_path / "on_numpy.npz"
     call = [sys.executable, "-m", "tests.every_cause", file]
     subprocess.run(call, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, check=True)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
@@ -26,7 +24,7 @@ def expected_T(small_calibration: Calibration) -> np.ndarray:
     return small_calibration.field(points_m, ON, STILL).numpy()
 
 
-def test_points_of_a_data_frame_may_be_read_only() -> None:
+def test_points_of_a_data_frame_may_be_read_only():
     """Torch would warn of them, and warnings are errors here."""
     rows = np.asarray(ROWS)
     rows.flags.writeable = False
@@ -38,9 +36,7 @@ def test_points_of_a_data_frame_may_be_read_only() -> None:
     [list, np.asarray, torch.tensor, lambda rows: tuple(map(tuple, rows)), np.float32],
     ids=["list", "array", "tensor", "tuple", "single"],
 )
-def test_answers_are_of_the_kind_that_was_given(
-    kind: Any, small_calibration: Calibration, expected_T: np.ndarray
-) -> None:
+def test_answers_are_of_the_kind_that_was_given(kind, small_calibration, expected_T):
     many, alone = kind(ROWS), kind(ROWS)[1]
     for points, rows in ((many, expected_T), (alone, expected_T[1])):
         field_T = small_calibration.field(points, ON, STILL)
@@ -56,7 +52,7 @@ def test_answers_are_of_the_kind_that_was_given(
         )
 
 
-def test_tensors_keep_their_precision_and_their_derivatives(small_calibration: Calibration) -> None:
+def test_tensors_keep_their_precision_and_their_derivatives(small_calibration):
     point_m = torch.tensor(ROWS[0], dtype=torch.float64, requires_grad=True)
     field_T = small_calibration.field(point_m, ON, STILL)
     (slope,) = torch.autograd.grad(field_T[2], point_m)
@@ -66,9 +62,7 @@ def test_tensors_keep_their_precision_and_their_derivatives(small_calibration: C
     assert small_calibration.field(torch.tensor(ROWS), ON, STILL).dtype is torch.float32
 
 
-def test_labelled_points_are_answered_with_labels_and_units(
-    small_calibration: Calibration, expected_T: np.ndarray
-) -> None:
+def test_labelled_points_are_answered_with_labels_and_units(small_calibration, expected_T):
     rows = xr.DataArray(
         np.array(ROWS).T, dims=("axis", "stop"), coords={"axis": ["x", "y", "z"], "stop": [7, 8]}
     )
@@ -84,8 +78,8 @@ def test_labelled_points_are_answered_with_labels_and_units(
 
 @pytest.mark.parametrize("kind", [list, np.asarray, torch.tensor, xr.DataArray])
 def test_a_system_answers_in_the_kind_of_its_points_whatever_else_is_given(
-    kind: Any, small_calibration: Calibration, expected_T: np.ndarray
-) -> None:
+    kind, small_calibration, expected_T
+):
     system = System.of(small_calibration)
     for points, rows in ((kind(ROWS), expected_T), (kind(ROWS)[1], expected_T[1])):
         here = system.at(points, STILL)
@@ -105,7 +99,7 @@ def test_a_system_answers_in_the_kind_of_its_points_whatever_else_is_given(
         )
 
 
-def test_a_system_labels_what_it_answers(small_calibration: Calibration) -> None:
+def test_a_system_labels_what_it_answers(small_calibration):
     rows = xr.DataArray(np.array(ROWS), dims=("stop", "axis"), coords={"stop": [7, 8]})
     here = System.of(small_calibration).at(rows, STILL)
     matrix = here.actuation()
@@ -118,9 +112,7 @@ def test_a_system_labels_what_it_answers(small_calibration: Calibration) -> None
 
 
 @pytest.mark.parametrize("currents", [[1.0, 2.0], 3.0, "on"])
-def test_currents_that_are_not_one_for_each_coil_are_refused(
-    currents: Any, small_calibration: Calibration
-) -> None:
+def test_currents_that_are_not_one_for_each_coil_are_refused(currents, small_calibration):
     here = System.of(small_calibration).at(ROWS, STILL)
     with pytest.raises(InvalidInput, match=r"a number for each coil \(coil1\), or given by coil"):
         here.field_T(currents)
@@ -137,16 +129,14 @@ def test_currents_that_are_not_one_for_each_coil_are_refused(
         (xr.DataArray(np.zeros(4), dims="a"), "received dimensions {'a': 4}"),
     ],
 )
-def test_what_cannot_be_points_is_refused_with_what_to_pass(points: Any, words: str) -> None:
+def test_what_cannot_be_points_is_refused_with_what_to_pass(points, words):
     with pytest.raises(InvalidInput) as refusal:
         given_points(points)
     assert words in str(refusal.value)
 
 
 @pytest.mark.whole  # with checks of types these calls end earlier
-def test_currents_and_motions_of_another_kind_are_refused_with_what_to_pass(
-    small_calibration: Calibration,
-) -> None:
+def test_currents_and_motions_of_another_kind_are_refused_with_what_to_pass(small_calibration):
     for currents, motion, words in (
         (2.0, None, "currents must be given by coil, such as {'coil1': 2.0}; received 2.0"),
         (
@@ -164,7 +154,7 @@ def test_currents_and_motions_of_another_kind_are_refused_with_what_to_pass(
         assert words in str(refusal.value)
 
 
-def test_a_system_is_shown_in_a_few_lines(small_calibration: Calibration) -> None:
+def test_a_system_is_shown_in_a_few_lines(small_calibration):
     system = System.of(small_calibration)
     assert repr(system).startswith("System of 1 coil in one room.")
     assert len(repr(system).splitlines()) == 3
@@ -172,7 +162,7 @@ def test_a_system_is_shown_in_a_few_lines(small_calibration: Calibration) -> Non
 
 
 @pytest.mark.whole  # with checks of types these calls end earlier
-def test_a_path_is_no_session() -> None:
+def test_a_path_is_no_session():
     for work in (calibrate, diagnose):
         with pytest.raises(InvalidInput, match="session must be a Session, as load_session"):
             work("session.zarr")  # type: ignore[arg-type]

@@ -27,13 +27,13 @@ def rules(policy: str) -> dict[str, str]:
 
 
 @pytest.mark.parametrize("policy", ["diagnosis", "recalibration"])
-def test_every_rule_says_what_it_decides_and_how_much_it_matters(policy: str) -> None:
+def test_every_rule_says_what_it_decides_and_how_much_it_matters(policy):
     for name, text in rules(policy).items():
         assert "Study" in text, name
 
 
 @pytest.mark.parametrize("policy", ["diagnosis", "recalibration"])
-def test_every_rule_is_read_somewhere(policy: str) -> None:
+def test_every_rule_is_read_somewhere(policy):
     code = "".join(path.read_text(encoding="utf-8") for path in PACKAGE.rglob("*.py"))
     for name in rules(policy):
         assert f"policy.{name}" in code, name

@@ -98,13 +98,13 @@ MODULES = sorted(
 )
 
 
-def test_the_public_names_are_these() -> None:
+def test_the_public_names_are_these():
     assert sorted(estimator.__all__) == NAMES
     assert list(estimator.__all__) == NAMES
     assert all(hasattr(estimator, name) for name in NAMES)
 
 
-def test_the_distribution_has_them_under_its_own_name() -> None:
+def test_the_distribution_has_them_under_its_own_name():
     assert dir(coilcal) == NAMES
     assert all(getattr(coilcal, name) is getattr(estimator, name) for name in NAMES)
     with pytest.raises(AttributeError, match="no attribute 'callibrate'"):
@@ -112,7 +112,7 @@ def test_the_distribution_has_them_under_its_own_name() -> None:
 
 
 @pytest.mark.parametrize("name", coilcal.PACKAGES)
-def test_a_package_of_another_distribution_is_not_run(tmp_path: Path, name: str) -> None:
+def test_a_package_of_another_distribution_is_not_run(tmp_path, name):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").write_text('"""Something else."""\n', encoding="utf-8")
     path = os.pathsep.join([str(tmp_path), str(Path(coilcal.__file__).parents[1])])
@@ -129,7 +129,7 @@ def test_a_package_of_another_distribution_is_not_run(tmp_path: Path, name: str)
     assert ran.stderr.count("\n") == 1
 
 
-def test_type_checkers_see_the_names_that_are_loaded_when_used() -> None:
+def test_type_checkers_see_the_names_that_are_loaded_when_used():
     """The stub and where each name is loaded from say the same."""
     tree = ast.parse(Path(estimator.__file__).with_suffix(".pyi").read_text(encoding="utf-8"))
     imports = [node for node in tree.body if isinstance(node, ast.ImportFrom)]
@@ -140,18 +140,18 @@ def test_type_checkers_see_the_names_that_are_loaded_when_used() -> None:
     assert sorted(seen) == NAMES
 
 
-def test_names_are_listed_before_they_are_loaded_and_others_are_refused() -> None:
+def test_names_are_listed_before_they_are_loaded_and_others_are_refused():
     assert set(NAMES) <= set(dir(estimator))
     with pytest.raises(AttributeError, match="module 'estimator' has no attribute 'callibrate'"):
         estimator.callibrate  # noqa: B018
 
 
-@pytest.mark.parametrize(("name", "parameters"), SIGNATURES.items())
-def test_public_calls_take_these_arguments(name: str, parameters: str) -> None:
-    member: object = estimator
-    for part in name.split("."):
-        member = getattr(member, part)
-    assert ", ".join(inspect.signature(member).parameters) == parameters  # type: ignore[arg-type]
+def test_public_calls_take_these_arguments():
+    for name, parameters in SIGNATURES.items():
+        member: object = estimator
+        for part in name.split("."):
+            member = getattr(member, part)
+        assert ", ".join(inspect.signature(member).parameters) == parameters  # type: ignore[arg-type]
 
 
 def public_members(module: ModuleType) -> list[tuple[str, object]]:
@@ -174,20 +174,20 @@ def public_members(module: ModuleType) -> list[tuple[str, object]]:
     return own + methods
 
 
-@pytest.mark.parametrize("name", MODULES)
-def test_every_public_function_and_class_has_a_docstring(name: str) -> None:
-    module = importlib.import_module(name)
-    assert module.__doc__
-    elsewhere = {"Normal", "LogNormal", "Uniform"}  # documented once, in Prior
-    if name.startswith("estimator.numpy_tensors"):  # names and meaning are those of torch
-        elsewhere |= {member for member, _ in public_members(module) if hasattr(torch, member)}
-        elsewhere |= {"Arithmetic", "Tensor"}
-    undocumented = [
-        member
-        for member, value in public_members(module)
-        if member.partition(".")[0] not in elsewhere and not is_documented(value)
-    ]
-    assert not undocumented
+def test_every_public_function_and_class_has_a_docstring():
+    for name in MODULES:
+        module = importlib.import_module(name)
+        assert module.__doc__, name
+        elsewhere = {"Normal", "LogNormal", "Uniform"}  # documented once, in Prior
+        if name.startswith("estimator.numpy_tensors"):  # names and meaning are those of torch
+            elsewhere |= {member for member, _ in public_members(module) if hasattr(torch, member)}
+            elsewhere |= {"Arithmetic", "Tensor"}
+        undocumented = [
+            member
+            for member, value in public_members(module)
+            if member.partition(".")[0] not in elsewhere and not is_documented(value)
+        ]
+        assert not undocumented, name
 
 
 def is_documented(value: object) -> bool:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 import time
-from contextlib import suppress
 from contextvars import ContextVar
 from itertools import islice
 
@@ -12,7 +11,7 @@ import pytest
 import torch
 
 from estimator import side_by_side
-from estimator.side_by_side import each, meanwhile, one_thread_for_an_operation
+from estimator.side_by_side import each, meanwhile
 
 word: ContextVar[str] = ContextVar("word", default="nothing")
 
@@ -36,18 +35,6 @@ def test_results_come_in_the_order_of_the_items(cores):
 
     assert list(each(slow_at_first, range(20))) == [number**2 for number in range(20)]
     assert list(each(slow_at_first, [])) == []
-
-
-@pytest.mark.usefixtures("cores")
-def test_pieces_of_a_piece_run_on_its_core():
-    """Else all threads could wait for pieces that none is left to do."""
-
-    def in_threads(_: int) -> set[str]:
-        return set(each(lambda _: threading.current_thread().name, range(5))) | {
-            meanwhile(threading.current_thread)().name
-        }
-
-    assert all(len(names) == 1 for names in each(in_threads, range(10)))
 
 
 def test_more_than_one_runs_at_once_where_there_are_cores(cores):
@@ -116,28 +103,6 @@ def test_context_and_gradients_go_along():
         assert meanwhile(lambda: seen(0))() == ("a word", False, False)
     assert list(each(seen, range(3))) == [("a word", True, True)] * 3
     word.reset(token)
-
-
-def test_cores_are_those_of_this_process_but_not_many(monkeypatch):
-    monkeypatch.setattr(side_by_side, "MOST_CORES", 4)
-    monkeypatch.setattr(side_by_side.os, "sched_getaffinity", lambda _: {3, 5}, raising=False)
-    assert side_by_side.n_cores() == 2
-    monkeypatch.setattr(side_by_side.os, "sched_getaffinity", lambda _: set(range(64)), raising=False)
-    assert side_by_side.n_cores() == 4
-
-
-def test_a_worker_of_several_uses_one_core(monkeypatch):
-    monkeypatch.setattr("multiprocessing.parent_process", object)
-    assert side_by_side.n_cores() == 1
-
-
-def test_operations_take_one_thread_for_a_while():
-    torch.set_num_threads(2)
-    with suppress(ValueError), one_thread_for_an_operation():
-        assert torch.get_num_threads() == 1
-        raise ValueError
-    assert torch.get_num_threads() == 2
-    torch.set_num_threads(1)
 
 
 @pytest.mark.usefixtures("cores")

@@ -19,11 +19,11 @@ assert "torch" in sys.modules
 """
 
 
-def test_nothing_is_loaded_before_something_is_computed() -> None:
+def test_nothing_is_loaded_before_something_is_computed():
     subprocess.run([sys.executable, "-c", BEFORE], check=True)
 
 
-def test_names_are_those_of_torch() -> None:
+def test_names_are_those_of_torch():
     assert torch.float64 is loaded.float64
     assert torch.linalg is loaded.linalg
     assert torch.Tensor is loaded.Tensor

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -48,7 +47,7 @@ def current(rig: Rig) -> Calibration:
     return calibrate(week(rig, 1), settings=SETTINGS, seed=1)
 
 
-def test_live_estimates_are_those_of_the_calibration(rig: Rig, current: Calibration) -> None:
+def test_live_estimates_are_those_of_the_calibration(rig, current):
     stream, readings = Stream(rig), week(rig, 1).observations
     stream.update(readings.rows(torch.arange(120)))
     for rows in torch.arange(120, 150).split(10):
@@ -59,7 +58,7 @@ def test_live_estimates_are_those_of_the_calibration(rig: Rig, current: Calibrat
     assert last.intervals[UNIFORM].sd == pytest.approx(known["sd"], rel=0.2)
 
 
-def test_a_batch_fits_each_session(rig: Rig, current: Calibration, tmp_path: Path) -> None:
+def test_a_batch_fits_each_session(rig, current, tmp_path):
     paths = [tmp_path / f"week{seed}.zarr" for seed in (1, 2)]
     for seed, path in zip((1, 2), paths, strict=True):
         week(rig, seed).save(path)
@@ -72,7 +71,7 @@ def test_a_batch_fits_each_session(rig: Rig, current: Calibration, tmp_path: Pat
     assert result.table()[UNIFORM].to_numpy() == pytest.approx(known["median"], abs=4.0 * known["sd"])
 
 
-def test_a_rig_without_a_free_pose_has_priors_for_the_next_session(current: Calibration, rig: Rig) -> None:
+def test_a_rig_without_a_free_pose_has_priors_for_the_next_session(current, rig):
     prior = widened_rig(current, rig).parameters[UNIFORM].prior
     first = rig.parameters[UNIFORM].prior
     assert prior is not None
@@ -82,8 +81,6 @@ def test_a_rig_without_a_free_pose_has_priors_for_the_next_session(current: Cali
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("gain", "conclusion"), [(1.0, "unchanged"), (1.03, "updated")])
-def test_a_recalibration_sees_when_its_field_has_changed(
-    rig: Rig, current: Calibration, gain: float, conclusion: str
-) -> None:
+def test_a_recalibration_sees_when_its_field_has_changed(rig, current, gain, conclusion):
     judged = judge(week(rig, 3, gain), rig, current, seed=1, settings=SETTINGS)
     assert judged.conclusion == conclusion

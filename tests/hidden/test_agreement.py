@@ -23,14 +23,12 @@ TOLERANCE = 1e-8  # of the largest field; the two codes round mu0 differently in
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
 @pytest.mark.parametrize("cause", [None, "mount_tilt"])
-def test_coilcal_predicts_the_generators_readings_from_its_truth(
-    protocol: str, cause: str | None, tmp_path: Path
-) -> None:
+def test_coilcal_predicts_the_generators_readings_from_its_truth(protocol, cause, tmp_path):
     compare(draw_session(7, cause, protocol=protocol), tmp_path)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-def test_they_agree_on_every_way_in_which_an_arm_writes_down_where_it_is(motion: str, tmp_path: Path) -> None:
+def test_they_agree_on_every_way_in_which_an_arm_writes_down_where_it_is(motion, tmp_path):
     sessions = (draw_open_session([5], None, 0.0, seed) for seed in range(60))
     hidden = next(h for h in sessions if h.rig is not None and h.rig.motion == motion)
     assert (hidden.schedule.turn is None) == (motion == "displacement")
@@ -38,7 +36,7 @@ def test_they_agree_on_every_way_in_which_an_arm_writes_down_where_it_is(motion:
 
 
 @pytest.mark.parametrize("name", ["coil_misplaced", "base_misplaced"])
-def test_a_wrong_pose_is_that_of_the_rig_file(name: str, tmp_path: Path) -> None:
+def test_a_wrong_pose_is_that_of_the_rig_file(name, tmp_path):
     hidden = draw_open_session([5], lambda possible: [name] if "base_misplaced" in possible else [], 20.0, 1)
     (flaw,) = hidden.flaws
     moved, _ = flaw.cause.apply(hidden.scene, flaw.size, np.random.default_rng(flaw.seed))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from tests.hidden.far_plate import write_far_plate
 pytestmark = pytest.mark.whole
 
 
-def test_a_plate_that_the_coil_absorbs_is_told_among_what_could_not_have_shown(tmp_path: Path) -> None:
+def test_a_plate_that_the_coil_absorbs_is_told_among_what_could_not_have_shown(tmp_path):
     write_far_plate(tmp_path, 0.16, np.random.default_rng(1))
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
     diagnosis = diagnose(session, seed=1)

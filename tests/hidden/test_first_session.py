@@ -23,7 +23,7 @@ def session() -> Session:
     return read_readings_csv(CASE / "readings.csv", load_rig(CASE / "rig.yaml"))
 
 
-def test_the_room_is_fitted_though_not_mentioned_and_the_loops_are_counted(session: Session) -> None:
+def test_the_room_is_fitted_though_not_mentioned_and_the_loops_are_counted(session):
     summary = calibrate(session, seed=1, settings=SETTINGS).summary()
     assert summary["quality"]["verdict"] == "good"
     top = summary["loop_counts"][0]
@@ -38,7 +38,7 @@ def test_the_room_is_fitted_though_not_mentioned_and_the_loops_are_counted(sessi
     assert "background_field[room]" in summary["notes"][0]
 
 
-def test_as_described_it_is_suspect_and_readings_without_current_say_so(session: Session) -> None:
+def test_as_described_it_is_suspect_and_readings_without_current_say_so(session):
     summary = calibrate(session, seed=1, as_described=True, settings=SETTINGS).summary()
     assert summary["quality"]["verdict"] == "suspect"
     assert "1.7 times what the expected noise leaves" in summary["quality"]["reasons"][0]
@@ -46,7 +46,7 @@ def test_as_described_it_is_suspect_and_readings_without_current_say_so(session:
 
 
 @pytest.mark.slow
-def test_a_laboratory_with_nothing_unmentioned_is_good_and_one_with_much_is_not() -> None:
+def test_a_laboratory_with_nothing_unmentioned_is_good_and_one_with_much_is_not():
     clean = judged(910003, as_described=False)
     assert (clean["ordinary"], clean["verdict"], clean["false"]) == ((), "good", [])
     wrong = judged(910006, as_described=False)

@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from tests.hidden.flaw import Cause, Flaw
-from tests.hidden.frozen import EVERY_KIND, FILE, Frozen, Sessions, of_cause, of_kind, scenes_of
+from tests.hidden.flaw import Flaw
+from tests.hidden.frozen import EVERY_KIND, FILE, Frozen, of_cause, of_kind, scenes_of
 from tests.hidden.library import ALL
 from tests.hidden.visible_size import effect_T
 
@@ -22,16 +22,16 @@ def check(name: str, now: Frozen) -> None:
 
 
 @pytest.mark.parametrize("cause", ALL.values(), ids=lambda cause: cause.name)
-def test_a_cause_does_what_it_did(cause: Cause, sessions: Sessions) -> None:
+def test_a_cause_does_what_it_did(cause, sessions):
     check(cause.name, of_cause(cause, sessions))
 
 
 @pytest.mark.parametrize("kind", EVERY_KIND)
-def test_a_session_of_a_kind_is_what_it_was(kind: str) -> None:
+def test_a_session_of_a_kind_is_what_it_was(kind):
     check(f"kind {kind}", of_kind(kind))
 
 
 @pytest.mark.parametrize("cause", ALL.values(), ids=lambda cause: cause.name)
-def test_no_size_is_no_flaw(cause: Cause, sessions: Sessions) -> None:
+def test_no_size_is_no_flaw(cause, sessions):
     for scene in scenes_of(cause, sessions):
         assert np.abs(effect_T(scene, [Flaw(cause, 0.0, 3)])).max() < 1e-15

@@ -37,7 +37,7 @@ def sigma(adjustable: Adjustable, name: str, size: float, seed: int = 3) -> floa
     return adjustable.visible_sigma([Flaw(CAUSES[name], size, seed)])
 
 
-def test_the_generator_imports_neither_coilcal_nor_torch() -> None:
+def test_the_generator_imports_neither_coilcal_nor_torch():
     files = [f for f in Path(__file__).parent.rglob("*.py") if not f.name.startswith("test_")]
     assert len(files) > 10
     for file in files:
@@ -48,14 +48,14 @@ def test_the_generator_imports_neither_coilcal_nor_torch() -> None:
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_few_loops_stand_for_all_of_them(protocol: str, adjustable: dict[str, Adjustable]) -> None:
+def test_few_loops_stand_for_all_of_them(protocol, adjustable):
     scene = adjustable[protocol].scene
     every_loop = replace(scene, coil_field=circular_field(blocks_of(scene.winding), nodes=1000))
     right, short = every_loop.measured().readings_T, scene.measured().readings_T
     assert np.abs(short - right).max() < 1e-7 * np.linalg.norm(right, axis=1).max()
 
 
-def test_readings_agree_with_the_other_independent_code(adjustable: dict[str, Adjustable]) -> None:
+def test_readings_agree_with_the_other_independent_code(adjustable):
     scene = adjustable["paper"].scene
     w = scene.winding
     tilt_rad = Rotation.from_matrix(scene.coil_rotation).as_rotvec()
@@ -71,9 +71,7 @@ def test_readings_agree_with_the_other_independent_code(adjustable: dict[str, Ad
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_a_size_is_found_for_every_cause_that_can_be_seen(
-    protocol: str, adjustable: dict[str, Adjustable]
-) -> None:
+def test_a_size_is_found_for_every_cause_that_can_be_seen(protocol, adjustable):
     missed = set()
     for name in names(protocol):
         size = size_for(adjustable[protocol], CAUSES[name], 3, TARGET)
@@ -86,7 +84,7 @@ def test_a_size_is_found_for_every_cause_that_can_be_seen(
     assert len(missed - INVISIBLE[protocol]) <= 4  # depends on the noise that was drawn
 
 
-def test_what_cannot_be_seen_is_refused() -> None:
+def test_what_cannot_be_seen_is_refused():
     with pytest.raises(ValueError, match="current_gain does not reach 8 sigma"):
         draw_session(1, "current_gain")
     with pytest.raises(ValueError, match="cannot happen in protocol 'paper'"):
@@ -96,7 +94,7 @@ def test_what_cannot_be_seen_is_refused() -> None:
 
 
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_files_hold_rig_readings_and_truth(protocol: str, tmp_path: Path) -> None:
+def test_files_hold_rig_readings_and_truth(protocol, tmp_path):
     hidden = draw_session(4, "neighbour_coil", 4.0, protocol)
     hidden.write(tmp_path)
     rig = yaml.safe_load((tmp_path / "rig.yaml").read_text())

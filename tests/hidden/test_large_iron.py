@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -17,7 +15,7 @@ pytestmark = pytest.mark.whole
 BALL_M, RADIUS_M = np.array([0.13, -0.05, 0.02]), 0.06
 
 
-def test_it_is_no_smaller_piece_nearer_by(tmp_path: Path) -> None:
+def test_it_is_no_smaller_piece_nearer_by(tmp_path):
     write_large_iron(tmp_path, BALL_M, RADIUS_M, 3.0, np.random.default_rng(11))
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
     diagnosis = diagnose(session, seed=1, has_posterior=True)

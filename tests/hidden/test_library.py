@@ -7,7 +7,7 @@ import pytest
 
 from estimator.effects import EFFECTS
 from tests.hidden.causes import everyday, unforeseen
-from tests.hidden.flaw import Cause, Stage
+from tests.hidden.flaw import Stage
 from tests.hidden.library import ALL, CAUSES, EVERYDAY, FIRST, LATER, OUTSIDE, UNFORESEEN, names, patterns
 from tests.hidden.links import (
     LINK,
@@ -24,13 +24,13 @@ from tests.hidden.protocols import PROTOCOLS
 from tests.hidden.study import OPEN_KINDS, RELATIVES, draw_case
 
 
-def test_the_first_study_knows_its_own_causes_only() -> None:
+def test_the_first_study_knows_its_own_causes_only():
     for protocol in PROTOCOLS:
         assert set(names(protocol, is_known=False)) == set(OUTSIDE)
         assert set(names(protocol)) <= set(FIRST)
 
 
-def test_causes_that_came_later_are_hidden_by_name_only() -> None:
+def test_causes_that_came_later_are_hidden_by_name_only():
     assert not set(LATER) & set(CAUSES)
     possible = patterns("recommended", "displacement")
     assert {cause.name for cause in LATER.values() if cause.has_size} <= set(possible)
@@ -39,14 +39,14 @@ def test_causes_that_came_later_are_hidden_by_name_only() -> None:
     assert hidden.flaws[0].cause.name in LATER
 
 
-def test_a_session_hides_them_only_by_name_and_old_lists_know_none() -> None:
+def test_a_session_hides_them_only_by_name_and_old_lists_know_none():
     assert set(EVERYDAY) <= set(LATER)
     assert not set(EVERYDAY) & {*CAUSES, *OUTSIDE, *UNFORESEEN, *EFFECTS}
     assert set(EVERYDAY) <= set(RELATIVES)
     assert {name for truth in EVERYDAY for name in RELATIVES[truth]} <= set(EFFECTS)
 
 
-def test_every_cause_with_a_size_has_links_and_a_list_that_holds_it_or_none() -> None:
+def test_every_cause_with_a_size_has_links_and_a_list_that_holds_it_or_none():
     assert set(LISTED) | set(UNLISTED) == {cause.name for cause in ALL.values() if cause.has_size}
     assert set(LISTED) <= set(EFFECTS)
     assert not set(UNLISTED) & set(EFFECTS)
@@ -63,7 +63,7 @@ def test_every_cause_with_a_size_has_links_and_a_list_that_holds_it_or_none() ->
         assert links_of(name, 2)
 
 
-def test_stages_are_those_of_the_links() -> None:
+def test_stages_are_those_of_the_links():
     assert {cause.name for cause in everyday.CAUSES if cause.stage == Stage.SENSOR} == {
         name for name in EVERYDAY if {"response", "zero"} & set(LINK[name])
     }
@@ -71,7 +71,7 @@ def test_stages_are_those_of_the_links() -> None:
 
 @pytest.mark.parametrize("cause", unforeseen.CAUSES, ids=lambda cause: cause.name)
 @pytest.mark.parametrize("sigma", [12.0, 30.0])
-def test_every_one_becomes_as_visible_as_is_asked_for(cause: Cause, sigma: float) -> None:
+def test_every_one_becomes_as_visible_as_is_asked_for(cause, sigma):
     hidden = draw_open_session([29], within({cause.name}, is_known=True), sigma, 1)
     assert hidden.flaws[0].cause is cause
     assert 0.0 < hidden.flaws[0].size <= cause.largest
@@ -81,7 +81,7 @@ def test_every_one_becomes_as_visible_as_is_asked_for(cause: Cause, sigma: float
     assert again == pytest.approx(hidden.visible[0].sigma)
 
 
-def test_there_are_eight_at_the_end_of_the_list_and_kinds_that_hold_only_them() -> None:
+def test_there_are_eight_at_the_end_of_the_list_and_kinds_that_hold_only_them():
     assert tuple(CAUSES)[-8:] == UNFORESEEN
     assert OPEN_KINDS[-2:] == ("unforeseen30", "unforeseen12")
     assert not {name for truth in UNFORESEEN for name in RELATIVES.get(truth, ())} - set(EFFECTS)

@@ -38,7 +38,7 @@ def few_readings_of_nature(rig: Rig) -> Observations:
     return few.with_field(torch.from_numpy(field_T + 1e-4 * rng.normal(size=field_T.shape)))
 
 
-def test_the_simulations_own_mistake_is_named_and_taken_back() -> None:
+def test_the_simulations_own_mistake_is_named_and_taken_back():
     rig = load_rig(CONFIGS / "paper_twin.yaml")
     readings = few_readings_of_nature(rig)
     literal = fit_rig(rig, readings, {}, MeasurementModel.build(rig, readings).rules)
@@ -56,7 +56,7 @@ def test_the_simulations_own_mistake_is_named_and_taken_back() -> None:
 
 
 @pytest.mark.slow
-def test_a_mistake_of_the_record_that_only_bent_the_literal_simulation_is_taken_back(tmp_path: Path) -> None:
+def test_a_mistake_of_the_record_that_only_bent_the_literal_simulation_is_taken_back(tmp_path):
     """A short coil in other units hides what eq 13 does; beside spherical_sum the record needs no mistake."""
     draw_session(801).write(tmp_path)
     text = (tmp_path / "rig.yaml").read_text(encoding="utf-8")

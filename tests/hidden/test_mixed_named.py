@@ -21,7 +21,7 @@ def diagnosis() -> Diagnosis:
     return diagnosed(hidden, SEED)[0]
 
 
-def test_what_has_a_name_is_stated_beside_what_has_none(diagnosis: Diagnosis) -> None:
+def test_what_has_a_name_is_stated_beside_what_has_none(diagnosis):
     assert diagnosis.verdict is Verdict.PARTLY_EXPLAINED
     (cause,) = diagnosis.causes
     assert cause.cause.name == "sensor_bumped"
@@ -30,14 +30,14 @@ def test_what_has_a_name_is_stated_beside_what_has_none(diagnosis: Diagnosis) ->
     assert diagnosis.improvement.after.errors.vector_T < diagnosis.improvement.before.errors.vector_T
 
 
-def test_what_is_printed_says_so_in_two_sentences(diagnosis: Diagnosis) -> None:
+def test_what_is_printed_says_so_in_two_sentences(diagnosis):
     first, second, *_ = headline(diagnosis)
     assert first.startswith(EFFECTS["sensor_bumped"].words[:1].upper() + EFFECTS["sensor_bumped"].words[1:])
     assert second.startswith("What is left is best described so: ")
     assert "sensor_bumped" not in second
 
 
-def test_the_file_has_each_with_its_probability_in_halves_and_its_link(diagnosis: Diagnosis) -> None:
+def test_the_file_has_each_with_its_probability_in_halves_and_its_link(diagnosis):
     mixture = diagnosis.to_json()["mixture"]
     (first,) = (entry for entry in mixture["found"] if entry["is_one_of"][0]["name"] == "sensor_bumped")
     others = [entry for entry in mixture["found"] if entry is not first]
@@ -49,7 +49,7 @@ def test_the_file_has_each_with_its_probability_in_halves_and_its_link(diagnosis
     assert sum(mixture["unlisted"].values()) > 0.5
 
 
-def test_readings_taken_when_a_spell_was_over_tell_it_from_a_step() -> None:
+def test_readings_taken_when_a_spell_was_over_tell_it_from_a_step():
     """What was asked ends within the spell: by that a step is as probable. A chair that was moved stands beside both."""
     seed = 563025  # of `make mixed`, among those that its rules were made with
     hidden = draw_case("mixed", seed, EFFECTS)

@@ -7,7 +7,6 @@ import pytest
 
 from tests.hidden import mixed_session
 from tests.hidden.flaw import Flaw
-from tests.hidden.frozen import Sessions
 from tests.hidden.handed_in import HiddenSession
 from tests.hidden.library import ALL
 from tests.hidden.links import LISTED, UNDER_ANOTHER_NAME, UNLISTED, WITH_ONE_SENSOR_NEARLY
@@ -39,9 +38,7 @@ CASES = [*((seed, "mixed") for seed in SEEDS), (SEEDS[0], "mixed_two")]
 
 
 @pytest.mark.parametrize(("seed", "kind"), CASES)
-def test_every_flaw_has_its_visible_size_alone_and_beside_the_others(
-    seed: int, kind: str, drawn: dict[int, HiddenSession]
-) -> None:
+def test_every_flaw_has_its_visible_size_alone_and_beside_the_others(seed, kind, drawn):
     hidden = drawn[seed] if kind == "mixed" else draw_case(kind, seed)
     number = MIXED_KINDS.index(kind)
     mixture = draw_mixture(np.random.default_rng([994, number, seed]), 1 + number)
@@ -57,7 +54,7 @@ def test_every_flaw_has_its_visible_size_alone_and_beside_the_others(
     assert len(mixture.unlisted_sigma) == 1 + number
 
 
-def test_one_sensor_takes_all_readings_and_has_no_flaw_of_two(sessions: Sessions) -> None:
+def test_one_sensor_takes_all_readings_and_has_no_flaw_of_two(sessions):
     two = sessions["displacement", "recommended"][1]
     one = of_first_sensor(two)
     assert len(one.schedule.sensors) == len(one.noise_T) == 1
@@ -74,7 +71,7 @@ def test_one_sensor_takes_all_readings_and_has_no_flaw_of_two(sessions: Sessions
     ("first", "second"),
     [("coil_ovality", "axial_pitch"), ("lead_wire", "turns_gradient"), ("axis_gain", "sensor_lag")],
 )
-def test_a_flaw_that_replaces_what_was_there_acts_first(first: str, second: str, sessions: Sessions) -> None:
+def test_a_flaw_that_replaces_what_was_there_acts_first(first, second, sessions):
     scene = sessions["displacement", "recommended"][1]
     flaws = [Flaw(ALL[name], 0.05 * ALL[name].largest, 3) for name in (first, second)]
     alone = [effect_T(scene, [flaw]) for flaw in flaws]
@@ -84,9 +81,7 @@ def test_a_flaw_that_replaces_what_was_there_acts_first(first: str, second: str,
     assert np.linalg.norm(undone - sum(alone)) > 0.5 * np.linalg.norm(alone[0])
 
 
-def test_one_sensor_hides_no_unlisted_cause_that_is_nearly_a_listed_one(
-    sessions: Sessions, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_sensor_hides_no_unlisted_cause_that_is_nearly_a_listed_one(sessions, monkeypatch):
     rig, scene = sessions["displacement", "recommended"]
     mixture = Mixture(False, True, (), (6.0,))
     for name in WITH_ONE_SENSOR_NEARLY:
@@ -96,7 +91,7 @@ def test_one_sensor_hides_no_unlisted_cause_that_is_nearly_a_listed_one(
             assert (flaws == ()) == is_void
 
 
-def test_a_mixture_counts_where_each_flaw_is_there_and_none_is_anothers_twin(sessions: Sessions) -> None:
+def test_a_mixture_counts_where_each_flaw_is_there_and_none_is_anothers_twin(sessions):
     rig, scene = sessions["displacement", "recommended"]
     two, one = adjustable_of(rig, scene), adjustable_of(rig, of_first_sensor(scene))
     replaced = [Flaw(ALL[name], 0.1 * ALL[name].largest, 3) for name in ("axis_gain", "sensor_lag")]

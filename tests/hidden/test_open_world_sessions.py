@@ -9,7 +9,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from tests.hidden.flaw import Flaw
-from tests.hidden.frozen import Sessions
 from tests.hidden.library import CAUSES
 from tests.hidden.open_session import adjustable_of, draw_open_session, within
 from tests.hidden.protocols import MOTIONS, PROTOCOLS, draw_schedule
@@ -21,7 +20,7 @@ from tests.hidden.ur_arm import flange_pose
 from tests.hidden.visible_size import Adjustable
 
 
-def test_an_arm_that_does_not_come_everywhere_is_set_up_anew() -> None:
+def test_an_arm_that_does_not_come_everywhere_is_set_up_anew():
     rng = np.random.default_rng([993, 0, 103])
     rig, schedule = draw_rig(draw_schedule(PROTOCOLS[int(rng.integers(2))], rng), rng)
     assert schedule.joint_rad is not None
@@ -30,9 +29,7 @@ def test_an_arm_that_does_not_come_everywhere_is_set_up_anew() -> None:
 
 @pytest.mark.parametrize("motion", MOTIONS)
 @pytest.mark.parametrize("protocol", PROTOCOLS)
-def test_readings_keep_clear_of_the_winding_where_it_is_and_where_the_file_says(
-    motion: str, protocol: str, sessions: Sessions
-) -> None:
+def test_readings_keep_clear_of_the_winding_where_it_is_and_where_the_file_says(motion, protocol, sessions):
     rig, scene = sessions[motion, protocol]
     assert clearance_m(scene) > CLEARANCE_M
     if scene.turn is not None and rig.base_rotation is not None and rig.base_position_m is not None:
@@ -45,7 +42,7 @@ def test_readings_keep_clear_of_the_winding_where_it_is_and_where_the_file_says(
         assert np.rad2deg(angle_rad.max()) > 5.0
 
 
-def test_tight_priors_make_visible_what_wide_ones_absorb(sessions: Sessions) -> None:
+def test_tight_priors_make_visible_what_wide_ones_absorb(sessions):
     rig, scene = sessions["displacement", "paper"]
     flaw = [Flaw(CAUSES["current_gain"], 0.03, 0)]
     wide = Adjustable.of(
@@ -56,7 +53,7 @@ def test_tight_priors_make_visible_what_wide_ones_absorb(sessions: Sessions) -> 
     assert tight.visible_sigma(flaw) > 5.0
 
 
-def test_what_is_unknown_depends_on_the_library_alone() -> None:
+def test_what_is_unknown_depends_on_the_library_alone():
     assert within({"a"}, is_known=True)(["a", "b"]) == ["a"]
     assert within({"a"}, is_known=False)(["a", "b"]) == ["b"]
     with pytest.raises(ValueError, match="no cause that was asked for reaches 8 sigma"):
@@ -64,7 +61,7 @@ def test_what_is_unknown_depends_on_the_library_alone() -> None:
     assert not set(KINDS) & set(OPEN_KINDS)
 
 
-def test_an_exact_twin_leaves_nothing_and_itself_is_no_twin(sessions: Sessions) -> None:
+def test_an_exact_twin_leaves_nothing_and_itself_is_no_twin(sessions):
     rig, scene = sessions["displacement", "paper"]
     library = (
         "background_field",
@@ -81,7 +78,7 @@ def test_an_exact_twin_leaves_nothing_and_itself_is_no_twin(sessions: Sessions) 
     assert left["robot_scale"] > 3.0
 
 
-def test_a_library_that_moves_every_element_imitates_a_gain(sessions: Sessions) -> None:
+def test_a_library_that_moves_every_element_imitates_a_gain(sessions):
     """The hidden cause leaves the x element in place; fitted broadly it is nearer to a gain of x."""
     rig, scene = sessions["displacement", "recommended"]
     here = adjustable_of(rig, scene)

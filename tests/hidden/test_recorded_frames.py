@@ -23,7 +23,7 @@ def imported(case: str) -> Session:
     return replace(session, observations=readings.observations)
 
 
-def test_fields_in_the_axes_of_the_base_are_named() -> None:
+def test_fields_in_the_axes_of_the_base_are_named():
     diagnosis = diagnose(imported("base_frame"), seed=1)
     (mistake,) = diagnosis.record_mistakes
     assert mistake.cause.label == "field_frame[hall]"
@@ -33,7 +33,7 @@ def test_fields_in_the_axes_of_the_base_are_named() -> None:
 
 
 @pytest.mark.parametrize("holder_mm", [20, 35, 50])
-def test_a_sensor_elsewhere_on_its_holder_is_no_mistake_of_the_record(holder_mm: int) -> None:
+def test_a_sensor_elsewhere_on_its_holder_is_no_mistake_of_the_record(holder_mm):
     """At 50 mm the nominal place of the sensor is in the winding at three poses."""
     diagnosis = diagnose(imported(f"holder_{holder_mm}mm"), seed=1)
     assert not diagnosis.record_mistakes

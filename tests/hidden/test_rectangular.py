@@ -88,7 +88,7 @@ def session(rig: Rig, truth: dict[str, float], folder: Path, seed: int, gain_x: 
     "text",
     [pytest.param(SHARP, id="rectangular"), pytest.param(ROUND, id="racetrack", marks=pytest.mark.slow)],
 )
-def test_intervals_hold_the_coil_of_another_program(text: str, tmp_path: Path):
+def test_intervals_hold_the_coil_of_another_program(text, tmp_path):
     rig = rig_from_text(text)
     truth = truth_of(rig, np.random.default_rng(5))
     found = calibrate(session(rig, truth, tmp_path, 6), seed=1, settings=SamplerSettings(target_ess=300.0))
@@ -106,7 +106,7 @@ def test_intervals_hold_the_coil_of_another_program(text: str, tmp_path: Path):
 
 
 @pytest.mark.slow  # test_diagnose finds one in a round coil
-def test_a_gain_of_one_axis_is_named(tmp_path: Path):
+def test_a_gain_of_one_axis_is_named(tmp_path):
     rig = rig_from_text(SHARP)
     truth = truth_of(rig, np.random.default_rng(8))
     found = diagnose(session(rig, truth, tmp_path, 9, gain_x=1.02), seed=1, has_corrections=False).to_json()

@@ -33,7 +33,7 @@ def mutual_inductance_H(distance_m: float) -> float:
 
 
 @pytest.mark.parametrize("distance_m", [0.02, 0.1, -0.06])
-def test_coaxial_loops_pull_as_their_mutual_inductance_grows(distance_m: float) -> None:
+def test_coaxial_loops_pull_as_their_mutual_inductance_grows(distance_m):
     step_m = 1e-5
     slope = (mutual_inductance_H(distance_m + step_m) - mutual_inductance_H(distance_m - step_m)) / (
         2.0 * step_m
@@ -43,7 +43,7 @@ def test_coaxial_loops_pull_as_their_mutual_inductance_grows(distance_m: float) 
     assert on_axis == pytest.approx([0.0, 0.0, -slope], rel=1e-6, abs=1e-15)
 
 
-def test_what_one_loop_feels_the_other_feels_the_other_way_round() -> None:
+def test_what_one_loop_feels_the_other_feels_the_other_way_round():
     seen = Transform.from_pose(*(torch.tensor([each], dtype=torch.float64) for each in ASKEW))
     back = seen.inverse()
     on_first = force_N(*ASKEW, RADIUS_M, OTHER_M)
@@ -52,7 +52,7 @@ def test_what_one_loop_feels_the_other_feels_the_other_way_round() -> None:
     assert seen.rotate(on_other)[0].numpy() == pytest.approx(-on_first, rel=1e-9)
 
 
-def test_far_away_the_force_is_that_of_two_dipoles() -> None:
+def test_far_away_the_force_is_that_of_two_dipoles():
     middle_m, turn_rad = [0.8, -0.5, 0.6], ASKEW[1]
     moments = (
         np.pi * RADIUS_M**2 * np.array([0.0, 0.0, 1.0]),
@@ -75,7 +75,7 @@ def test_far_away_the_force_is_that_of_two_dipoles() -> None:
     )
 
 
-def test_magpylib_says_the_same_of_loops_that_stand_askew() -> None:
+def test_magpylib_says_the_same_of_loops_that_stand_askew():
     middle_m, turn_rad = ASKEW
     first = magpylib.current.Circle(diameter=2.0 * RADIUS_M, current=1.0)
     other = magpylib.current.Circle(diameter=2.0 * OTHER_M, current=1.0, position=middle_m)

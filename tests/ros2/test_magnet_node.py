@@ -144,7 +144,7 @@ def settled(node: Any) -> dict[str, torch.Tensor]:
     return {name: torch.tensor(row).double() for name, row in (("arm", JOINTS_RAD), ("stage", stage))}
 
 
-def test_field_at_a_point_follows_currents_joints_and_poses(node: Any) -> None:
+def test_field_at_a_point_follows_currents_joints_and_poses(node):
     motion = settled(node)
     tell(node, "currents", data=[2.0, -1.0])
     points_m = torch.tensor([POINT_M], dtype=torch.float64)
@@ -154,7 +154,7 @@ def test_field_at_a_point_follows_currents_joints_and_poses(node: Any) -> None:
     assert node.logged[0] == "currents in the order carried, shifted"
 
 
-def test_wanted_field_gives_currents_that_make_it(node: Any) -> None:
+def test_wanted_field_gives_currents_that_make_it(node):
     motion = settled(node)
     points_m = torch.tensor([POINT_M], dtype=torch.float64)
     wanted_T = node.calibration.field(points_m, {"carried": 1.5, "shifted": 0.5}, motion)[0].tolist()
@@ -164,7 +164,7 @@ def test_wanted_field_gives_currents_that_make_it(node: Any) -> None:
     assert max(map(abs, node.sent["wanted_currents"][-1].data)) <= 4.0 + 1e-9
 
 
-def test_reload_takes_a_new_calibration_and_refuses_that_of_other_coils(node: Any) -> None:
+def test_reload_takes_a_new_calibration_and_refuses_that_of_other_coils(node):
     settled(node)
     tell(node, "currents", data=[0.0, 1.0])
     before_T = field_sent(node)
@@ -182,7 +182,7 @@ def test_reload_takes_a_new_calibration_and_refuses_that_of_other_coils(node: An
     tell(node, "currents", data=[0.0, 1.0])  # the one in use stays
 
 
-def test_what_cannot_be_computed_is_logged_and_nothing_is_sent(node: Any) -> None:
+def test_what_cannot_be_computed_is_logged_and_nothing_is_sent(node):
     tell(node, "point", header=Header(frame_id="map"), point=Vector3())
     tell(node, "wanted_field", vector=Vector3())  # no point yet
     assert node.sent == {}
@@ -195,7 +195,7 @@ def test_what_cannot_be_computed_is_logged_and_nothing_is_sent(node: Any) -> Non
     assert len(node.sent["field"]) == sent
 
 
-def test_package_names_what_the_node_imports_and_the_version_of_coilcal() -> None:
+def test_package_names_what_the_node_imports_and_the_version_of_coilcal():
     package = ET.parse(PACKAGE / "package.xml").getroot()
     version = tomllib.loads((PACKAGE.parents[1] / "pyproject.toml").read_text())["project"]["version"]
     assert package.findtext("version") == version

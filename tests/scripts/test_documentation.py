@@ -17,6 +17,6 @@ def clean() -> tuple[Clean, ...]:
 
 
 @pytest.mark.parametrize("name", library())
-def test_a_session_shows_the_cause(name: str, clean: tuple[Clean, ...]) -> None:
+def test_a_session_shows_the_cause(name, clean):
     index, place = place_that_shows(EFFECTS[name], clean)
     assert place in EFFECTS[name].places(clean[index].rig)

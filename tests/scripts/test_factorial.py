@@ -27,7 +27,7 @@ def ishigami(x: Tensor) -> Tensor:
     )
 
 
-def test_variance_of_a_function_with_known_parts_is_shared_out_exactly() -> None:
+def test_variance_of_a_function_with_known_parts_is_shared_out_exactly():
     runs = factorial(lambda x: 2.0 * x[..., 0] + x[..., 1] + 3.0 * x[..., 0] * x[..., 2] + 5.0, LEVELS)
     assert runs.response.shape == (7, 7, 7)
     v = LEVELS["a"].var()
@@ -45,7 +45,7 @@ def test_variance_of_a_function_with_known_parts_is_shared_out_exactly() -> None
     np.testing.assert_allclose(runs.interaction("a", "c"), table.T)
 
 
-def test_sobol_indices_of_the_ishigami_function_are_the_published_ones() -> None:
+def test_sobol_indices_of_the_ishigami_function_are_the_published_ones():
     """Saltelli et al., Global Sensitivity Analysis: The Primer (2008), section 4.6."""
     ends = {name: np.array([-np.pi, np.pi]) for name in LEVELS}
     indices = sobol(ishigami, ends, n=2048)
@@ -58,7 +58,7 @@ def readings(small_rig: Rig, small_plan: Plan) -> Observations:
     return observations_of(small_plan, small_rig, np.random.default_rng(0)).calibration
 
 
-def test_a_run_is_the_rms_field_of_that_rig(small_rig: Rig, readings: Observations) -> None:
+def test_a_run_is_the_rms_field_of_that_rig(small_rig, readings):
     names = ("coil1.axial_loops", "coil1.radius_m")
     levels = levels_about(small_rig, names, 3)
     np.testing.assert_allclose(levels["coil1.radius_m"], [0.050, 0.051, 0.052])
@@ -69,7 +69,7 @@ def test_a_run_is_the_rms_field_of_that_rig(small_rig: Rig, readings: Observatio
     assert runs.response[2, 0] == pytest.approx(float(field_T.square().sum(-1).mean().sqrt()), rel=1e-5)
 
 
-def test_a_change_is_the_rms_difference_from_the_nominal_rig(small_rig: Rig, readings: Observations) -> None:
+def test_a_change_is_the_rms_difference_from_the_nominal_rig(small_rig, readings):
     names = ("coil1.axial_loops", "coil1.radius_m")
     runs = factorial(rms_change(small_rig, readings, names), levels_about(small_rig, names, 3), "RMSE")
     changed = small_rig.with_values({"coil1.radius_m": 0.050})
@@ -85,9 +85,7 @@ def test_a_change_is_the_rms_difference_from_the_nominal_rig(small_rig: Rig, rea
     assert runs.label == "RMSE"
 
 
-def test_information_is_that_of_differences_of_the_predicted_readings(
-    small_rig: Rig, readings: Observations
-) -> None:
+def test_information_is_that_of_differences_of_the_predicted_readings(small_rig, readings):
     names = ("coil1.radius_m", "coil1.axial_loops")
     fisher_information = information(small_rig, readings, names)
     columns = []
@@ -109,8 +107,8 @@ def test_information_is_that_of_differences_of_the_predicted_readings(
 
 
 def test_a_current_gain_beside_the_turns_is_a_direction_that_readings_know_worse(
-    small_rig: Rig, readings: Observations, rig_text: str
-) -> None:
+    small_rig, readings, rig_text
+):
     text = rig_text.replace(
         "radial_loops: 3", "radial_loops: 3\n    current_gain: {prior: {normal: {mean: 1, sd: 0.05}}}"
     )
@@ -127,7 +125,7 @@ def test_a_current_gain_beside_the_turns_is_a_direction_that_readings_know_worse
     assert "coil1.current_gain" in beside.words().partition("least known combination")[2]
 
 
-def test_noise_beyond_the_field_leaves_nothing_worth_fitting(small_rig: Rig, readings: Observations) -> None:
+def test_noise_beyond_the_field_leaves_nothing_worth_fitting(small_rig, readings):
     fisher_information = information(
         small_rig.with_values({"hall.noise_T": 1.0}), readings, ("coil1.radius_m", "coil1.axial_loops")
     )
@@ -137,9 +135,7 @@ def test_noise_beyond_the_field_leaves_nothing_worth_fitting(small_rig: Rig, rea
     assert "Not by themselves: coil1.radius_m (to 1e+02 % of its prior width)" in fisher_information.words()
 
 
-def test_parameters_without_prior_and_sensors_without_noise_are_refused(
-    small_rig: Rig, readings: Observations
-) -> None:
+def test_parameters_without_prior_and_sensors_without_noise_are_refused(small_rig, readings):
     with pytest.raises(InvalidInput, match=r"parameters with a prior; received 'coil1.wire_radius_m'"):
         levels_about(small_rig, ("coil1.wire_radius_m",))
     with pytest.raises(InvalidInput, match="parameters with a prior; received 'coil1.colour'"):

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from scripts.paper.factorial import Factorial
-from scripts.paper.factorial_plots import interaction, interactions, main_effect, main_effects
+from scripts.paper.factorial_plots import interactions, main_effect, main_effects
 from tests.estimator.reporting.plots.conftest import words
 
 __all__ = ["words"]  # a fixture
@@ -25,9 +20,7 @@ def runs() -> Factorial:
     return Factorial(("coil1.radius_m", "coil1.axial_loops"), (RADIUS_M, LOOPS), response)
 
 
-def test_main_effect_shows_the_mean_at_every_level_in_mm_and_mT(
-    runs: Factorial, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_main_effect_shows_the_mean_at_every_level_in_mm_and_mT(runs, words):
     ax = main_effect(runs, "coil1.radius_m")
     np.testing.assert_allclose(ax.lines[0].get_xdata(), 1e3 * RADIUS_M)
     np.testing.assert_allclose(ax.lines[0].get_ydata(), RADIUS_M / 0.05 * 48.0)
@@ -36,26 +29,7 @@ def test_main_effect_shows_the_mean_at_every_level_in_mm_and_mT(
     assert "rms field (mT)" in said
 
 
-def test_axes_say_what_the_response_is(runs: Factorial, words: Callable[[Axes | Figure], str]) -> None:
-    errors = replace(runs, label="RMSE against the truth")
-    assert "RMSE against the truth (mT)" in words(main_effect(errors, "coil1.radius_m"))
-    ax = interaction(errors, across="coil1.radius_m", line="coil1.axial_loops")
-    assert "RMSE against the truth (mT)" in words(ax)
-
-
-def test_interaction_has_a_line_for_each_level_of_the_other(
-    runs: Factorial, words: Callable[[Axes | Figure], str]
-) -> None:
-    ax = interaction(runs, across="coil1.radius_m", line="coil1.axial_loops")
-    assert len(ax.lines) == 4
-    np.testing.assert_allclose(ax.lines[3].get_ydata(), RADIUS_M / 0.05 * 51.0)
-    assert [line.get_label() for line in ax.lines] == ["45", "47", "49", "51"]
-    assert "radius (mm)" in words(ax)
-
-
-def test_figures_have_a_panel_for_each_parameter_and_each_pair(
-    runs: Factorial, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_figures_have_a_panel_for_each_parameter_and_each_pair(runs, words):
     drawn = main_effects(runs, "rig $a$")
     assert len(drawn.axes) == 2
     assert "rig \\$a\\$" in words(drawn)

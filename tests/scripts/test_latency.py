@@ -11,7 +11,7 @@ from scripts.benchmarks.latency import latency, show_latency
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
-def test_a_small_run_times_every_way(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_small_run_times_every_way(capsys):
     result = latency(argparse.Namespace(seed=5, tiny=True, repeats=1))
     assert len(result["rows"]) == 4
     assert all(

@@ -32,13 +32,13 @@ def scatter_T(left: Rest) -> float:
     return weighed_T(left, repeats_T2("made up", left))
 
 
-def test_scatter_is_that_of_repeats_and_not_of_structure() -> None:
+def test_scatter_is_that_of_repeats_and_not_of_structure():
     expected_T = np.sqrt(3.0 * np.mean(np.square(NOISE_T)))
     for structure_T in (0.0, 500e-6):
         assert scatter_T(rest(structure_T, 1)) == pytest.approx(expected_T, rel=0.05)
 
 
-def test_probes_count_as_often_as_they_are_unseen() -> None:
+def test_probes_count_as_often_as_they_are_unseen():
     plain = rest(0.0, 2)
     one = Rest(
         *(getattr(plain, name) for name in list(plain.__dict__)[:-1]), plain.is_unseen & (plain.sensor == 1)
@@ -46,9 +46,7 @@ def test_probes_count_as_often_as_they_are_unseen() -> None:
     assert scatter_T(one) == pytest.approx(np.sqrt(3.0) * NOISE_T[1], rel=0.05)
 
 
-def test_a_map_without_repeats_has_the_scatter_of_full_maps_where_their_field_is_as_weak(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_map_without_repeats_has_the_scatter_of_full_maps_where_their_field_is_as_weak(monkeypatch):
     full = rest(0.0, 4)
     strong = full.along_m > 0.5
     rng = np.random.default_rng(5)
@@ -69,7 +67,7 @@ def test_a_map_without_repeats_has_the_scatter_of_full_maps_where_their_field_is
     assert np.sqrt(repeats_T2("made up", Rest(**each))) == pytest.approx(expected_T, rel=0.1)
 
 
-def test_smooth_structure_is_taken_down_to_the_scatter(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_smooth_structure_is_taken_down_to_the_scatter(monkeypatch):
     monkeypatch.setattr(mice_floor, "SETTINGS", ((0.2, 1.5, 3.0, False), (0.05, 0.3, 0.3, False)))
     left = rest(200e-6, 3)
     value, words = best_smooth(left)

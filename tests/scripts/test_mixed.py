@@ -6,7 +6,6 @@ from typing import Any
 
 import pytest
 
-from scripts.studies.mixed import show
 from scripts.studies.mixed_counts import (
     Judged,
     coil_inside,
@@ -14,7 +13,6 @@ from scripts.studies.mixed_counts import (
     is_stated_alone,
     is_taken,
     judged,
-    link_of_correction,
     link_told,
     p_of_its_links,
     p_unlisted,
@@ -69,7 +67,7 @@ def row(*causes: Row, hidden: tuple[Row, ...] = (), **others: Any) -> Row:
     } | others
 
 
-def test_a_cause_is_stated_alone_or_in_a_set_that_leaves_little_to_the_unlisted() -> None:
+def test_a_cause_is_stated_alone_or_in_a_set_that_leaves_little_to_the_unlisted():
     gain = truth("axis_gain", 20.0)
     alone = row(cause("axis_gain[hall]", 0.95, 0.05), hidden=(gain,))
     assert is_stated_alone(alone, gain)
@@ -82,7 +80,7 @@ def test_a_cause_is_stated_alone_or_in_a_set_that_leaves_little_to_the_unlisted(
     assert judged(doubted, 0.0) == Judged(1, 0, 0, 0)
 
 
-def test_a_cause_that_stands_in_unnamed_is_taken_and_not_stated() -> None:
+def test_a_cause_that_stands_in_unnamed_is_taken_and_not_stated():
     gain = truth("axis_gain", 20.0)
     unnamed = row(hidden=(gain,), told={"stand_ins": [cause("axis_gain[hall]", 1.0)]})
     assert is_taken(unnamed, gain)
@@ -91,7 +89,7 @@ def test_a_cause_that_stands_in_unnamed_is_taken_and_not_stated() -> None:
     assert is_taken(row(cause("cross_axis", 0.4, 0.4, axis_gain=0.2)), gain)
 
 
-def test_a_relative_of_a_listed_cause_is_no_wrong_name_and_one_of_the_unlisted_is() -> None:
+def test_a_relative_of_a_listed_cause_is_no_wrong_name_and_one_of_the_unlisted_is():
     pair = (truth("joint_zeros", 20.0), truth("axis_gain", 9.0))
     statements = row(
         cause("base_misplaced", 0.99),  # a relative of joint_zeros
@@ -104,7 +102,7 @@ def test_a_relative_of_a_listed_cause_is_no_wrong_name_and_one_of_the_unlisted_i
     assert judged(statements) == Judged(1, 1, 2, 1)
 
 
-def test_probabilities_are_right_of_listed_causes_only() -> None:
+def test_probabilities_are_right_of_listed_causes_only():
     stated = row(
         cause("axis_gain[hall]", 0.6, 0.1, **{"axis_gain[other]": 0.2, "compressor_dips": 0.1}),
         hidden=(truth("axis_gain", 9.0),),
@@ -112,7 +110,7 @@ def test_probabilities_are_right_of_listed_causes_only() -> None:
     assert [tuple(one) for one in probabilities(stated)] == [(pytest.approx(0.8), True), (0.1, False)]
 
 
-def test_true_sizes_are_looked_for_at_their_own_sensor() -> None:
+def test_true_sizes_are_looked_for_at_their_own_sensor():
     offset = truth("sensor_offset", 20.0, place="other", offset_x_T=1e-4, offset_y_T=0.0, offset_z_T=2e-4)
     interval = {"x_T": {"ci90": [0.5e-4, 1.5e-4]}, "z_T": {"ci90": [0.5e-4, 1.5e-4]}}
     right = cause("sensor_offset[other]", 1.0) | {"place": "other", "parameters": interval}
@@ -121,7 +119,7 @@ def test_true_sizes_are_looked_for_at_their_own_sensor() -> None:
     assert sizes_inside(row(elsewhere, hidden=(offset,))) == []
 
 
-def test_numbers_of_the_coil_are_counted_by_model_unless_a_cause_redefines_them() -> None:
+def test_numbers_of_the_coil_are_counted_by_model_unless_a_cause_redefines_them():
     number = {"truth": 1.0, "plain": [1.1, 1.2], "extended": [0.9, 0.99], "widened": [0.8, 1.1]}
     coil = {"coil1.radius_m": number}
     told = row(coil=coil)
@@ -133,7 +131,7 @@ def test_numbers_of_the_coil_are_counted_by_model_unless_a_cause_redefines_them(
     assert coil_inside(row(hidden=(truth("winding_misstated", 9.0),), coil=coil), "widened") == []
 
 
-def test_something_unlisted_is_told_by_verdict_or_probability() -> None:
+def test_something_unlisted_is_told_by_verdict_or_probability():
     assert not tells_of_unlisted(row())
     assert tells_of_unlisted(row(p_not_in_library=0.5))
     assert tells_of_unlisted(row(verdict="unexplained"))
@@ -141,48 +139,9 @@ def test_something_unlisted_is_told_by_verdict_or_probability() -> None:
     assert p_unlisted(row(p_not_in_library=None)) == 0.0
 
 
-def test_links_are_right_where_an_honest_physicist_would_accept_them() -> None:
+def test_links_are_right_where_an_honest_physicist_would_accept_them():
     told = row(links={"current": 0.3, "response": 0.25, "room": 0.45})
     assert link_told(told) == "room"
     assert p_of_its_links(told) == pytest.approx(0.55)
     assert link_told(row()) is None
     assert p_of_its_links(row()) == 0.0
-
-
-def test_the_strongest_departure_has_a_link() -> None:
-    parts = [{"name": "guide_errors", "log_bayes_factor": 9.0}]
-    of_session = [{"name": "zero_wanders[hall]", "log_bayes_factor": 30.0}]
-    assert link_of_correction(row(correction={"parts": parts, "of_session": of_session})) == "zero"
-    assert link_of_correction(row(correction={"parts": parts, "of_session": []})) == "mover"
-    assert link_of_correction(row()) is None
-
-
-def test_the_summary_counts_by_size(capsys: pytest.CaptureFixture[str]) -> None:
-    rows = [
-        row(cause("axis_gain", 1.0), hidden=(truth("axis_gain", 9.0),)),
-        row(cause("backlash", 1.0), hidden=(truth("axis_gain", 16.0),), verdict="unexplained"),
-        row(
-            cause("axis_gain", 0.95),
-            hidden=(truth("axis_gain", 35.0), truth("backlash", 14.0)),
-            links={"current": 0.8, "room": 0.2},
-        ),
-    ]
-    show(rows)
-    printed = capsys.readouterr().out
-    for words in (
-        "listed causes: stated 50.0% (2 of 4)",
-        "listed causes of 8 to 15 sigma: stated 50.0% (1 of 2)",
-        "listed causes of 15 to 30 sigma: stated 0.0% (0 of 1)",
-        "listed causes of 30 to inf sigma: stated 100.0% (1 of 1)",
-        "sessions whose listed causes are all stated: 33.3% (1 of 3)",
-        "statements of a listed cause: 3",
-        "not there                33.3% (1 of 3)",
-        "verdicts `named` with a name that is not there: 0.0% (0 of 2)",
-        "listed causes in any set of the verdict, or in the rig unnamed: 50.0% (2 of 4)",
-        "something unlisted is told: 33.3% (1 of 3)",
-        "most probable link right where it has 50% or more: 100.0% (1 of 1)",
-        "probability of its links, mean: 0.80",
-        "error on unseen readings over the noise, after: median 1.04, within 1.1 in 100.0% (3 of 3)",
-        "time of a diagnosis: median 3.0 s, longest 3.0 s",
-    ):
-        assert words in printed

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from estimator import diagnose, load_rig
-from estimator.diagnosis.limits import Limits
 from estimator.effects import EFFECTS, ORDER
-from estimator.store.importers.readings_csv import read_readings_csv
-from scripts.studies.imitation import left_of_truth
 from scripts.studies.leave_one_out import mark, says_unknown, without, wrong_names
 from scripts.studies.open_world import (
     ABSENT,
     ANOTHER,
-    NEAR_SIGMA,
     lone_name,
     lone_names,
     outcome,
@@ -26,7 +20,6 @@ from scripts.studies.open_world import (
     stated,
     statements,
 )
-from tests.hidden.open_session import draw_open_session
 
 Row = dict[str, Any]
 
@@ -57,19 +50,19 @@ def row(truth: str, verdict: str, *causes: Row, is_known: bool = True, unknown: 
     }
 
 
-def test_probabilities_of_places_are_added_and_a_missing_unknown_is_none() -> None:
+def test_probabilities_of_places_are_added_and_a_missing_unknown_is_none():
     two_places = cause("axis_gain[hall]", 0.6, **{"axis_gain[other]": 0.3, "cross_axis[hall]": 0.1})
     assert stated(two_places) == pytest.approx({"axis_gain": 0.9, "cross_axis": 0.1, ABSENT: 0.0})
 
 
-def test_a_name_is_alone_only_without_alternatives_and_without_the_unknown() -> None:
+def test_a_name_is_alone_only_without_alternatives_and_without_the_unknown():
     assert lone_name(cause("backlash", 1.0)) == "backlash"
     assert lone_name(cause("backlash", 0.7, robot_scale=0.3)) is None
     assert lone_name(cause("backlash", 0.97, unknown=0.03)) == "backlash"
     assert lone_name(cause("backlash", 0.8, unknown=0.2)) is None
 
 
-def test_lone_names_are_right_relatives_or_wrong() -> None:
+def test_lone_names_are_right_relatives_or_wrong():
     found = row("overshoot", "named", cause("position_lag", 1.0), cause("axis_gain", 1.0), is_known=False)
     assert lone_names(found) == ([], ["position_lag"], ["axis_gain"])
     assert lone_names(row("axis_gain", "named", cause("axis_gain[hall]", 1.0))) == (["axis_gain"], [], [])
@@ -92,9 +85,7 @@ def test_lone_names_are_right_relatives_or_wrong() -> None:
         (row("tram_walk", "unexplained", is_known=False, unknown=0.8), {ABSENT: 0.8, ANOTHER: 0.2}, ABSENT),
     ],
 )
-def test_a_prediction_is_a_distribution_and_one_of_it_is_true(
-    found: Row, expected: dict[str, float], truth: str
-) -> None:
+def test_a_prediction_is_a_distribution_and_one_of_it_is_true(found, expected, truth):
     named = prediction(found)
     assert named == pytest.approx(expected)
     assert named is not None
@@ -102,11 +93,7 @@ def test_a_prediction_is_a_distribution_and_one_of_it_is_true(
     assert outcome(found, named) == truth
 
 
-def test_what_found_nothing_states_nothing() -> None:
-    assert prediction(row("backlash", "nothing_found")) is None
-
-
-def test_the_summary_counts_verdicts_and_scores(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_summary_counts_verdicts_and_scores(capsys):
     rows = [
         row("backlash", "named", cause("backlash", 0.5, robot_scale=0.5)),
         row("tram_walk", "named", cause("axis_gain", 1.0), is_known=False),
@@ -126,29 +113,14 @@ def test_the_summary_counts_verdicts_and_scores(capsys: pytest.CaptureFixture[st
     assert [(p.get_xdata()[0], p.get_ydata()[0]) for p in points] == [(0.5, 0.5), (1.0, 0.0)]
 
 
-def test_a_twin_of_the_truth_is_no_name_that_readings_could_refute(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_a_twin_of_the_truth_is_no_name_that_readings_could_refute(capsys):
     show([row("tram_walk", "named", cause("axis_gain", 1.0), is_known=False) | {"left_of_truth": 4.9}])
     printed = capsys.readouterr().out
     assert "named, not the truth 100.0% (1 of 1)" in printed
     assert "of these a name that readings could refute 0.0% (0 of 1)" in printed
 
 
-@pytest.mark.whole
-@pytest.mark.slow
-def test_what_is_left_of_the_truth_is_its_visible_size_without_causes_and_little_with_a_twin(
-    tmp_path: Path,
-) -> None:
-    hidden = draw_open_session([1], lambda possible: ["sensor_offset"], 30.0, 150_000)
-    hidden.write(tmp_path)
-    session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
-    without_causes, named = (diagnose(session, has_corrections=False, limits=Limits(most)) for most in (0, 1))
-    assert left_of_truth(hidden, without_causes) == pytest.approx(hidden.visible[0].sigma, rel=0.1)
-    assert left_of_truth(hidden, named) < NEAR_SIGMA  # `background_field`, its twin with one sensor
-
-
-def test_a_cause_left_out_comes_back_in_its_place_even_after_a_failure() -> None:
+def test_a_cause_left_out_comes_back_in_its_place_even_after_a_failure():
     names, order = list(EFFECTS), dict(ORDER)
 
     def fails_without_it() -> None:
@@ -163,7 +135,7 @@ def test_a_cause_left_out_comes_back_in_its_place_even_after_a_failure() -> None
     assert order == ORDER
 
 
-def test_twins_are_no_wrong_names_and_a_set_may_hold_the_unknown() -> None:
+def test_twins_are_no_wrong_names_and_a_set_may_hold_the_unknown():
     found = row("axis_gain", "named", cause("element_displacement", 1.0)) | {
         "left_beside": {"element_displacement": 2.9}
     }

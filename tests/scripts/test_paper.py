@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from scripts.paper import (
     experiment_twin,
     printed,
     programme,
-    reproduce,
     residual_causes,
     residual_ranking,
     solvers,
@@ -24,13 +22,13 @@ from scripts.paper.residual_causes import CAUSES, Mistake, Twin
 from tests.independent.readings import coil_field_T
 
 
-def test_a_printed_number_stands_for_all_that_round_to_it() -> None:
+def test_a_printed_number_stands_for_all_that_round_to_it():
     assert printed.interval("0.0027") == (0.00265, 0.00275)
     low, high = printed.reduction_percent("1.1000e-03", "4.2622e-04")
     assert (round(low, 2), round(high, 2)) == (61.25, 61.25)
 
 
-def test_two_entries_of_the_tables_are_misprints_and_no_others() -> None:
+def test_two_entries_of_the_tables_are_misprints_and_no_others():
     said = errata_of_tables.scales().splitlines()
     flagged = [line for line in said if "the other three" in line]
     assert len(flagged) == 2
@@ -39,7 +37,7 @@ def test_two_entries_of_the_tables_are_misprints_and_no_others() -> None:
     assert "0.00696 to 0.00705" in errata_of_tables.repaired()
 
 
-def test_the_pose_of_table_8_is_in_the_copper_unless_its_rotation_goes_the_other_way() -> None:
+def test_the_pose_of_table_8_is_in_the_copper_unless_its_rotation_goes_the_other_way():
     said = errata_of_tables.sensor_of_table_8()
     assert said.count("inside the copper") == 2
     assert "39.5 mm in front of the face" in said
@@ -47,14 +45,14 @@ def test_the_pose_of_table_8_is_in_the_copper_unless_its_rotation_goes_the_other
     np.testing.assert_allclose(places, [[31.78e-3, 15.27e-3, 39.51e-3]], atol=1e-5)
 
 
-def test_the_programme_adds_the_loops_that_magpylib_adds() -> None:
+def test_the_programme_adds_the_loops_that_magpylib_adds():
     places_m = programme.box_m(3, 0.015)
     ours = programme.field_per_ampere(places_m, (51.2, 0.49, 47.6, 24.8), counts=round)
     reference = coil_field_T(places_m, 0.0512, 0.49e-3, 48, 25, 1.0)
     np.testing.assert_allclose(ours, reference, atol=2e-5 * np.abs(reference).max())
 
 
-def test_rounded_counts_hold_the_paper_s_search_and_real_ones_do_not() -> None:
+def test_rounded_counts_hold_the_paper_s_search_and_real_ones_do_not():
     real, rounded = (whole_counts.cost_mT(0.015, counts) for counts in (float, round))
     np.testing.assert_allclose(whole_counts.nelder_mead(real), printed.SIMULATED_TRUTH, rtol=1e-4)
     stuck = whole_counts.nelder_mead(rounded)
@@ -63,16 +61,14 @@ def test_rounded_counts_hold_the_paper_s_search_and_real_ones_do_not() -> None:
     assert 0.6 < 1.0 - rounded(stuck) / rounded(whole_counts.START) < 0.99
 
 
-def test_quadratic_programming_never_moves_a_rounded_count() -> None:
+def test_quadratic_programming_never_moves_a_rounded_count():
     found = whole_counts.sqp(whole_counts.cost_mT(0.025, round))
     np.testing.assert_allclose(found[2:], printed.SIMULATED_START[2:], atol=0.5)
     assert abs(found[0] - printed.SIMULATED_START[0]) > 1.0
 
 
 @pytest.mark.whole
-def test_the_genetic_algorithm_begins_at_the_start_keeps_the_best_and_stays_in_the_box(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_genetic_algorithm_begins_at_the_start_keeps_the_best_and_stays_in_the_box(monkeypatch):
     monkeypatch.setattr(solvers, "GENERATIONS", 4)
     problem = solvers.Problem(is_whole=True)
     truth = np.array(list(solvers.TRUTH.values()))
@@ -83,7 +79,7 @@ def test_the_genetic_algorithm_begins_at_the_start_keeps_the_best_and_stays_in_t
     assert (ends.values <= problem.upper).all()
 
 
-def test_an_iron_table_turns_the_field_on_its_surface_upright_and_doubles_it() -> None:
+def test_an_iron_table_turns_the_field_on_its_surface_upright_and_doubles_it():
     def reading_T(wrong: Mistake) -> np.ndarray:
         return residual_causes.nature_T(residual_causes.START, np.zeros((1, 3)), wrong, 1.0)[0]
 
@@ -94,7 +90,7 @@ def test_an_iron_table_turns_the_field_on_its_surface_upright_and_doubles_it() -
 
 
 @pytest.mark.parametrize("cause", sorted(CAUSES))
-def test_every_twin_has_its_sensor_in_front_of_the_coil(cause: str) -> None:
+def test_every_twin_has_its_sensor_in_front_of_the_coil(cause):
     for seed in range(3):
         wrong = CAUSES[cause](np.random.default_rng([seed, 0]))
         truth, middle_m, current_A = residual_causes.drawn(seed, wrong)
@@ -103,7 +99,7 @@ def test_every_twin_has_its_sensor_in_front_of_the_coil(cause: str) -> None:
         assert 0.3 <= current_A <= 5.0
 
 
-def test_twins_that_a_file_holds_are_not_drawn_again(tmp_path: Path) -> None:
+def test_twins_that_a_file_holds_are_not_drawn_again(tmp_path):
     rows = [_twin(cause, seed) for cause in CAUSES for seed in range(2)]
     path = tmp_path / "residual_causes.jsonl"
     path.write_text("".join(json.dumps(asdict(row)) + "\n" for row in rows))
@@ -111,7 +107,7 @@ def test_twins_that_a_file_holds_are_not_drawn_again(tmp_path: Path) -> None:
     assert {(twin.cause, twin.seed) for twin in again} == {(row.cause, row.seed) for row in rows}
 
 
-def test_the_cause_that_gives_the_printed_numbers_comes_first() -> None:
+def test_the_cause_that_gives_the_printed_numbers_comes_first():
     rng = np.random.default_rng(1)
     rows = []
     for cause in CAUSES:
@@ -135,19 +131,8 @@ def _twin(cause: str, seed: int) -> Twin:
     return Twin(cause, seed, list(numbers), 1.0, [4.3e-3, 2.7e-3], [9.2e-3, 7.0e-3], 0.04, 0.104, 1000)
 
 
-def test_a_study_that_this_commit_has_run_is_not_run_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    runs: list[str] = []
-    monkeypatch.setattr(reproduce, "studies", lambda out: {"A (Table 1)": lambda: runs.append("A") or "text"})
-    for version, expected in (("abc", 1), ("abc", 1), ("def", 2), ("def-dirty", 3), ("def-dirty", 4)):
-        monkeypatch.setattr(reproduce, "code_version", lambda version=version: version)
-        assert reproduce.run("A (Table 1)", tmp_path).startswith("## A (Table 1)\n\ntext\n")
-        assert len(runs) == expected
-
-
 @pytest.mark.slow
-def test_the_twin_of_the_experiment_names_the_literal_sum_and_draws_it(tmp_path: Path) -> None:
+def test_the_twin_of_the_experiment_names_the_literal_sum_and_draws_it(tmp_path):
     text = experiment_twin.study(tmp_path)
     assert "diagnose, not told: named\n- spherical_sum" in text
     names = {path.name for path in tmp_path.iterdir()}

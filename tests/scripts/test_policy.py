@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import types
-from pathlib import Path
 
 import pytest
 
@@ -25,7 +24,7 @@ from scripts.studies.policy import Branches, changes, other_values, read
         ("LOG_PRIOR_CAUSE", math.log(0.3), [math.log(0.15), math.log(0.6)]),
     ],
 )
-def test_half_and_twice_a_rule(name: str, value: float, others: list[float]) -> None:
+def test_half_and_twice_a_rule(name, value, others):
     assert other_values(name, value) == (pytest.approx(others) if isinstance(value, float) else others)
 
 
@@ -40,14 +39,14 @@ def row(**changed: object) -> dict[str, object]:
     return {**same, **changed}
 
 
-def test_changes_are_told_from_rounding() -> None:
+def test_changes_are_told_from_rounding():
     assert changes(row(), row(evidence={"a": 3.0001}, names=[["b", "a"]], rest={"gain": 1.00001})) == []
     after = row(verdict="unexplained", names=[], evidence={"a": 5.0}, sd={"x": 1.1}, rest={"gain": 2.0})
     assert changes(row(), after) == ["verdict", "names", "evidence 2", "sd 10 %", "gain"]
     assert changes(row(), {"error": "ValueError"}) == ["fails"]
 
 
-def test_a_run_forks_where_a_rule_is_first_read(tmp_path: Path) -> None:
+def test_a_run_forks_where_a_rule_is_first_read(tmp_path):
     policy = types.ModuleType("policy")
     policy.SIZE, policy.UNREAD = 4.0, 1.0  # type: ignore[attr-defined]
     out = tmp_path / "runs.jsonl"

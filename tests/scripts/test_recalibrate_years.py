@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -28,22 +27,18 @@ def year(cause: str, *named: str, updates: tuple[int, ...] = ()) -> dict[str, An
         ("robot_scale", ("axis_gain[hall]",), False, False),
     ],
 )
-def test_a_cause_at_another_sensor_is_not_strictly_right(
-    cause: str, named: tuple[str, ...], is_right: bool, is_strict: bool
-) -> None:
+def test_a_cause_at_another_sensor_is_not_strictly_right(cause, named, is_right, is_strict):
     row = year(cause, *named)
     assert (years.is_right(row), years.is_strict(row)) == (is_right, is_strict)
 
 
-def test_needless_updates_are_counted_but_not_the_first_calibration() -> None:
+def test_needless_updates_are_counted_but_not_the_first_calibration():
     assert years.needless(year("robot_scale", "robot_scale", updates=(8, 12))) == [8, 12]
     assert years.needless(year("robot_scale", "robot_scale")) == []
     assert not years.alarms(year("robot_scale", "robot_scale", updates=(8,)))
 
 
-def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_versions_are_made_current_again_and_the_last_one_is_in_the_end(tmp_path, monkeypatch):
     current: list[int] = [2]
 
     class TwoVersions(Registry):

@@ -76,7 +76,7 @@ def has_sphinx() -> None:
     ],
     ids=["in a pipe", "not the last", "standard error set aside", "beside the cells"],
 )
-def test_a_command_that_fails_ends_the_build_at_once(cell: str, tmp_path: Path) -> None:
+def test_a_command_that_fails_ends_the_build_at_once(cell, tmp_path):
     began = time.monotonic()
     code, said, page = built(tmp_path, cell)
     assert code == 1
@@ -91,7 +91,7 @@ def test_a_command_that_fails_ends_the_build_at_once(cell: str, tmp_path: Path) 
     assert sorted(path.name for path in tmp_path.iterdir()) == ["docs", "site"], "left of the work"
 
 
-def test_the_site_from_before_is_left_when_a_build_fails(tmp_path: Path) -> None:
+def test_the_site_from_before_is_left_when_a_build_fails(tmp_path):
     code, said, before = built(tmp_path, GOOD)
     assert code == 0, said
     assert "two" in before
@@ -102,7 +102,7 @@ def test_the_site_from_before_is_left_when_a_build_fails(tmp_path: Path) -> None
     assert after == before
 
 
-def test_a_warning_of_sphinx_fails_the_build(tmp_path: Path) -> None:
+def test_a_warning_of_sphinx_fails_the_build(tmp_path):
     code, said, _ = built(tmp_path, f"{GOOD}\n```\n\n[nowhere](missing.md)\n\n```{{code-cell}} ipython3\n1")
     assert code == 1
     assert "Sphinx warned" in said

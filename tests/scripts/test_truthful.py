@@ -115,9 +115,7 @@ def wrong_truth(calibration: Calibration) -> Truth:
     )
 
 
-def test_what_is_printed_of_a_right_calibration_is_true_and_every_line_is_read(
-    told: Told, printed: str, folder: Path
-) -> None:
+def test_what_is_printed_of_a_right_calibration_is_true_and_every_line_is_read(told, printed, folder):
     statements = told(printed)
     assert not [one for each in statements.values() for one in each if not one.is_true]
     assert {"good", "error", "coverage", "interval_as_drawn", "loop_counts"} <= set(statements)
@@ -125,9 +123,7 @@ def test_what_is_printed_of_a_right_calibration_is_true_and_every_line_is_read(
     assert unread == []
 
 
-def test_good_is_false_where_an_interval_excludes_the_truth(
-    told: Told, printed: str, small_calibration: Calibration
-) -> None:
+def test_good_is_false_where_an_interval_excludes_the_truth(told, printed, small_calibration):
     assert are_true(told(printed), "good") == [
         True,
         True,
@@ -135,9 +131,7 @@ def test_good_is_false_where_an_interval_excludes_the_truth(
     assert are_true(told(printed, truth=wrong_truth(small_calibration)), "good") == [False, False]
 
 
-def test_good_of_a_map_is_false_where_held_out_readings_are_missed(
-    told: Told, printed: str, folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_good_of_a_map_is_false_where_held_out_readings_are_missed(told, printed, folder, monkeypatch):
     told(printed)
     statements, _ = judged(Case(folder, None))
     assert [one.is_true for one in statements if one.kind == "good"] == [True, True]
@@ -160,9 +154,7 @@ def test_good_of_a_map_is_false_where_held_out_readings_are_missed(
         ("expected_noise", "expected noise leaves ", "expected noise leaves 1"),
     ],
 )
-def test_a_printed_number_that_the_files_do_not_give_is_false(
-    told: Told, printed: str, kind: str, was: str, is_now: str
-) -> None:
+def test_a_printed_number_that_the_files_do_not_give_is_false(told, printed, kind, was, is_now):
     assert was in printed
     changed = printed.replace(was, is_now)
     if kind == "interval_as_drawn":
@@ -174,7 +166,7 @@ def test_a_printed_number_that_the_files_do_not_give_is_false(
     assert not all(are_true(told(changed), kind))
 
 
-def test_a_noise_by_repeats_is_near_the_true_one(told: Told, printed: str) -> None:
+def test_a_noise_by_repeats_is_near_the_true_one(told, printed):
     changed = printed.replace("expected noise leaves 8.66", "expected noise leaves 5.3")
     assert changed != printed
     for noise_T, is_true in ((3e-6, True), (5e-6, False)):
@@ -182,9 +174,7 @@ def test_a_noise_by_repeats_is_near_the_true_one(told: Told, printed: str) -> No
         assert are_true(told(changed, truth=truth), "expected_noise") == [is_true]
 
 
-def test_a_loop_count_that_is_stated_as_a_fact_is_false_where_it_is_another(
-    told: Told, printed: str, small_calibration: Calibration
-) -> None:
+def test_a_loop_count_that_is_stated_as_a_fact_is_false_where_it_is_another(told, printed, small_calibration):
     best = small_calibration.summary()["loop_counts"][0]
     assert best["probability"] > 0.99, "else nothing is stated as a fact"
     other = Truth({**TRUTH, "coil1.axial_loops": 14.0}, (), np.zeros((36, 3), dtype=bool))
@@ -196,9 +186,7 @@ def test_a_loop_count_that_is_stated_as_a_fact_is_false_where_it_is_another(
     )
 
 
-def test_currents_are_said_to_change_too_little_only_where_they_do(
-    told: Told, printed: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_currents_are_said_to_change_too_little_only_where_they_do(told, printed, monkeypatch):
     assert are_true(told(printed), "too_little_change") == [True]
     right = Case.observations.func  # type: ignore[attr-defined]
 
@@ -212,7 +200,7 @@ def test_currents_are_said_to_change_too_little_only_where_they_do(
     assert are_true(told(printed), "too_little_change") == [False]
 
 
-def test_what_is_fitted_everywhere_has_a_truth() -> None:
+def test_what_is_fitted_everywhere_has_a_truth():
     names = ["background_field[room].x_T", "sensor_offset[hall].z_T", "coil1.radius_m", "other.radius_m"]
     field = TrueCause("background_field", "room", True, 9.0, {"x_T": 2e-5})
     none = {"background_field[room].x_T": 0.0, "sensor_offset[hall].z_T": 0.0}
@@ -222,7 +210,7 @@ def test_what_is_fitted_everywhere_has_a_truth() -> None:
     assert hidden(OUTSIDE).numbers(names) == own
 
 
-def test_a_distance_from_a_prior_is_computed_anew(told: Told, small_calibration: Calibration) -> None:
+def test_a_distance_from_a_prior_is_computed_anew(told, small_calibration):
     prior = small_calibration.rig.parameters["coil1.radius_m"].prior
     assert prior is not None
     distance = prior.distance(float(np.median(small_calibration.draws["coil1.radius_m"])))
@@ -303,30 +291,24 @@ def sized(median: float) -> dict[str, Any]:
         ("something_left", LEFT, [NAMED], WITH_OUTSIDE, True),
     ],
 )  # fmt: skip
-def test_a_statement_is_judged_by_what_is_hidden(
-    told: Told, kind: str, words: str, causes: list[dict[str, Any]], truth: Truth, is_true: bool
-) -> None:
+def test_a_statement_is_judged_by_what_is_hidden(told, kind, words, causes, truth, is_true):
     assert are_true(told("", words, truth, causes=causes), kind) == [is_true]
 
 
-def test_nothing_to_mend_is_false_where_the_rig_as_it_is_gives_false_intervals(
-    told: Told, small_calibration: Calibration
-) -> None:
+def test_nothing_to_mend_is_false_where_the_rig_as_it_is_gives_false_intervals(told, small_calibration):
     words = "There is nothing to mend: use the rig file as it is."
     assert are_true(told("", words), "nothing_wrong") == [True]
     assert are_true(told("", words, wrong_truth(small_calibration)), "nothing_wrong") == [False]
 
 
 @pytest.mark.parametrize(("readings", "is_true"), [([3, 4], True), ([3, 4, 5], False)])
-def test_every_flagged_reading_is_wrong(told: Told, readings: list[int], is_true: bool) -> None:
+def test_every_flagged_reading_is_wrong(told, readings, is_true):
     statements = told("", "", hidden(wrong=(2, 3)), flagged=[FLAG | {"readings": readings}])
     assert are_true(statements, "flag") == [is_true]
 
 
 @pytest.mark.parametrize(("off_sigma", "is_true"), [(9.0, True), (1.0, False)])
-def test_an_outlier_is_far_from_what_is_true(
-    told: Told, small_session: Session, off_sigma: float, is_true: bool
-) -> None:
+def test_an_outlier_is_far_from_what_is_true(told, small_session, off_sigma, is_true):
     expected_T = small_session.observations.field_sensor_T.numpy().copy()
     expected_T[2, 0] += off_sigma * 5e-6
     truth = replace(hidden(), expected_T=expected_T, noise_T=np.full(36, 5e-6))
@@ -334,7 +316,7 @@ def test_an_outlier_is_far_from_what_is_true(
 
 
 @pytest.mark.parametrize(("before", "is_true"), [("53.80 ± 0.10", True), ("51.85 ± 0.10", False)])
-def test_a_parameter_that_was_right_is_not_biased(told: Told, before: str, is_true: bool) -> None:
+def test_a_parameter_that_was_right_is_not_biased(told, before, is_true):
     row = ["radius", before, "51.80 ± 0.90", "mm", "−20.0"]
     assert are_true(told("", "", hidden(GAIN), moved=row), "biased") == [is_true]
 
@@ -345,7 +327,7 @@ def unseen_uT(small_calibration: Calibration) -> float:
     return float(1e6 * small_calibration.summary()["rmse"]["validation"]["vector_T"])
 
 
-def test_the_error_on_unseen_readings_is_that_of_what_was_handed_out(told: Told, unseen_uT: float) -> None:
+def test_the_error_on_unseen_readings_is_that_of_what_was_handed_out(told, unseen_uT):
     words = "On {} readings that no fit has seen the rms error falls from 300 µT to {:.3g} µT."
     statements = told("", words.format(9, unseen_uT))
     assert are_true(statements, "unseen_error") == are_true(statements, "unseen_number") == [True]
@@ -353,13 +335,13 @@ def test_the_error_on_unseen_readings_is_that_of_what_was_handed_out(told: Told,
     assert are_true(statements, "unseen_error") == are_true(statements, "unseen_number") == [False]
 
 
-def test_an_error_that_does_not_fall_is_no_gain(told: Told, unseen_uT: float) -> None:
+def test_an_error_that_does_not_fall_is_no_gain(told, unseen_uT):
     words = "On 9 readings that no fit has seen the rms error falls from {:.4g} µT to {:.3g} µT."
     assert are_true(told("", words.format(3.0 * unseen_uT, unseen_uT)), "gain") == [True]
     assert are_true(told("", words.format(1.001 * unseen_uT, 0.1 * unseen_uT)), "gain") == [False]
 
 
-def test_the_last_line_is_that_of_what_was_handed_out(told: Told, unseen_uT: float) -> None:
+def test_the_last_line_is_that_of_what_was_handed_out(told, unseen_uT):
     words = (
         "unseen readings: 300 -> {:.4g} uT rms of the vector; coverage of 90 % intervals 20.0 % -> {:.1f} %; "
         "log predictive density +3.0 +- 1.0"
@@ -370,16 +352,14 @@ def test_the_last_line_is_that_of_what_was_handed_out(told: Told, unseen_uT: flo
     assert are_true(statements, "unseen_error") == are_true(statements, "coverage") == [False]
 
 
-def test_the_first_sentence_does_not_quote_what_fitted_readings_leave(told: Told, unseen_uT: float) -> None:
+def test_the_first_sentence_does_not_quote_what_fitted_readings_leave(told, unseen_uT):
     words = "Something is wrong: the rig as described misses by 300 µT rms, the extended rig by {:.3g} µT"
     component_uT = unseen_uT / np.sqrt(3.0)
     assert are_true(told("", words.format(component_uT)), "first_sentence") == [True]
     assert are_true(told("", words.format(0.1 * component_uT)), "first_sentence") == [False]
 
 
-def test_numbers_far_from_their_priors_are_those_of_what_was_handed_out(
-    told: Told, small_calibration: Calibration
-) -> None:
+def test_numbers_far_from_their_priors_are_those_of_what_was_handed_out(told, small_calibration):
     prior = small_calibration.rig.parameters["coil1.radius_m"].prior
     assert prior is not None
     distance = prior.distance(float(np.median(small_calibration.draws["coil1.radius_m"])))
@@ -388,12 +368,12 @@ def test_numbers_far_from_their_priors_are_those_of_what_was_handed_out(
     assert are_true(told("", words.format(distance + 2.0)), "tension") == [False]
 
 
-def test_intervals_of_what_was_handed_out_hold_the_truth(told: Told, small_calibration: Calibration) -> None:
+def test_intervals_of_what_was_handed_out_hold_the_truth(told, small_calibration):
     assert are_true(told(), "extended_intervals") == [True]
     assert are_true(told("", "", wrong_truth(small_calibration)), "extended_intervals") == [False]
 
 
-def test_a_line_that_nobody_judges_is_counted(told: Told, folder: Path) -> None:
+def test_a_line_that_nobody_judges_is_counted(told, folder):
     told("", "verdict: named\nThe moon is made of 3.5 kg of cheese.")
     _, unread = judged(Case(folder, hidden()))
     assert unread == ["The moon is made of # kg of cheese."]
@@ -408,15 +388,13 @@ def test_a_line_that_nobody_judges_is_counted(told: Told, folder: Path) -> None:
     ],
 )
 def test_a_crash_is_false_and_so_is_the_refusal_of_a_clean_session(
-    tmp_path: Path, code: int, error: str, truth: Truth, kind: str, is_true: bool
-) -> None:
+    tmp_path, code, error, truth, kind, is_true
+):
     (statement,) = ended(Case(tmp_path, truth), "calibrate.txt", (code, "", error), "calibrate")
     assert (statement.kind, statement.is_true) == (kind, is_true)
 
 
-def test_predictions_are_those_of_the_field_at_the_sensor(
-    folder: Path, small_calibration: Calibration
-) -> None:
+def test_predictions_are_those_of_the_field_at_the_sensor(folder, small_calibration):
     """One reading after another, by the public method."""
     readings = small_calibration.observations
     shown_T = HandedOut.of_folder(folder / "calibration").readings_T(readings)
@@ -427,7 +405,7 @@ def test_predictions_are_those_of_the_field_at_the_sensor(
         assert np.allclose(field_T[0], shown_T[i], rtol=1e-9, atol=0.0)
 
 
-def test_intervals_far_from_the_truth_are_counted(folder: Path, small_calibration: Calibration) -> None:
+def test_intervals_far_from_the_truth_are_counted(folder, small_calibration):
     model = HandedOut.of_folder(folder / "calibration")
     missed, n = missed_90(model, hidden())
     assert n == 3
@@ -437,7 +415,7 @@ def test_intervals_far_from_the_truth_are_counted(folder: Path, small_calibratio
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_each_kind_of_session_has_its_truth(kind: str, tmp_path: Path) -> None:
+def test_each_kind_of_session_has_its_truth(kind, tmp_path):
     truth = hidden_case(kind, 900_001, tmp_path)
     assert truth.is_clean == (kind == "clean")
     assert all(cause.is_known == (cause.name in EFFECTS) for cause in truth.causes)
@@ -446,7 +424,7 @@ def test_each_kind_of_session_has_its_truth(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_session_is_judged_from_its_readings_on(tmp_path: Path) -> None:
+def test_a_session_is_judged_from_its_readings_on(tmp_path):
     """All lines that the commands print are read, and judged once more from what was kept, as before."""
     row = run_case(tmp_path, "single", 900_000)
     assert row["verdicts"][1] in ("named", "indistinguishable", "unexplained")
@@ -457,7 +435,7 @@ def test_a_session_is_judged_from_its_readings_on(tmp_path: Path) -> None:
     assert again["seconds"] < 0.5 * row["seconds"]
 
 
-def test_false_statements_are_counted_by_kind(capsys: pytest.CaptureFixture[str]) -> None:
+def test_false_statements_are_counted_by_kind(capsys):
     said = [Statement("good", "calibrate", "good: ...", False, "radius is 12 sd off")]
     said += [Statement("error", "calibrate", "error 3 uT", True, "")] * 3
     row = {"kind": "single", "seed": 7, "name": "7", "hidden": "axis_gain of hall", "unread": ["# cheeses"]}

@@ -10,7 +10,7 @@ from drivers.protocols import FlangePose
 from drivers.simulated.world import CoilCircuit, World
 
 
-def test_a_reader_that_waited_for_a_change_sees_the_world_after_it() -> None:
+def test_a_reader_that_waited_for_a_change_sees_the_world_after_it():
     """A reader that looked at the clock before it waited would find a motion that begins in its future."""
     world = World([CoilCircuit(resistance_ohm=2.0, inductance_H=0.0)])
     reads = threading.Event()

@@ -21,10 +21,10 @@ from estimator.store.growing import load_so_far
 from estimator.store.journal import read_journal
 from estimator.store.session import seal
 from tests.drivers.memory import HOME, MemoryArm, MemorySource
-from tests.estimator.acquisition.measured import Run, rig_of_devices
+from tests.estimator.acquisition.measured import rig_of_devices
 
 
-def test_a_plan_is_visited_and_nothing_is_sent_twice(run: Run) -> None:
+def test_a_plan_is_visited_and_nothing_is_sent_twice(run):
     told: list[Progress] = []
 
     def on_stop(progress: Progress) -> None:
@@ -46,7 +46,7 @@ def test_a_plan_is_visited_and_nothing_is_sent_twice(run: Run) -> None:
     assert told[-1].left_s == 0.0 < told[0].left_s
 
 
-def test_stops_follow_each_other_in_the_journal_and_the_supply_is_dated_within_its_stop(run: Run) -> None:
+def test_stops_follow_each_other_in_the_journal_and_the_supply_is_dated_within_its_stop(run):
     run.measure(stops=run.stops.rows(torch.tensor([0, 1])))
     first, second, third = run.measure()
     assert 0.0 <= first["begin_s"] < first["end_s"] == second["begin_s"] < second["end_s"] < third["begin_s"]
@@ -57,7 +57,7 @@ def test_stops_follow_each_other_in_the_journal_and_the_supply_is_dated_within_i
 
 
 @pytest.mark.parametrize("error", [DeviceFault("sensor is gone"), KeyboardInterrupt(), SystemExit(143)])
-def test_after_any_end_the_current_is_off_and_the_next_run_continues(run: Run, error: BaseException) -> None:
+def test_after_any_end_the_current_is_off_and_the_next_run_continues(run, error):
 
     def fail(progress: Progress) -> None:
         if progress.n_done == 2:
@@ -77,9 +77,7 @@ def test_after_any_end_the_current_is_off_and_the_next_run_continues(run: Run, e
     assert run.devices.sources["coil1"].told == [("set", -3.0), ("off",)]
 
 
-def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not_on_it(
-    run: Run, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not_on_it(run, monkeypatch):
 
     def full(*_: object) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
@@ -97,9 +95,7 @@ def test_a_full_disk_ends_the_run_without_current_and_without_a_stop_that_is_not
 
 @pytest.mark.parametrize("value", [1.1e12, -1e300, math.inf])
 @pytest.mark.parametrize("part", ["supply", "arm"])
-def test_a_current_or_pose_that_no_session_may_hold_ends_the_run_without_current(
-    run: Run, value: float, part: str
-) -> None:
+def test_a_current_or_pose_that_no_session_may_hold_ends_the_run_without_current(run, value, part):
 
     def spoil(_: Progress) -> None:
         if part == "supply":
@@ -117,9 +113,7 @@ def test_a_current_or_pose_that_no_session_may_hold_ends_the_run_without_current
 
 
 @pytest.mark.parametrize("step_s", [-3600.0, 3600.0])
-def test_times_increase_even_if_the_clock_of_the_computer_is_set(
-    run: Run, monkeypatch: pytest.MonkeyPatch, step_s: float
-) -> None:
+def test_times_increase_even_if_the_clock_of_the_computer_is_set(run, monkeypatch, step_s):
     run.measure(stops=run.stops.rows(torch.tensor([0, 1])))
     real = time.time
     monkeypatch.setattr(time, "time", lambda: real() + step_s)
@@ -128,9 +122,7 @@ def test_times_increase_even_if_the_clock_of_the_computer_is_set(
     assert bool((time_s.diff() > 0.0).all())
 
 
-def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(
-    run: Run, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_supply_that_does_not_go_off_is_told_of_but_hides_no_other_error(run, caplog):
     class Stuck(MemorySource):
         def output_off(self, *, timeout_s: float) -> None:
             raise DeviceFault("stuck")
@@ -167,7 +159,7 @@ class Tripping(MemorySource):
         ((math.nan, ReadingFlag.NONE), "must carry 3 A; its supply gives no new measurement"),
     ],
 )
-def test_a_stop_whose_current_is_not_confirmed_is_not_recorded(run: Run, wrong: Any, words: str) -> None:
+def test_a_stop_whose_current_is_not_confirmed_is_not_recorded(run, wrong, words):
     run.devices.sources["coil1"] = Tripping()
     run.devices.sources["coil1"].wrong = wrong
     run.stops = run.stops.rows(torch.tensor([0, 0]))
@@ -177,7 +169,7 @@ def test_a_stop_whose_current_is_not_confirmed_is_not_recorded(run: Run, wrong: 
     assert len(run.readings) == 1
 
 
-def test_the_current_that_was_measured_is_part_of_the_session(run: Run) -> None:
+def test_the_current_that_was_measured_is_part_of_the_session(run):
     run.devices.sources["coil1"].share = 0.999
     run.measure()
     seal(run.folder)
@@ -197,7 +189,7 @@ class Narrow(MemoryArm):
         super().move_to(base_from_flange, speed_m_per_s=speed_m_per_s, timeout_s=timeout_s)
 
 
-def test_a_chosen_stop_that_is_refused_is_told_and_another_one_chosen(run: Run) -> None:
+def test_a_chosen_stop_that_is_refused_is_told_and_another_one_chosen(run):
     told, asked = list[Refused](), list[tuple[int, list[int]]]()
     run.devices.arms["arm1"] = Narrow()
 
@@ -213,7 +205,7 @@ def test_a_chosen_stop_that_is_refused_is_told_and_another_one_chosen(run: Run) 
     assert run.devices.sources["coil1"].told[-1] == ("off",)
 
 
-def test_a_stop_of_a_plan_that_is_refused_ends_the_run_and_so_do_many_chosen_ones(run: Run) -> None:
+def test_a_stop_of_a_plan_that_is_refused_ends_the_run_and_so_do_many_chosen_ones(run):
     n_asked = 0
     run.devices.arms["arm1"] = Narrow()
 
@@ -238,7 +230,7 @@ class Tripped(MemoryArm):
         raise BroughtToRest("the rig must be opened anew before it can continue")
 
 
-def test_a_rig_that_was_brought_to_rest_refuses_no_single_stop(run: Run) -> None:
+def test_a_rig_that_was_brought_to_rest_refuses_no_single_stop(run):
     told, asked = list[Refused](), list[int]()
     run.devices.arms["arm1"] = Tripped()
 

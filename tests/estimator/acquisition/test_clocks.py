@@ -9,7 +9,7 @@ import pytest
 from estimator.acquisition.averages import WINDOW, DeviceClock
 
 
-def test_a_reading_is_dated_within_the_spread_of_its_delays_while_the_clock_drifts() -> None:
+def test_a_reading_is_dated_within_the_spread_of_its_delays_while_the_clock_drifts():
     draw = random.Random(1)
     clock = DeviceClock()
     for number in range(20 * WINDOW):
@@ -22,9 +22,7 @@ def test_a_reading_is_dated_within_the_spread_of_its_delays_while_the_clock_drif
 
 
 @pytest.mark.parametrize("step_s", [-1.0, -0.3, 0.3, 1.0])
-def test_a_clock_set_by_less_than_the_longest_delay_contradicts_the_times_of_the_requests(
-    step_s: float,
-) -> None:
+def test_a_clock_set_by_less_than_the_longest_delay_contradicts_the_times_of_the_requests(step_s):
     clock = DeviceClock()
     for number in range(100):
         taken_s = float(number)
@@ -34,7 +32,7 @@ def test_a_clock_set_by_less_than_the_longest_delay_contradicts_the_times_of_the
     assert clock.delay_s == pytest.approx(0.002, abs=0.001)
 
 
-def test_a_reading_that_is_late_does_not_move_the_clock() -> None:
+def test_a_reading_that_is_late_does_not_move_the_clock():
     clock = DeviceClock()
     for number, delay_s in enumerate((0.01, 1.5, 0.9, 0.01)):
         clock.add(number + delay_s, number + 50.0, asked_s=number - 0.01)
@@ -42,7 +40,7 @@ def test_a_reading_that_is_late_does_not_move_the_clock() -> None:
 
 
 @pytest.mark.parametrize("step_s", [3600.0, -3600.0])
-def test_a_clock_that_is_set_is_believed_from_then_on(step_s: float) -> None:
+def test_a_clock_that_is_set_is_believed_from_then_on(step_s):
     clock = DeviceClock()
     clock.add(10.0, 0.0)
     clock.add(11.0, 1.0 + step_s)

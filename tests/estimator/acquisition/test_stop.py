@@ -16,17 +16,14 @@ from drivers.protocols import ReadingFlag
 from estimator.acquisition.acquire import Progress
 from estimator.acquisition.averages import is_settled
 from estimator.acquisition.pace import FEWEST_READINGS
-from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, observations_of
 from estimator.store.session import load_session, seal
 from tests.drivers.memory import MemoryArm, MemorySensor
-from tests.estimator.acquisition.measured import Run, Scripted, rig_of_devices
+from tests.estimator.acquisition.measured import Scripted, rig_of_devices
 
 
 @pytest.mark.parametrize("value", [9.91e37, -9.9e37, 1e300, math.inf, math.nan])
-def test_a_number_that_stands_for_none_is_not_measured_and_the_session_opens_again(
-    run: Run, value: float
-) -> None:
+def test_a_number_that_stands_for_none_is_not_measured_and_the_session_opens_again(run, value):
     run.devices = rig_of_devices(Scripted((1e-3, value, 2e-3)))
     answer = SimpleNamespace(value=value)
     run.devices.thermometers = {"coil1": SimpleNamespace(read_temperature_K=lambda *, timeout_s: answer)}
@@ -38,7 +35,7 @@ def test_a_number_that_stands_for_none_is_not_measured_and_the_session_opens_aga
     assert bool(readings.temperature_C["coil1"].isnan().all())
 
 
-def test_temperatures_are_recorded_with_every_reading(run: Run) -> None:
+def test_temperatures_are_recorded_with_every_reading(run):
     class Warming:
         """Reads a kelvin more each time; the second reading has no number."""
 
@@ -58,7 +55,7 @@ def test_temperatures_are_recorded_with_every_reading(run: Run) -> None:
         assert readings.temperature_C["coil1"].tolist() == pytest.approx([21.0, math.nan, 23.0], nan_ok=True)
 
 
-def test_a_thermometer_added_while_a_session_is_interrupted_has_no_earlier_readings(small_rig: Rig) -> None:
+def test_a_thermometer_added_while_a_session_is_interrupted_has_no_earlier_readings(small_rig):
     entries = [
         StopReadings(float(i), [1.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0).entry()
         for i in range(2)
@@ -69,7 +66,7 @@ def test_a_thermometer_added_while_a_session_is_interrupted_has_no_earlier_readi
     assert temperature_C.tolist() == pytest.approx([math.nan, 25.0], nan_ok=True)
 
 
-def test_readings_are_averaged_without_those_that_repeat(run: Run) -> None:
+def test_readings_are_averaged_without_those_that_repeat(run):
     values = [
         (0.0, 0.0, 1e-3),
         (0.0, 0.0, 3e-3),
@@ -82,7 +79,7 @@ def test_readings_are_averaged_without_those_that_repeat(run: Run) -> None:
     assert entry["is_settled"]
 
 
-def test_a_stop_is_dated_by_the_clock_of_its_instrument(run: Run) -> None:
+def test_a_stop_is_dated_by_the_clock_of_its_instrument(run):
     class Late(MemorySensor):
         """Delivers its readings 20 ms after it took them, but the first at once; its clock counts from 1970."""
 
@@ -100,7 +97,7 @@ def test_a_stop_is_dated_by_the_clock_of_its_instrument(run: Run) -> None:
     assert again["delay_s"] == {}  # neither the sensor nor the arm has a clock
 
 
-def test_how_old_a_reading_may_be_is_in_the_journal(run: Run) -> None:
+def test_how_old_a_reading_may_be_is_in_the_journal(run):
     class Slow(MemorySensor):
         def read_field_T(self, *, timeout_s: float) -> Any:
             time.sleep(0.05)
@@ -113,7 +110,7 @@ def test_how_old_a_reading_may_be_is_in_the_journal(run: Run) -> None:
 
 
 @pytest.mark.parametrize("step_s", [-1.5, -0.5, 0.5, 1.5])
-def test_times_increase_even_if_the_clock_of_an_instrument_is_set(run: Run, step_s: float) -> None:
+def test_times_increase_even_if_the_clock_of_an_instrument_is_set(run, step_s):
     class Set(MemorySensor):
         """Its clock is set before the second stop."""
 
@@ -137,9 +134,7 @@ def test_times_increase_even_if_the_clock_of_an_instrument_is_set(run: Run, step
 
 
 @pytest.mark.parametrize(("step_m", "is_same"), [(3e-6, True), (1e-4, False)])
-def test_an_arm_that_stands_still_keeps_its_pose_unless_it_was_bumped(
-    run: Run, step_m: float, is_same: bool
-) -> None:
+def test_an_arm_that_stands_still_keeps_its_pose_unless_it_was_bumped(run, step_m, is_same):
     class Trembling(MemoryArm):
         n_read = 0
 
@@ -154,7 +149,7 @@ def test_an_arm_that_stands_still_keeps_its_pose_unless_it_was_bumped(
     assert second != third
 
 
-def test_a_field_that_settles_late_is_waited_for(run: Run) -> None:
+def test_a_field_that_settles_late_is_waited_for(run):
     falling = [(0.0, 0.0, 1e-3 * 2.0**-i) for i in range(20)]
     entry = run.first_entry(Scripted(*falling, (0.0, 0.0, 0.0)), 12)
     assert entry["is_settled"]
@@ -163,29 +158,27 @@ def test_a_field_that_settles_late_is_waited_for(run: Run) -> None:
 
 @pytest.mark.parametrize("n_readings", [FEWEST_READINGS, FEWEST_READINGS + 1, 10, 50])
 @pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_a_field_that_changes_steadily_has_not_settled_for_any_number_of_readings(
-    run: Run, n_readings: int, noise: float
-) -> None:
+def test_a_field_that_changes_steadily_has_not_settled_for_any_number_of_readings(run, n_readings, noise):
     draw = random.Random(3)
     rising = [(0.0, 0.0, 1e-6 * (i + draw.gauss(0.0, noise))) for i in range(100_000)]
     entry = run.first_entry(Scripted(*rising), n_readings)
     assert not entry["is_settled"]
 
 
-def test_noise_alone_is_taken_for_a_change_at_few_stops() -> None:
+def test_noise_alone_is_taken_for_a_change_at_few_stops():
     draw = torch.Generator().manual_seed(5)
     field_T = torch.randn(2000, FEWEST_READINGS, 3, generator=draw, dtype=torch.float64)
     n_changing = sum(not is_settled(readings_T) for readings_T in field_T)
     assert n_changing < 0.03 * len(field_T)
 
 
-def test_what_left_the_range_is_not_measured(run: Run) -> None:
+def test_what_left_the_range_is_not_measured(run):
     over = ((math.nan, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)
     entry = run.first_entry(Scripted(over))
     assert entry["field_T"]["hall"] == [None, pytest.approx(1e-3), pytest.approx(2e-3)]
 
 
-def test_what_an_instrument_lost_is_counted_in_the_journal(run: Run) -> None:
+def test_what_an_instrument_lost_is_counted_in_the_journal(run):
     good = (0.0, 0.0, 1e-3)
     lossy = [good, good, (good, ReadingFlag.DROPPED), (good, ReadingFlag.DROPPED | ReadingFlag.STALE), good]
     entry = run.first_entry(Scripted(*lossy))
@@ -196,6 +189,6 @@ def test_what_an_instrument_lost_is_counted_in_the_journal(run: Run) -> None:
     assert again["n_gaps"] == {"hall": 0}  # losses before the first reading do not count
 
 
-def test_an_overload_without_a_component_takes_all_three(run: Run) -> None:
+def test_an_overload_without_a_component_takes_all_three(run):
     entry = run.first_entry(Scripted(((1e-3, 1e-3, 2e-3), ReadingFlag.OVER_RANGE)))
     assert entry["field_T"]["hall"] == [None, None, None]

@@ -41,7 +41,7 @@ def without_seal(calibration: Path, change: Callable[[xr.DataTree], object] = la
     zarr.open_group(store, mode="a").attrs["sha256"] = tree_hash(read_tree(store))
 
 
-def test_any_changed_byte_of_a_summary_is_found(calibration: Path) -> None:
+def test_any_changed_byte_of_a_summary_is_found(calibration):
     file = calibration / "summary.json"
     content = file.read_bytes()
     random = np.random.default_rng(1)
@@ -54,13 +54,13 @@ def test_any_changed_byte_of_a_summary_is_found(calibration: Path) -> None:
     Calibration.load(calibration)
 
 
-def test_a_summary_of_another_calibration_is_found(calibration: Path, small_calibration: Calibration) -> None:
+def test_a_summary_of_another_calibration_is_found(calibration, small_calibration):
     other = json.loads(json.dumps(small_calibration.summary())) | {"seed": 12}
     (calibration / "summary.json").write_text(json.dumps(other, indent=2) + "\n", encoding="utf-8")
     assert "was altered, or belongs to another posterior" in refusal(Calibration.load, calibration)
 
 
-def test_a_calibration_from_before_the_seal_opens(calibration: Path, small_calibration: Calibration) -> None:
+def test_a_calibration_from_before_the_seal_opens(calibration, small_calibration):
     without_seal(calibration)
     assert Calibration.load(calibration).best == small_calibration.best
 
@@ -78,7 +78,7 @@ SUMMARIES = {
 
 @pytest.mark.parametrize("text", SUMMARIES.values(), ids=SUMMARIES)
 @pytest.mark.parametrize("is_sealed", [True, False])
-def test_a_summary_that_is_none_is_refused(calibration: Path, text: str, is_sealed: bool) -> None:
+def test_a_summary_that_is_none_is_refused(calibration, text, is_sealed):
     if not is_sealed:
         without_seal(calibration)
     (calibration / "summary.json").write_text(text, encoding="utf-8")
@@ -88,7 +88,7 @@ def test_a_summary_that_is_none_is_refused(calibration: Path, text: str, is_seal
 @pytest.mark.parametrize(
     "key", ["parameters", "rmse", "coverage90", "sampling", "loop_counts", "undetermined", "truth"]
 )
-def test_a_summary_from_before_the_seal_has_what_pages_read(calibration: Path, key: str) -> None:
+def test_a_summary_from_before_the_seal_has_what_pages_read(calibration, key):
     without_seal(calibration)
     summary = json.loads((calibration / "summary.json").read_text(encoding="utf-8"))
     for changed in ({**summary, key: None}, {k: v for k, v in summary.items() if k != key}):
@@ -127,9 +127,7 @@ POSTERIORS = {
 
 
 @pytest.mark.parametrize(("change", "message"), POSTERIORS.values(), ids=POSTERIORS)
-def test_a_posterior_that_predicts_nothing_is_refused(
-    calibration: Path, change: Callable[[xr.DataTree], object], message: str
-) -> None:
+def test_a_posterior_that_predicts_nothing_is_refused(calibration, change, message):
     without_seal(calibration, change)
     assert message in refusal(Calibration.load, calibration)
 
@@ -144,7 +142,7 @@ class Touch:
         return os.system, (f"touch {self.path}",)
 
 
-def test_format_2_with_pickled_objects_is_not_unpickled(calibration: Path, tmp_path: Path) -> None:
+def test_format_2_with_pickled_objects_is_not_unpickled(calibration, tmp_path):
     store = calibration / "posterior.zarr"
     shutil.rmtree(store)
     (store / "posterior" / "x").mkdir(parents=True)

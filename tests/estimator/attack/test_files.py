@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from estimator.cli.grid import _axis
 from estimator.errors import InvalidInput
 from estimator.readings.plan import load_plan
-from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.yaml_section import Section
 
@@ -87,21 +86,19 @@ def refusal(read, *arguments: object) -> str:
 
 
 @pytest.mark.parametrize(("old", "new", "message"), RIGS.values(), ids=RIGS)
-def test_a_rig_file_is_refused(rig_text: str, old: str, new: str, message: str) -> None:
+def test_a_rig_file_is_refused(rig_text, old, new, message):
     assert old in rig_text
     assert message in refusal(rig_from_text, rig_text.replace(old, new, 1), "rig.yaml")
 
 
 @pytest.mark.parametrize(("old", "new", "message"), PLANS.values(), ids=PLANS)
-def test_a_plan_is_refused(
-    plan_text: str, small_rig: Rig, tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_a_plan_is_refused(plan_text, small_rig, tmp_path, old, new, message):
     assert old in plan_text
     (tmp_path / "plan.yaml").write_text(plan_text.replace(old, new), encoding="utf-8")
     assert message in refusal(load_plan, tmp_path / "plan.yaml", small_rig)
 
 
-def test_a_file_without_end_is_refused() -> None:
+def test_a_file_without_end_is_refused():
     assert (
         refusal(load_rig, Path("/dev/zero"))
         == "/dev/zero must be readable as text, as a regular file; it is a device"
@@ -109,13 +106,13 @@ def test_a_file_without_end_is_refused() -> None:
 
 
 @pytest.mark.parametrize("span", ["-50:50:1000000000", "0:1:1" + "0" * 30, "-1e308:1e308:3", "1e13"])
-def test_a_grid_of_the_command_line_is_refused(span: str) -> None:
+def test_a_grid_of_the_command_line_is_refused(span):
     assert refusal(_axis, f"x_mm={span}").startswith(
         "--grid must have at most 1000000 points within 1e+12 of 0"
     )
 
 
-def test_what_an_alias_stands_for_counts_as_often_as_it_is_used() -> None:
+def test_what_an_alias_stands_for_counts_as_often_as_it_is_used():
     text = "noise: &noise {sd: 1}\n" + "".join(f"k{i}: *noise\n" for i in range(1000))
     assert Section.from_text(text, "rig.yaml").section("k999").number("sd") == 1.0
 

@@ -56,16 +56,14 @@ def readings(small_session: Session) -> Arrays:
 
 @pytest.mark.parametrize("change", SHAPES.values(), ids=SHAPES)
 @pytest.mark.parametrize("name", EVERY_ARRAY)
-def test_arrays_of_another_length_or_type_are_no_readings(
-    readings: Arrays, small_session: Session, name: str, change: Callable[[np.ndarray], np.ndarray | None]
-) -> None:
+def test_arrays_of_another_length_or_type_are_no_readings(readings, small_session, name, change):
     changed = {**readings, name: change(readings[name])}
     arrays = {n: data for n, data in changed.items() if data is not None}
     with pytest.raises(CorruptStore, match=r"must .*; (received|it is missing) .*\(s\.zarr\)"):
         admit_readings(arrays, small_session.rig, "s.zarr")
 
 
-def test_a_session_with_an_array_that_is_too_short_is_refused(session: Path) -> None:
+def test_a_session_with_an_array_that_is_too_short_is_refused(session):
     replace_array(session, "repeat", np.zeros(3, int))
     assert "repeat must be int64 of shape (36,); received int64 of shape (3,)" in refusal(
         load_session, session
@@ -90,13 +88,7 @@ NUMBERS = {
 
 
 @pytest.mark.parametrize(("name", "change", "message"), NUMBERS.values(), ids=NUMBERS)
-def test_numbers_that_no_reading_has_are_refused(
-    readings: Arrays,
-    small_session: Session,
-    name: str,
-    change: Callable[[np.ndarray], np.ndarray],
-    message: str,
-) -> None:
+def test_numbers_that_no_reading_has_are_refused(readings, small_session, name, change, message):
     with pytest.raises(CorruptStore) as caught:
         admit_readings(
             {**readings, name: change(readings.get(name, np.zeros(0)))}, small_session.rig, "s.zarr"
@@ -136,15 +128,13 @@ def with_attributes(session: Path, changes: dict[str, object]) -> None:
 
 
 @pytest.mark.parametrize(("changes", "message"), WORDS.values(), ids=WORDS)
-def test_attributes_of_another_kind_are_refused(
-    session: Path, changes: dict[str, object], message: str
-) -> None:
+def test_attributes_of_another_kind_are_refused(session, changes, message):
     with_attributes(session, changes)
     assert message in refusal(load_session, session)
 
 
 @pytest.mark.parametrize(("old", "new", "message"), RIGS.values(), ids=RIGS)
-def test_a_rig_inside_is_read_as_strictly_as_a_file(session: Path, old: str, new: str, message: str) -> None:
+def test_a_rig_inside_is_read_as_strictly_as_a_file(session, old, new, message):
     text = json.loads((session / "zarr.json").read_text(encoding="utf-8"))["attributes"]["rig"]["text"]
     assert old in text
     with_attributes(session, {"rig": {"text": text.replace(old, new)}})
@@ -153,8 +143,8 @@ def test_a_rig_inside_is_read_as_strictly_as_a_file(session: Path, old: str, new
 
 @pytest.mark.parametrize(("value", "message"), VALUES.values(), ids=VALUES)
 def test_values_inside_a_session_of_version_0_1_follow_the_rules_of_a_rig(
-    session: Path, small_session: Session, value: object, message: str
-) -> None:
+    session, small_session, value, message
+):
     text = json.loads((session / "zarr.json").read_text(encoding="utf-8"))["attributes"]["rig"]["text"]
     free = [parameter.name for parameter in small_session.rig.free]
     with_attributes(session, {"rig": {"text": text, "values": {"coil1.radius_m": value}, "free": free}})

@@ -60,20 +60,18 @@ CHUNKS = {
 
 
 @pytest.mark.parametrize("frame", CHUNKS.values(), ids=CHUNKS)
-def test_a_chunk_of_another_size_is_not_decoded(
-    session: Path, frame: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_chunk_of_another_size_is_not_decoded(session, frame, monkeypatch):
     with_chunk(frame)(session)
     monkeypatch.setattr(zarr, "open_group", None)
     assert "must hold chunks of the size that its arrays have; " in refusal(load_session, session)
 
 
-def test_a_chunk_of_a_terabyte_of_holes_is_not_read(session: Path) -> None:
+def test_a_chunk_of_a_terabyte_of_holes_is_not_read(session):
     sparse(session)
     assert "is no chunk of 288 bytes" in refusal(load_session, session)
 
 
-def test_a_chunk_without_zstd_is_as_long_as_it_should_be(session: Path) -> None:
+def test_a_chunk_without_zstd_is_as_long_as_it_should_be(session):
     replace_array(session, "repeat", np.ones(N, int))
     load_session(session)
     with (session / "repeat" / "c" / "0").open("ab") as file:
@@ -97,7 +95,7 @@ def test_any_bytes_are_one_frame_of_the_right_size_or_refused(
 
 
 @pytest.mark.parametrize("size", [0, 1, 255, 256, 257, 65_791, 65_792, 200_000, 3_000_000])
-def test_frames_of_every_size_are_admitted(tmp_path: Path, size: int) -> None:
+def test_frames_of_every_size_are_admitted(tmp_path, size):
     random = np.random.default_rng(size).bytes(size)
     for data in (random, b"\0" * size):
         (tmp_path / "chunk").write_bytes(frame_of(data))

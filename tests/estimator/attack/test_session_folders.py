@@ -73,14 +73,12 @@ FOLDERS = {
 
 
 @pytest.mark.parametrize(("change", "message"), FOLDERS.values(), ids=FOLDERS)
-def test_a_folder_is_looked_at_before_zarr_opens_it(
-    session: Path, change: Callable[[Path], None], message: str
-) -> None:
+def test_a_folder_is_looked_at_before_zarr_opens_it(session, change, message):
     change(session)
     assert message in refusal(load_session, session)
 
 
-def test_a_store_that_claims_far_more_than_it_holds_is_refused_at_once(session: Path) -> None:
+def test_a_store_that_claims_far_more_than_it_holds_is_refused_at_once(session):
     """Zarr reads chunks that are missing as zeros, and allots memory for all of them."""
     for file in session.glob("*/zarr.json"):
         node = json.loads(file.read_text(encoding="utf-8"))

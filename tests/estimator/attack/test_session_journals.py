@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from estimator.store.growing import StopReadings, new_header
-from estimator.store.session import Session, load_session
+from estimator.store.session import load_session
 from tests.estimator.attack.conftest import refusal
 
 pytestmark = pytest.mark.whole
@@ -47,18 +47,14 @@ STOP = StopReadings(0.0, (3.0,), {"arm1": [0.0] * 6}, {"hall": (1e-3, 0.0, 0.0)}
 
 
 @pytest.mark.parametrize("changes", STOPS.values(), ids=STOPS)
-def test_a_stop_of_another_shape_is_refused(
-    small_session: Session, tmp_path: Path, changes: dict[str, object]
-) -> None:
+def test_a_stop_of_another_shape_is_refused(small_session, tmp_path, changes):
     header = new_header(small_session.rig, "by hand", "plan", {})
     write_journal(tmp_path / "s.zarr", header, {**STOP, **changes}, STOP)
     refusal(load_session, tmp_path / "s.zarr")
 
 
 @pytest.mark.parametrize("changes", HEADERS.values(), ids=HEADERS)
-def test_a_header_of_another_shape_is_refused(
-    small_session: Session, tmp_path: Path, changes: dict[str, object]
-) -> None:
+def test_a_header_of_another_shape_is_refused(small_session, tmp_path, changes):
     write_journal(
         tmp_path / "s.zarr", {**new_header(small_session.rig, "by hand", "plan", {}), **changes}, STOP
     )
@@ -66,7 +62,7 @@ def test_a_header_of_another_shape_is_refused(
 
 
 @pytest.mark.parametrize("line", LINES.values(), ids=LINES)
-def test_a_line_that_is_no_entry_is_refused(small_session: Session, tmp_path: Path, line: bytes) -> None:
+def test_a_line_that_is_no_entry_is_refused(small_session, tmp_path, line):
     write_journal(tmp_path / "s.zarr", new_header(small_session.rig, "by hand", "plan", {}), line)
     message = refusal(load_session, tmp_path / "s.zarr")
     assert "line 2 must " in message

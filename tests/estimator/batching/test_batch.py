@@ -333,13 +333,6 @@ def test_each_coil_is_calibrated_from_readings_in_which_it_alone_has_current(tmp
     }
 
 
-def test_page_says_how_many_fits_and_what_failed(fitted):
-    page = overview(fitted, "coilcal batch")
-    assert "6 fits, 0 of them sampled, 1 failed" in page
-    assert "session must be a folder" in page
-    assert "Parameters, session by session" in page
-
-
 def test_a_session_with_a_cause_is_said_first_and_not_covered_by_parameters_that_agree(fitted):
     table = fitted.table()
     table.loc[table["session"] == table["session"].iloc[-1], "probability"] = [0.0, 1.0]

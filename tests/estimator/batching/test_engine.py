@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import threading
-from pathlib import Path
 
 import pytest
 from distributed import LocalCluster
@@ -68,7 +67,7 @@ def test_workers_keep_their_memory_and_have_one_thread_each():
         )
 
 
-def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given_up(tmp_path: Path):
+def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given_up(tmp_path):
     with cluster(2, None) as where:
         calls = {i: (deadly_once, (str(tmp_path / "flag"), i)) for i in range(6)}
         assert results(where, calls) == {i: 2 * i for i in range(6)}
@@ -76,7 +75,7 @@ def test_a_killed_worker_is_survived_and_a_call_that_kills_every_worker_is_given
         assert str(results(where, {"x": (deadly, ())})["x"]) == "4 workers died on it"
 
 
-def test_a_worker_that_dask_gives_up_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_worker_that_dask_gives_up_is_replaced(tmp_path, monkeypatch):
     """Its process takes longer to start again than Dask waits, and then its calls waited for ever."""
     monkeypatch.setattr(engine, "LOST_S", 0)
     monkeypatch.setattr(engine, "REPLACE_EVERY_MS", 100)
@@ -110,7 +109,7 @@ def test_a_scheduler_that_is_lost_and_comes_back_costs_no_result():
         stop(first)
 
 
-def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch: pytest.MonkeyPatch):
+def test_a_scheduler_that_does_not_answer_is_one_sentence(monkeypatch):
     monkeypatch.setattr("estimator.batching.engine.PATIENCE_S", 1)
     with (
         pytest.raises(InvalidInput, match="scheduler must answer within 1 s; tcp://127.0.0.1:1 did not"),

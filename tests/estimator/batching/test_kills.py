@@ -51,9 +51,7 @@ def contents(result: BatchResult) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_a_batch_with_workers_killed_ends_with_the_same_bytes_and_again_does_nothing(
-    sessions: list[Path], tmp_path: Path
-) -> None:
+def test_a_batch_with_workers_killed_ends_with_the_same_bytes_and_again_does_nothing(sessions, tmp_path):
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address="127.0.0.1:0") as local:
 
         def ask(out: str, tell: Callable[[int, int, str], None] | None = None) -> BatchResult:
@@ -90,9 +88,7 @@ def test_a_batch_with_workers_killed_ends_with_the_same_bytes_and_again_does_not
 
 
 @pytest.mark.slow
-def test_a_scheduler_killed_while_its_worker_lives_leaves_a_batch_of_the_same_bytes(
-    sessions: list[Path], tmp_path: Path
-) -> None:
+def test_a_scheduler_killed_while_its_worker_lives_leaves_a_batch_of_the_same_bytes(sessions, tmp_path):
     """The worker, left to itself, may still be writing when another one is given the same job."""
     address = free_address()
     scheduler, orphan = started(address)
@@ -120,8 +116,8 @@ def test_a_scheduler_killed_while_its_worker_lives_leaves_a_batch_of_the_same_by
 
 
 def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior(
-    sessions: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    sessions, tmp_path, monkeypatch
+):
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError("must not be sampled twice")
 
@@ -142,9 +138,7 @@ def test_a_job_waits_for_another_process_that_samples_it_and_takes_its_posterior
     assert sorted(path.name for path in place.iterdir()) == ["calibration", "result.json"]
 
 
-def test_two_attempts_at_one_fit_leave_one_result_and_nothing_else(
-    sessions: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_attempts_at_one_fit_leave_one_result_and_nothing_else(sessions, tmp_path, monkeypatch):
     (job,), _ = jobs_of(str(sessions[0]), None, ("plain",), False, 0, SETTINGS)
     real = work.write_text
     others: list[Future[dict[str, str]]] = []

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -62,7 +61,7 @@ def calibration(session: Session, rig: Rig, tmp_path_factory: pytest.TempPathFac
     return Calibration.load(out)
 
 
-def test_unseen_places_are_predicted_and_lie_in_their_intervals(calibration: Calibration) -> None:
+def test_unseen_places_are_predicted_and_lie_in_their_intervals(calibration):
     places_m = in_box(80, 99)
     true_T = torch.from_numpy(hidden_T(places_m))
     points_m = torch.from_numpy(places_m)
@@ -71,9 +70,7 @@ def test_unseen_places_are_predicted_and_lie_in_their_intervals(calibration: Cal
     assert 0.8 < float(((lower <= true_T) & (true_T <= upper)).double().mean()) <= 1.0
 
 
-def test_beyond_the_box_the_interval_grows_and_near_the_charges_there_is_none(
-    calibration: Calibration,
-) -> None:
+def test_beyond_the_box_the_interval_grows_and_near_the_charges_there_is_none(calibration):
     points_m = torch.tensor([[x, 0.0, 0.0] for x in (0.0, 0.03, 0.044, 0.046)], dtype=torch.float64)
     lower, upper = calibration.field_interval(points_m, {"c1": 1.0})
     width_T = (upper - lower).amax(-1)
@@ -81,7 +78,7 @@ def test_beyond_the_box_the_interval_grows_and_near_the_charges_there_is_none(
     assert torch.isnan(width_T[3])
 
 
-def test_the_summary_and_the_report_say_what_the_readings_tell(calibration: Calibration) -> None:
+def test_the_summary_and_the_report_say_what_the_readings_tell(calibration):
     summary = calibration.summary()
     n = len(calibration.rig.unwound[0].amplitudes[1])
     assert summary["amplitudes"]["c1"]["free"] == n
@@ -94,7 +91,7 @@ def test_the_summary_and_the_report_say_what_the_readings_tell(calibration: Cali
     assert "Harmonics of c1" not in page
 
 
-def test_charges_that_stand_too_far_off_are_said(rig: Rig, session: Session) -> None:
+def test_charges_that_stand_too_far_off_are_said(rig, session):
     far = rig_from_text(
         TEXT.replace("margin_mm: 30", "margin_mm: 150").replace("spacing_mm: 18", "spacing_mm: 90")
     )
@@ -110,7 +107,7 @@ def test_charges_that_stand_too_far_off_are_said(rig: Rig, session: Session) -> 
     assert {p.prior for p in closer.free if p.name in names} == {rig.parameters["c1.charge1_T_per_A"].prior}
 
 
-def test_it_is_saved_and_its_export_refused(calibration: Calibration, tmp_path: Path) -> None:
+def test_it_is_saved_and_its_export_refused(calibration, tmp_path):
     calibration.save(tmp_path / "again")
     again = Calibration.load(tmp_path / "again")
     points_m = torch.from_numpy(in_box(5, 0))

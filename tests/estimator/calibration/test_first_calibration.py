@@ -15,7 +15,7 @@ from estimator.store.session import Session
 pytestmark = pytest.mark.whole
 
 
-def test_the_sampler_of_a_starter_rig_converges_in_few_steps() -> None:
+def test_the_sampler_of_a_starter_rig_converges_in_few_steps():
     """With half as many draws to fit the proposal to, 20,000 steps were too few for the ridge of turns, gain and place."""
     answers = Starter(moved=Moved.SENSOR, distance_mm=20.0, noise_uT=15.0)
     rig = rig_from_text(starter_rig_text(answers))

@@ -50,16 +50,14 @@ def right() -> list[list[tuple[str, float]]]:
     return [found(readings(seed)) for seed in range(60)]
 
 
-def test_the_smallest_of_all_probabilities_is_as_rare_as_it_says(
-    right: list[list[tuple[str, float]]],
-) -> None:
+def test_the_smallest_of_all_probabilities_is_as_rare_as_it_says(right):
     smallest = np.array([told[0][1] for told in right])
     n_small = int((smallest < 0.2).sum())
     assert stats.binomtest(n_small, len(smallest), 0.2, "greater").pvalue > 1e-3
     assert n_small, "a test that never speaks says nothing"
 
 
-def test_each_probability_is_uniform_where_the_model_is_right(right: list[list[tuple[str, float]]]) -> None:
+def test_each_probability_is_uniform_where_the_model_is_right(right):
     below = []
     for told in right:
         (p_value,) = [p_value for words, p_value in told if words.startswith("the first half")]
@@ -68,7 +66,7 @@ def test_each_probability_is_uniform_where_the_model_is_right(right: list[list[t
 
 
 @pytest.mark.parametrize("size_T", [30e-6])
-def test_a_half_that_is_shifted_is_told_by_its_name(size_T: float) -> None:
+def test_a_half_that_is_shifted_is_told_by_its_name(size_T):
     made = readings(1)
     shift_T = torch.tensor([size_T, -size_T, size_T], dtype=torch.float64)
     off = (made.current_A == 0.0).all(dim=1)
@@ -79,7 +77,7 @@ def test_a_half_that_is_shifted_is_told_by_its_name(size_T: float) -> None:
     )
 
 
-def test_a_mover_that_leans_to_the_side_of_its_last_move_is_told_with_the_axis() -> None:
+def test_a_mover_that_leans_to_the_side_of_its_last_move_is_told_with_the_axis():
     made = readings(5)
     side = Circumstances(RIG, made).approach(RIG.movers[0].name)[:, 2]
     shift_T = 20e-6 * side[:, None] * torch.tensor([[1.0, -1.0, 1.0]], dtype=torch.float64)
@@ -88,7 +86,7 @@ def test_a_mover_that_leans_to_the_side_of_its_last_move_is_told_with_the_axis()
     assert told[0][1] < 1e-3
 
 
-def test_an_axis_with_a_wrong_gain_and_a_turned_sensor_are_seen() -> None:
+def test_an_axis_with_a_wrong_gain_and_a_turned_sensor_are_seen():
     made = readings(2)
     field_T = made.field_sensor_T.clone()
     field_T[:, 0] *= 1.01
@@ -98,7 +96,7 @@ def test_an_axis_with_a_wrong_gain_and_a_turned_sensor_are_seen() -> None:
     assert found(turned)[0][1] < 1e-6
 
 
-def test_a_share_of_the_field_before_is_told_by_its_name() -> None:
+def test_a_share_of_the_field_before_is_told_by_its_name():
     made = readings(4)
     before_T = torch.roll(made.field_sensor_T, 1, dims=0)
     before_T[0] = 0.0
@@ -116,13 +114,13 @@ def unseen_p_value(seed: int, shift_T: float = 0.0) -> float:
     return unseen(LinearFit.of(RIG, made.rows(is_seen), values), LinearFit.of(RIG, moved, values)).p_value
 
 
-def test_unseen_readings_agree_as_often_as_stated_and_not_where_they_are_shifted() -> None:
+def test_unseen_readings_agree_as_often_as_stated_and_not_where_they_are_shifted():
     p_values = [unseen_p_value(100 + seed) for seed in range(60)]
     assert stats.kstest(p_values, "uniform").pvalue > 1e-3
     assert unseen_p_value(1, shift_T=20e-6) < 1e-3
 
 
-def test_missing_components_and_few_readings_are_no_obstacle() -> None:
+def test_missing_components_and_few_readings_are_no_obstacle():
     made = readings(3)
     field_T = made.field_sensor_T.clone()
     field_T[::2, 1] = float("nan")

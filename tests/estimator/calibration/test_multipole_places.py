@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import magpylib
 import numpy as np
@@ -73,9 +72,7 @@ def better(rig: Rig, observations: Observations) -> tuple[Rig, Found]:
     return with_multipoles(rig, observations)
 
 
-def test_a_dipole_is_found_where_it_is_and_the_field_with_it(
-    rig: Rig, observations: Observations, better: tuple[Rig, Found]
-) -> None:
+def test_a_dipole_is_found_where_it_is_and_the_field_with_it(rig, observations, better):
     with_it, found = better
     assert len(found.places_m) == 1
     assert found.gains[0] > 100.0
@@ -93,9 +90,7 @@ def test_a_dipole_is_found_where_it_is_and_the_field_with_it(
     assert errors[1] < 0.3 * errors[0]
 
 
-def test_the_command_writes_the_rig_that_was_found(
-    rig: Rig, observations: Observations, better: tuple[Rig, Found], tmp_path: Path
-) -> None:
+def test_the_command_writes_the_rig_that_was_found(rig, observations, better, tmp_path):
     Session(rig, observations, "").save(tmp_path / "session.zarr")
     call = ["multipoles", f"{tmp_path}/session.zarr", "--out", f"{tmp_path}/rig.yaml"]
     result = CliRunner().invoke(main, [*call, "--json"])
@@ -110,7 +105,7 @@ def test_the_command_writes_the_rig_that_was_found(
     assert "--overwrite" in again.output
 
 
-def test_two_dipoles_are_two_multipoles_where_they_are(rig: Rig, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_dipoles_are_two_multipoles_where_they_are(rig, monkeypatch):
     """The first begins as a mean of both; kept there, it would draw more beside it: seven, with less evidence."""
     monkeypatch.setattr(place_search, "LEAST_RESOLVED", 0.0)
     seen_m = in_box(400, 3)
@@ -126,24 +121,20 @@ def test_two_dipoles_are_two_multipoles_where_they_are(rig: Rig, monkeypatch: py
     np.testing.assert_allclose(sorted(found.places_m), dipoles_m, atol=1e-3)
 
 
-def test_none_is_taken_where_none_is(rig: Rig, plain: Session) -> None:
+def test_none_is_taken_where_none_is(rig, plain):
     same, found = with_multipoles(rig, plain.observations)
     assert found.places_m == ()
     assert same == rig
     assert same.hash == rig.hash
 
 
-def test_readings_for_validation_are_not_looked_at(
-    rig: Rig, observations: Observations, better: tuple[Rig, Found]
-) -> None:
+def test_readings_for_validation_are_not_looked_at(rig, observations, better):
     spoilt_T = observations.field_sensor_T + observations.is_validation[:, None] * 1.0
     _, found = with_multipoles(rig, replace(observations, field_sensor_T=spoilt_T))
     assert found == better[1]
 
 
-def test_none_is_taken_where_the_readings_beside_it_are_missing(
-    rig: Rig, observations: Observations, places_m: np.ndarray, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_none_is_taken_where_the_readings_beside_it_are_missing(rig, observations, places_m, monkeypatch):
     is_far = np.linalg.norm(places_m - PLACE_M, axis=1) > 0.012
     far = observations.rows(torch.from_numpy(is_far))
     same, found = with_multipoles(rig, far)
@@ -153,7 +144,7 @@ def test_none_is_taken_where_the_readings_beside_it_are_missing(
     assert len(with_multipoles(rig, far)[1].places_m) == 1  # so it was seen
 
 
-def test_a_rig_with_more_that_is_free_is_refused(observations: Observations) -> None:
+def test_a_rig_with_more_that_is_free_is_refused(observations):
     text = TEXT.replace(
         "spacing_mm: 25", "spacing_mm: 25\n    world_from_coil: {x_mm: {prior: {normal: {mean: 0, sd: 1}}}}"
     )

@@ -47,13 +47,13 @@ def told_of(text: str, step_T: float = 0.0) -> list[str]:
 
 
 @pytest.mark.parametrize(("step_uT", "is_told"), [(0.0, False), (10.0, False), (20.0, True)])
-def test_steps_of_the_last_digit_that_exceed_the_noise_are_told(step_uT: float, is_told: bool) -> None:
+def test_steps_of_the_last_digit_that_exceed_the_noise_are_told(step_uT, is_told):
     """Of a sensor with 5 uT."""
     told = [note for note in told_of(RIG, 1e-6 * step_uT) if "reads in steps of" in note]
     assert bool(told) is is_told
 
 
-def test_a_coil_that_is_never_on_is_told() -> None:
+def test_a_coil_that_is_never_on_is_told():
     rig = rig_from_text(RIG)
     for current_A, n_told in ((0.0, 1), (3.0, 0)):
         observations = replace(readings(rig), current_A=torch.full((30, 1), current_A).double())
@@ -66,12 +66,12 @@ def test_a_coil_that_is_never_on_is_told() -> None:
     [(RIG, True), (RIG + FIELD, True), (RIG + PLATE, False), (KNOWN, False)],
     ids=["nothing described", "a field of the room", "a plate", "a winding that is known"],
 )
-def test_iron_that_turns_and_sizes_would_absorb_is_told_where_none_is_described(text, is_told) -> None:
+def test_iron_that_turns_and_sizes_would_absorb_is_told_where_none_is_described(text, is_told):
     told = [note for note in told_of(text) if "describes no iron" in note]
     assert bool(told) is is_told
 
 
-def test_room_against_zero_is_one_note_and_no_warning_for_each_axis() -> None:
+def test_room_against_zero_is_one_note_and_no_warning_for_each_axis():
     """Rigs of `coilcal init` have both; six warnings beside `good` would frighten."""
     free = "{x_T: {prior: {normal: {mean: 0, sd: 5.0e-5}}}, y_T: 0, z_T: 0}"
     room, zero = f"  background_field[room]: {free}\n", f"  sensor_offset[hall]: {free}\n"

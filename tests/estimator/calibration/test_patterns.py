@@ -25,14 +25,14 @@ def p_value(observations: Observations) -> float:
     return pattern.p_value
 
 
-def test_noise_alone_has_a_pattern_as_rarely_as_is_said() -> None:
+def test_noise_alone_has_a_pattern_as_rarely_as_is_said():
     values = np.array([p_value(readings(seed)) for seed in range(100, 120)])
     assert values.min() > 1e-3
     assert (values < 0.2).mean() <= 0.5  # adjusted for all tests: at most one in five, within its scatter
     assert values.min() < 0.5, "a test that never speaks says nothing"
 
 
-def test_a_rack_beside_the_coil_that_moves_few_readings_by_their_noise_is_seen() -> None:
+def test_a_rack_beside_the_coil_that_moves_few_readings_by_their_noise_is_seen():
     rig = with_effect(RIG, RACK, readings(0), IRON, is_free=False)
     beside_iron = simulate(rig, PLAN, TRUTH, seed=1).calibration
     off = (beside_iron.field_sensor_T - readings(1).field_sensor_T).square().mean().sqrt()

@@ -59,7 +59,7 @@ def assert_same(ours: dict[str, Tensor], theirs: dict[str, Tensor], rtol: float)
 
 
 @pytest.mark.parametrize("cause", CAUSES)
-def test_together_is_as_one_by_one(cause: str) -> None:
+def test_together_is_as_one_by_one(cause):
     calibration = calibration_with(cause)
     questions = [question(0, 3), question(1, 1, 0.5), question(2, 4, 0.68)]
     together = answers(calibration, questions, ALL)
@@ -77,7 +77,7 @@ def test_together_is_as_one_by_one(cause: str) -> None:
         assert_same(answer, expected, 1e-6 if cause == "iron" else 1e-10)
 
 
-def test_of_coils_alone_the_answer_has_no_part_of_the_room() -> None:
+def test_of_coils_alone_the_answer_has_no_part_of_the_room():
     asked = [question(0, 3), question(1, 2)]
     wanted = Wanted(has_gradient=True, is_of_coils_alone=True)
     expected = answers(calibration_with("none"), asked, Wanted(has_gradient=True))
@@ -85,7 +85,7 @@ def test_of_coils_alone_the_answer_has_no_part_of_the_room() -> None:
         assert_same(answer, alone, 1e-10)
 
 
-def test_questions_in_one_pose_make_one_batch(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_questions_in_one_pose_make_one_batch(monkeypatch):
     """Also where effects move bodies; with poses of their own they do without."""
     sizes: list[int] = []
     evaluate = RoomField.field_by_point_T
@@ -103,13 +103,13 @@ def test_questions_in_one_pose_make_one_batch(monkeypatch: pytest.MonkeyPatch) -
     assert sizes[2:] == [2, 2, 2]
 
 
-def test_the_mover_of_a_coil_must_be_named_by_every_question() -> None:
+def test_the_mover_of_a_coil_must_be_named_by_every_question():
     silent = Question(question(0, 1).points_m, {"coil1": 1.0}, {})
     with pytest.raises(InvalidInput, match="motion of arm must be given"):
         answers(calibration_with("none"), [question(1, 1), silent], ALL)
 
 
-def test_intervals_come_from_400_evenly_spaced_draws() -> None:
+def test_intervals_come_from_400_evenly_spaced_draws():
     calibration = calibration_with("none")
     asked = question(0, 2)
     chosen = np.linspace(0, 8 * 60 - 1, INTERVAL_DRAWS).astype(int)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -44,23 +43,21 @@ def shifted(rig: Rig, plan: Plan, truth: dict[str, float], shift_m: float) -> Se
     return Session(rig, readings, "shifted")
 
 
-def test_a_session_of_its_own_rig_is_good(small_calibration) -> None:
+def test_a_session_of_its_own_rig_is_good(small_calibration):
     verdict = small_calibration.summary()["quality"]
     assert verdict["verdict"] == "good"
     assert "8.66 µT" in verdict["reasons"][0]  # sqrt(3) times 5 uT
     assert "Good: it misses" in calibration_report(small_calibration, "test")
 
 
-def test_what_has_not_converged_is_not_good(small_session: Session) -> None:
+def test_what_has_not_converged_is_not_good(small_session):
     few = SamplerSettings(16, target_ess=1e6, largest_rhat=1.0001, max_steps=60)
     quality = calibrate(small_session, settings=few, seed=1).summary()["quality"]
     assert quality["verdict"] == "suspect"
     assert quality["reasons"] == ["sampling did not converge, so its intervals are provisional."]
 
 
-def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(
-    small_session: Session, tmp_path: Path
-) -> None:
+def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(small_session, tmp_path):
     readings = small_session.observations
     turned = replace(small_session, observations=readings.with_field(-readings.field_sensor_T))
     turned.save(tmp_path / "turned.zarr")
@@ -83,17 +80,13 @@ def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(
     assert (tmp_path / "out/summary.json").exists()
 
 
-def test_a_wrong_place_of_the_sensor_is_suspect_by_what_the_noise_leaves(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+def test_a_wrong_place_of_the_sensor_is_suspect_by_what_the_noise_leaves(small_rig, small_plan, small_truth):
     verdict = quality(shifted(small_rig, small_plan, small_truth, 2e-3))
     assert verdict["verdict"] == "suspect"
     assert "times what the expected noise leaves" in str(verdict["reasons"])
 
 
-def test_noise_that_swallows_the_error_is_suspect_itself(
-    small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+def test_noise_that_swallows_the_error_is_suspect_itself(small_plan, small_truth):
     rig = rig_from_text(FREE_NOISE)
     truth = {**small_truth, "hall.noise_T": 5e-6}
     assert quality(shifted(rig, small_plan, truth, 0.0))["verdict"] == "good"
@@ -102,9 +95,7 @@ def test_noise_that_swallows_the_error_is_suspect_itself(
     assert "times what the expected noise leaves" in str(verdict["reasons"])
 
 
-def test_noise_that_the_rig_file_says_to_grow_with_the_field_is_expected(
-    small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+def test_noise_that_the_rig_file_says_to_grow_with_the_field_is_expected(small_plan, small_truth):
     """A twentieth of some tenths of a millitesla beside 5 uT: the error is what such noise leaves, and groups of residuals are about 1."""
     rig = rig_from_text(f"{RIG}effects:\n  noise_grows[hall]: {{share: 0.05}}\n")
     calibration = calibrate(
@@ -124,7 +115,7 @@ def test_noise_that_the_rig_file_says_to_grow_with_the_field_is_expected(
 
 
 @pytest.mark.parametrize(("factor", "told"), [(4.0, ["hall.noise_T"]), (0.25, [])])
-def test_a_noise_is_far_from_its_prior_where_it_is_too_large(factor: float, told: list[str]) -> None:
+def test_a_noise_is_far_from_its_prior_where_it_is_too_large(factor, told):
     rig = rig_from_text(
         RIG.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 10, relative_sd: 0.5}}}")
     )
@@ -132,7 +123,7 @@ def test_a_noise_is_far_from_its_prior_where_it_is_too_large(factor: float, told
     assert list(_prior_tension(rig, draws | {"hall.noise_T": np.full((1, 2), factor * 1e-5)})) == told
 
 
-def test_a_number_far_from_its_prior_is_suspect(small_plan: Plan, small_truth: dict[str, float]) -> None:
+def test_a_number_far_from_its_prior_is_suspect(small_plan, small_truth):
     rig = rig_from_text(RIG)
     truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.054}
     verdict = quality(Session(rig, simulate(rig, small_plan, truth, seed=1), "far"))

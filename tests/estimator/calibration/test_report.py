@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,13 +27,13 @@ def as_text(calibration: Calibration) -> str:
     return re.sub(r"\s+", " ", html.unescape(re.sub(r"<[^>]+>", " ", page)))
 
 
-def test_error_stands_beside_what_noise_alone_would_leave(text: str) -> None:
+def test_error_stands_beside_what_noise_alone_would_leave(text):
     """5 uT of noise on each of three components."""
     assert f"would by itself leave {5.0 * np.sqrt(3.0):.4g} µT" in text
     assert "Noise as large as the rig file says" in text
 
 
-def test_noise_of_components_that_were_not_measured_does_not_count(small_calibration: Calibration) -> None:
+def test_noise_of_components_that_were_not_measured_does_not_count(small_calibration):
     field_T = small_calibration.observations.field_sensor_T.clone()
     field_T[:, 0] = torch.nan
     field_T[small_calibration.observations.is_validation.nonzero()[0]] = torch.nan
@@ -46,7 +45,7 @@ def test_noise_of_components_that_were_not_measured_does_not_count(small_calibra
     assert f"Noise as large as the fit found would by itself leave {5.0 * np.sqrt(2.0):.4g} µT" in page
 
 
-def test_ends_of_an_interval_have_the_digits_of_the_median(text: str) -> None:
+def test_ends_of_an_interval_have_the_digits_of_the_median(text):
     number = r"(−?\d+\.?\d*)"
     median, sd, low, high = re.search(
         rf"coil1.radius {number} ± {number} {number} to {number} mm", text
@@ -56,8 +55,6 @@ def test_ends_of_an_interval_have_the_digits_of_the_median(text: str) -> None:
     assert float(low) < float(median) < float(high)
 
 
-def test_a_stored_calibration_gives_the_page_it_gave_when_it_was_made(
-    small_calibration: Calibration, text: str, tmp_path: Path
-) -> None:
+def test_a_stored_calibration_gives_the_page_it_gave_when_it_was_made(small_calibration, text, tmp_path):
     small_calibration.save(tmp_path)
     assert as_text(Calibration.load(tmp_path)) == text

@@ -13,7 +13,6 @@ from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
-from estimator.readings.plan import Plan
 from estimator.rig.parameters import Normal
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -38,9 +37,7 @@ def at(rig: Rig, values: dict[str, float]) -> Calibration:
     return Calibration(rig, NO_READINGS, best, draws, np.zeros((2, 3)), {})
 
 
-def test_the_field_is_that_of_the_readings_that_were_simulated(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+def test_the_field_is_that_of_the_readings_that_were_simulated(small_rig, small_plan, small_truth):
     """The coil displaced by d sees the sensor at the origin as the coil at rest sees the point -d."""
     readings = simulate(small_rig, small_plan, small_truth | {"hall.noise_T": 0.0}, seed=0)
     model = at(small_rig, small_truth)
@@ -50,9 +47,7 @@ def test_the_field_is_that_of_the_readings_that_were_simulated(
     torch.testing.assert_close(moved[0], readings.field_sensor_T[4], rtol=1e-5, atol=0.0)
 
 
-def test_of_coils_alone_the_field_and_its_interval_have_no_part_of_the_room(
-    small_rig: Rig, rig_text: str, points_m: Tensor
-) -> None:
+def test_of_coils_alone_the_field_and_its_interval_have_no_part_of_the_room(small_rig, rig_text, points_m):
     """Where no sensor turned, the room's field is known as badly as the zeros of the sensors."""
     room = "background_field[room]"
     rig = rig_from_text(f"{rig_text}effects:\n  {room}: {{x_T: 0, y_T: 0, z_T: -43.0e-6}}\n")
@@ -71,15 +66,13 @@ def test_of_coils_alone_the_field_and_its_interval_have_no_part_of_the_room(
     assert widths_T[1] < 1e-12
 
 
-def test_the_field_is_linear_in_the_current_and_zero_without(
-    small_calibration: Calibration, points_m: Tensor
-) -> None:
+def test_the_field_is_linear_in_the_current_and_zero_without(small_calibration, points_m):
     field_T = small_calibration.field(points_m, ON)
     torch.testing.assert_close(small_calibration.field(points_m, {"coil1": -6.0}), -2 * field_T)
     assert not small_calibration.field(points_m, {}).any()
 
 
-def test_points_inside_the_winding_have_no_field_and_all_others_have(small_calibration: Calibration) -> None:
+def test_points_inside_the_winding_have_no_field_and_all_others_have(small_calibration):
     best = small_calibration.best
     face_m, radius_m = best["coil1.world_from_coil0.z_m"], best["coil1.radius_m"]
     middle = [radius_m - 0.003, 0.0, face_m - 0.01]
@@ -105,9 +98,7 @@ def test_points_inside_the_winding_have_no_field_and_all_others_have(small_calib
     assert torch.isnan(small_calibration.field(points_m[:1], ON)).all()
 
 
-def test_an_interval_holds_its_share_of_the_posterior(
-    small_calibration: Calibration, points_m: Tensor
-) -> None:
+def test_an_interval_holds_its_share_of_the_posterior(small_calibration, points_m):
     draws = {name: values.ravel()[::4] for name, values in small_calibration.draws.items()}
     exact = (
         at(small_calibration.rig, dict(zip(draws, map(float, row), strict=True)))
@@ -121,7 +112,7 @@ def test_an_interval_holds_its_share_of_the_posterior(
         assert share.mean().item() == pytest.approx(level, abs=5 * (level * (1 - level) / len(fields)) ** 0.5)
 
 
-def test_a_posterior_over_noise_alone_has_a_field_without_width(rig_text: str, points_m: Tensor) -> None:
+def test_a_posterior_over_noise_alone_has_a_field_without_width(rig_text, points_m):
     text = rig_text
     for prior, value in (
         ("normal: {mean: 51, sd: 1}", "51"),
@@ -139,9 +130,7 @@ def test_a_posterior_over_noise_alone_has_a_field_without_width(rig_text: str, p
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, 90.0, -0.1, float("nan")])
-def test_a_level_outside_0_to_1_is_refused(
-    small_calibration: Calibration, points_m: Tensor, level: float
-) -> None:
+def test_a_level_outside_0_to_1_is_refused(small_calibration, points_m, level):
     with pytest.raises(InvalidInput, match="level must lie between 0 and 1; received"):
         small_calibration.field_interval(points_m, ON, level)
 
@@ -155,13 +144,7 @@ def test_a_level_outside_0_to_1_is_refused(
         (ON, {"arm1": [0.0] * 5 + [float("inf")]}, "motion of arm1 must be six numbers between .*; received"),
     ],
 )
-def test_what_the_rig_has_not_is_refused(
-    small_calibration: Calibration,
-    points_m: Tensor,
-    currents_A: dict[str, float],
-    motion: dict[str, list[float]] | None,
-    message: str,
-) -> None:
+def test_what_the_rig_has_not_is_refused(small_calibration, points_m, currents_A, motion, message):
     stands = motion and {name: torch.tensor(values, dtype=torch.float64) for name, values in motion.items()}
     for predict in (small_calibration.field, small_calibration.gradient):
         with pytest.raises(InvalidInput, match=message):
@@ -170,12 +153,12 @@ def test_what_the_rig_has_not_is_refused(
         small_calibration.field_interval(points_m, currents_A, motion=stands)
 
 
-def test_points_that_are_not_finite_are_refused(small_calibration: Calibration) -> None:
+def test_points_that_are_not_finite_are_refused(small_calibration):
     with pytest.raises(InvalidInput, match="points must be finite"):
         small_calibration.field(torch.tensor([[0.0, float("nan"), 0.0]]).double(), ON)
 
 
-def test_a_robot_that_carries_a_coil_must_be_told_where_it_stands(rig_text: str, points_m: Tensor) -> None:
+def test_a_robot_that_carries_a_coil_must_be_told_where_it_stands(rig_text, points_m):
     """Zeros are the reference configuration of displacements, but no posture that anybody means for joint angles."""
     joints = rig_text.replace("displacement", "UR3").replace("world_from_coil0", "flange_from_coil")
     model = at(rig_from_text(joints), {})

@@ -33,9 +33,7 @@ def stored(small_calibration: Calibration, tmp_path: Path) -> Path:
     return tmp_path / "calibration"
 
 
-def test_what_was_saved_is_loaded_with_the_same_field_and_intervals(
-    small_calibration: Calibration, stored: Path, points_m: Tensor
-) -> None:
+def test_what_was_saved_is_loaded_with_the_same_field_and_intervals(small_calibration, stored, points_m):
     loaded = Calibration.load(stored)
     assert loaded.rig == small_calibration.rig
     assert loaded.best == small_calibration.best
@@ -52,15 +50,13 @@ def test_what_was_saved_is_loaded_with_the_same_field_and_intervals(
     assert torch.equal(loaded.observations.is_validation, small_calibration.observations.is_validation)
 
 
-def test_what_was_set_or_fixed_after_the_rig_was_read_are_kept(
-    small_calibration: Calibration, tmp_path: Path
-) -> None:
+def test_what_was_set_or_fixed_after_the_rig_was_read_are_kept(small_calibration, tmp_path):
     rig = small_calibration.rig.with_values({"coil1.wire_radius_m": 0.00097}).with_fixed(["coil1.radius_m"])
     replace(small_calibration, rig=rig).save(tmp_path)
     assert Calibration.load(tmp_path).rig == rig
 
 
-def test_arviz_opens_the_posterior(small_calibration: Calibration, stored: Path) -> None:
+def test_arviz_opens_the_posterior(small_calibration, stored):
     with xr.open_datatree(stored / "posterior.zarr", engine="zarr", consolidated=False) as tree:
         data = arviz.InferenceData.from_datatree(tree)
         assert data.groups() == ["posterior", "sample_stats", "observed_data", "constant_data"]
@@ -71,7 +67,7 @@ def test_arviz_opens_the_posterior(small_calibration: Calibration, stored: Path)
         )
 
 
-def test_saving_again_replaces_the_result_whole(small_calibration: Calibration, stored: Path) -> None:
+def test_saving_again_replaces_the_result_whole(small_calibration, stored):
     shorter = replace(
         small_calibration,
         draws={k: v[:, :9] for k, v in small_calibration.draws.items()},
@@ -82,9 +78,7 @@ def test_saving_again_replaces_the_result_whole(small_calibration: Calibration, 
     assert sorted(path.name for path in stored.iterdir()) == ["posterior.zarr", "summary.json"]
 
 
-def test_a_flipped_bit_in_the_posterior_is_found_or_changes_nothing(
-    small_calibration: Calibration, stored: Path
-) -> None:
+def test_a_flipped_bit_in_the_posterior_is_found_or_changes_nothing(small_calibration, stored):
     n_found = 0
     for path in flipped(stored / "posterior.zarr", 3):
         try:
@@ -98,13 +92,13 @@ def test_a_flipped_bit_in_the_posterior_is_found_or_changes_nothing(
     assert n_found > 0.9 * 3 * len(files(stored / "posterior.zarr"))
 
 
-def test_any_lost_file_is_found(stored: Path) -> None:
+def test_any_lost_file_is_found(stored):
     for _ in lost(stored / "posterior.zarr"):
         with pytest.raises(CorruptStore):
             Calibration.load(stored)
 
 
-def test_another_schema_version_is_refused(stored: Path) -> None:
+def test_another_schema_version_is_refused(stored):
     group = stored / "posterior.zarr" / "zarr.json"
     group.write_text(
         group.read_text(encoding="utf-8").replace('"schema_version": 1', '"schema_version": 2'),
@@ -114,7 +108,7 @@ def test_another_schema_version_is_refused(stored: Path) -> None:
         Calibration.load(stored)
 
 
-def test_the_folder_of_a_diagnosis_is_refused_with_the_calibration_in_it(tmp_path: Path) -> None:
+def test_the_folder_of_a_diagnosis_is_refused_with_the_calibration_in_it(tmp_path):
     inner = tmp_path / "calibration"
     inner.mkdir()
     (inner / "summary.json").touch()

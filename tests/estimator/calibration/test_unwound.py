@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import magpylib
 import numpy as np
@@ -13,7 +12,6 @@ import torch
 
 from estimator import SamplerSettings, calibrate
 from estimator.calibration.next_degree import CLEAR_LOG_EVIDENCE, with_next_degree
-from estimator.calibration.report import calibration_report
 from estimator.calibration.result import Calibration
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.limits import Limits
@@ -88,7 +86,7 @@ def calibration(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Calibrati
     return Calibration.load(out)
 
 
-def test_places_held_out_are_predicted_to_a_part_in_a_thousand(calibration: Calibration) -> None:
+def test_places_held_out_are_predicted_to_a_part_in_a_thousand(calibration):
     places_m = 0.9 * in_ball(60, 99)
     true_T = torch.from_numpy(hidden_T(places_m))
     error_T = calibration.field(torch.from_numpy(places_m), {"c1": 1.0}) - true_T
@@ -96,7 +94,7 @@ def test_places_held_out_are_predicted_to_a_part_in_a_thousand(calibration: Cali
 
 
 @pytest.mark.slow
-def test_intervals_at_places_held_out_hold_their_share(rig: Rig) -> None:
+def test_intervals_at_places_held_out_hold_their_share(rig):
     held = []
     places_m = 0.9 * in_ball(60, 99)
     true_T = torch.from_numpy(hidden_T(places_m))
@@ -111,7 +109,7 @@ def test_intervals_at_places_held_out_hold_their_share(rig: Rig) -> None:
     assert 0.85 < float(torch.stack(held).mean()) < 0.95
 
 
-def test_too_low_a_degree_is_said(rig: Rig) -> None:
+def test_too_low_a_degree_is_said(rig):
     """Its intervals are too narrow, for the field is finer than the degree allows."""
     low = rig_from_text(TEXT.replace("degree: 10", "degree: 6"))
     one = calibrate(session_at(low, in_ball(240, 1)), low, seed=1, settings=SETTINGS)
@@ -130,7 +128,7 @@ def test_too_low_a_degree_is_said(rig: Rig) -> None:
     assert found.parameters["c1.degree11_cos0_T_per_A"].prior == Normal(0.0, 5e-3 * 0.5**10)
 
 
-def test_the_noise_is_found_and_the_summary_says_what_the_readings_tell(calibration: Calibration) -> None:
+def test_the_noise_is_found_and_the_summary_says_what_the_readings_tell(calibration):
     summary = calibration.summary()
     low, high = summary["parameters"]["hall.noise_T"]["ci90"]
     assert 0.9 * NOISE_T < low < NOISE_T < high < 1.1 * NOISE_T
@@ -142,7 +140,7 @@ def test_the_noise_is_found_and_the_summary_says_what_the_readings_tell(calibrat
     json.dumps(summary, allow_nan=False)
 
 
-def test_away_from_the_readings_the_prior_comes_back(rig: Rig) -> None:
+def test_away_from_the_readings_the_prior_comes_back(rig):
     """Readings in a plane and its mirror's field: off the plane some terms are not told, and their interval is that of the prior."""
     places_m = in_ball(200, 3) * [1.0, 1.0, 0.0]
     session = session_at(rig, places_m)
@@ -164,16 +162,14 @@ def test_away_from_the_readings_the_prior_comes_back(rig: Rig) -> None:
     assert (width_T[1:, 2] > 1.5 * width_T[:-1, 2]).all()
 
 
-def test_beyond_the_readings_the_interval_grows_until_it_is_that_of_the_highest_degree(
-    calibration: Calibration,
-) -> None:
+def test_beyond_the_readings_the_interval_grows_until_it_is_that_of_the_highest_degree(calibration):
     points_m = torch.tensor([[r, 0.0, 0.0] for r in (0.02, 0.04, 0.06, 0.09)], dtype=torch.float64)
     lower, upper = calibration.field_interval(points_m, {"c1": 1.0})
     width_T = (upper - lower).amax(-1)
     assert (width_T[1:] > 3.0 * width_T[:-1]).all()
 
 
-def test_the_gradient_is_symmetric_and_traceless_and_right(calibration: Calibration) -> None:
+def test_the_gradient_is_symmetric_and_traceless_and_right(calibration):
     places_m, step_m = in_ball(20, 5) * 0.7, 1e-5
     gradient = calibration.gradient(torch.from_numpy(places_m), {"c1": 1.0}).numpy()
     steps = step_m * np.eye(3)
@@ -184,7 +180,7 @@ def test_the_gradient_is_symmetric_and_traceless_and_right(calibration: Calibrat
     assert np.abs(gradient - gradient.swapaxes(1, 2)).max() < 1e-12 * size
 
 
-def test_a_system_of_it_makes_a_wanted_field(calibration: Calibration) -> None:
+def test_a_system_of_it_makes_a_wanted_field(calibration):
     system = System.of(calibration)
     here_m = torch.zeros(1, 3, dtype=torch.float64)
     at = system.at(here_m)
@@ -196,15 +192,7 @@ def test_a_system_of_it_makes_a_wanted_field(calibration: Calibration) -> None:
     assert (lower < upper).all()
 
 
-def test_the_report_draws_it_without_a_winding(calibration: Calibration) -> None:
-    page = calibration_report(calibration, "coilcal calibrate")
-    assert "Field of c1" in page
-    assert "The readings determine 120 of 120 amplitudes of c1" in page
-    assert "Amplitudes of coils without a winding" in page
-    assert "degree10" not in page  # 120 rows say less than ten
-
-
-def test_it_is_saved_and_written_back_with_what_was_found(calibration: Calibration, tmp_path: Path) -> None:
+def test_it_is_saved_and_written_back_with_what_was_found(calibration, tmp_path):
     calibration.save(tmp_path / "again")
     again = Calibration.load(tmp_path / "again")
     assert again.rig == calibration.rig
@@ -214,7 +202,7 @@ def test_it_is_saved_and_written_back_with_what_was_found(calibration: Calibrati
     assert rig_from_text(rig_text(found)) == found
 
 
-def test_with_a_known_noise_nothing_is_left_to_sample(rig: Rig) -> None:
+def test_with_a_known_noise_nothing_is_left_to_sample(rig):
     fixed = rig.with_fixed(["hall.noise_T"]).with_values({"hall.noise_T": NOISE_T})
     one = calibrate(session_at(fixed, in_ball(240, 1)), fixed, seed=1, settings=SETTINGS)
     assert one.summary()["is_converged"]
@@ -222,7 +210,7 @@ def test_with_a_known_noise_nothing_is_left_to_sample(rig: Rig) -> None:
     assert one.log_prob.size >= 400
 
 
-def test_readings_of_a_simulated_one_give_its_amplitudes_back(rig: Rig, tmp_path: Path) -> None:
+def test_readings_of_a_simulated_one_give_its_amplitudes_back(rig, tmp_path):
     plan = tmp_path / "plan.yaml"
     plan.write_text(PLAN)
     truth = draw_truth(rig, np.random.default_rng(3))
@@ -236,19 +224,19 @@ def test_readings_of_a_simulated_one_give_its_amplitudes_back(rig: Rig, tmp_path
     assert 0.75 < np.mean(held) <= 1.0
 
 
-def test_too_few_readings_are_refused(rig: Rig) -> None:
+def test_too_few_readings_are_refused(rig):
     with pytest.raises(
         InvalidInput, match=r"at least as many components as there are free parameters \(121\)"
     ):
         calibrate(session_at(rig, in_ball(40, 1)), rig, settings=SETTINGS)
 
 
-def test_single_precision_is_refused_for_differences_of_predictions(rig: Rig) -> None:
+def test_single_precision_is_refused_for_differences_of_predictions(rig):
     with pytest.raises(InvalidInput, match="coils without a winding must be calibrated in double precision"):
         calibrate(session_at(rig, in_ball(150, 1)), rig, settings=SETTINGS, precision="single")
 
 
-def test_a_diagnosis_of_it_names_no_cause_and_asks_none_of_a_winding() -> None:
+def test_a_diagnosis_of_it_names_no_cause_and_asks_none_of_a_winding():
     low = rig_from_text(TEXT.replace("degree: 10", "degree: 4"))
     session = session_at(low, 0.5 * in_ball(150, 1))
     result = diagnose(session, low, seed=1, limits=Limits(most_causes=1))

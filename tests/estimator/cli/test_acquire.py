@@ -147,7 +147,7 @@ def copy_without_devices(folder: Path, to: Path) -> None:
         (to / name).write_text((folder / name).read_text(), encoding="utf-8")
 
 
-def test_the_plan_and_its_times_are_shown_without_touching_anything(folder: Path, tmp_path: Path) -> None:
+def test_the_plan_and_its_times_are_shown_without_touching_anything(folder, tmp_path):
     copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
     result = run(*call(tmp_path, out, "--dry-run"))
@@ -169,9 +169,7 @@ def test_the_plan_and_its_times_are_shown_without_touching_anything(folder: Path
         (("to: 40, count: 3}", "to: 400, count: 3}"), "of the plan, arm1: arm.target.x_m must be within"),
     ],
 )
-def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
-    folder: Path, tmp_path: Path, change: tuple[str, str], message: str
-) -> None:
+def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(folder, tmp_path, change, message):
     plan = tmp_path / "plan.yaml"
     plan.write_text(PLAN.replace(*change), encoding="utf-8")
     out = tmp_path / "session.zarr"
@@ -184,8 +182,8 @@ def test_a_plan_beyond_the_limits_is_refused_before_anything_moves(
 
 
 def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_are_not_opened(
-    folder: Path, tmp_path: Path
-) -> None:
+    folder, tmp_path
+):
     copy_without_devices(folder, tmp_path)
     out = tmp_path / "session.zarr"
     header = new_header(load_rig(folder / "rig.yaml"), "a test", "plan", {})
@@ -200,9 +198,7 @@ def test_a_session_that_is_being_measured_is_not_begun_anew_and_its_instruments_
 @pytest.mark.parametrize(
     ("how", "code"), [pytest.param(signal.SIGTERM, 143, marks=pytest.mark.slow), (signal.SIGKILL, -9)]
 )
-def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only(
-    folder: Path, tmp_path: Path, how: signal.Signals, code: int
-) -> None:
+def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only(folder, tmp_path, how, code):
     out = tmp_path / "session.zarr"
     program = started(folder, out, 2)
     os.kill(program.pid, how)
@@ -222,7 +218,7 @@ def test_an_interrupted_run_leaves_no_current_and_goes_on_with_its_own_plan_only
 
 
 @pytest.mark.slow
-def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(folder: Path, tmp_path: Path) -> None:
+def test_what_was_hidden_is_named_after_a_run_that_was_interrupted(folder, tmp_path):
     out = tmp_path / "session.zarr"
     program = started(folder, out, 3)
     os.kill(program.pid, signal.SIGINT)

@@ -100,8 +100,8 @@ def sentence_of(result: Result) -> str:
     ],
 )
 def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
-    running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, word: str
-) -> None:
+    running, tmp_path, device, fault, word
+):
     out = tmp_path / "session.zarr"
     failing = fails_after(running, out, 3, device, fault)
     result = acquire(tmp_path)
@@ -124,8 +124,8 @@ def test_a_fault_ends_the_run_without_current_and_the_same_command_goes_on(
 
 
 def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when_it_is_cool(
-    running: SimulatedRig, tmp_path: Path
-) -> None:
+    running, tmp_path
+):
     out = tmp_path / "session.zarr"
     section = {**running.section, "coil1": {**running.section["coil1"], "highest_temperature_C": 40}}
     (tmp_path / "devices.yaml").write_text(yaml.safe_dump({"devices": section}), encoding="utf-8")
@@ -163,9 +163,7 @@ def test_a_coil_that_gets_too_hot_ends_the_run_and_the_same_command_goes_on_when
         pytest.param("arm1", Fault.MUTE, True, marks=pytest.mark.slow),
     ],
 )
-def test_what_cannot_be_reached_is_not_known_to_be_at_rest(
-    running: SimulatedRig, tmp_path: Path, device: str, fault: Fault, is_off: bool
-) -> None:
+def test_what_cannot_be_reached_is_not_known_to_be_at_rest(running, tmp_path, device, fault, is_off):
     failing = fails_after(running, tmp_path / "session.zarr", 3, device, fault)
     result = acquire(tmp_path)
     failing.join()

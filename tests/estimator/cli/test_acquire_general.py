@@ -62,7 +62,7 @@ def measured(rig: Path, plan: Path, out: Path, *hidden: str) -> Result:
 
 
 @pytest.mark.slow  # a minute and a half on two busy cores
-def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(tmp_path: Path) -> None:
+def test_turned_poses_joint_angles_and_two_sensors_are_what_the_model_says(tmp_path):
     rig_path, plan_path, out = (tmp_path / name for name in ("rig.yaml", "plan.yaml", "session.zarr"))
     rig_path.write_text(RIG, encoding="utf-8")
     plan_path.write_text(PLAN, encoding="utf-8")

@@ -10,7 +10,6 @@ import signal
 import subprocess
 import sys
 import time
-from pathlib import Path
 
 import pytest
 
@@ -42,9 +41,7 @@ def killed(arguments: list[str], after_s: float) -> tuple[int, str]:
 
 
 @pytest.mark.slow
-def test_killed_at_50_random_instants_a_measurement_loses_and_doubles_nothing(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_killed_at_50_random_instants_a_measurement_loses_and_doubles_nothing(folder, tmp_path):
     draw = random.Random(5)
     bring_home(folder)
     n_kills, n_sessions = 0, 0

@@ -47,9 +47,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory, rig_text: str) -> Iterator[
 
 
 @pytest.mark.flaky(reruns=2)
-def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(folder, tmp_path):
     bring_home(folder)
     out = tmp_path / "session.zarr"
     program = subprocess.Popen([*PROGRAM, *call(folder, out, *UNTIL)], cwd=ROOT, stderr=subprocess.PIPE)
@@ -77,7 +75,7 @@ def test_a_killed_session_goes_on_with_the_same_decisions_until_its_goal(
 
 
 @pytest.mark.flaky(reruns=2)
-def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(folder: Path, tmp_path: Path) -> None:
+def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(folder, tmp_path):
     bring_home(folder)
     out = tmp_path / "session.zarr"
     result = gone_on(folder, out, *UNTIL, "--most-stops", 3)
@@ -89,7 +87,7 @@ def test_it_ends_at_its_limit_and_does_not_go_on_with_another_goal(folder: Path,
 
 
 @pytest.mark.flaky(reruns=2)
-def test_a_stop_that_the_arm_refuses_is_skipped_and_told(folder: Path, tmp_path: Path) -> None:
+def test_a_stop_that_the_arm_refuses_is_skipped_and_told(folder, tmp_path):
     bring_home(folder)
     out, devices, narrow = tmp_path / "session.zarr", folder / "devices.yaml", tmp_path / "narrow.yaml"
     # The joints of the simulated arm are the numbers of its pose; its controller refuses the places on two sides.
@@ -110,13 +108,13 @@ def test_a_stop_that_the_arm_refuses_is_skipped_and_told(folder: Path, tmp_path:
     assert is_off(folder)
 
 
-def test_the_dry_run_names_candidates_and_goals(folder: Path, tmp_path: Path) -> None:
+def test_the_dry_run_names_candidates_and_goals(folder, tmp_path):
     dry = run(*call(folder, tmp_path / "s.zarr", *UNTIL, "--dry-run"))
     assert "54 stops to choose from" in dry.stdout
     assert GOAL in dry.stdout
 
 
-def test_a_goal_out_of_reach_is_refused_before_an_instrument_is_opened(folder: Path, tmp_path: Path) -> None:
+def test_a_goal_out_of_reach_is_refused_before_an_instrument_is_opened(folder, tmp_path):
     copy_without_devices(folder, tmp_path)
     out, beyond = tmp_path / "s.zarr", GOAL.replace("0.5 %", "0.000001 %")
     said = refused(run(*call(tmp_path, out, "--until", beyond)))
@@ -124,6 +122,6 @@ def test_a_goal_out_of_reach_is_refused_before_an_instrument_is_opened(folder: P
     assert not out.exists()
 
 
-def test_neither_plan_nor_goal_is_refused(folder: Path, tmp_path: Path) -> None:
+def test_neither_plan_nor_goal_is_refused(folder, tmp_path):
     files = (folder / "rig.yaml", "--devices", folder / "devices.yaml", "--out", tmp_path / "s.zarr")
     assert "must be given a PLAN to carry out, or goals with --until" in refused(run("acquire", *files))

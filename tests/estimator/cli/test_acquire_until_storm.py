@@ -115,9 +115,7 @@ def interrupted(folder: Path, tmp_path: Path, most_stops: int) -> Interrupted:
 
 
 @pytest.mark.flaky(reruns=2)
-def test_killed_while_it_decides_and_stores_a_session_takes_the_same_stops(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_killed_while_it_decides_and_stores_a_session_takes_the_same_stops(folder, tmp_path):
     session = interrupted(folder, tmp_path, HELD_OUT + 2)
     session.to(Instant.DECIDING, 4)
     session.to(Instant.TORN, HELD_OUT)
@@ -126,7 +124,7 @@ def test_killed_while_it_decides_and_stores_a_session_takes_the_same_stops(
 
 
 @pytest.mark.slow
-def test_killed_at_30_instants_a_session_takes_the_same_stops(folder: Path, tmp_path: Path) -> None:
+def test_killed_at_30_instants_a_session_takes_the_same_stops(folder, tmp_path):
     session, draw = interrupted(folder, tmp_path, 100), random.Random(58)
     n_stops = len(stops(session.alone))
     first = [(BEFORE_STORED[n % len(BEFORE_STORED)], n) for n in range(HELD_OUT)]

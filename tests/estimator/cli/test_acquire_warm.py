@@ -65,9 +65,7 @@ def load_of_coil_A2(rig: SimulatedRig) -> float:
     return warmth_K / CIRCUIT.kelvin_per_W / CIRCUIT.resistance_ohm
 
 
-def test_its_guard_begins_with_what_the_coil_still_carries(
-    interrupted: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_its_guard_begins_with_what_the_coil_still_carries(interrupted, tmp_path, monkeypatch):
     looks: list[tuple[float, float]] = []
 
     def look(current_A: float, hold_s: float, load: CoilLoad, limits: CurrentLimits) -> None:
@@ -87,9 +85,7 @@ def test_its_guard_begins_with_what_the_coil_still_carries(
     assert 0.8 * real_A2 < counted_A2 < 1.2 * real_A2 + unknown_A2
 
 
-def test_stops_that_are_left_are_refused_until_it_has_cooled(
-    interrupted: SimulatedRig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stops_that_are_left_are_refused_until_it_has_cooled(interrupted, tmp_path, monkeypatch):
     out = tmp_path / "session.zarr"
     n_before = len(read_journal(out)[1])
     left_s = duration_s(tmp_path) - duration_s(tmp_path, n_before)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -138,16 +136,12 @@ def bad_files(workspace: Path) -> None:
 
 
 @pytest.mark.parametrize(("command", "message"), REFUSALS.items())
-def test_a_mistake_gives_one_sentence_and_exit_code_2_and_leaves_nothing(
-    in_workspace: Path, command: str, message: str
-) -> None:
+def test_a_mistake_gives_one_sentence_and_exit_code_2_and_leaves_nothing(in_workspace, command, message):
     assert refused(run(*command.split())) == message.format(here=in_workspace)
 
 
 @pytest.mark.parametrize(("command", "writer"), [("calibrate", only_writer), ("diagnose", staged)])
-def test_two_programs_do_not_write_one_output(
-    in_workspace: Path, command: str, writer: Callable[[Path], AbstractContextManager[Any]]
-) -> None:
+def test_two_programs_do_not_write_one_output(in_workspace, command, writer):
     with writer(in_workspace / "out"):
         words = refused(run(command, "session.zarr", "--out", "out"))
     assert words == "output must be written by one program at a time; another writes out"
@@ -168,7 +162,7 @@ def test_two_programs_do_not_write_one_output(
     ],
 )
 @pytest.mark.usefixtures("in_workspace")
-def test_a_wrong_call_gets_the_usage_of_the_command(command: str) -> None:
+def test_a_wrong_call_gets_the_usage_of_the_command(command):
     result = run(*command.split())
     assert (result.exit_code, result.stdout) == (2, "")
     assert result.stderr.startswith("Usage: ")

@@ -9,17 +9,16 @@ import shlex
 import sys
 from pathlib import Path
 
-import pytest
 from click.testing import CliRunner
 from distributed import LocalCluster
 
 from estimator.cli.batch import batch_command
 from estimator.cli.main import main
 from estimator.store.importers.readings_csv import write_readings_csv
-from estimator.store.session import Session, load_session
+from estimator.store.session import load_session
 
 
-def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, tmp_path: Path):
+def test_good_sessions_are_calibrated_beside_a_bad_one(small_session, tmp_path):
     small_session.save(tmp_path / "good.zarr")
     (tmp_path / "bad.zarr").mkdir()
     out = tmp_path / "out"
@@ -50,7 +49,7 @@ def test_good_sessions_are_calibrated_beside_a_bad_one(small_session: Session, t
     assert (asked["ess"], asked["seed"]) == (123.0, 4)
 
 
-def test_without_dask_one_sentence_says_what_to_install(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def test_without_dask_one_sentence_says_what_to_install(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "dask", None)
     for name in [name for name in sys.modules if name.startswith("estimator.batching")]:
         monkeypatch.delitem(sys.modules, name)
@@ -62,9 +61,7 @@ def test_without_dask_one_sentence_says_what_to_install(monkeypatch: pytest.Monk
     )
 
 
-def test_a_table_is_imported_with_its_recipe_and_calibrated(
-    small_session: Session, rig_text: str, tmp_path: Path
-) -> None:
+def test_a_table_is_imported_with_its_recipe_and_calibrated(small_session, rig_text, tmp_path):
     small, rig = tmp_path / "small.csv", tmp_path / "rig.yaml"
     rig.write_text(rig_text, encoding="utf-8")
     write_readings_csv(small_session, small)

@@ -32,7 +32,7 @@ def context_of(words: list[str]) -> click.Context:
 
 
 @pytest.mark.parametrize("call", CALLS)
-def test_the_command_has_every_parameter_that_was_given(call: str) -> None:
+def test_the_command_has_every_parameter_that_was_given(call):
     context = context_of(shlex.split(call))
     repeated = command_of(context)
     assert repeated.startswith("coilcal ")
@@ -47,10 +47,10 @@ def test_the_command_has_every_parameter_that_was_given(call: str) -> None:
         ("diagnose s --out d --no-posterior", "coilcal diagnose s --out d --no-posterior --seed 0"),
     ],
 )
-def test_it_names_the_seed_and_leaves_out_what_changes_no_result(call: str, expected: str) -> None:
+def test_it_names_the_seed_and_leaves_out_what_changes_no_result(call, expected):
     assert command_of(context_of(shlex.split(call))) == expected
 
 
-def test_a_changed_result_is_seen_in_the_command() -> None:
+def test_a_changed_result_is_seen_in_the_command():
     commands: set[Any] = {command_of(context_of(shlex.split(call))) for call in CALLS}
     assert len(commands) == len(CALLS)

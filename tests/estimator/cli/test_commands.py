@@ -5,19 +5,17 @@ from __future__ import annotations
 import csv
 import json
 import shutil
-from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import torch
-from click.testing import Result
 
 from estimator.calibration.result import Calibration
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Extent
 from estimator.store.session import load_session
-from tests.estimator.cli.conftest import Printed, refused, run
+from tests.estimator.cli.conftest import refused, run
 
 COMMANDS = ["simulate", "import", "calibrate", "predict", "report"]
 
@@ -27,9 +25,7 @@ def rows(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_simulate_warns_of_a_hidden_cause_that_changes_no_reading(
-    simulate: Callable[..., Result], tmp_path: Path
-) -> None:
+def test_simulate_warns_of_a_hidden_cause_that_changes_no_reading(simulate, tmp_path):
     call = ("--truth", "nominal", "--out")
     result = simulate("--hide", "coil_heating=0.02", *call, tmp_path / "hidden.zarr")
     assert (result.exit_code, result.stderr) == (
@@ -40,9 +36,7 @@ def test_simulate_warns_of_a_hidden_cause_that_changes_no_reading(
     assert (result.exit_code, result.stderr) == (0, "")
 
 
-def test_simulate_draws_a_truth_and_writes_session_and_csv(
-    workspace: Path, results: dict[str, Printed]
-) -> None:
+def test_simulate_draws_a_truth_and_writes_session_and_csv(workspace, results):
     printed = json.loads(results["simulate"].stdout)
     assert (results["simulate"].exit_code, results["simulate"].stderr) == (0, "")
     session = load_session(workspace / "simulated.zarr")
@@ -53,7 +47,7 @@ def test_simulate_draws_a_truth_and_writes_session_and_csv(
     assert printed["truth"]["coil1.radius_m"] not in (0.051, 0.048)
 
 
-def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dict[str, Printed]) -> None:
+def test_the_imported_csv_is_the_simulated_session(workspace, results):
     simulated, imported = load_session(workspace / "simulated.zarr"), load_session(workspace / "session.zarr")
     assert imported.hash == simulated.hash
     assert imported.truth == {}
@@ -63,7 +57,7 @@ def test_the_imported_csv_is_the_simulated_session(workspace: Path, results: dic
     assert "--recorded-at" in undated
 
 
-def test_every_cause_is_explained() -> None:
+def test_every_cause_is_explained():
     """From its declaration, so that a new one is explained as well."""
     listed = run("explain")
     assert [line.split()[0] for line in listed.stdout.splitlines()] == list(EFFECTS)
@@ -80,7 +74,7 @@ def test_every_cause_is_explained() -> None:
     assert "received 'nosuch'; 'coilcal explain' lists them" in run("explain", "nosuch").stderr
 
 
-def test_import_says_when_the_readings_were_taken(workspace: Path, tmp_path: Path) -> None:
+def test_import_says_when_the_readings_were_taken(workspace, tmp_path):
     files = ("--rig", workspace / "rig.yaml", "--out", tmp_path / "old.zarr")
     call = ("import", workspace / "readings.csv", *files)
     assert run(*call, "--recorded-at", "2025-03-01T09:30+01:00").exit_code == 0
@@ -91,7 +85,7 @@ def test_import_says_when_the_readings_were_taken(workspace: Path, tmp_path: Pat
     assert load_session(tmp_path / "old.zarr").created.startswith("2025-03-01")
 
 
-def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, tmp_path: Path) -> None:
+def test_import_keeps_blocks_out_by_share_and_seed(workspace, tmp_path):
     header, *lines = (workspace / "readings.csv").read_text(encoding="utf-8").splitlines()
     whole = tmp_path / "whole.csv"
     whole.write_text("\n".join(line.rpartition(",")[0] for line in (header, *lines)), encoding="utf-8")
@@ -118,9 +112,7 @@ def test_import_keeps_blocks_out_by_share_and_seed(workspace: Path, tmp_path: Pa
     assert not masks[3].any()
 
 
-def test_calibrate_writes_summary_posterior_and_report_and_prints_the_summary(
-    workspace: Path, results: dict[str, Printed]
-) -> None:
+def test_calibrate_writes_summary_posterior_and_report_and_prints_the_summary(workspace, results):
     result = results["calibrate"]
     assert result.exit_code == 0
     assert sorted(path.name for path in (workspace / "calibration").iterdir()) == [
@@ -139,17 +131,7 @@ def test_calibrate_writes_summary_posterior_and_report_and_prints_the_summary(
     assert "Calibration of small" in (workspace / "calibration" / "report.html").read_text(encoding="utf-8")
 
 
-def test_progress_of_a_calibration_is_plain_lines_on_standard_error(results: dict[str, Printed]) -> None:
-    lines = results["calibrate"].stderr.splitlines()
-    assert lines[0] == "point estimate: Nelder-Mead from many starts, then Levenberg-Marquardt"
-    assert "posterior sampling with emcee" in lines
-    assert any(line.startswith("  step 50, effective samples ") for line in lines)
-    assert len(set(lines)) == len(lines)
-
-
-def test_predict_writes_field_and_intervals_of_the_calibration(
-    workspace: Path, results: dict[str, Printed]
-) -> None:
+def test_predict_writes_field_and_intervals_of_the_calibration(workspace, results):
     written, grid = results["predict"].stdout.splitlines()
     assert written == f"5 points written to {workspace / 'field.csv'}"
     assert grid == "x -20 to 20 mm in 5 points, 10 mm apart; y 0 mm; z 10 mm"
@@ -171,7 +153,7 @@ def test_predict_writes_field_and_intervals_of_the_calibration(
         assert float(row["Bz_upper_T"]) == pytest.approx(high[2].item(), rel=1e-6)
 
 
-def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, tmp_path: Path) -> None:
+def test_predict_leaves_cells_empty_inside_the_winding(workspace, tmp_path):
     best = Calibration.load(workspace / "calibration").best
     inside = [
         f"--grid=x_m={best['coil1.radius_m'] - 0.003}:0.08:2",
@@ -187,7 +169,7 @@ def test_predict_leaves_cells_empty_inside_the_winding(workspace: Path, tmp_path
     assert second["inside_winding"] == "0"
 
 
-def test_predict_takes_motion_and_level(workspace: Path, tmp_path: Path) -> None:
+def test_predict_takes_motion_and_level(workspace, tmp_path):
     folder, widths = workspace / "calibration", []
     for level in (0.5, 0.95):
         call = f"--grid x_mm=0 --current coil1=3 --motion arm1=0,0,0.01,0,0,0 --level {level} --overwrite"
@@ -205,9 +187,7 @@ def test_predict_takes_motion_and_level(workspace: Path, tmp_path: Path) -> None
     assert float(row["Bz_T"]) == pytest.approx(at_rest[0, 2].item(), rel=1e-6)
 
 
-def test_predict_in_single_precision_and_on_a_device_that_is_not_there(
-    workspace: Path, tmp_path: Path
-) -> None:
+def test_predict_in_single_precision_and_on_a_device_that_is_not_there(workspace, tmp_path):
     points = ("--grid=x_mm=-20:20:5", "--grid=z_mm=10", "--current=coil1=2")
     call = ("predict", workspace / "calibration", *points)
     run(*call, "--precision", "single", "--out", tmp_path / "f.csv")
@@ -221,14 +201,14 @@ def test_predict_in_single_precision_and_on_a_device_that_is_not_there(
     assert "device must be one that torch can compute on here" in refused.stderr
 
 
-def test_report_writes_the_page_again(workspace: Path, tmp_path: Path) -> None:
+def test_report_writes_the_page_again(workspace, tmp_path):
     result = run("report", workspace / "calibration", "--out", tmp_path / "page.html", "--json")
     assert json.loads(result.stdout) == {"report": str(tmp_path / "page.html")}
     assert "<html" in (tmp_path / "page.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])
-def test_every_command_has_help(command: str) -> None:
+def test_every_command_has_help(command):
     for option in ("--help", "-h"):
         result = run(*command.split(), option)
         assert result.exit_code == 0
@@ -244,11 +224,11 @@ def test_every_command_has_help(command: str) -> None:
         assert all(name in result.stdout for name in COMMANDS)
 
 
-def test_the_version_is_that_of_the_package() -> None:
+def test_the_version_is_that_of_the_package():
     assert version("coilcal") in run("--version").stdout
 
 
-def test_without_json_the_summary_is_a_table(workspace: Path, tmp_path: Path) -> None:
+def test_without_json_the_summary_is_a_table(workspace, tmp_path):
     """And a run that did not converge says so on standard error, with exit code 4 and the way on."""
     limits = ("--walkers", 16, "--max-steps", 20)
     result = run("calibrate", workspace / "session.zarr", *limits, "--out", tmp_path / "c")
@@ -273,7 +253,7 @@ def test_without_json_the_summary_is_a_table(workspace: Path, tmp_path: Path) ->
     assert json.loads((tmp_path / "c" / "summary.json").read_text(encoding="utf-8"))["is_converged"] is False
 
 
-def test_damaged_files_give_exit_code_3(workspace: Path, tmp_path: Path) -> None:
+def test_damaged_files_give_exit_code_3(workspace, tmp_path):
     shutil.copytree(workspace / "session.zarr", tmp_path / "session.zarr")
     shutil.copytree(workspace / "calibration", tmp_path / "calibration")
     before = sorted(tmp_path.rglob("*"))
@@ -295,9 +275,7 @@ def test_damaged_files_give_exit_code_3(workspace: Path, tmp_path: Path) -> None
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_json_is_printed_alone_even_where_colours_are_forced(
-    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_json_is_printed_alone_even_where_colours_are_forced(workspace, tmp_path, monkeypatch):
     monkeypatch.setenv("FORCE_COLOR", "1")
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     limits = ["--walkers", 16, "--max-steps", 20]

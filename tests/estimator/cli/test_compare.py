@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 
@@ -13,7 +12,7 @@ GRID = ["--grid", "x_mm=-60:60:25", "--grid", "y_mm=-60:60:25", "--grid", "z_mm=
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_a_map_of_the_calibrated_coil_explains_its_readings(tmp_path: Path) -> None:
+def test_a_map_of_the_calibrated_coil_explains_its_readings(tmp_path):
     """The world frame of the small rig is that of the coil, 40 mm further on; the fit of the pose finds what is left."""
     fem, out = tmp_path / "fem.csv", tmp_path / "comparison"
     run("export", "calibration", "--to", "csv", *GRID, "--current", "coil1=2", "--out", fem)

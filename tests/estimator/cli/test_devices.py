@@ -47,7 +47,7 @@ def rig_path(tmp_path: Path, rig_text: str, simulated: SimulatedRig) -> Path:
     return path
 
 
-def test_every_device_says_what_it_is_and_reads_a_value(rig_path: Path, simulated: SimulatedRig) -> None:
+def test_every_device_says_what_it_is_and_reads_a_value(rig_path, simulated):
     before = simulated.world.snapshot()
     result = run("devices", "check", rig_path)
     assert result.exit_code == 0, result.stderr
@@ -63,7 +63,7 @@ def test_every_device_says_what_it_is_and_reads_a_value(rig_path: Path, simulate
     assert (after.currents_A, after.base_from_flange) == (before.currents_A, before.base_from_flange)
 
 
-def test_a_supply_that_is_found_on_is_left_on(rig_path: Path, simulated: SimulatedRig) -> None:
+def test_a_supply_that_is_found_on_is_left_on(rig_path, simulated):
     port = SerialPort(simulated.section["coil1"]["serial"], SerialSettings(9600))
     supply = ScpiSupply(
         port, dialect=KEPCO_BOP, lowest_A=-5.0, highest_A=5.0, compliance_V=20.0, resolution_A=1e-3
@@ -85,9 +85,7 @@ def test_a_supply_that_is_found_on_is_left_on(rig_path: Path, simulated: Simulat
     assert simulated.world.snapshot().currents_A == (0.0,)
 
 
-def test_faults_are_one_sentence_each_and_the_others_still_answer(
-    rig_path: Path, simulated: SimulatedRig
-) -> None:
+def test_faults_are_one_sentence_each_and_the_others_still_answer(rig_path, simulated):
     simulated.simulators["hall"].faults.fault = Fault.MUTE
     try:
         result = run("devices", "check", rig_path, "--json", "--timeout", 0.5)
@@ -102,7 +100,7 @@ def test_faults_are_one_sentence_each_and_the_others_still_answer(
     assert faults[0].startswith("coilcal: devices.hall: ")
 
 
-def test_setting_that_the_instrument_refuses_comes_with_file_and_line(tmp_path: Path, rig_text: str) -> None:
+def test_setting_that_the_instrument_refuses_comes_with_file_and_line(tmp_path, rig_text):
     path = tmp_path / "rig.yaml"
     text = "devices:\n  hall:\n    sensor: lakeshore_460\n    range: 30\n    serial: /dev/none\n"
     path.write_text(rig_text + text, encoding="utf-8")
@@ -115,7 +113,7 @@ def test_setting_that_the_instrument_refuses_comes_with_file_and_line(tmp_path: 
     )
 
 
-def test_rig_without_devices_is_refused(tmp_path: Path, rig_text: str) -> None:
+def test_rig_without_devices_is_refused(tmp_path, rig_text):
     path = tmp_path / "rig.yaml"
     path.write_text(rig_text, encoding="utf-8")
     result = run("devices", "check", path)

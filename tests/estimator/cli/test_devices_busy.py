@@ -64,7 +64,7 @@ def busy() -> Iterator[None]:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("busy")
-def test_every_instrument_starts_and_answers_beside_six_busy_processes(rig_path: Path) -> None:
+def test_every_instrument_starts_and_answers_beside_six_busy_processes(rig_path):
     simulator = start(rig_path, devices := rig_path.with_name("devices.yaml"))
     try:
         call = [*PROGRAM, "devices", "check", str(rig_path), "--devices", str(devices), "--json"]

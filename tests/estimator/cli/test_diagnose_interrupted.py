@@ -63,7 +63,7 @@ def interrupt_after_a_fit(out: Path, number: signal.Signals) -> None:
 
 
 @pytest.mark.slow  # test_fit_journal kills one by the API
-def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbed: dict[str, Any]) -> None:
+def test_a_killed_diagnosis_goes_on_to_the_same_result(session, undisturbed):
     out = session.parent / "killed"
     running = start(session, out)
     while not has_fits(out, 3):
@@ -85,9 +85,7 @@ def test_a_killed_diagnosis_goes_on_to_the_same_result(session: Path, undisturbe
 
 
 @pytest.mark.parametrize("number", [pytest.param(signal.SIGINT, marks=pytest.mark.slow), signal.SIGTERM])
-def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(
-    session: Path, number: signal.Signals
-) -> None:
+def test_a_stopped_diagnosis_reports_the_best_it_has_and_goes_on(session, number):
     """That what goes on ends as one that was let alone is asked above and of the API (test_fit_journal)."""
     out = session.parent / number.name
     command = ["diagnose", session, "--out", out, "--seed", 2, "--no-posterior"]

@@ -5,16 +5,13 @@ from __future__ import annotations
 import json
 import tomllib
 from importlib.metadata import PackagePath
-from pathlib import Path
-
-import pytest
 
 from estimator.cli import docs
 from estimator.code_version import ROOT
 from tests.estimator.cli.conftest import run
 
 
-def test_every_page_that_is_listed_can_be_read() -> None:
+def test_every_page_that_is_listed_can_be_read():
     pages = json.loads(run("docs", "--json").stdout)["pages"]
     assert {"first-calibration", "import-your-data", "uncertainty", "glossary"} <= set(pages)
     for name, title in pages.items():
@@ -26,7 +23,7 @@ def test_every_page_that_is_listed_can_be_read() -> None:
     assert "the closest is import-your-data" in unknown.stderr
 
 
-def test_a_wheel_brings_the_pages(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_wheel_brings_the_pages(monkeypatch, tmp_path):
     """Files lie where pyproject.toml puts them, as `pip` does it."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     shared = project["tool"]["hatch"]["build"]["targets"]["wheel"]["shared-data"]

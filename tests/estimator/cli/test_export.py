@@ -19,16 +19,14 @@ PAGE = Path(__file__).parents[3] / "docs/how-to/use-a-calibration-elsewhere.md"
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_json_follows_the_schema_that_is_printed(tmp_path: Path) -> None:
+def test_json_follows_the_schema_that_is_printed(tmp_path):
     out = tmp_path / "new" / "magnet.json"
     result = run("export", "calibration", "--to", "json", "--out", out, "--json")
     assert json.loads(result.stdout) == {"file": str(out), "format": "json"}
     jsonschema.validate(json.loads(out.read_text()), json.loads(run("schema", "calibration").stdout))
 
 
-def test_file_is_named_after_the_rig_and_not_replaced(
-    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_file_is_named_after_the_rig_and_not_replaced(workspace, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     result = run("export", workspace / "calibration", "--to", "cpp")
     assert result.stdout == "C++17 header without dependencies written to coilcal_small.hpp\n"
@@ -45,7 +43,7 @@ def block(language: str) -> str:
 
 
 @pytest.mark.skipif(shutil.which("g++") is None, reason="g++ is not installed")
-def test_example_in_cpp_compiles_and_prints_the_field(workspace: Path, tmp_path: Path) -> None:
+def test_example_in_cpp_compiles_and_prints_the_field(workspace, tmp_path):
     run("export", workspace / "calibration", "--to", "cpp", "--out", tmp_path / "magnet.hpp")
     (tmp_path / "main.cpp").write_text(block("cpp"), encoding="utf-8")
     strict = ["g++", "-std=c++17", "-Wall", "-Wextra", "-Werror", "main.cpp", "-o", "main"]
@@ -58,7 +56,7 @@ def test_example_in_cpp_compiles_and_prints_the_field(workspace: Path, tmp_path:
 
 
 @pytest.mark.skipif(shutil.which("octave-cli") is None, reason="Octave is not installed")
-def test_example_for_matlab_runs(workspace: Path, tmp_path: Path) -> None:
+def test_example_for_matlab_runs(workspace, tmp_path):
     run("export", workspace / "calibration", "--to", "matlab", "--out", tmp_path / "magnet.m")
     (tmp_path / "main.m").write_text(
         block("matlab") + "\nprintf('%.10g\\n', field_T(1, 3));", encoding="utf-8"
@@ -72,7 +70,7 @@ def test_example_for_matlab_runs(workspace: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("in_workspace")
-def test_bad_grid_is_refused() -> None:
+def test_bad_grid_is_refused():
     bad = run("export", "calibration", "--to", "json", "--grid", "x_mm=1:2")
     assert refused(bad).startswith("--grid must look like x_mm=-50:50:11")
     unused = run("export", "calibration", "--to", "json", "--grid", "x_mm=1")

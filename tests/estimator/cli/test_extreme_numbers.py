@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 
 import click
 import pytest
@@ -38,12 +37,8 @@ OPTIONS = [
 @pytest.mark.parametrize(("name", "option"), OPTIONS)
 @pytest.mark.parametrize("value", EXTREMES)
 def test_every_option_of_a_number_refuses_what_no_calculation_takes(
-    name: tuple[str, ...],
-    option: click.Parameter,
-    value: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    name, option, value, tmp_path, monkeypatch
+):
     """The other arguments are nonsense that comes after the numbers, so nothing is calculated, served or measured."""
     if float(value) == option.default:
         pytest.skip("no limit, as where it is left out")
@@ -93,9 +88,7 @@ def assert_one_sentence(result: Result) -> None:
     ],
     ids=" ".join,
 )
-def test_no_number_of_a_prediction_ends_in_a_traceback(
-    workspace: Path, tmp_path: Path, call: tuple[str, ...], value: str
-) -> None:
+def test_no_number_of_a_prediction_ends_in_a_traceback(workspace, tmp_path, call, value):
     out = tmp_path / "field.csv"
     result = run(
         "predict", workspace / "calibration", "--out", out, *(word.replace("{}", value) for word in call)
@@ -109,8 +102,8 @@ def test_no_number_of_a_prediction_ends_in_a_traceback(
 @pytest.mark.parametrize("value", ALLOWED)
 @pytest.mark.parametrize("where", ["motion", "turn", "current", "grid"])
 def test_the_largest_and_smallest_numbers_that_are_taken_give_a_field_or_a_sentence(
-    workspace: Path, tmp_path: Path, where: str, value: str
-) -> None:
+    workspace, tmp_path, where, value
+):
     words = {
         "motion": (*GRID, *CURRENT, "--motion", f"arm1={value},0,0,0,0,0"),
         "turn": (*GRID, *CURRENT, "--motion", f"arm1=0,0,0,0,{value},0"),
@@ -124,9 +117,7 @@ def test_the_largest_and_smallest_numbers_that_are_taken_give_a_field_or_a_sente
 
 @pytest.mark.parametrize("option", ["--set", "--hide"])
 @pytest.mark.parametrize("value", EXTREMES)
-def test_no_number_of_a_truth_ends_in_a_traceback(
-    simulate: Callable[..., Result], tmp_path: Path, option: str, value: str
-) -> None:
+def test_no_number_of_a_truth_ends_in_a_traceback(simulate, tmp_path, option, value):
     name = "coil1.radius_m" if option == "--set" else "sensor_offset[hall].x"
     result = simulate("--out", tmp_path / "new.zarr", option, f"{name}={value}")
     assert len(refused(result)) < 300

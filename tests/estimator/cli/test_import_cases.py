@@ -22,7 +22,7 @@ CASES = Path(__file__).parents[2] / "fixtures/unit_gate_and_frozen"
         ("base_frame", "coilcal diagnose looks for the cause"),
     ],
 )
-def test_correct_units_are_accepted_whatever_else_is_wrong(name: str, words: str, tmp_path: Path) -> None:
+def test_correct_units_are_accepted_whatever_else_is_wrong(name, words, tmp_path):
     result = run(
         *("import", CASES / f"{name}.csv", "--rig", CASES / "rig_pose.yaml"),
         *("--out", tmp_path / "session.zarr", "--json"),
@@ -40,9 +40,7 @@ def test_correct_units_are_accepted_whatever_else_is_wrong(name: str, words: str
         ("frozen54", range(30, 56)),
     ],
 )
-def test_a_sensor_that_stood_still_is_told_by_the_lines_of_the_file(
-    name: str, lines: range, tmp_path: Path
-) -> None:
+def test_a_sensor_that_stood_still_is_told_by_the_lines_of_the_file(name, lines, tmp_path):
     path, rig = tmp_path / "readings.csv", CASES / "rig.yaml"
     header, *rows = (CASES / f"{name}.csv").read_text(encoding="utf-8").splitlines()
     # A row in which nothing was measured is no reading, so lines and readings are counted apart.
@@ -62,7 +60,7 @@ def test_a_sensor_that_stood_still_is_told_by_the_lines_of_the_file(
     assert session.observations.validation.line is not None
 
 
-def test_where_a_reading_stood_is_no_part_of_what_it_is(tmp_path: Path) -> None:
+def test_where_a_reading_stood_is_no_part_of_what_it_is(tmp_path):
     text = (CASES / "holder_20mm.csv").read_text(encoding="utf-8")
     (tmp_path / "a.csv").write_text(text, encoding="utf-8")
     (tmp_path / "b.csv").write_text("# Monday\n" + text, encoding="utf-8")

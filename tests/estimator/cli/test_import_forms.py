@@ -10,11 +10,10 @@ from typing import Any
 import click
 import pytest
 
-from estimator.errors import InvalidInput
 from estimator.readings.clock import Clock
-from estimator.store.importers.forms.recipe import Recipe, named_constants, read_recipe
+from estimator.store.importers.forms.recipe import Recipe, read_recipe
 from tests.estimator.cli.conftest import run
-from tests.estimator.store.importers.forms.written import RIG, TABLE, columns, shown, text, workbook
+from tests.estimator.store.importers.forms.written import RIG, TABLE, columns, text, workbook
 
 HEADER = [
     "Time [s]",
@@ -42,7 +41,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 CALL = ("import", "mine.csv", "--rig", "rig.yaml", "--out", "session.zarr")
 
 
-def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder: Path) -> None:
+def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder):
     refused = run(*CALL)
     assert refused.exit_code == 2
     lines = refused.stderr.splitlines()
@@ -63,7 +62,7 @@ def test_in_a_pipe_what_was_understood_has_to_be_accepted(folder: Path) -> None:
     assert sorted(path.name for path in folder.iterdir()) == ["mine.csv", "plain.csv", "rig.yaml"]
 
 
-def test_a_recipe_reads_the_next_file_without_a_question(folder: Path) -> None:
+def test_a_recipe_reads_the_next_file_without_a_question(folder):
     first = json.loads(run(*CALL, "--yes", "--json").stdout)
     assert first["columns"] == "columns.yaml"
     again = json.loads(run(*CALL[:-1], "again.zarr", "--map", "columns.yaml", "--json").stdout)
@@ -78,14 +77,7 @@ def test_a_recipe_reads_the_next_file_without_a_question(folder: Path) -> None:
     assert (folder / "session.columns.yaml").exists()
 
 
-@pytest.mark.usefixtures("folder")
-def test_readings_without_a_date_are_said_to_count_as_of_now() -> None:
-    undated = "No date is given, so these readings count as recorded now"
-    assert undated in run(*CALL, "--yes").stdout
-    assert undated not in run(*CALL, "--yes", "--overwrite", "--recorded-at", "2026-03-01").stdout
-
-
-def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_terminal_it_is_asked_once(folder, monkeypatch):
     asked: list[str] = []
     answers = iter((False, True))
 
@@ -103,15 +95,7 @@ def test_on_a_terminal_it_is_asked_once(folder: Path, monkeypatch: pytest.Monkey
     assert (folder / "columns.yaml").exists()
 
 
-def test_check_takes_the_same_options(folder: Path) -> None:
-    rows = text([*HEADER[:7], "Probe 3"]).encode()
-    (folder / "mine.csv").write_bytes(rows)
-    told = run("check", "rig.yaml", "mine.csv", "--column", "Probe 3=Bz_uT").stdout
-    assert told.endswith("no mistake found\n")
-    assert "Not measured: Bz." in run("check", "rig.yaml", "mine.csv").stdout
-
-
-def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path) -> None:
+def test_wild_rows_and_clocks_are_told_by_check_and_import(folder):
     rows = TABLE.copy()
     rows[40:, 0] -= 15.25
     rows[13, 5:] = [266000.5, -31000.25, 77000.125]
@@ -121,9 +105,7 @@ def test_wild_rows_and_clocks_are_told_by_check_and_import(folder: Path) -> None
         assert "Line 15: far from all others beside the rig's nominal model" in told
 
 
-def test_a_package_that_is_missing_is_named_with_the_command(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_that_is_missing_is_named_with_the_command(folder, monkeypatch):
     book = workbook({"Data": [HEADER[:8], *TABLE.tolist()]}) or b"PK"
     if book == b"PK":
         pytest.skip("needs openpyxl")
@@ -133,7 +115,7 @@ def test_a_package_that_is_missing_is_named_with_the_command(
     assert "install it with: pip install 'coilcal[files]' (mine.xlsx)" in sentence
 
 
-def test_a_recipe_is_read_as_it_was_written(tmp_path: Path) -> None:
+def test_a_recipe_is_read_as_it_was_written(tmp_path):
     recipe = Recipe(
         {"Zeit [ms]": "t_ms", "no": "-", 'a "b": c': "Bx_mT", "Uhr": "clock"},
         {"coil1_current_A": 3.0},
@@ -172,10 +154,3 @@ def test_a_recipe_with_a_mistake_is_refused(folder: Path, change: tuple[str, str
     refused = run(*CALL[:-1], "new.zarr", "--map", "columns.yaml")
     assert refused.exit_code == 2
     assert words in refused.stderr
-
-
-def test_constants_are_numbers_with_names() -> None:
-    assert shown(named_constants(["arm1_y_mm=-1.5e1"])["arm1_y_mm"]) == "-15"
-    for texts in (["a"], ["a="], ["a=1_0"], ["a=nan"], ["a=1", "a=2"], ["a=1e300"]):
-        with pytest.raises(InvalidInput, match="--constant must look like NAME=1.0"):
-            named_constants(texts)

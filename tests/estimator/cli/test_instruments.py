@@ -37,9 +37,7 @@ def move(devices: DeviceSet, arm: MemoryArm) -> None:
     devices.arms["arm1"].move_to(arm.pose, speed_m_per_s=0.05, timeout_s=1.0)
 
 
-def test_an_arm_that_cannot_be_stopped_is_named_after_ctrl_c(
-    bench: tuple[Bench, DeviceSet, MemoryArm],
-) -> None:
+def test_an_arm_that_cannot_be_stopped_is_named_after_ctrl_c(bench):
     opened, devices, arm = bench
     arm.move_to, arm.stop = interrupted, unstoppable
     with (
@@ -49,7 +47,7 @@ def test_an_arm_that_cannot_be_stopped_is_named_after_ctrl_c(
         move(devices, arm)
 
 
-def test_ctrl_c_stays_what_it_is_where_all_is_at_rest(bench: tuple[Bench, DeviceSet, MemoryArm]) -> None:
+def test_ctrl_c_stays_what_it_is_where_all_is_at_rest(bench):
     opened, devices, arm = bench
     arm.move_to = interrupted
     with pytest.raises(KeyboardInterrupt), opened.opened():

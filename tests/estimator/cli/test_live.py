@@ -17,7 +17,7 @@ import torch
 from rich.console import Console
 
 from estimator.cli import live_session
-from estimator.cli.live_view import LiveState, LiveView, screen
+from estimator.cli.live_view import LiveState, screen
 from estimator.live import engine, refresh
 from estimator.live.refresh import Background, Refreshed
 from estimator.live.stream import Stream
@@ -29,7 +29,7 @@ from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
-from tests.estimator.cli.conftest import run, terminal
+from tests.estimator.cli.conftest import run
 
 N_STOPS = 108
 
@@ -81,7 +81,7 @@ def growing(tmp_path: Path, small_rig: Rig, stops: list[StopReadings]) -> Iterat
     writer.join()
 
 
-def test_it_follows_a_session_to_its_end_and_dates_what_changed(growing: Path) -> None:
+def test_it_follows_a_session_to_its_end_and_dates_what_changed(growing):
     result = run("live", growing, "--no-refresh", "--json", "--wait", "20")
     assert result.exit_code == 0, result.stderr
     said = json.loads(result.stdout)
@@ -93,9 +93,7 @@ def test_it_follows_a_session_to_its_end_and_dates_what_changed(growing: Path) -
     assert f"of {N_STOPS}, estimate after " in result.stderr
 
 
-def test_what_is_not_fitted_and_what_was_lost_is_said(
-    tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
-) -> None:
+def test_what_is_not_fitted_and_what_was_lost_is_said(tmp_path, small_rig, stops):
     path = tmp_path / "session.zarr"
     stops[3] = replace(stops[3], is_validation=True)
     stops[4] = replace(stops[4], field_T={"hall": [math.nan] * 3})
@@ -110,9 +108,7 @@ def test_what_is_not_fitted_and_what_was_lost_is_said(
     assert "estimate polished: the same as a fit of all readings so far" in text
 
 
-def test_a_session_that_was_measured_before_has_alarms_too(
-    tmp_path: Path, small_rig: Rig, stops: list[StopReadings]
-) -> None:
+def test_a_session_that_was_measured_before_has_alarms_too(tmp_path, small_rig, stops):
     """Its readings are taken in growing parts, each of which is compared with its prediction by those before."""
     path = tmp_path / "session.zarr"
     write(path, small_rig, stops)
@@ -124,8 +120,8 @@ def test_a_session_that_was_measured_before_has_alarms_too(
 
 @pytest.mark.slow
 def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
-    tmp_path: Path, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+    tmp_path, small_rig, small_plan, small_truth
+):
     """The coil is cold for half the session, then warms up by 12 K, and its current sags by 0.4 % per kelvin."""
     path = tmp_path / "session.zarr"
     begin, order = N_STOPS // 2, torch.randperm(N_STOPS, generator=torch.Generator().manual_seed(1))
@@ -157,12 +153,6 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     assert verdict in result.stderr
     low, high = said["refreshed"]["ci90"]["coil1.radius_m"]
     assert low < high
-
-
-def test_what_is_no_session_is_one_sentence(tmp_path: Path) -> None:
-    result = run("live", tmp_path / "none", "--wait", "0")
-    assert result.exit_code == 2
-    assert "must be one that coilcal acquire writes or wrote" in result.stderr
 
 
 def empty_state(rig: Rig) -> LiveState:
@@ -200,9 +190,7 @@ class Failing(Background):
         self.trouble = f"it was killed twice, at {self.seen} and {len(session.observations)} readings"
 
 
-def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_are(
-    growing: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_background_that_fails_is_said_and_leaves_estimate_and_alarms_as_they_are(growing, monkeypatch):
     monkeypatch.setattr(refresh, "Background", Failing)
     result = run("live", growing, "--json", "--wait", "20")
     assert result.exit_code == 0, result.stderr
@@ -230,8 +218,8 @@ class Telling(Failing):
 
 
 def test_an_estimate_that_a_diagnosis_has_moved_is_not_called_polished(
-    tmp_path: Path, small_rig: Rig, small_truth: dict[str, float], stops: list[StopReadings]
-) -> None:
+    tmp_path, small_rig, small_truth, stops
+):
     path = tmp_path / "session.zarr"
     write(path, small_rig, stops[:9])
     session = live_session.LiveSession(path)
@@ -244,9 +232,7 @@ def test_an_estimate_that_a_diagnosis_has_moved_is_not_called_polished(
     assert session.state(None).standing.startswith("not polished yet")
 
 
-def test_nothing_is_made_of_the_readings_while_none_is_new(
-    tmp_path: Path, small_rig: Rig, stops: list[StopReadings], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_made_of_the_readings_while_none_is_new(tmp_path, small_rig, stops, monkeypatch):
     path = tmp_path / "session.zarr"
     write(path, small_rig, stops[:5])
     calls = []
@@ -264,9 +250,7 @@ def test_nothing_is_made_of_the_readings_while_none_is_new(
 @pytest.mark.parametrize(
     ("places", "since"), [(("probe2",), 40), (("probe1",), 21), (("coil1",), 21), ((), 21)]
 )
-def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(
-    small_rig: Rig, places: tuple[str, ...], since: int
-) -> None:
+def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(small_rig, places, since):
     alarms = (
         Alarm("probe1", "x", 21, 27, 2.0),
         Alarm("probe2", "y", 40, 45, 2.0),
@@ -278,19 +262,7 @@ def test_what_is_named_in_a_sensor_is_dated_by_the_readings_of_that_sensor(
     assert state.verdict.endswith(f"; residuals are off since reading {since}")
 
 
-def test_on_a_terminal_the_screen_is_drawn_and_taken_away(
-    small_rig: Rig, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown_on = terminal(monkeypatch)
-    with LiveView() as view:
-        view(replace(empty_state(small_rig), n_stops=7, trouble="it was killed"))
-    assert "stop 0 of 7" in shown_on.getvalue()
-    assert "it was killed" in shown_on.getvalue()
-
-
-def test_the_screen_shows_instruments_intervals_alarms_and_verdict(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], stops: list[StopReadings]
-) -> None:
+def test_the_screen_shows_instruments_intervals_alarms_and_verdict(small_rig, small_plan, small_truth, stops):
     empty = empty_state(small_rig)
     assert "stop 0" in shown(empty)
     assert "diagnosis: not yet" in shown(empty)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import logging
-from pathlib import Path
 
 import click
 import pytest
@@ -32,16 +31,14 @@ from tests.estimator.cli.conftest import run
         ),
     ],
 )
-def test_a_fault_becomes_a_sentence_and_an_exit_code(
-    capsys: pytest.CaptureFixture[str], fault: Exception, code: int, sentence: str
-) -> None:
+def test_a_fault_becomes_a_sentence_and_an_exit_code(capsys, fault, code, sentence):
     with pytest.raises(SystemExit) as caught, explained_errors():
         raise fault
     assert caught.value.code == code
     assert capsys.readouterr() == ("", sentence)
 
 
-def test_a_program_gets_the_fault_as_json_too(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_program_gets_the_fault_as_json_too(capsys):
     with pytest.raises(SystemExit), explained_errors(as_json=True):
         raise CorruptStore("c is damaged")
     shown = capsys.readouterr()
@@ -50,23 +47,23 @@ def test_a_program_gets_the_fault_as_json_too(capsys: pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize("fault", [BrokenPipeError(), ZeroDivisionError()])
-def test_a_closed_pipe_and_a_bug_are_not_explained_away(fault: Exception) -> None:
+def test_a_closed_pipe_and_a_bug_are_not_explained_away(fault):
     with pytest.raises(type(fault)), explained_errors():
         raise fault
 
 
-def test_options_name_numbers() -> None:
+def test_options_name_numbers():
     assert named_number(["coil1=3", "coil2=-2e-3"], "--current") == {"coil1": 3.0, "coil2": -2e-3}
     assert named_numbers("arm1=0,0,0.1,0,0,-1", "--motion", 6) == ("arm1", [0.0, 0.0, 0.1, 0.0, 0.0, -1.0])
 
 
 @pytest.mark.parametrize("text", ["coil1", "coil1=", "coil1=3 A", "coil1=1,2", "coil1=inf", "3", ""])
-def test_what_is_no_named_number_is_refused(text: str) -> None:
+def test_what_is_no_named_number_is_refused(text):
     with pytest.raises(InvalidInput, match=r"--current must look like NAME=1\.0; received"):
         named_number([text], "--current")
 
 
-def test_quiet_keeps_progress_back_and_verbose_logs(tmp_path: Path) -> None:
+def test_quiet_keeps_progress_back_and_verbose_logs(tmp_path):
     @click.command(cls=CoilcalCommand)
     def long_command() -> None:
         with Reporter() as reporter:
@@ -87,7 +84,7 @@ def test_quiet_keeps_progress_back_and_verbose_logs(tmp_path: Path) -> None:
         logger.setLevel(before)
 
 
-def test_every_command_can_be_quiet() -> None:
+def test_every_command_can_be_quiet():
     for name, command in main.commands.items():
         if isinstance(command, CoilcalCommand):
             assert {"--quiet", "--verbose"} <= {o for p in command.params for o in p.opts}, name

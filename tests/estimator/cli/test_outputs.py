@@ -49,7 +49,7 @@ def tree(folder: Path) -> Tree:
     return found
 
 
-def test_a_diagnosis_does_not_replace_the_folder_of_its_session(workspace: Path, tmp_path: Path) -> None:
+def test_a_diagnosis_does_not_replace_the_folder_of_its_session(workspace, tmp_path):
     mine = tmp_path / "mine"
     shutil.copytree(workspace / "session.zarr", mine / "s.zarr")
     (mine / "diagnosis.json").write_text('{"verdict": "named"}')
@@ -86,9 +86,7 @@ def test_a_diagnosis_does_not_replace_the_folder_of_its_session(workspace: Path,
         ("simulate --rig rig.yaml --plan plan.yaml --out other.zarr --overwrite", "what is replaced must hold nothing but a session; other.zarr also holds notes.txt, which coilcal did not write"),
     ],
 )  # fmt: skip
-def test_what_is_not_the_programs_own_is_not_written_over(
-    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str, message: str
-) -> None:
+def test_what_is_not_the_programs_own_is_not_written_over(workspace, tmp_path, monkeypatch, command, message):
     shutil.copytree(workspace / "session.zarr", tmp_path / "s.zarr")
     shutil.copytree(workspace / "session.zarr", tmp_path / "other.zarr")
     (tmp_path / "other.zarr" / "notes.txt").write_text("mine")
@@ -249,9 +247,7 @@ def interrupted(call: list[str], cwd: Path, is_time: Callable[[], bool], n: int 
 
 
 @pytest.mark.parametrize("n", [pytest.param(1, marks=pytest.mark.slow), 8])  # eight begin with one
-def test_ctrl_c_ends_a_calibration_in_one_line_and_the_same_command_goes_on(
-    workspace: Path, tmp_path: Path, n: int
-) -> None:
+def test_ctrl_c_ends_a_calibration_in_one_line_and_the_same_command_goes_on(workspace, tmp_path, n):
     limits = ["--walkers", "16", "--ess", "1e9", "--max-steps", "60"]
     call = ["calibrate", str(workspace / "session.zarr"), *limits, "--out"]
     chain = tmp_path / "out" / "chain.zarr" / "zarr.json"
@@ -273,9 +269,7 @@ def test_ctrl_c_ends_a_calibration_in_one_line_and_the_same_command_goes_on(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("after_s", [1.0, 3.0, 6.0])
-def test_ctrl_c_eight_times_at_any_instant_is_one_line(
-    workspace: Path, tmp_path: Path, after_s: float
-) -> None:
+def test_ctrl_c_eight_times_at_any_instant_is_one_line(workspace, tmp_path, after_s):
     session = str(workspace / "session.zarr")
     rig, plan = str(workspace / "rig.yaml"), str(workspace / "plan.yaml")
     for call in (
@@ -291,7 +285,7 @@ def test_ctrl_c_eight_times_at_any_instant_is_one_line(
             assert faults.splitlines()[-1].startswith("coilcal: interrupted")
 
 
-def test_a_disk_that_is_full_is_one_sentence_that_names_the_file(workspace: Path, tmp_path: Path) -> None:
+def test_a_disk_that_is_full_is_one_sentence_that_names_the_file(workspace, tmp_path):
     predict = ["predict", workspace / "calibration", "--grid", "x_mm=0", "--current", "coil1=1"]
     calls: list[tuple[Path, list[object]]] = [
         (tmp_path / "s.zarr", ["import", workspace / "readings.csv", "--rig", workspace / "rig.yaml", "--out", tmp_path / "s.zarr"]),
@@ -308,7 +302,7 @@ def test_a_disk_that_is_full_is_one_sentence_that_names_the_file(workspace: Path
             assert list(tmp_path.iterdir()) == []
 
 
-def test_a_fault_of_the_system_without_a_file_is_not_said_of_none(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fault_of_the_system_without_a_file_is_not_said_of_none(capsys):
     with pytest.raises(SystemExit), explained_errors():
         raise OSError(28, "No space left on device")
     assert capsys.readouterr().err == (
@@ -317,7 +311,7 @@ def test_a_fault_of_the_system_without_a_file_is_not_said_of_none(capsys: pytest
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-def test_a_result_that_nobody_can_take_is_one_sentence(workspace: Path) -> None:
+def test_a_result_that_nobody_can_take_is_one_sentence(workspace):
     with Path("/dev/full").open("w") as full:
         ended = subprocess.run(
             [*PROGRAM, "show", str(workspace / "session.zarr")], stdout=full, stderr=subprocess.PIPE, text=True, cwd=ROOT, check=False

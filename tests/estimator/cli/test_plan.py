@@ -29,7 +29,7 @@ def devices(workspace: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_plan_is_acquired_and_simulated_as_it_is(workspace: Path, devices: Path, tmp_path: Path) -> None:
+def test_a_plan_is_acquired_and_simulated_as_it_is(workspace, devices, tmp_path):
     out = tmp_path / "plan.yaml"
     rig = workspace / "rig.yaml"
     result = run("plan", rig, "--devices", devices, "--goal", GOAL, "--stops", 20, "--out", out)
@@ -46,7 +46,7 @@ def test_a_plan_is_acquired_and_simulated_as_it_is(workspace: Path, devices: Pat
     assert "informs" in out.read_text()
 
 
-def test_places_of_a_plan_are_those_within_the_limits(workspace: Path, devices: Path, tmp_path: Path) -> None:
+def test_places_of_a_plan_are_those_within_the_limits(workspace, devices, tmp_path):
     rig, out = workspace / "rig.yaml", tmp_path / "chosen.yaml"
     places = tmp_path / "places.yaml"
     text = (workspace / "plan.yaml").read_text()
@@ -56,10 +56,3 @@ def test_places_of_a_plan_are_those_within_the_limits(workspace: Path, devices: 
     assert {stop.current_A["coil1"] for stop in load_plan(out, load_rig(rig)).stops} == {1.0}
     places.write_text(text.replace("currents_A: [{coil1: 3}]", "currents_A: [{coil1: 30}]"))
     assert "must be within the limits of the instruments" in refused(run(*call[:-1], "--overwrite"))
-
-
-def test_what_is_missing_is_said(workspace: Path) -> None:
-    rig = workspace / "rig.yaml"
-    assert "coil1 has no limits" in refused(run("plan", rig, "--stops", 10))
-    assert "a number of stops or a goal" in refused(run("plan", rig, workspace / "plan.yaml"))
-    assert "'field 3'" in refused(run("plan", rig, workspace / "plan.yaml", "--goal", "field 3"))

@@ -36,13 +36,13 @@ def stops(small_rig: Rig, tmp_path: Path) -> Observations:
     return stops_of(load_plan(path, small_rig), small_rig, seed=0)
 
 
-def test_stops_that_were_visited_are_not_counted_again(small_rig: Rig, stops: Observations) -> None:
+def test_stops_that_were_visited_are_not_counted_again(small_rig, stops):
     with pytest.raises(Refused, match="stop 2 of the plan, coil1: .* may flow for 14.6 s"):
         check_currents(stops, small_rig, LIMITS, TIMES_S)
     check_currents(stops, small_rig, LIMITS, TIMES_S, n_before=1)
 
 
-def test_what_they_left_in_the_coil_is(small_rig: Rig, stops: Observations) -> None:
+def test_what_they_left_in_the_coil_is(small_rig, stops):
     records = [{"time_s": 30.0, "current_A": [5.0]}]
     warm = loads_so_far(records, small_rig, LIMITS, now_s=31.0)
     with pytest.raises(Refused, match="stop 2 of the plan, coil1"):
@@ -51,7 +51,7 @@ def test_what_they_left_in_the_coil_is(small_rig: Rig, stops: Observations) -> N
     check_currents(stops, small_rig, LIMITS, TIMES_S, n_before=1, loads=cooled)
 
 
-def test_a_pause_between_two_runs_is_no_stop(small_rig: Rig) -> None:
+def test_a_pause_between_two_runs_is_no_stop(small_rig):
     """Of the pause only what a stop takes, 1 s here, may still have carried current; the coil was warm by 10 s of 5 A."""
     records = [
         {"time_s": 1.0, "begin_s": 0.0, "end_s": 1.0, "current_A": [0.0]},
@@ -62,9 +62,7 @@ def test_a_pause_between_two_runs_is_no_stop(small_rig: Rig) -> None:
     assert loads_so_far([], small_rig, LIMITS, now_s=0.0)["coil1"] == CoilLoad(0.0, 0.0)
 
 
-def test_where_an_arm_goes_is_checked_before_it_is_asked_where_it_stands(
-    small_rig: Rig, stops: Observations
-) -> None:
+def test_where_an_arm_goes_is_checked_before_it_is_asked_where_it_stands(small_rig, stops):
     box = ArmLimits((-0.005, -1.0, -1.0), (0.005, 1.0, 1.0), highest_speed_m_per_s=0.1)
     limits = RigLimits(arms={"arm1": box})
     pace = Pace(0.1, 6, 1.0, {"arm1": 0.05}, {})

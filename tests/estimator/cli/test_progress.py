@@ -10,12 +10,10 @@ from estimator.acquisition.acquire import Progress as Visits
 from estimator.calibration.calibrate import Stage
 from estimator.cli import progress
 from estimator.cli.progress import COUNTED_EVERY_S, LINE_EVERY_S, UNTOLD_S, Reporter, TimeLeft, left_words
-from estimator.diagnosis.next_readings.stops import CHOOSING
-from estimator.diagnosis.progress import Pace, Progress
+from estimator.diagnosis.progress import Progress
 from estimator.inference.ensemble import Progress as Sampled
 from estimator.inference.laplace import OpenDirection
 from estimator.store.growing import StopReadings
-from tests.estimator.cli.conftest import terminal
 
 ROOM_OR_ZERO = {"background_field[room].x_T": 0.7, "sensor_offset[hall].x_T": -0.7}  # which a note tells of
 STAGES = (
@@ -47,7 +45,7 @@ def report_calibration() -> None:
             reporter.calibration(stage)
 
 
-def test_a_pipe_gets_every_line_of_a_calibration_once_and_plainly(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_pipe_gets_every_line_of_a_calibration_once_and_plainly(capsys):
     report_calibration()
     assert capsys.readouterr().err.splitlines() == [
         "point estimate",
@@ -59,14 +57,7 @@ def test_a_pipe_gets_every_line_of_a_calibration_once_and_plainly(capsys: pytest
     ]
 
 
-def test_a_terminal_gets_a_bar(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown_on = terminal(monkeypatch)
-    report_calibration()
-    assert "\x1b[" in shown_on.getvalue()
-    assert "not determined by the data: coil1 thickness" in shown_on.getvalue()
-
-
-def test_the_time_left_follows_from_what_was_done_since_the_beginning(now_s: list[float]) -> None:
+def test_the_time_left_follows_from_what_was_done_since_the_beginning(now_s):
     left = TimeLeft()
     assert left.seconds(50.0, 250.0) == inf
     now_s[0] += 10.0
@@ -78,17 +69,7 @@ def test_the_time_left_follows_from_what_was_done_since_the_beginning(now_s: lis
     assert left_words(left.seconds(99.9, 100.0)) == ""
 
 
-def test_sampling_ends_with_its_steps(now_s: list[float], capsys: pytest.CaptureFixture[str]) -> None:
-    with Reporter() as reporter:
-        for step, n_effective in ((16_000, 109.0), (18_000, 125.0)):
-            reporter.calibration(Stage("sampling", Sampled(step, 20_000, n_effective, 2000.0, 1.16)))
-            now_s[0] += 60.0
-    assert capsys.readouterr().err.endswith("R-hat 1.1600, about 1 min 0 s left\n")
-
-
-def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(
-    now_s: list[float], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(now_s, capsys):
     with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
         for n in range(9):
             now_s[0] = 100.0 + 1.5 * n
@@ -96,22 +77,7 @@ def test_a_pipe_hears_nothing_of_two_seconds_and_then_little(
     assert capsys.readouterr().err == "coilcal: predicting points: 20 of 100, about 12 s left\n"
 
 
-def test_a_terminal_shows_a_bar_after_two_seconds(
-    now_s: list[float], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    shown_on = terminal(monkeypatch)
-    with Reporter(COUNTED_EVERY_S, UNTOLD_S, UNTOLD_S) as reporter:
-        reporter.count(CHOOSING, 1, 20)
-        assert reporter.bar is not None
-        assert not reporter.bar.tasks[0].visible
-        now_s[0] += 3.0
-        reporter.count(CHOOSING, 2, 20)
-    assert "choosing stops: 2 of 20" in shown_on.getvalue()
-
-
-def test_a_pipe_gets_every_stage_of_a_diagnosis_and_fits_only_now_and_then(
-    now_s: list[float], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_pipe_gets_every_stage_of_a_diagnosis_and_fits_only_now_and_then(now_s, capsys):
     with Reporter(LINE_EVERY_S, LINE_EVERY_S) as reporter:
         reporter.stage("searching for causes")
         for now_s[0] in (110.0, 120.0, 131.0, 140.0, 150.0):
@@ -119,25 +85,7 @@ def test_a_pipe_gets_every_stage_of_a_diagnosis_and_fits_only_now_and_then(
     assert capsys.readouterr().err.splitlines() == ["coilcal: searching for causes", f"coilcal: {WORDS}"]
 
 
-def test_a_terminal_shows_fits_at_once_and_names_with_their_places(monkeypatch: pytest.MonkeyPatch) -> None:
-    shown_on = terminal(monkeypatch)
-    with Reporter(LINE_EVERY_S, LINE_EVERY_S) as reporter:
-        reporter.stage("taking axis_gain[hall] (odds 160,000 to 1 for it)")
-        reporter.fits(SEVENTH)
-    assert "coilcal: taking axis_gain[hall] (odds 160,000 to 1 for it)" in shown_on.getvalue()
-    assert WORDS in shown_on.getvalue()
-
-
-def test_time_left_is_the_mean_of_the_fits_so_far_for_each_that_may_follow(now_s: list[float]) -> None:
-    told: list[Progress] = []
-    pace = Pace("step 1", told.append)
-    pace.tell(0, 4)
-    now_s[0] += 6.0
-    pace.tell(3, 5)
-    assert told == [Progress("step 1", 0, 4, None), Progress("step 1", 3, 5, 4.0)]
-
-
-def test_what_is_not_as_it_should_be_with_a_stop_is_said_once(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_is_not_as_it_should_be_with_a_stop_is_said_once(capsys):
     reading = (2.0, [3.0], {"arm1": [0.0] * 6}, {"hall": [0.0] * 3}, False, 0)
     good = StopReadings(*reading, n_gaps={"hall": 0})
     bad = StopReadings(*reading, is_settled=False, n_gaps={"hall": 2})

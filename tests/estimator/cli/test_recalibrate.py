@@ -17,7 +17,6 @@ import pytest
 import torch
 from click.testing import CliRunner, Result
 
-from estimator.calibration.result import Calibration
 from estimator.cli.main import main
 from estimator.cli.schedule import keep_running
 from estimator.readings.observations import Observations
@@ -70,24 +69,20 @@ def concluding(monkeypatch: pytest.MonkeyPatch, rig_file: Path, tmp_path: Path) 
         (("rejected", "drifted"), 10),
     ],
 )
-def test_exit_code_tells_drift_and_rejection(
-    concluding: Callable[..., Result], conclusions: tuple[str, ...], code: int
-) -> None:
+def test_exit_code_tells_drift_and_rejection(concluding, conclusions, code):
     result = concluding(conclusions)
     assert result.exit_code == code
     for conclusion in conclusions:
         assert f"2026-01-01T00:00  a.zarr  {conclusion}: because of {conclusion}" in result.stdout
 
 
-def test_a_calibration_that_did_not_converge_has_an_exit_code_and_an_alert_of_its_own(
-    concluding: Callable[..., Result], tmp_path: Path
-) -> None:
+def test_a_calibration_that_did_not_converge_has_an_exit_code_and_an_alert_of_its_own(concluding, tmp_path):
     unsure = Entry("unchanged", "it did not converge", "a.zarr", checks={"is_successor_converged": False})
     assert concluding((unsure,), "--alert-command", f"tee {tmp_path / 'alert.json'}").exit_code == 4
     assert json.loads((tmp_path / "alert.json").read_text())["reason"] == "it did not converge"
 
 
-def test_what_the_system_refuses_does_not_end_the_running_service(capsys: pytest.CaptureFixture[str]) -> None:
+def test_what_the_system_refuses_does_not_end_the_running_service(capsys):
     calls: list[int] = []
 
     def job() -> None:
@@ -101,9 +96,7 @@ def test_what_the_system_refuses_does_not_end_the_running_service(capsys: pytest
     assert "Permission denied" in capsys.readouterr().err
 
 
-def test_a_signal_just_after_a_run_ends_the_service_without_a_word_more(
-    capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_signal_just_after_a_run_ends_the_service_without_a_word_more(capsys, caplog):
     def job(after_s: float) -> None:
         signal.signal(signal.SIGALRM, signal.getsignal(signal.SIGTERM))  # an alarm comes to the microsecond
         signal.setitimer(signal.ITIMER_REAL, after_s)
@@ -114,14 +107,12 @@ def test_a_signal_just_after_a_run_ends_the_service_without_a_word_more(
     assert not caplog.records
 
 
-def test_json_holds_every_conclusion_in_one_object(concluding: Callable[..., Result]) -> None:
+def test_json_holds_every_conclusion_in_one_object(concluding):
     result = concluding(("unchanged", "rejected"), "--json")
     assert [entry["conclusion"] for entry in json.loads(result.stdout)["added"]] == ["unchanged", "rejected"]
 
 
-def test_alerts_go_out_for_drifts_and_rejections_only_and_a_failing_one_is_not_fatal(
-    concluding: Callable[..., Result], tmp_path: Path
-) -> None:
+def test_alerts_go_out_for_drifts_and_rejections_only_and_a_failing_one_is_not_fatal(concluding, tmp_path):
     program = "import sys; open(sys.argv[1], 'a').write(sys.stdin.read() + chr(10)); sys.exit(7)"
     kept = tmp_path / "alerts.jsonl"
     result = concluding(
@@ -160,7 +151,7 @@ def test_mistakes_of_the_call_are_one_sentence(
     assert len(result.stderr.splitlines()) == 1
 
 
-def test_rollback_by_command(small_calibration: Calibration, tmp_path: Path) -> None:
+def test_rollback_by_command(small_calibration, tmp_path):
     registry = Registry(tmp_path / "registry")
     with registry.writing():
         for name in "ab":
@@ -172,9 +163,7 @@ def test_rollback_by_command(small_calibration: Calibration, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)])
-def test_the_running_service_looks_again_and_ends_cleanly(
-    number: signal.Signals, rig_file: Path, tmp_path: Path
-) -> None:
+def test_the_running_service_looks_again_and_ends_cleanly(number, rig_file, tmp_path):
     inbox = tmp_path / "inbox"
     inbox.mkdir()
     of_another = rig_from_text(TWO_COILS)

@@ -90,7 +90,7 @@ def killed(folder: Path, registry: str, after_s: float, is_committing: bool) -> 
 
 
 @pytest.mark.slow
-def test_killed_at_20_random_instants_the_last_good_calibration_stays_current(laboratory: Path) -> None:
+def test_killed_at_20_random_instants_the_last_good_calibration_stays_current(laboratory):
     shutil.copytree(laboratory / "begun", laboratory / "alone", symlinks=True)
     begin_s = time.monotonic()
     assert start(laboratory, "alone").wait() == 0

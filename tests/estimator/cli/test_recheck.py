@@ -45,7 +45,7 @@ def call(folder: Path, out: Path, *more: object) -> list[str]:
 
 
 @pytest.mark.flaky(reruns=2)
-def test_a_recheck_names_what_changed(folder: Path, tmp_path: Path) -> None:
+def test_a_recheck_names_what_changed(folder, tmp_path):
     bring_home(folder)
     out = tmp_path / "session.zarr"
     for _ in range(4):
@@ -63,7 +63,7 @@ def test_a_recheck_names_what_changed(folder: Path, tmp_path: Path) -> None:
     assert "the calibration has changed" in told.stdout
 
 
-def test_without_a_calibration_nothing_moves(folder: Path, tmp_path: Path) -> None:
+def test_without_a_calibration_nothing_moves(folder, tmp_path):
     words = [
         word.replace(str(folder / "registry"), str(tmp_path / "registry"))
         for word in call(folder, tmp_path / "s.zarr")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 from typing import Any
 
 import click
@@ -26,7 +25,7 @@ def _drawing_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(report, "write_reports", drawn)
 
 
-def test_calibrate_prints_its_numbers_before_the_report(workspace: Path, tmp_path: Path) -> None:
+def test_calibrate_prints_its_numbers_before_the_report(workspace, tmp_path):
     result = run("calibrate", workspace / "session.zarr", "--out", tmp_path / "c", *FEW)
     words, drawn, report = result.stdout.partition(DRAWN)
     assert drawn
@@ -35,14 +34,14 @@ def test_calibrate_prints_its_numbers_before_the_report(workspace: Path, tmp_pat
     assert report == f"\nreport: {tmp_path / 'c' / 'report.html'}\n"
 
 
-def test_calibrate_prints_json_when_all_is_written(workspace: Path, tmp_path: Path) -> None:
+def test_calibrate_prints_json_when_all_is_written(workspace, tmp_path):
     result = run("calibrate", workspace / "session.zarr", "--out", tmp_path / "c", *FEW, "--json")
     words, _, record = result.stdout.partition(DRAWN)
     assert words == ""
     assert json.loads(record) == json.loads((tmp_path / "c" / "summary.json").read_text())
 
 
-def test_diagnose_prints_its_verdict_before_the_report(workspace: Path, tmp_path: Path) -> None:
+def test_diagnose_prints_its_verdict_before_the_report(workspace, tmp_path):
     limits = ("--most-causes", 0, "--no-posterior")
     result = run("diagnose", workspace / "session.zarr", "--out", tmp_path / "d", *limits)
     words, drawn, written = result.stdout.partition(DRAWN)

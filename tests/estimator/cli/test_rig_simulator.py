@@ -63,9 +63,7 @@ def program(rig_path: Path) -> Iterator[subprocess.Popen[str]]:
     "how",
     [*(pytest.param(how, marks=pytest.mark.slow) for how in (signal.SIGINT, signal.SIGTERM)), signal.SIGKILL],
 )
-def test_its_instruments_end_with_it(
-    program: subprocess.Popen[str], rig_path: Path, how: signal.Signals
-) -> None:
+def test_its_instruments_end_with_it(program, rig_path, how):
     simulators = children(program.pid)
     section = yaml.safe_load(rig_path.with_name("devices.yaml").read_text())["devices"]
     assert len(simulators) >= len(section) == 4
@@ -79,7 +77,7 @@ def test_its_instruments_end_with_it(
     assert yaml.safe_load(said[0])["devices"] == section
 
 
-def test_what_cannot_be_hidden_is_refused_before_anything_runs(rig_path: Path) -> None:
+def test_what_cannot_be_hidden_is_refused_before_anything_runs(rig_path):
     result = run("rig-simulator", rig_path, "--hide", "position_lag[arm1]=1e-3")
     assert result.exit_code == 2
     assert "position_lag[arm1].lag_m depends on where the mover came from" in result.stderr

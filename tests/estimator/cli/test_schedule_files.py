@@ -50,14 +50,14 @@ def calls() -> dict[str, list[str]]:
 
 
 @pytest.mark.parametrize("name", ["cron", "systemd", "kubernetes"])
-def test_each_calls_the_command_with_all_that_it_needs_and_an_alert(name: str) -> None:
+def test_each_calls_the_command_with_all_that_it_needs_and_an_alert(name):
     command, *words = calls()[name]
     asked = recalibrate_command.make_context(command, words).params
     assert all(asked[key] is not None for key in ("rig_path", "inbox", "registry"))
     assert asked["alert_command"] or asked["alert_webhook"]
 
 
-def test_systemd_makes_the_folders_that_are_written_and_all_else_is_read_only() -> None:
+def test_systemd_makes_the_folders_that_are_written_and_all_else_is_read_only():
     unit = settings(UNIT)
     (registry,) = re.findall(r"--registry (\S+)", unit["ExecStart"][0])
     writable = (f"/var/lib/{unit['StateDirectory'][0]}/", f"/var/cache/{unit['CacheDirectory'][0]}/")
@@ -69,7 +69,7 @@ def test_systemd_makes_the_folders_that_are_written_and_all_else_is_read_only() 
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
-def test_systemd_finds_nothing_wrong_with_the_units(tmp_path: Path) -> None:
+def test_systemd_finds_nothing_wrong_with_the_units(tmp_path):
     for path in (UNIT, UNIT.with_suffix(".timer")):
         text = path.read_text(encoding="utf-8").replace("/opt/coilcal/bin/coilcal", "/bin/true")
         (tmp_path / path.name).write_text(text.replace("User=coilcal", "User=root"), encoding="utf-8")
@@ -78,7 +78,7 @@ def test_systemd_finds_nothing_wrong_with_the_units(tmp_path: Path) -> None:
     assert (done.returncode, [line for line in done.stderr.splitlines() if str(tmp_path) in line]) == (0, [])
 
 
-def test_kubernetes_tries_again_only_where_that_can_help() -> None:
+def test_kubernetes_tries_again_only_where_that_can_help():
     (rule,) = job()["podFailurePolicy"]["rules"]
     assert rule["action"] == "FailJob"
     assert rule["onExitCodes"]["values"] == sorted({EXIT_DRIFTED, EXIT_REJECTED, EXIT_NOT_CONVERGED})
@@ -86,7 +86,7 @@ def test_kubernetes_tries_again_only_where_that_can_help() -> None:
     assert job()["template"]["spec"]["restartPolicy"] == "Never"  # a failure policy needs it
 
 
-def test_the_image_is_the_one_that_the_dockerfile_makes_of_this_version() -> None:
+def test_the_image_is_the_one_that_the_dockerfile_makes_of_this_version():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     image = job()["template"]["spec"]["containers"][0]["image"]
     text = DOCKERFILE.read_text(encoding="utf-8")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -17,7 +16,6 @@ from estimator.diagnosis.verdict import UNKNOWN
 from estimator.recalibration import registry
 from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import Registry
-from estimator.rig.rig import Rig
 from estimator.service.core import DATABASE
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.importers.readings_csv import FIELD
@@ -35,7 +33,7 @@ def told(path: Path) -> tuple[dict[str, object], list[str]]:
     return json.loads(record.stdout), [line.strip() for line in lines[1:]]
 
 
-def test_a_session(workspace: Path) -> None:
+def test_a_session(workspace):
     record, lines = told(workspace / "simulated.zarr")
     assert (record["kind"], record["readings"], record["validation"]) == ("session", 36, 9)
     assert record["is_simulated"] is True
@@ -44,7 +42,7 @@ def test_a_session(workspace: Path) -> None:
     assert told(workspace / "session.zarr")[0]["is_simulated"] is False
 
 
-def test_a_calibration(workspace: Path) -> None:
+def test_a_calibration(workspace):
     record, lines = told(workspace / "calibration")
     assert record["kind"] == "calibration"
     assert (
@@ -55,7 +53,7 @@ def test_a_calibration(workspace: Path) -> None:
     assert any("radius" in line and " 90 %: " in line and line.endswith(" mm") for line in lines)
 
 
-def test_a_damaged_calibration_ends_as_damage_does(workspace: Path, tmp_path: Path) -> None:
+def test_a_damaged_calibration_ends_as_damage_does(workspace, tmp_path):
     shutil.copytree(workspace / "calibration", tmp_path / "calibration")
     summary = tmp_path / "calibration" / "summary.json"
     summary.write_text(summary.read_text().replace("0.0", "0.1", 1))
@@ -64,7 +62,7 @@ def test_a_damaged_calibration_ends_as_damage_does(workspace: Path, tmp_path: Pa
     assert told(tmp_path / "calibration")[0]["kind"] == "unfinished calibration"
 
 
-def test_files(workspace: Path) -> None:
+def test_files(workspace):
     assert told(workspace / "rig.yaml")[0]["kind"] == "rig file"
     assert told(workspace / "plan.yaml")[1][0] == "plan 'small grid' with poses, currents_A"
     record, _ = told(workspace / "readings.csv")
@@ -73,15 +71,7 @@ def test_files(workspace: Path) -> None:
     assert (record["kind"], record["points"]) == ("field CSV", 5)
 
 
-def test_a_folder_of_all_sorts(workspace: Path) -> None:
-    record, lines = told(workspace)
-    held = {entry["name"]: entry["kind"] for entry in record["holds"]}  # type: ignore[attr-defined]
-    expected = {"calibration": "calibration", "session.zarr": "session", "rig.yaml": "rig file"}
-    assert held.items() >= expected.items()
-    assert "session.zarr: session" in lines or lines[-1].startswith("and more")
-
-
-def test_a_session_that_grows(small_rig: Rig, tmp_path: Path) -> None:
+def test_a_session_that_grows(small_rig, tmp_path):
     with Journal.create(tmp_path / "new.zarr", new_header(small_rig, "bench", "plan", {})) as journal:
         stop = StopReadings(0.0, [3.0], {"arm1": [0.0] * 6}, {"hall": [1e-3, 0.0, 0.0]}, False, 0)
         journal.append(stop.entry())
@@ -90,7 +80,7 @@ def test_a_session_that_grows(small_rig: Rig, tmp_path: Path) -> None:
     assert lines[-1].startswith("coilcal acquire writes it")
 
 
-def test_a_registry(tmp_path: Path) -> None:
+def test_a_registry(tmp_path):
     (tmp_path / "versions" / "0001").mkdir(parents=True)
     entries = [Entry("updated", "first", taken="2026-01-01", version=1, made=1), Entry("rejected", "bad")]
     (tmp_path / "log.jsonl").write_text("".join(f"{entry.line()}\n" for entry in entries))
@@ -100,7 +90,7 @@ def test_a_registry(tmp_path: Path) -> None:
     assert Registry(tmp_path).versions == (1,)
 
 
-def test_a_diagnosis_and_a_broken_one(tmp_path: Path) -> None:
+def test_a_diagnosis_and_a_broken_one(tmp_path):
     quantity = {"median": 0.01, "sd": 0.001, "ci90": [0.008, 0.012], "unit": "1"}
     cause = {"name": "axis_gain", "place": "hall", "probability": 0.88, "parameters": {"x": quantity}}
     told_so = {"verdict": "named", "causes": [cause], "next_measurement": [], "ended_early": ""}
@@ -122,21 +112,13 @@ def test_a_diagnosis_and_a_broken_one(tmp_path: Path) -> None:
     assert "diagnosis must be readable" in broken.stderr
 
 
-def test_names_that_mark_a_folder_are_those_of_what_writes_it() -> None:
+def test_names_that_mark_a_folder_are_those_of_what_writes_it():
     """The command states them by itself: what reads them needs torch, or an extra."""
     assert (kinds.SUMMARY_FILE, kinds.CHAIN_STORE) == (files.SUMMARY_FILE, files.CHAIN_STORE)
     assert (kinds.DIAGNOSIS, kinds.CALIBRATION_FOLDER) == (DIAGNOSIS, CALIBRATION_FOLDER)
     assert (kinds.VERSIONS, kinds.LOG) == (registry.VERSIONS, registry.LOG)
     assert (kinds.RESULT_FILE, kinds.DATABASE) == (RESULT_FILE, DATABASE)
     assert (kinds.UNKNOWN, kinds.FIELD) == (UNKNOWN, FIELD)
-
-
-def test_a_batch_and_the_data_of_the_service(tmp_path: Path) -> None:
-    (tmp_path / "jobs" / "a").mkdir(parents=True)
-    (tmp_path / "jobs" / "a" / RESULT_FILE).touch()
-    assert told(tmp_path)[0] == {"kind": "batch", "fits": 1, "sampled": 0}
-    (tmp_path / DATABASE).touch()
-    assert told(tmp_path)[0] == {"kind": "data of the service", "sessions": 0, "jobs": 1}
 
 
 @pytest.mark.parametrize(
@@ -147,9 +129,7 @@ def test_a_batch_and_the_data_of_the_service(tmp_path: Path) -> None:
         (lambda path: path.write_text("hello"), "path must be something that coilcal reads or writes"),
     ],
 )
-def test_what_is_nothing_of_coilcal_is_refused(
-    tmp_path: Path, make: Callable[[Path], object], words: str
-) -> None:
+def test_what_is_nothing_of_coilcal_is_refused(tmp_path, make, words):
     make(tmp_path / "thing")
     result = run("show", tmp_path / "thing")
     assert result.exit_code == 2

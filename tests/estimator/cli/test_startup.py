@@ -82,7 +82,7 @@ def coilcal(
 
 
 @pytest.mark.parametrize("call", LIGHT)
-def test_help_completion_and_refusals_load_no_large_library(call: str) -> None:
+def test_help_completion_and_refusals_load_no_large_library(call):
     arguments, exit_code, variables = LIGHT[call]
     returned, printed, libraries, processor_s = coilcal(*arguments.split(), variables=variables)
     assert (returned, libraries) == (exit_code, set())
@@ -90,7 +90,7 @@ def test_help_completion_and_refusals_load_no_large_library(call: str) -> None:
     assert processor_s < LONGEST_HELP_S
 
 
-def test_completion_offers_the_commands() -> None:
+def test_completion_offers_the_commands():
     assert coilcal(variables=COMPLETION)[1] == "plain,calibrate\n"
 
 
@@ -168,7 +168,7 @@ def measured(rig: Rig, session: Session, path: Path) -> Path:
     return path
 
 
-def test_what_reads_and_explains_loads_no_torch(workspace: Path, rig_text: str, tmp_path: Path) -> None:
+def test_what_reads_and_explains_loads_no_torch(workspace, rig_text, tmp_path):
     """Rigs and causes are declared without it, and nothing else reads an array."""
     rig, plan = workspace / "rig.yaml", workspace / "plan.yaml"
     diagnosis = tmp_path / "diagnosis"
@@ -200,7 +200,7 @@ def test_what_reads_and_explains_loads_no_torch(workspace: Path, rig_text: str, 
     ] == []
 
 
-def test_what_takes_no_derivative_computes_on_numpy(workspace: Path, tmp_path: Path) -> None:
+def test_what_takes_no_derivative_computes_on_numpy(workspace, tmp_path):
     """Neither torch nor numba, each of which takes longer to load than all the rest."""
     rig, plan, csv = (workspace / name for name in ("rig.yaml", "plan.yaml", "readings.csv"))
     calibration, session = workspace / "calibration", workspace / "session.zarr"
@@ -235,18 +235,18 @@ def test_what_takes_no_derivative_computes_on_numpy(workspace: Path, tmp_path: P
     ] == []
 
 
-def test_live_without_refresh_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
+def test_live_without_refresh_loads_neither_plots_nor_samplers(ended):
     exit_code, printed, libraries = ended["live"]
     assert (exit_code, json.loads(printed)["readings"]) == (0, 3)
     assert libraries == MODEL | JACOBIANS | {"rich"}
 
 
-def test_design_loads_neither_plots_nor_samplers(ended: dict[str, Ended]) -> None:
+def test_design_loads_neither_plots_nor_samplers(ended):
     exit_code, _, libraries = ended["design"]
     assert (exit_code, libraries) == (0, MODEL | JACOBIANS | {"scipy.stats", "zarr"})  # draws of starts
 
 
-def test_the_package_loads_a_public_name_when_it_is_used() -> None:
+def test_the_package_loads_a_public_name_when_it_is_used():
     assert start("import estimator; dir(estimator)", variables={})[2] == set()
     assert start("from estimator import InvalidInput", variables={})[2] == set()
     assert start("from estimator import load_rig", variables={})[2] == RIG
@@ -254,9 +254,7 @@ def test_the_package_loads_a_public_name_when_it_is_used() -> None:
     assert start(effects, variables={})[2] == RIG - {"yaml"}
 
 
-def test_threads_are_set_where_a_command_runs(
-    workspace: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_threads_are_set_where_a_command_runs(workspace, tmp_path, monkeypatch):
     threads: list[int] = []
     monkeypatch.setattr(torch, "set_num_threads", threads.append)
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
@@ -267,6 +265,6 @@ def test_threads_are_set_where_a_command_runs(
     assert threads == [2]
 
 
-def test_fewest_readings_of_a_stop_are_those_of_the_acquisition() -> None:
+def test_fewest_readings_of_a_stop_are_those_of_the_acquisition():
     """The command states the number by itself: the acquisition needs torch."""
     assert acquire.FEWEST_READINGS == FEWEST_READINGS

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from estimator.cli.calibrate import MOST_LISTED, _amplitudes
 from estimator.cli.main import main
 from estimator.rig_files.read import load_rig
 from tests.estimator.calibration.test_unwound import CURRENT_A, NOISE_T, TEXT, hidden_T, in_ball
@@ -23,7 +20,7 @@ def run(*arguments: object) -> str:
 
 
 @pytest.mark.slow  # calibration/test_unwound does it by the API
-def test_a_magnet_is_imported_calibrated_predicted_and_diagnosed(tmp_path: Path) -> None:
+def test_a_magnet_is_imported_calibrated_predicted_and_diagnosed(tmp_path):
     rig = tmp_path / "rig.yaml"
     rig.write_text(TEXT.replace("degree: 10", "degree: 4"))
     places_m = 0.5 * in_ball(120, 1)
@@ -45,15 +42,3 @@ def test_a_magnet_is_imported_calibrated_predicted_and_diagnosed(tmp_path: Path)
     run("diagnose", session, "--out", tmp_path / "diagnosis", "--most-causes", 1, "--no-posterior")
     assert (tmp_path / "diagnosis" / "report.html").is_file()
     assert load_rig(tmp_path / "diagnosis" / "rig_extended.yaml").unwound[0].name == "c1"
-
-
-def test_amplitudes_too_many_for_a_screen_are_left_to_the_summary():
-    names = [f"c1.charge{i}_T_per_A" for i in range(MOST_LISTED + 1)]
-    others = ["probe.noise_T", "c2.world_from_coil.z_m"]
-
-    def unlisted(n: int) -> frozenset[str]:
-        parameters = [*others, *names[:n]]
-        return _amplitudes({"amplitudes": {"c1": {}}, "parameters": parameters})
-
-    assert unlisted(MOST_LISTED) == frozenset()
-    assert unlisted(MOST_LISTED + 1) == frozenset(names)

@@ -34,8 +34,8 @@ finally:
     ],
 )
 def test_a_command_runs_again_with_torch_where_numpy_lacks_something(
-    workspace: Path, tmp_path: Path, without: str, current: str, exit_code: int, runs: list[str]
-) -> None:
+    workspace, tmp_path, without, current, exit_code, runs
+):
     call = [
         "predict",
         workspace / "calibration",

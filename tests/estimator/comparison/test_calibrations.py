@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,7 +29,7 @@ def moved(calibration: Calibration, z_m: float) -> Calibration:
     return replace(calibration, best=best, draws=draws, summary_json=summary)
 
 
-def test_a_coil_that_was_moved_is_seen_in_numbers_and_field(small_calibration: Calibration) -> None:
+def test_a_coil_that_was_moved_is_seen_in_numbers_and_field(small_calibration):
     compared = side_by_side(small_calibration, moved(small_calibration, 1e-3), ("a", "b"))
     far = {pair.name for pair in compared.numbers if pair.distance_sd > 3.0}
     assert far == {Z}
@@ -56,7 +55,7 @@ def test_a_coil_that_was_moved_is_seen_in_numbers_and_field(small_calibration: C
     json.dumps(compared.to_json(), allow_nan=False)
 
 
-def test_fields_are_compared_at_the_places_of_the_readings(small_calibration: Calibration) -> None:
+def test_fields_are_compared_at_the_places_of_the_readings(small_calibration):
     """Beside the winding, where nobody measured, they differ by several times as much."""
     other = moved(small_calibration, 1e-3)
     observations = small_calibration.observations
@@ -70,7 +69,7 @@ def test_fields_are_compared_at_the_places_of_the_readings(small_calibration: Ca
     assert plane.in_plane.rms_T_per_A > 1.5 * expected
 
 
-def test_a_calibration_does_not_differ_from_itself(small_calibration: Calibration) -> None:
+def test_a_calibration_does_not_differ_from_itself(small_calibration):
     compared = side_by_side(small_calibration, small_calibration, ("a", "a"))
     assert all(pair.distance_sd == 0.0 for pair in compared.numbers)
     assert compared.planes[0].at_readings.rms_T_per_A == 0.0
@@ -79,14 +78,14 @@ def test_a_calibration_does_not_differ_from_itself(small_calibration: Calibratio
     side_by_side_report(compared, "")
 
 
-def test_calibrations_without_a_common_coil_are_refused(small_calibration: Calibration) -> None:
+def test_calibrations_without_a_common_coil_are_refused(small_calibration):
     rig = small_calibration.rig
     other = replace(rig, coils=(replace(rig.coils[0], name="coil9"),))
     with pytest.raises(InvalidInput, match="must have a coil in common; received coil1 and coil9"):
         side_by_side(small_calibration, replace(small_calibration, rig=other), ("a", "b"))
 
 
-def test_the_command_takes_two_folders(small_calibration: Calibration, tmp_path: Path) -> None:
+def test_the_command_takes_two_folders(small_calibration, tmp_path):
     small_calibration.save(tmp_path / "a")
     moved(small_calibration, 2e-3).save(tmp_path / "b")
     printed = run("compare", tmp_path / "a", tmp_path / "b", "--out", tmp_path / "out", "--json")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import magpylib
 import numpy as np
@@ -50,7 +49,7 @@ def session(small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]) -> 
     return Session(small_rig, simulate(small_rig, small_plan, small_truth, seed=1), "simulated")
 
 
-def test_a_right_map_and_the_coil_model_both_explain_the_readings(session: Session) -> None:
+def test_a_right_map_and_the_coil_model_both_explain_the_readings(session):
     comparison = compare(session, GridMap.of(AXES_M, made_by_magpylib()))
     assert comparison.explained is Explained.BOTH
     assert not comparison.is_coarse
@@ -60,7 +59,7 @@ def test_a_right_map_and_the_coil_model_both_explain_the_readings(session: Sessi
     assert abs(comparison.improvement.elpd_difference) < 3.0 * comparison.improvement.elpd_se + 1.0
 
 
-def test_a_map_that_is_too_weak_does_not_explain_them_and_it_shows_everywhere(session: Session) -> None:
+def test_a_map_that_is_too_weak_does_not_explain_them_and_it_shows_everywhere(session):
     comparison = compare(session, GridMap.of(AXES_M, 0.9 * made_by_magpylib()))
     assert comparison.explained is Explained.COIL_MODEL
     assert comparison.improvement is not None
@@ -71,9 +70,7 @@ def test_a_map_that_is_too_weak_does_not_explain_them_and_it_shows_everywhere(se
     assert sum(shell.readings for shell in comparison.shells) == len(session.observations.calibration)
 
 
-def test_a_map_explains_what_the_coil_model_cannot(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float], rig_text: str
-) -> None:
+def test_a_map_explains_what_the_coil_model_cannot(small_rig, small_plan, small_truth, rig_text):
     """A winding described as much too thick is held there by fixed numbers; the map has the right one."""
     readings = simulate(small_rig, small_plan, small_truth, seed=1)
     wrong = rig_from_text(
@@ -85,7 +82,7 @@ def test_a_map_explains_what_the_coil_model_cannot(
     assert comparison.improvement.is_significant
 
 
-def test_a_gain_that_nobody_described_leaves_both_unexplained(session: Session) -> None:
+def test_a_gain_that_nobody_described_leaves_both_unexplained(session):
     readings = session.observations
     wrong = replace(readings, field_sensor_T=readings.field_sensor_T * torch.tensor([1.05, 1.0, 1.0]))
     comparison = compare(replace(session, observations=wrong), GridMap.of(AXES_M, made_by_magpylib()))
@@ -95,7 +92,7 @@ def test_a_gain_that_nobody_described_leaves_both_unexplained(session: Session) 
     assert "The residual of the map goes most with: " in page
 
 
-def test_readings_beyond_the_map_are_left_out_and_counted(session: Session) -> None:
+def test_readings_beyond_the_map_are_left_out_and_counted(session):
     half = (AXES_M[0], AXES_M[1], AXES_M[2][:9])
     comparison = compare(session, GridMap.of(half, made_by_magpylib()[:, :, :9]))
     assert 0 < comparison.outside < len(session.observations)
@@ -105,7 +102,7 @@ def test_readings_beyond_the_map_are_left_out_and_counted(session: Session) -> N
         compare(session, GridMap.of((tiny[0], tiny[1], tiny[2]), made_by_magpylib()))
 
 
-def test_spline_is_that_of_scipy_and_its_slope_the_difference() -> None:
+def test_spline_is_that_of_scipy_and_its_slope_the_difference():
     field_map = GridMap.of(AXES_M, made_by_magpylib())
     rng = np.random.default_rng(0)
     points_m = rng.uniform([-0.06, -0.06, 0.005], [0.06, 0.06, 0.085], (20, 3))
@@ -148,9 +145,7 @@ COMSOL_TEXT = """% Model:              coil.mph
     [(COMSOL_CSV, ",", 1e6, 1e3), (COMSOL_TEXT, "       ", 1e3, 1.0)],
     ids=["csv", "text"],
 )
-def test_what_comsol_exports_is_read_with_its_whole_header(
-    header: str, separator: str, to_length: float, to_field: float, tmp_path: Path
-) -> None:
+def test_what_comsol_exports_is_read_with_its_whole_header(header, separator, to_length, to_field, tmp_path):
     """Headers as its spreadsheet format has them, as CSV and as text; x runs fastest."""
     axis_m = np.linspace(-0.03, 0.03, 7)
     z, y, x = np.meshgrid(axis_m + 0.05, axis_m, axis_m, indexing="ij")
@@ -165,7 +160,7 @@ def test_what_comsol_exports_is_read_with_its_whole_header(
     np.testing.assert_allclose(read_map(path, 3.0).field(there_m).numpy(), expected, rtol=1e-9)
 
 
-def test_comsol_and_plain_csv_give_the_same_map(tmp_path: Path) -> None:
+def test_comsol_and_plain_csv_give_the_same_map(tmp_path):
     grid_mm = 1e3 * np.stack(np.meshgrid(*AXES_M, indexing="ij"), axis=-1).reshape(-1, 3)
     rows = np.hstack((grid_mm, 2.0 * made_by_magpylib().reshape(-1, 3)))[::-1]  # at 2 A, in another order
     comsol, plain = tmp_path / "comsol.csv", tmp_path / "plain.csv"
@@ -200,7 +195,7 @@ def test_comsol_and_plain_csv_give_the_same_map(tmp_path: Path) -> None:
         ("", "x is missing"),
     ],
 )
-def test_a_file_that_is_no_map_is_refused(text: str, said: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_map_is_refused(text, said, tmp_path):
     (tmp_path / "map.csv").write_text(text, encoding="utf-8")
     with pytest.raises(InvalidInput) as refused:
         read_map(tmp_path / "map.csv", 1.0)

@@ -84,16 +84,14 @@ def write(path: Path, mode: str, is_compressed: bool = False, name: str = "B", a
         *itertools.product(("inline", "raw", "base64"), (False, True), (".vti", ".vtr")),
     ],
 )
-def test_however_it_is_packed_the_map_is_the_same(
-    mode: str, is_compressed: bool, suffix: str, tmp_path: Path
-) -> None:
+def test_however_it_is_packed_the_map_is_the_same(mode, is_compressed, suffix, tmp_path):
     read = read_map(write(tmp_path / f"map{suffix}", mode, is_compressed), current_A=2.0)
     np.testing.assert_array_equal(read.values, FIELD_T / 2.0)
     for found, given in zip(read.axes_m, AXES_M, strict=True):
         np.testing.assert_allclose(found, given, rtol=1e-12, atol=1e-15)
 
 
-def test_what_it_cannot_be_is_said(tmp_path: Path) -> None:
+def test_what_it_cannot_be_is_said(tmp_path):
     path = write(tmp_path / "map.vti", "inline", name="H")
     with pytest.raises(InvalidInput, match="must have point data B_T or B; received H"):
         read_map(path, 1.0)

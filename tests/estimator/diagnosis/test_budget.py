@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from itertools import permutations
-
 import pytest
 import torch
 
-from estimator.diagnosis.budget import Budget, _orders, budget
+from estimator.diagnosis.budget import Budget, budget
 from estimator.diagnosis.fitting import Fit
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
 
 pytestmark = pytest.mark.whole
@@ -39,7 +36,7 @@ def square_T2(fit: Fit, unseen: Observations) -> float:
     return float(errors_T.square().sum(1).mean())
 
 
-def test_share_of_each_cause_is_its_mean_over_both_orders(made, small_rig, two_causes) -> None:
+def test_share_of_each_cause_is_its_mean_over_both_orders(made, small_rig, two_causes):
     plain, both, found = made
     unseen = two_causes.validation
     none, gain, offset, all_of_them = (
@@ -65,7 +62,7 @@ def test_share_of_each_cause_is_its_mean_over_both_orders(made, small_rig, two_c
     assert found.shared.value == pytest.approx((none - all_of_them - last) / misfit, abs=5e-3)
 
 
-def test_shares_and_what_is_left_make_the_whole(made) -> None:
+def test_shares_and_what_is_left_make_the_whole(made):
     found = made[2]
     assert sum(share.value for share in found.causes.values()) + found.left.value == pytest.approx(1.0)
     assert abs(found.left.value) < 0.1
@@ -78,7 +75,7 @@ def test_shares_and_what_is_left_make_the_whole(made) -> None:
     assert record["left"]["share"] == found.left.value
 
 
-def test_a_cause_that_is_not_there_has_no_share(small_rig: Rig, two_causes: Observations) -> None:
+def test_a_cause_that_is_not_there_has_no_share(small_rig, two_causes):
     causes = (GAIN, OFFSET, Cause("current_gain", "coil1"))
     plain, wider = (fit_of(small_rig, two_causes.calibration, *some) for some in ((), causes))
     found = budget(plain, wider, two_causes.validation, seed=1)
@@ -86,9 +83,7 @@ def test_a_cause_that_is_not_there_has_no_share(small_rig: Rig, two_causes: Obse
     assert abs(found.causes[causes[2]].value) < 0.1
 
 
-def test_there_is_none_where_the_rig_as_described_misses_no_more_than_noise(
-    small_rig: Rig, small_session: Session
-) -> None:
+def test_there_is_none_where_the_rig_as_described_misses_no_more_than_noise(small_rig, small_session):
     readings = small_session.observations
     plain, wider = (fit_of(small_rig, readings.calibration, *some) for some in ((), (GAIN,)))
     assert budget(plain, wider, readings.validation, seed=1) is None
@@ -96,7 +91,7 @@ def test_there_is_none_where_the_rig_as_described_misses_no_more_than_noise(
     assert budget(plain, wider, readings.rows(torch.arange(0)), seed=1) is None
 
 
-def test_noise_is_that_of_the_record(small_rig: Rig, small_session: Session) -> None:
+def test_noise_is_that_of_the_record(small_rig, small_session):
     """A clean session in millitesla, which the rig knows, has a thousand times the noise, and no misfit."""
     tesla = small_session.observations
     readings = tesla.with_field(1e3 * tesla.field_sensor_T)
@@ -105,15 +100,3 @@ def test_noise_is_that_of_the_record(small_rig: Rig, small_session: Session) -> 
     rig = with_effect(small_rig, Cause("unit_error", place), readings, unit)
     plain, wider = (fit_of(rig, readings.calibration, *some) for some in ((), (GAIN,)))
     assert budget(plain, wider, readings.validation, seed=1) is None
-
-
-@pytest.mark.parametrize("n", [1, 3])
-def test_few_causes_are_added_in_all_orders(n: int) -> None:
-    assert sorted(_orders(n, 1)) == sorted(permutations(range(n)))
-
-
-def test_many_causes_are_added_in_one_order_and_its_reverse() -> None:
-    orders = _orders(9, 1)
-    assert all(sorted(order) == list(range(9)) for order in orders)
-    assert all(order[::-1] in orders for order in orders)
-    assert _orders(9, 1) == orders

@@ -54,7 +54,7 @@ def test_a_cause_of_one_quantity_has_none():
 
 
 @pytest.mark.parametrize("factor", [1.0, 1e-3])
-def test_a_number_that_readings_hardly_narrow_is_said_to_be_mostly_its_prior(factor: float) -> None:
+def test_a_number_that_readings_hardly_narrow_is_said_to_be_mostly_its_prior(factor):
     plain = plain_fit()
     rig = with_effect(plain.rig, GAIN, plain.observations, {}, factor=factor)
     told = Intervals(fit_rig(rig, plain.observations, plain.values, plain.posterior.model.rules)).quantities(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 import torch
@@ -12,17 +11,14 @@ from torch.testing import assert_close
 from estimator.diagnosis.corrections.result import Correction
 from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.elsewhere import computed_on
-from estimator.diagnosis.fit_place import FitSetting, fitting_by
-from estimator.diagnosis.fitting import Fit, fit_rig
+from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.candidates import Candidate
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import ask
 from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.result import Diagnosis
-from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
@@ -73,61 +69,14 @@ def assert_alike(there: Weighed, near: Weighed) -> None:
     assert_close(there.beside, near.beside, rtol=1e-5, atol=1e-5)
 
 
-def test_items_on_another_device_say_the_same(plain: Fit) -> None:
+def test_items_on_another_device_say_the_same(plain):
     near = weighed(plain)
     with far_device() as far:
         assert_alike(computed_on(far, weighed, plain), near)
 
 
-def test_the_fit_of_what_leads_there_is_that_of_the_processor(plain: Fit) -> None:
-    def moved(fit: Fit) -> Fit:
-        asked = ask(Expansion.of(fit), Limits(), 1, {})
-        sizes, _ = asked.slots.products.sizes(asked.leading, asked.noise)
-        return asked.expansion.moved(asked.dictionary, asked.leading, sizes).fit
-
-    near = moved(plain)
-    assert near.rig.effects == (GAIN,)
-    with far_device() as far:
-        there = computed_on(far, moved, plain)
-    assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)
-
-
-def test_items_do_not_depend_on_the_precision_of_new_tensors(plain: Fit) -> None:
-    """torch makes tensors in a default precision, single where nobody says otherwise."""
-    assert torch.get_default_dtype() is torch.float32
-    in_single = weighed(plain)
-    torch.set_default_dtype(torch.float64)
-    try:
-        in_double = weighed(plain)
-    finally:
-        torch.set_default_dtype(torch.float32)
-    assert_alike(in_single, in_double)
-
-
-def test_full_fit_of_a_cause_there_climbs_in_single_precision_and_ends_in_double(plain: Fit) -> None:
-    def fitted(fit: Fit) -> Fit:
-        rig = with_effect(fit.rig, GAIN, fit.observations, {})
-        return fit_rig(rig, fit.observations, fit.start_with(rig), fit.posterior.model.rules)
-
-    near = fitted(plain)
-    with far_device() as far:
-        for dtype in (torch.float64, torch.float32):
-            with fitting_by(FitSetting(place=(far, dtype))):
-                there = computed_on(far, fitted, plain)
-            assert there.log_evidence == pytest.approx(near.log_evidence, abs=1e-3)
-            assert there.observations is plain.observations
-            assert there.vector.dtype == torch.float64
-            assert float(((there.vector - near.vector) ** 2 / near.covariance.diagonal()).max()) < 1e-4
-
-
-def test_on_the_processor_nothing_is_moved(plain: Fit) -> None:
-    asked: list[Fit] = []
-    assert computed_on(torch.device("cpu"), lambda fit: asked.append(fit) or fit, plain) is plain
-    assert asked == [plain]
-
-
 @pytest.mark.slow
-def test_correction_on_another_device_is_the_same(of_dipole: Answer) -> None:
+def test_correction_on_another_device_is_the_same(of_dipole):
     def corrected_there(fit: Fit) -> Correction:
         found = answered(fit)
         return corrected(found, found.plain, found.plain, Limits())
@@ -142,9 +91,7 @@ def test_correction_on_another_device_is_the_same(of_dipole: Answer) -> None:
 
 
 @pytest.mark.slow
-def test_diagnosis_on_another_device_has_the_same_names(
-    plain: Fit, small_rig: Rig, small_session: Session, tmp_path: Path
-) -> None:
+def test_diagnosis_on_another_device_has_the_same_names(plain, small_rig, small_session, tmp_path):
     session = Session(small_rig, plain.observations, small_session.source)
 
     def evidence(found: Diagnosis) -> list[dict[str, float]]:

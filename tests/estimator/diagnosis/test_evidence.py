@@ -52,7 +52,7 @@ def fits(tmp_path_factory: pytest.TempPathFactory) -> list[Fit]:
     return [fit_of(rig, readings), *(fit_of(rig, readings, cause) for cause in CAUSES)]
 
 
-def test_evidence_of_laplace_is_that_of_importance_sampling(fits: list[Fit]) -> None:
+def test_evidence_of_laplace_is_that_of_importance_sampling(fits):
     """All agree within a third; decisions need log 20 = 3.0."""
     for fit in fits:
         missed, error = missed_by_laplace(fit)
@@ -60,12 +60,12 @@ def test_evidence_of_laplace_is_that_of_importance_sampling(fits: list[Fit]) -> 
         assert missed == pytest.approx(0.0, abs=0.33)
 
 
-def test_differences_between_hypotheses_are_closer_still(fits: list[Fit]) -> None:
+def test_differences_between_hypotheses_are_closer_still(fits):
     plain, *others = (missed_by_laplace(fit)[0] for fit in fits)
     assert [missed - plain for missed in others] == pytest.approx([0.0] * len(others), abs=0.3)
 
 
-def test_a_wrong_width_shows(fits: list[Fit]) -> None:
+def test_a_wrong_width_shows(fits):
     """Were every standard deviation twice as large, the estimate would be 2^n too large."""
     fit = fits[1]
     wide = Fit(fit.posterior, replace(fit.optimum, precision=fit.optimum.precision / 4.0))

@@ -28,7 +28,7 @@ def random(*shape: int, seed: int) -> Tensor:
     return torch.randn(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
 
 
-def test_errors_are_compared_with_those_of_the_same_component() -> None:
+def test_errors_are_compared_with_those_of_the_same_component():
     """A probe of one axis that is turned has one component in each reading; the model lacks iron, which moves all of them."""
     position_m = 0.03 * random(N, 3, seed=1)
     wrong_T = 3e-4 * torch.exp(-position_m.square().sum(1) / 0.03**2)[:, None].expand(-1, 3)
@@ -43,7 +43,7 @@ def test_errors_are_compared_with_those_of_the_same_component() -> None:
     torch.testing.assert_close(density, log_density_of_wrong_model(alone))
 
 
-def test_readings_without_field_say_nothing_of_errors_that_grow_with_it() -> None:
+def test_readings_without_field_say_nothing_of_errors_that_grow_with_it():
     is_on = (torch.arange(N) % 3 == 0).double()[:, None]
     predicted_T = FIELD_T * is_on.expand(-1, 3)
     expected = Expectation(
@@ -52,7 +52,7 @@ def test_readings_without_field_say_nothing_of_errors_that_grow_with_it() -> Non
     assert expected.size_T.tolist() == pytest.approx([NOISE_T] * N, rel=0.3)
 
 
-def test_a_mistake_shows_in_what_was_measured_alone() -> None:
+def test_a_mistake_shows_in_what_was_measured_alone():
     predicted_T = torch.full((N, 3), FIELD_T, dtype=torch.float64)
     field_T = predicted_T + NOISE_T * random(N, 3, seed=5)
     field_T[N // 2 :, 0] = torch.nan

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -46,9 +44,7 @@ def untied(fit: Fit) -> dict[str, float]:
     return {name: float(v) for name, v in fit.values.items() if fit.rig.parameters[name].tie is None}
 
 
-def test_extended_file_loads_and_predicts_what_the_fit_predicts(
-    rig: Rig, extended: Fit, readings: Observations, tmp_path: Path
-):
+def test_extended_file_loads_and_predicts_what_the_fit_predicts(rig, extended, readings, tmp_path):
     """The file keeps the rig's nominal values; with the fit's values in their place the predictions agree."""
     path = tmp_path / "rig_extended.yaml"
     path.write_text(rig_text(rig, "by coilcal diagnose"), encoding="utf-8")
@@ -63,12 +59,12 @@ def test_extended_file_loads_and_predicts_what_the_fit_predicts(
     )
 
 
-def test_extended_rig_is_free_where_the_fit_was_with_the_same_priors(rig: Rig, extended: Fit):
+def test_extended_rig_is_free_where_the_fit_was_with_the_same_priors(rig, extended):
     assert [p.name for p in rig.free] == [p.name for p in extended.rig.free]
     assert {p.name: p.prior for p in rig.free} == {p.name: p.prior for p in extended.rig.free}
 
 
-def test_fitting_the_extended_rig_again_finds_the_same(rig: Rig, extended: Fit, readings: Observations):
+def test_fitting_the_extended_rig_again_finds_the_same(rig, extended, readings):
     again = fit_rig(rig, readings, {}, extended.posterior.model.rules)
     for name, value in extended.values.items():
         assert float(again.values[name] - value) == pytest.approx(
@@ -76,18 +72,18 @@ def test_fitting_the_extended_rig_again_finds_the_same(rig: Rig, extended: Fit, 
         )
 
 
-def test_rest_of_the_rig_is_kept(rig: Rig, small_rig: Rig):
+def test_rest_of_the_rig_is_kept(rig, small_rig):
     bare = rig
     for cause in CAUSES:
         bare = bare.without_cause(cause)
     assert bare == small_rig
 
 
-def test_rig_without_causes_is_as_it_was(small_rig: Rig, readings: Observations):
+def test_rig_without_causes_is_as_it_was(small_rig, readings):
     assert extended_rig(small_rig, fit_of(small_rig, readings)) == small_rig
 
 
-def test_effects_that_the_rig_had_come_first_and_stay_as_they_were(rig_text: str, readings: Observations):
+def test_effects_that_the_rig_had_come_first_and_stay_as_they_were(rig_text, readings):
     block = (
         "effects:\n  sensor_offset[hall]: {x_T: 1e-5, y_T: 0, z_T: 0}\n  current_gain[coil1]: {excess: 0}\n"
     )
@@ -98,11 +94,11 @@ def test_effects_that_the_rig_had_come_first_and_stay_as_they_were(rig_text: str
     assert [*again.parameters][: len(rig.parameters)] == [*rig.parameters]
 
 
-def test_rig_may_be_extended_again_and_again(rig: Rig, extended: Fit):
+def test_rig_may_be_extended_again_and_again(rig, extended):
     assert extended_rig(rig, extended) == rig
 
 
-def test_free_effect_that_the_rig_had_keeps_its_value_bounds_and_ties(rig_text: str, readings: Observations):
+def test_free_effect_that_the_rig_had_keeps_its_value_bounds_and_ties(rig_text, readings):
     block = (
         "effects:\n  current_gain[coil1]:\n"
         "    excess: {prior: {normal: {mean: 0, sd: 0.01, lower: -0.005, upper: 0.005}}}\n"

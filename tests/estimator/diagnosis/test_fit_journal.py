@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
@@ -88,7 +87,7 @@ def test_without_time_the_best_so_far_is_reported_and_the_next_run_goes_on(sessi
         ("sampling", "it was stopped after its causes were found"),
     ],
 )
-def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at: str, words: str):
+def test_one_that_is_stopped_samples_nothing_and_says_so(session, tmp_path, at, words):
     """Also where its causes were found."""
     limits = Limits(most_causes=2)
 
@@ -126,7 +125,7 @@ def test_another_rig_other_readings_and_another_start_are_other_fits(small_rig, 
     assert first.log_evidence == again.log_evidence
 
 
-def test_an_empty_folder_is_not_left_behind(tmp_path: Path):
+def test_an_empty_folder_is_not_left_behind(tmp_path):
     with pytest.raises(ValueError), remembering(tmp_path / "new"):  # noqa: PT011 - any error
         raise ValueError
     assert not (tmp_path / "new").exists()

@@ -40,7 +40,7 @@ def turned(small_rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Session:
     return Session(small_rig, readings, "simulated")
 
 
-def test_wrong_frame_that_puts_sensors_inside_the_winding_is_named(turned: Session, small_rig: Rig):
+def test_wrong_frame_that_puts_sensors_inside_the_winding_is_named(turned, small_rig):
     with pytest.raises(InvalidInput, match=INSIDE):
         MeasurementModel.build(small_rig, turned.observations)
     diagnosis = diagnose(turned, seed=1, has_corrections=False)
@@ -57,7 +57,7 @@ def test_wrong_frame_that_puts_sensors_inside_the_winding_is_named(turned: Sessi
     )
 
 
-def test_readings_that_no_mistake_explains_are_refused_in_the_same_words(turned: Session):
+def test_readings_that_no_mistake_explains_are_refused_in_the_same_words(turned):
     generator = torch.Generator().manual_seed(1)
     noise_T = 5e-6 * torch.randn(len(turned.observations), 3, dtype=torch.float64, generator=generator)
     nothing_there = turned.observations.with_field(noise_T)

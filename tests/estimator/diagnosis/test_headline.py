@@ -35,7 +35,7 @@ from estimator.effects.attach import with_effect
 from estimator.readings.observations import Observations
 from estimator.reporting.numbers import size_with_unit
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import Cause
 from estimator.store.session import Session
 from tests.estimator.diagnosis.reported import GAIN, HEATING, OFFSET, STEPS, WANDERS, said_instead
 from tests.estimator.diagnosis.small_fits import OFFSET_T
@@ -46,11 +46,11 @@ pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("names_are_right")]
 TRUE_Z_M = -0.0425  # of the small session
 
 
-def test_first_box_says_it_in_at_most_four_sentences(diagnosis: Diagnosis) -> None:
+def test_first_box_says_it_in_at_most_four_sentences(diagnosis):
     assert 2 <= len(headline(diagnosis)) <= 4
 
 
-def test_second_sentence_gives_the_size_with_its_interval(diagnosis: Diagnosis) -> None:
+def test_second_sentence_gives_the_size_with_its_interval(diagnosis):
     found = re.search(r"intervals: x (\d+) µT \((\d+) to (\d+) µT\)\.", headline(diagnosis)[1])
     assert found is not None
     size, low, high = (float(number) for number in found.groups())
@@ -58,7 +58,7 @@ def test_second_sentence_gives_the_size_with_its_interval(diagnosis: Diagnosis) 
     assert low < 1e6 * OFFSET_T < high
 
 
-def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: Diagnosis) -> None:
+def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis):
     calm = replace(diagnosis, verdict=Verdict.NOTHING_FOUND)
     first = headline(calm)[0]
     assert re.match(
@@ -98,7 +98,7 @@ def test_where_nothing_is_found_the_smallest_visible_sizes_are_said(diagnosis: D
     )
 
 
-def test_nothing_found_says_where_nothing_wrong_is_hardly_probable(diagnosis: Diagnosis) -> None:
+def test_nothing_found_says_where_nothing_wrong_is_hardly_probable(diagnosis):
     last = diagnosis.findings.answer.comparisons[-1]
 
     def told(p_nothing: float) -> list[str]:
@@ -133,7 +133,7 @@ def gain_with(diagnosis: Diagnosis, readings: Observations, *causes: Cause) -> t
     return improvement, next(words for words in sentences if words.startswith("On ")), final
 
 
-def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis: Diagnosis) -> None:
+def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis):
     """A zero of a sensor; not a field of the room, which a prediction has."""
     readings = diagnosis.fits.plain.observations
     _, both, _ = gain_with(diagnosis, readings, OFFSET, Cause("background_field", "room"))
@@ -144,9 +144,7 @@ def test_what_acts_in_readings_alone_is_told_beside_their_error(diagnosis: Diagn
     assert "That is with" not in gain_with(diagnosis, readings, Cause("background_field", "room"))[1]
 
 
-def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_own_error(
-    diagnosis: Diagnosis,
-) -> None:
+def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_own_error(diagnosis):
     plain, drift = diagnosis.fits.plain, Cause("background_drift", "room")
     readings, hours = plain.observations, plain.posterior.model.circumstances.hours
     drift_T = 3e-4 * (hours / hours.max())[:, None] * torch.tensor([1.0, -1.0, 0.5], dtype=torch.float64)
@@ -166,7 +164,7 @@ def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_o
     assert f"-> {scores.predicted.vector_T * 1e6:.4g} uT" in unseen_line(improvement)
 
 
-def test_an_error_that_does_not_fall_is_not_said_to_fall(diagnosis: Diagnosis) -> None:
+def test_an_error_that_does_not_fall_is_not_said_to_fall(diagnosis):
     improvement = diagnosis.improvement
     assert improvement is not None
     assert improvement.is_significant
@@ -177,7 +175,7 @@ def test_an_error_that_does_not_fall_is_not_said_to_fall(diagnosis: Diagnosis) -
     assert not any("falls from" in sentence for sentence in told)
 
 
-def test_intervals_that_hold_too_few_unseen_readings_are_told_with_their_error(diagnosis: Diagnosis) -> None:
+def test_intervals_that_hold_too_few_unseen_readings_are_told_with_their_error(diagnosis):
     improvement = diagnosis.improvement
     assert improvement is not None
     n = len(improvement.after.log_density)
@@ -193,7 +191,7 @@ def test_intervals_that_hold_too_few_unseen_readings_are_told_with_their_error(d
     assert "too narrow" not in told(0.9 - 2.5 * (0.09 / n) ** 0.5)
 
 
-def test_few_unseen_readings_cannot_say_that_intervals_are_too_wide(diagnosis: Diagnosis) -> None:
+def test_few_unseen_readings_cannot_say_that_intervals_are_too_wide(diagnosis):
     """Nine of nine lie in right 90 % intervals with a probability of 0.39, two hundred of two hundred with 1e-9."""
     improvement = diagnosis.improvement
     assert improvement is not None
@@ -209,7 +207,7 @@ def test_few_unseen_readings_cannot_say_that_intervals_are_too_wide(diagnosis: D
     ]
 
 
-def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis: Diagnosis) -> None:
+def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis):
     """A round coil on its axis of mirrors: a reversed axis of the sensor or of the displacements makes the same readings."""
     swapped, mirrored = Cause("axes_swapped", "hall"), Cause("left_handed", "arm1")
 
@@ -226,9 +224,7 @@ def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis: Dia
     )
 
 
-def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(
-    diagnosis: Diagnosis,
-) -> None:
+def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(diagnosis):
     """Half of the information from the prior: the readings alone would say twice as much."""
     assert list(held_back(diagnosis)) == []
     (sized, *_) = diagnosis.sized_causes
@@ -241,9 +237,7 @@ def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_s
     assert "holds back its x, 100 µT with a prior of ± 7.1 µT, about 200 µT without" in sentence
 
 
-def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(
-    small_rig: Rig, small_session: Session
-) -> None:
+def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(small_rig, small_session):
     """The prior holds the fit back, but the sentence says how far off the number truly is."""
     stated = small_rig.parameters["coil1.world_from_coil0.z_m"]
     prior = Normal(TRUE_Z_M - 8e-4, 1e-4)
@@ -256,7 +250,7 @@ def test_a_number_far_outside_its_prior_is_told_first_and_what_to_do(
     assert any(sentence.startswith("Check z in the rig file") for sentence in rest)
 
 
-def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis: Diagnosis) -> None:
+def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis):
     (named,) = diagnosis.causes
     family = Family(("room", "zero"), 0.91)
     alone = replace(named, probability=0.7, alternatives=(), p_not_in_library=0.3, family=family)
@@ -278,7 +272,7 @@ def test_something_unknown_beside_a_name_is_said_in_words_and_panels(diagnosis: 
     assert sized.to_json()["may_be_unknown"]
 
 
-def test_one_cause_at_two_places_is_told_as_sure_as_at_the_less_sure_one(diagnosis: Diagnosis) -> None:
+def test_one_cause_at_two_places_is_told_as_sure_as_at_the_less_sure_one(diagnosis):
     (named,) = diagnosis.causes
     sure = replace(named, probability=0.95, alternatives=(), p_not_in_library=0.05, family=None)
     less = replace(sure, cause=Cause(named.cause.name, "other"), probability=0.8, p_not_in_library=0.2)
@@ -287,7 +281,7 @@ def test_one_cause_at_two_places_is_told_as_sure_as_at_the_less_sure_one(diagnos
         assert "80 %), or something not in the library (20 %)" in first
 
 
-def test_what_is_left_beside_a_name_is_told_with_its_best_description(diagnosis: Diagnosis) -> None:
+def test_what_is_left_beside_a_name_is_told_with_its_best_description(diagnosis):
     partly = said_instead(diagnosis, {(OFFSET, WANDERS): 98, (OFFSET,): 2}, [{WANDERS: 0.8, STEPS: 0.2}])
     what, beside, *_ = headline(partly)
     assert "(sensor_offset, > 99 %)" in what
@@ -301,7 +295,7 @@ def test_what_is_left_beside_a_name_is_told_with_its_best_description(diagnosis:
     assert record["p_not_in_library"] == pytest.approx(0.98)
 
 
-def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(diagnosis: Diagnosis) -> None:
+def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(diagnosis):
     unsure = said_instead(diagnosis, {(OFFSET, GAIN): 80, (OFFSET,): 20})
     sentences = headline(unsure)
     assert f"Not sure enough to be stated: {EFFECTS['axis_gain'].words} (axis_gain, 80 %)." in sentences
@@ -313,9 +307,7 @@ def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(di
     assert headline(unknown)[0].startswith("Something is wrong, and no known cause explains it: ")
 
 
-def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_probable(
-    diagnosis: Diagnosis,
-) -> None:
+def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_probable(diagnosis):
     asked = diagnosis.findings.answer.first
     slots = Slots(asked.slots.products, asked.slots.noise, 3)
     slots.conditional = lambda chosen, noise: np.eye(1, len(asked.dictionary.items) + 1)[
@@ -332,7 +324,7 @@ def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_proba
     assert f"Something unlisted is in {Link.ZERO.words}." in beside
 
 
-def test_share_of_the_misfit_is_told_beside_a_name_and_drawn(diagnosis: Diagnosis) -> None:
+def test_share_of_the_misfit_is_told_beside_a_name_and_drawn(diagnosis):
     (named,) = diagnosis.causes
     share, left = Share(0.712, (0.65, 0.8)), Share(0.288, (0.2, 0.35))
     budget = Budget(9, 2e-4, 5e-6, {named.cause: share}, Share(0.0, (0.0, 0.0)), left)

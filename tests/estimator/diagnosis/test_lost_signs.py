@@ -93,9 +93,7 @@ def told_before_a_search(readings: Observations) -> tuple[Flag, ...]:
 
 
 @pytest.mark.parametrize("loses", LOSES.values(), ids=LOSES)
-def test_the_readings_in_which_a_current_flowed_back_are_told_by_coil_and_line(
-    loses: tuple[int, ...],
-) -> None:
+def test_the_readings_in_which_a_current_flowed_back_are_told_by_coil_and_line(loses):
     readings, flowed_A = measured(loses)
     flags = sorted(told_before_a_search(readings), key=lambda flag: flag.words)  # left, right
     assert len(flags) == len(loses)
@@ -109,7 +107,7 @@ def test_the_readings_in_which_a_current_flowed_back_are_told_by_coil_and_line(
 
 
 @pytest.mark.parametrize(("share", "least_told"), [(0.15, 0.6), (0.08, 0.4)])
-def test_fields_far_below_that_of_the_earth_tell_them_too(share: float, least_told: float) -> None:
+def test_fields_far_below_that_of_the_earth_tell_them_too(share, least_told):
     """25 and 13 uT, beside 47 uT of the Earth and a noise of 5 uT for each component."""
     told, n_flowed_back = list[bool](), 0
     for seed in range(4):
@@ -124,20 +122,20 @@ def test_fields_far_below_that_of_the_earth_tell_them_too(share: float, least_to
 
 
 @pytest.mark.parametrize("share", [1.0, 0.15, 0.08, 0.02])
-def test_currents_that_flow_one_way_are_not_accused(share: float) -> None:
+def test_currents_that_flow_one_way_are_not_accused(share):
     for seed in range(6):
         readings, _ = measured((), seed, is_one_way=True, share=share)
         assert lost_signs(rig(), readings).flags == []
 
 
-def test_signs_that_alternate_by_size_at_each_stop_are_told_too() -> None:
+def test_signs_that_alternate_by_size_at_each_stop_are_told_too():
     """The plan of `coilcal init` measures so; of one size of the current each second reading was reversed."""
     readings, flowed_A = measured((0,), by_size=True)
     (flag,) = told_before_a_search(readings)
     assert len(flag.readings) > 0.9 * (flowed_A[:, 0] < 0.0).sum()
 
 
-def test_most_readings_may_be_left_out_before_and_others_may_have_no_current() -> None:
+def test_most_readings_may_be_left_out_before_and_others_may_have_no_current():
     readings, flowed_A = measured((0,))
     field_T, current_A = readings.field_sensor_T.clone(), readings.current_A.clone()
     field_T[: N // 2 + 5] = torch.nan
@@ -150,12 +148,12 @@ def test_most_readings_may_be_left_out_before_and_others_may_have_no_current() -
     assert lost_signs(rig(), perfect).flags == []
 
 
-def test_one_change_of_sign_is_left_to_the_cause_of_the_library() -> None:
+def test_one_change_of_sign_is_left_to_the_cause_of_the_library():
     readings, _ = measured((0,), is_in_order=True)
     assert told_before_a_search(readings) == ()
 
 
-def test_a_coil_the_wrong_way_round_and_fields_of_another_pattern_are_no_lost_signs() -> None:
+def test_a_coil_the_wrong_way_round_and_fields_of_another_pattern_are_no_lost_signs():
     readings, _ = measured((0, 1))
     right, flowed_A = measured(())
     for_all_T = torch.from_numpy(np.random.default_rng(0).normal(0.0, 2e-4, (N, 3)))
@@ -165,7 +163,7 @@ def test_a_coil_the_wrong_way_round_and_fields_of_another_pattern_are_no_lost_si
     assert told_before_a_search(replace(one_way, current_A=reversed_A)) == ()
 
 
-def test_a_diagnosis_leaves_them_out_and_names_the_field_of_the_earth() -> None:
+def test_a_diagnosis_leaves_them_out_and_names_the_field_of_the_earth():
     readings, _ = measured((0, 1))
     result = diagnose(Session(rig(), readings, "lab.csv"), seed=1, has_corrections=False)
     assert len(result.findings.flags) >= 2

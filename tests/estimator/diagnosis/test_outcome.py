@@ -17,9 +17,7 @@ from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.validation import validation_scores
 from estimator.diagnosis.verdict import Verdict
 from estimator.readings.metrics import HALF_WIDTH_90
-from estimator.readings.observations import Observations
 from estimator.rig.rig import Cause
-from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import unheard
 from tests.estimator.diagnosis.unknown_source import with_dipole
 
@@ -37,9 +35,7 @@ def before(of_dipole: Answer) -> Outcome:
         return Outcome.of(of_dipole.plain, BesideScatter(answer, ()), (), is_record_wrong=False)
 
 
-def test_unseen_readings_keep_a_correction_or_drop_it_with_its_covariance(
-    before: Outcome, dipole: Observations, small_session: Session
-) -> None:
+def test_unseen_readings_keep_a_correction_or_drop_it_with_its_covariance(before, dipole, small_session):
     """Those that keep it hold the dipole that the fitted ones hold; those that drop it hold the opposite one."""
     assert before.verdict is Verdict.UNEXPLAINED
     opposite = with_dipole(small_session, -1.0)
@@ -64,9 +60,7 @@ def test_unseen_readings_keep_a_correction_or_drop_it_with_its_covariance(
     assert kept.improvement.elpd_difference > 0.0
 
 
-def test_without_corrections_intervals_of_the_rig_hold_the_truth(
-    before: Outcome, dipole: Observations, small_session: Session
-) -> None:
+def test_without_corrections_intervals_of_the_rig_hold_the_truth(before, dipole, small_session):
     """The fit of the rig as described is several of its own standard deviations off, for it makes up for the dipoles."""
     widened = before.widened(dipole.validation)
     assert widened.after is before.after
@@ -83,8 +77,8 @@ def test_without_corrections_intervals_of_the_rig_hold_the_truth(
 
 
 def test_a_cause_that_accounts_for_next_to_nothing_loses_its_name_where_it_should_move_unseen_readings(
-    of_two_causes: Answer, two_causes: Observations, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    of_two_causes, two_causes, monkeypatch
+):
     """Readings that something else moves by 3 mT say nothing of a gain of 5 % and a zero of 100 uT, nor of a range that clips one."""
     said = Outcome.of(of_two_causes.plain, BesideScatter(of_two_causes, ()), (), is_record_wrong=False)
     unseen = two_causes.validation
@@ -98,15 +92,15 @@ def test_a_cause_that_accounts_for_next_to_nothing_loses_its_name_where_it_shoul
     assert said.checked_by(unseen.with_field(moved_T), seed=1).named == said.named
 
 
-def test_a_zero_along_one_axis_moves_a_third_of_the_components(of_two_causes: Answer) -> None:
+def test_a_zero_along_one_axis_moves_a_third_of_the_components(of_two_causes):
     """Less what the numbers of the rig can follow of it."""
     (zero,) = (named.first_listed for named in of_two_causes.stated if named.first_listed != GAIN)
     assert of_two_causes.share_moved(zero) == pytest.approx(1.0 / 3.0, abs=0.15)
 
 
 def test_a_cause_of_which_the_corrections_leave_nothing_loses_its_name(
-    of_two_causes: Answer, two_causes: Observations, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    of_two_causes, two_causes, monkeypatch
+):
     said = Outcome.of(of_two_causes.plain, BesideScatter(of_two_causes, ()), (), is_record_wrong=False)
     (replaced,) = (each.cause for each in said.named if each.cause == GAIN)
     monkeypatch.setattr(Fit, "has_nothing_of", lambda self, cause: cause == replaced)
@@ -119,8 +113,8 @@ def test_a_cause_of_which_the_corrections_leave_nothing_loses_its_name(
 
 
 def test_a_rig_that_predicts_worse_does_not_replace_the_one_described(
-    of_two_causes: Answer, two_causes: Observations, small_session: Session
-) -> None:
+    of_two_causes, two_causes, small_session
+):
     """Unseen readings without the causes."""
     said = Outcome.of(of_two_causes.plain, BesideScatter(of_two_causes, ()), (), is_record_wrong=False)
     confirmed = said.checked_by(two_causes.validation, seed=1)

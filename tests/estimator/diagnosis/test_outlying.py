@@ -78,9 +78,7 @@ def test_beside_something_unexplained_only_what_is_far_off_is_listed(fit, sessio
     assert {(o.reading, o.component) for o in beside} == set(WRONG)
 
 
-def test_without_that_cause_a_single_component_is_listed_where_nothing_else_is_left(
-    small_rig, small_session: Session
-):
+def test_without_that_cause_a_single_component_is_listed_where_nothing_else_is_left(small_rig, small_session):
     readings = small_session.observations
     fit = fit_of(small_rig, readings.calibration)
     sigma_T = float(fit.posterior.sigma_T(fit.vector)[0])
@@ -93,7 +91,7 @@ def test_without_that_cause_a_single_component_is_listed_where_nothing_else_is_l
 
 
 def test_where_a_sensor_scatters_clearly_more_than_expected_only_what_is_far_off_is_listed(
-    small_rig, small_session: Session
+    small_rig, small_session
 ):
     """Jumps of a winding make noise of 39 uT where 20 are expected; readings that they move are no mistakes."""
     readings = small_session.observations

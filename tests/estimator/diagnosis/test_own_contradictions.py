@@ -12,8 +12,6 @@ from estimator.diagnosis.diagnose import diagnose
 from estimator.diagnosis.headline import warnings_of
 from estimator.diagnosis.limits import Limits
 from estimator.errors import InvalidInput
-from estimator.rig.rig import Rig
-from estimator.store.session import Session
 
 pytestmark = pytest.mark.whole
 RULE = "effects must shift the rows of a record once"
@@ -23,9 +21,7 @@ def refuse(*_: object, **__: object) -> None:
     raise InvalidInput(RULE)
 
 
-def test_a_combination_that_no_rig_can_have_is_a_fault_of_the_program(
-    small_session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_combination_that_no_rig_can_have_is_a_fault_of_the_program(small_session, monkeypatch):
     monkeypatch.setattr(module, "asked_beside_mistakes", refuse)
     with pytest.raises(RuntimeError, match=RULE) as caught:
         diagnose(small_session)
@@ -33,15 +29,13 @@ def test_a_combination_that_no_rig_can_have_is_a_fault_of_the_program(
     assert isinstance(caught.value.__cause__, InvalidInput)
 
 
-def test_input_that_cannot_be_fitted_is_still_refused(small_session: Session, small_rig: Rig) -> None:
+def test_input_that_cannot_be_fitted_is_still_refused(small_session, small_rig):
     nothing_free = small_rig.with_fixed(parameter.name for parameter in small_rig.free)
     with pytest.raises(InvalidInput, match="at least one free parameter"):
         diagnose(small_session, nothing_free)
 
 
-def test_a_rig_that_cannot_be_sampled_costs_the_posterior_and_not_the_report(
-    small_session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_rig_that_cannot_be_sampled_costs_the_posterior_and_not_the_report(small_session, monkeypatch):
     found = diagnose(small_session, limits=Limits(most_causes=0))
     monkeypatch.setattr(posterior, "extended_posterior", refuse)
     result = posterior.with_posterior(found, small_session, Limits(), None, "cpu", "double")

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import pytest
 import torch
 from pydantic import TypeAdapter
 
 from estimator.diagnosis.panel_records import Panels
 from estimator.diagnosis.panels import panels, panels_text
-from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.structure.covariates import predicted_T, sensor_in_coils
-from estimator.readings.plan import load_plan
 from tests.estimator.diagnosis.reported import RADIUS
 
 pytestmark = [pytest.mark.whole, pytest.mark.usefixtures("names_are_right")]
 
 
-def test_panels_show_the_residuals_of_both_fits_where_the_sensor_was(diagnosis: Diagnosis) -> None:
+def test_panels_show_the_residuals_of_both_fits_where_the_sensor_was(diagnosis):
     made = panels(diagnosis)
     (around,) = made.maps
     plain, extended = diagnosis.fits.plain, diagnosis.fits.extended
@@ -39,7 +34,7 @@ def test_panels_show_the_residuals_of_both_fits_where_the_sensor_was(diagnosis: 
     assert after == pytest.approx(1.0, abs=0.2)
 
 
-def test_panels_name_the_cause_its_rivals_and_what_it_moved(diagnosis: Diagnosis) -> None:
+def test_panels_name_the_cause_its_rivals_and_what_it_moved(diagnosis):
     made = panels(diagnosis)
     (answer,) = made.answers
     assert {answer.label, *(name for name, _ in answer.alternatives)} == {"sensor_offset", "background_field"}
@@ -60,14 +55,3 @@ def test_panels_name_the_cause_its_rivals_and_what_it_moved(diagnosis: Diagnosis
     )
     assert radius.moved_sd == pytest.approx((radius.after[0] - radius.before[0]) / radius.before[1])
     assert TypeAdapter(Panels).validate_json(panels_text(made)) == made
-
-
-def test_panels_hold_the_plan_of_the_next_measurement(diagnosis: Diagnosis, tmp_path: Path) -> None:
-    first = panels(diagnosis).next[0]
-    assert first.words == diagnosis.left_open.next_measurements[0].action.words
-    path = tmp_path / "plan.yaml"
-    path.write_text(first.plan, encoding="utf-8")
-    assert len(load_plan(path, diagnosis.rig).stops) == first.n_stops
-    alone = replace(diagnosis, left_open=replace(diagnosis.left_open, next_measurements=()))
-    (shrinking,) = panels(alone).next
-    assert "standard deviation falls" in shrinking.why

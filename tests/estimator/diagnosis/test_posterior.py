@@ -36,7 +36,7 @@ def widened(small_session: Session, small_rig: Rig, folder: Path) -> Calibration
     return extended_posterior(small_session, small_rig, wider, out=folder, seed=1)
 
 
-def test_draws_are_wider_and_no_count_is_as_sure(small_calibration: Calibration, widened: Calibration):
+def test_draws_are_wider_and_no_count_is_as_sure(small_calibration, widened):
     """Radius and height gain more than threefold, for they go along with a count that is no longer sure."""
     for name in (RADIUS, HEIGHT):
         assert widened.summary()["widening"][name] == pytest.approx(3.0)
@@ -49,7 +49,7 @@ def test_draws_are_wider_and_no_count_is_as_sure(small_calibration: Calibration,
     assert "widening" not in small_calibration.summary()
 
 
-def test_draws_are_independent_and_nobody_is_told_that_sampling_did_not_converge(widened: Calibration):
+def test_draws_are_independent_and_nobody_is_told_that_sampling_did_not_converge(widened):
     """Also where the fit ended before its last digits, as a corrected one does."""
     fit = fit_of(widened.rig, widened.observations.calibration)
     early = Fit(fit.posterior, replace(fit.optimum, is_converged=torch.tensor([False])))
@@ -60,9 +60,7 @@ def test_draws_are_independent_and_nobody_is_told_that_sampling_did_not_converge
     assert wide.summary()["parameters"][RADIUS]["ess_bulk"] > 0.8 * wide.summary()["sampling"]["smallest_ess"]
 
 
-def test_best_values_are_those_of_the_most_probable_count(
-    small_calibration: Calibration, widened: Calibration
-):
+def test_best_values_are_those_of_the_most_probable_count(small_calibration, widened):
     """The same maximum that a calibration finds by Nelder-Mead."""
     assert widened.best[COUNT] == widened.summary()["loop_counts"][0]["axial"]
     if widened.best[COUNT] == small_calibration.best[COUNT]:
@@ -70,7 +68,7 @@ def test_best_values_are_those_of_the_most_probable_count(
             assert widened.best[name] == pytest.approx(small_calibration.best[name], abs=0.02 * draws.std())
 
 
-def test_field_is_about_three_times_as_uncertain(small_calibration: Calibration, widened: Calibration):
+def test_field_is_about_three_times_as_uncertain(small_calibration, widened):
     """Correlations that the readings impose are kept; widened one by one, the parameters would widen the field far more."""
     widths = [
         torch.diff(torch.stack(calibration.field_interval(POINTS_M, {"coil1": 3.0})), dim=0)
@@ -81,19 +79,19 @@ def test_field_is_about_three_times_as_uncertain(small_calibration: Calibration,
     assert (ratio < 4.2).all()
 
 
-def test_summary_and_page_say_the_wider_intervals(widened: Calibration):
+def test_summary_and_page_say_the_wider_intervals(widened):
     low, high = widened.summary()["parameters"][RADIUS]["ci90"]
     assert high - low == pytest.approx(2.0 * 1.645 * widened.draws[RADIUS].std(), rel=0.1)
     assert re.search(r"up to 3 times", calibration_report(widened, "coilcal diagnose session.zarr"))
 
 
-def test_what_lies_on_disk_is_the_wide_posterior(widened: Calibration, folder: Path):
+def test_what_lies_on_disk_is_the_wide_posterior(widened, folder):
     stored = Calibration.load(folder)
     assert (stored.draws[RADIUS] == widened.draws[RADIUS]).all()
     assert stored.summary()["widening"] == widened.summary()["widening"]
 
 
-def test_a_rig_with_a_doubtful_cause_gives_no_good_calibration(small_calibration: Calibration):
+def test_a_rig_with_a_doubtful_cause_gives_no_good_calibration(small_calibration):
     """A left-handed stage explains what swapped axes explain, with the coil on the other side."""
     good = small_calibration.summary()["quality"]
     words = "it holds only if axes_swapped is what is wrong (50 %)."

@@ -9,14 +9,13 @@ from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.predicted_field import PredictedReadings, not_predicted
 from estimator.effects.attach import with_effect
 from estimator.effects.use import as_meant
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of
 
 pytestmark = pytest.mark.whole
 
 
-def test_rows_that_were_written_late_are_put_back_first(small_rig: Rig, small_session: Session):
+def test_rows_that_were_written_late_are_put_back_first(small_rig, small_session):
     """A reading late, its field stands beside the pose of another one, in the session and in a prediction of it."""
     readings = small_session.observations.calibration
     rules = fit_of(small_rig, readings).posterior.model.rules

@@ -20,7 +20,7 @@ from tests.estimator.diagnosis.sessions import session_with
 pytestmark = pytest.mark.whole
 
 
-def test_rows_of_the_other_session_that_were_written_down_wrongly_judge_nothing() -> None:
+def test_rows_of_the_other_session_that_were_written_down_wrongly_judge_nothing():
     """One decimal point would change the log predictive density by millions."""
     hidden, currents_A = (("axis_gain.x", 0.02),), (3.0, -3.0, 1.5)
     other = session_with(hidden, currents_A, 2)
@@ -49,7 +49,7 @@ def test_rows_of_the_other_session_that_were_written_down_wrongly_judge_nothing(
     assert "They judge nothing." in words
 
 
-def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch):
     real = outcome.improvement_of
 
     def worse(before: Fit, after: Fit, unseen: Observations, *covariance: Tensor) -> Improvement:
@@ -75,7 +75,7 @@ def test_what_unseen_readings_refute_is_not_predicted_with(monkeypatch: pytest.M
         assert improvement.after.errors.vector_T == improvement.before.errors.vector_T
 
 
-def test_intervals_that_are_too_wide_refute_no_name(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_intervals_that_are_too_wide_refute_no_name(monkeypatch):
     real = outcome.improvement_of
 
     def worse_if_widened(
@@ -99,9 +99,7 @@ def test_intervals_that_are_too_wide_refute_no_name(monkeypatch: pytest.MonkeyPa
     assert [named.cause.name for named in diagnosis.causes] == ["axis_gain"]
 
 
-def test_a_cause_that_is_next_to_nothing_in_unseen_readings_is_told_without_a_name(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_cause_that_is_next_to_nothing_in_unseen_readings_is_told_without_a_name(monkeypatch):
     monkeypatch.setattr(policy, "NEGLIGIBLE_SHARE", 10.0)
     diagnosis = diagnose(
         session_with((("axis_gain.x", 0.05),), (3.0, -3.0, 1.5), 1), seed=1, limits=Limits(2)

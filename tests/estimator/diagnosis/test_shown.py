@@ -10,14 +10,13 @@ from matplotlib.figure import Figure
 
 from estimator.diagnosis.diagnose import diagnose
 from estimator.errors import InvalidInput
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import with_wrong
 
 pytestmark = pytest.mark.whole
 
 
-def test_a_diagnosis_is_shown_in_ten_lines_and_plots(small_rig: Rig, small_session: Session) -> None:
+def test_a_diagnosis_is_shown_in_ten_lines_and_plots(small_rig, small_session):
     flawed = with_wrong(small_rig, small_session.observations, Cause("sensor_offset", "hall"), {"x_T": 2e-4})
     diagnosis = diagnose(replace(small_session, observations=flawed), seed=1)
     lines = repr(diagnosis).splitlines()

@@ -9,7 +9,6 @@ import torch
 from estimator.diagnosis.stale_poses import stale_poses
 from estimator.readings.observations import Observations
 from estimator.rig_files.read import rig_from_text
-from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
 
 EVERY = 5
@@ -25,7 +24,7 @@ def _as_at_next(readings: Observations, rows: torch.Tensor) -> Observations:
     return readings.with_field(field_T)
 
 
-def test_each_fifth_row_with_the_pose_before_is_found(small_session: Session) -> None:
+def test_each_fifth_row_with_the_pose_before_is_found(small_session):
     readings = small_session.observations.calibration
     fit = fit_of(small_session.rig, readings)
     motion = readings.motion["arm1"].clone()
@@ -36,7 +35,7 @@ def test_each_fifth_row_with_the_pose_before_is_found(small_session: Session) ->
     assert len(flag.readings) > 0.7 * len(stale)
 
 
-def test_rows_that_fit_neither_the_pose_before_nor_that_after_are_not_said_to(small_session: Session) -> None:
+def test_rows_that_fit_neither_the_pose_before_nor_that_after_are_not_said_to(small_session):
     both = small_session.observations.alone
     readings = replace(both, is_validation=torch.zeros_like(both.is_validation))
     fit = fit_of(small_session.rig, readings)
@@ -46,9 +45,7 @@ def test_rows_that_fit_neither_the_pose_before_nor_that_after_are_not_said_to(sm
     assert stale_poses(fit, replace(readings, motion={"arm1": motion})) == []
 
 
-def test_the_last_of_three_sensors_at_each_place_has_no_stale_pose(
-    small_session: Session, rig_text: str
-) -> None:
+def test_the_last_of_three_sensors_at_each_place_has_no_stale_pose(small_session, rig_text):
     rig = rig_from_text(rig_text + "  second: {noise_uT: 5}\n  third: {noise_uT: 5}\n")
     at_places = small_session.observations.calibration.alone
     n = len(at_places)

@@ -110,7 +110,7 @@ def assert_named(diagnosis: Diagnosis, cause: Cause, twins: set[str]) -> None:
         pytest.param(FIXED_NOISE, {"noise_misstated[hall].factor": 1.6}, set(), id="noise"),
     ],
 )
-def test_number_that_is_stated_wrong_is_named(rig_text: str, hidden: dict[str, float], twins: set[str]):
+def test_number_that_is_stated_wrong_is_named(rig_text, hidden, twins):
     rig = rig_from_text(rig_text)
     diagnosis = diagnose(session(rig, hidden), seed=1)
     name, _, place = next(iter(hidden)).partition(".")[0].removesuffix("]").partition("[")

@@ -17,8 +17,7 @@ from estimator.diagnosis.mixture.slots import Slots
 from estimator.diagnosis.outcome import Outcome
 from estimator.diagnosis.verdict import Alternative, NamedCause, Verdict
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.hand_made import said
 from tests.estimator.diagnosis.small_fits import answered, fit_of
 
@@ -104,7 +103,7 @@ def with_slots(asked: Asked, n: int) -> Asked:
     return replace(asked, slots=Slots(asked.slots.products, asked.slots.noise, n))
 
 
-def test_where_all_slots_are_full_and_more_is_there_nothing_is_named(of_two_causes: Answer):
+def test_where_all_slots_are_full_and_more_is_there_nothing_is_named(of_two_causes):
     """A gain and an offset are there, and fill none of the slots."""
     full = outcome_of(said(with_slots(of_two_causes.first, 2), {(CROSS, WANDERS): 100}))
     assert (full.verdict, full.named) == (Verdict.UNEXPLAINED, [])
@@ -140,7 +139,7 @@ def test_causes_of_scatter_are_named_beside_the_others(asked):
     assert [named.cause for named in outcome.named] == [GAIN, jitter.cause]
 
 
-def test_alternative_says_what_the_readings_should_tell_of_it(small_rig: Rig, of_two_causes: Answer):
+def test_alternative_says_what_the_readings_should_tell_of_it(small_rig, of_two_causes):
     """Exact twins are never told apart; for other causes the residuals hold the expected evidence, but for noise."""
     slots = [{OFFSET: 0.4, ROOM: 0.35, CROSS: 0.25}]
     (named, _) = sorted(
@@ -157,7 +156,7 @@ def test_alternative_says_what_the_readings_should_tell_of_it(small_rig: Rig, of
     assert other.expected_log_evidence == pytest.approx(worse, rel=0.05)
 
 
-def test_evidence_of_a_name_is_that_of_a_full_fit(small_rig: Rig, of_two_causes: Answer):
+def test_evidence_of_a_name_is_that_of_a_full_fit(small_rig, of_two_causes):
     """Beside the other cause; Laplace's evidence of the fit has the stated width, the item its own."""
     named = {each.cause: each for each in named_by(of_two_causes)}
     readings = of_two_causes.plain.observations
@@ -166,7 +165,7 @@ def test_evidence_of_a_name_is_that_of_a_full_fit(small_rig: Rig, of_two_causes:
     assert named[GAIN].log_bayes_factor > 10.0
 
 
-def test_evidence_of_a_name_is_not_taken_beside_its_own_twin(of_two_causes: Answer):
+def test_evidence_of_a_name_is_not_taken_beside_its_own_twin(of_two_causes):
     """The twin leads, and the other is drawn as often: beside it the name would explain nothing."""
     answer = said(of_two_causes.first, {(ROOM, GAIN): 100}, [{OFFSET: 0.6, ROOM: 0.4}])
     named = {each.cause: each for each in named_by(answer)}
@@ -176,7 +175,7 @@ def test_evidence_of_a_name_is_not_taken_beside_its_own_twin(of_two_causes: Answ
     assert of_twins[OFFSET] == pytest.approx(of_twins[ROOM], abs=1.0)
 
 
-def test_a_number_that_is_pulled_far_from_its_prior_is_unexplained(small_rig: Rig, small_session: Session):
+def test_a_number_that_is_pulled_far_from_its_prior_is_unexplained(small_rig, small_session):
     far = small_rig.parameters["coil1.radius_m"]
     moved = replace(far, prior=Normal(far.value - 8e-3, 1e-3), value=far.value - 8e-3)
     fit = fit_of(small_rig.with_parameters([moved]), small_session.observations.calibration)
@@ -185,7 +184,7 @@ def test_a_number_that_is_pulled_far_from_its_prior_is_unexplained(small_rig: Ri
     assert outcome.verdict is Verdict.UNEXPLAINED
 
 
-def test_more_readings_weigh_the_causes_of_a_set() -> None:
+def test_more_readings_weigh_the_causes_of_a_set():
     named = NamedCause(GAIN, 0.6, (Alternative(CROSS, 0.2, 1.0), Alternative(ROOM, 0.1, 1.0)), 30.0, 0.1)
     weighed = named.weighed_by({GAIN: -12.0, CROSS: -10.0, ROOM: -10.0})
     total = 0.6 * math.exp(-2.0) + 0.2 + 0.1

@@ -41,7 +41,7 @@ def in_sensor_T(fit: Fit, vectors: list[list[float]]) -> Tensor:
     return (coil_from_sensor.mT @ shown[..., None])[..., 0]
 
 
-def test_the_pattern_is_what_the_model_with_the_cause_adds(fit: Fit, with_gain_T: Tensor) -> None:
+def test_the_pattern_is_what_the_model_with_the_cause_adds(fit, with_gain_T):
     told = what_if(fit, GAIN.label)
     pattern = next(one for one in told.patterns if one.key == "x")
     predicted_T = fit.posterior.model.predict(fit.values).expand(len(fit.observations), 3)
@@ -51,7 +51,7 @@ def test_the_pattern_is_what_the_model_with_the_cause_adds(fit: Fit, with_gain_T
     assert len(told.position_m) == len(fit.observations)
 
 
-def test_what_is_left_is_what_a_fit_without_the_cause_leaves(fit: Fit, with_gain_T: Tensor) -> None:
+def test_what_is_left_is_what_a_fit_without_the_cause_leaves(fit, with_gain_T):
     pattern = next(one for one in what_if(fit, GAIN.label).patterns if one.key == "x")
     predicted_T = fit.posterior.model.predict(fit.values).expand(len(fit.observations), 3)
     residual_T = fit.observations.field_sensor_T - predicted_T
@@ -67,7 +67,7 @@ def test_what_is_left_is_what_a_fit_without_the_cause_leaves(fit: Fit, with_gain
     assert pattern.visible == pytest.approx(5.0 / (pattern.left_sigma * (3 * len(flawed)) ** 0.5))
 
 
-def test_causes_are_those_that_could_be_there_and_others_are_refused(fit: Fit) -> None:
+def test_causes_are_those_that_could_be_there_and_others_are_refused(fit):
     labels = {one.label for one in possible_causes(fit)}
     assert GAIN.label in labels
     assert "two_sensors[hall]" not in labels

@@ -9,10 +9,9 @@ import torch
 from estimator.diagnosis import widening
 from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.structure.jackknife import jackknife_covariance
-from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, have_whole_counts, within_prior
+from estimator.diagnosis.widening import LEAST_SHARE, Widening, envelope, within_prior
 from estimator.readings.metrics import HALF_WIDTH_90
 from estimator.readings.split import pose_blocks, time_blocks
 from estimator.rig.coordinates import Coordinates
@@ -30,7 +29,7 @@ def fit(small_rig: Rig, small_session: Session) -> Fit:
 
 
 @pytest.mark.slow
-def test_blocks_know_of_a_field_that_the_noise_does_not(fit: Fit) -> None:
+def test_blocks_know_of_a_field_that_the_noise_does_not(fit):
     """Over many draws of field and noise, in the linear model about the fit. Blocks must not be smaller than the structure."""
     kinds = [kind for kind in kinds_of(fit) if kind.cause == Cause("coil_harmonics", "coil1")]
     (columns,) = kinds[0].columns(fit, kinds[0].starts, 4)
@@ -62,14 +61,14 @@ def test_more_readings_make_nothing_surer_of_what_the_mixture_leaves_open(small_
         assert factor > 1.0
 
 
-def test_of_right_readings_little_is_made_less_sure_and_nothing_surer(of_nothing: Answer) -> None:
+def test_of_right_readings_little_is_made_less_sure_and_nothing_surer(of_nothing):
     plain, numbers = of_nothing.plain, Numbers.of(of_nothing)
     factors = Widening.of(plain, plain, numbers.names, numbers.about(plain)).factors
     assert set(factors) == {parameter.name for parameter in plain.rig.free}
     assert all(1.0 <= factor < 2.5 for factor in factors.values())
 
 
-def test_what_is_open_of_some_numbers_opens_those_that_follow_them(small_rig, small_session) -> None:
+def test_what_is_open_of_some_numbers_opens_those_that_follow_them(small_rig, small_session):
     """A zero of the sensor is tied to the loops by the readings: it is as open as draws of these, each with the zero that fits them."""
     fit = fit_of(small_rig, small_session.observations, Cause("sensor_offset", "hall"))
     names = [p.name for p in small_rig.free]
@@ -92,7 +91,7 @@ def _rows(fit: Fit, names: list[str]) -> tuple[list[int], list[int]]:
     return own, [i for i in range(len(of_fit)) if i not in own]
 
 
-def test_no_widening_says_less_than_the_priors_do_nor_more_than_the_fit(fit) -> None:
+def test_no_widening_says_less_than_the_priors_do_nor_more_than_the_fit(fit):
     prior_precision = (fit.optimum.precision - fit.optimum.information)[0]
     generator = torch.Generator().manual_seed(4)
     scale = fit.covariance.diagonal().sqrt()
@@ -131,7 +130,7 @@ def drawn(fit: Fit, factor: float) -> dict[str, np.ndarray]:
     return Widening(fit, factor**2 * fit.covariance).drawn(32, 125, seed=1).draws
 
 
-def test_draws_are_as_wide_as_the_widening_in_every_direction(fit: Fit) -> None:
+def test_draws_are_as_wide_as_the_widening_in_every_direction(fit):
     """Whole counts, which are coarse, take away or add a little."""
     wanted = 9.0 * fit.covariance
     draws = {name: torch.from_numpy(values.ravel()) for name, values in drawn(fit, 3.0).items()}
@@ -142,7 +141,7 @@ def test_draws_are_as_wide_as_the_widening_in_every_direction(fit: Fit) -> None:
     assert off.numpy() == pytest.approx(0.0, abs=0.1)
 
 
-def test_the_density_of_draws_is_that_of_the_law_they_are_of(fit: Fit) -> None:
+def test_the_density_of_draws_is_that_of_the_law_they_are_of(fit):
     """On average half the number of coordinates below its maximum, and as scattered."""
     density = Widening(fit, 9.0 * fit.covariance).drawn(32, 125, seed=1).log_prob
     n = len(fit.vector)
@@ -151,7 +150,7 @@ def test_the_density_of_draws_is_that_of_the_law_they_are_of(fit: Fit) -> None:
     assert density.var() == pytest.approx(0.5 * n, rel=0.1)
 
 
-def test_a_whole_count_has_the_probability_that_the_widening_gives_it(fit: Fit) -> None:
+def test_a_whole_count_has_the_probability_that_the_widening_gives_it(fit):
     """As where coils pull each other: a model that lacks it would be sure of one count."""
     counts = drawn(fit, 5.0)[COUNT].ravel()
     middle, sd = fit.values[COUNT], 5.0 * fit.value_sd(COUNT)
@@ -163,14 +162,7 @@ def test_a_whole_count_has_the_probability_that_the_widening_gives_it(fit: Fit) 
     assert len(np.unique(counts)) > 3
 
 
-def test_counts_that_are_hardly_known_become_real_numbers(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
-    """One coil alone has hardly more plausible counts than a table holds."""
-    monkeypatch.setattr(widening, "MOST_EFFECTIVE", 3.0)
-    assert have_whole_counts(fit.rig, drawn(fit, 1.0))
-    assert not have_whole_counts(fit.rig, drawn(fit, 10.0))
-
-
-def test_no_draw_leaves_the_bounds_of_its_prior(rig_text: str, small_session: Session, fit: Fit) -> None:
+def test_no_draw_leaves_the_bounds_of_its_prior(rig_text, small_session, fit):
     most_mm = 1e3 * (float(fit.values[RADIUS]) + fit.value_sd(RADIUS))
     rig = rig_from_text(rig_text.replace("mean: 51, sd: 1}", f"mean: 51, sd: 1, upper: {most_mm}}}"))
     radii_m = drawn(fit_of(rig, small_session.observations), 10.0)[RADIUS]
@@ -178,7 +170,7 @@ def test_no_draw_leaves_the_bounds_of_its_prior(rig_text: str, small_session: Se
     assert radii_m.max() <= 1e-3 * most_mm
 
 
-def test_no_draw_is_impossible(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_draw_is_impossible(fit, monkeypatch):
     """A winding whose mean square radius is negative has no radius."""
     as_they_are = Coordinates.values
 
@@ -196,9 +188,7 @@ def test_no_draw_is_impossible(fit: Fit, monkeypatch: pytest.MonkeyPatch) -> Non
     assert radii_m.std() == pytest.approx(possible.std(), rel=0.1)
 
 
-def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow(
-    small_rig: Rig, small_session: Session
-):
+def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow(small_rig, small_session):
     observations = small_session.observations
     hours = (observations.time_s - observations.time_s.min()) / 3600.0
     wave = 1.0 + 0.03 * torch.cos(3.0 * torch.pi * hours / hours.max())[:, None]
@@ -217,7 +207,7 @@ def test_widening_is_nowhere_surer_than_readings_held_out_by_place_or_time_allow
     assert max(wider.factors.values()) > 1.5
 
 
-def test_directions_that_rounding_made_negative_do_not_stop_an_envelope() -> None:
+def test_directions_that_rounding_made_negative_do_not_stop_an_envelope():
     """Two zeros that readings cannot tell apart have a correlation so near to one that a Cholesky factorization fails."""
     covariance = torch.tensor([[1.0, 1.0 + 1e-11], [1.0 + 1e-11, 1.0]], dtype=torch.float64)
     assert float(torch.linalg.eigvalsh(covariance)[0]) < -LEAST_SHARE
@@ -225,7 +215,7 @@ def test_directions_that_rounding_made_negative_do_not_stop_an_envelope() -> Non
     torch.testing.assert_close(wider, torch.full((2, 2), 4.0, dtype=torch.float64), atol=1e-5, rtol=0.0)
 
 
-def test_envelope_of_many_keeps_the_digits_of_what_is_sure() -> None:
+def test_envelope_of_many_keeps_the_digits_of_what_is_sure():
     """Two scatters that are huge in directions of which readings know nothing leave predictions as sure as their sum does."""
     generator = torch.Generator().manual_seed(3)
     readings = torch.randn(60, 12, generator=generator, dtype=torch.float64)

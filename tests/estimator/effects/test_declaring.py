@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import pickle
 
 import pytest
 import torch
@@ -53,7 +52,7 @@ def circumstances() -> Circumstances:
     return Circumstances(rig_from_text(RIG), observations)
 
 
-def test_function_gives_name_and_explanation_and_takes_what_it_needs(circumstances) -> None:
+def test_function_gives_name_and_explanation_and_takes_what_it_needs(circumstances):
     effect = ReadingEffect.cause(**BENT, is_linear=False, starts=({"excess": 1.0},))(bent)
     assert (effect.name, effect.words, effect.is_linear) == ("bent", "it bends", False)
     assert inspect.getdoc(type(effect)) == "The sensor bends.\n\nWith its field."
@@ -67,7 +66,7 @@ def silent(field_sensor_T):
     return field_sensor_T
 
 
-def test_docstring_says_words_and_source_and_explains() -> None:
+def test_docstring_says_words_and_source_and_explains():
     @ReadingEffect.cause(quantities=BENT["quantities"])
     def worn(field_sensor_T):
         """The sensor is worn.
@@ -125,21 +124,16 @@ def test_docstring_says_words_and_source_and_explains() -> None:
         ),
     ],
 )
-def test_what_is_wrong_with_a_declaration_is_said(declare, sentence: str) -> None:
+def test_what_is_wrong_with_a_declaration_is_said(declare, sentence):
     with pytest.raises(InvalidInput, match=sentence):
         declare()
 
 
-def test_first_number_that_breaks_its_rule_is_named() -> None:
+def test_first_number_that_breaks_its_rule_is_named():
     numbers = (switch("a", 0.0, 9.0, 1.0, POSITIVE), switch("b", 0.0, 1.0, 1.0))
     effect = ReadingEffect.cause(**BENT | {"quantities": numbers})(bent)
     assert effect.broken_rule({"a": -1.0, "b": 1.0}) == ("a", "must be > 0")
     assert effect.broken_rule({"a": 1.0, "b": 5.0}) is None
-
-
-def test_effect_is_the_same_in_another_process() -> None:
-    for name in ("axis_gain", "offset_spell", "room_wanders"):
-        assert type(pickle.loads(pickle.dumps(EFFECTS[name]))) is type(EFFECTS[name])
 
 
 def of_stage(stage, *names, **others):
@@ -197,7 +191,7 @@ def added(effect: During, theta, circumstances: Circumstances) -> torch.Tensor:
 @pytest.mark.parametrize(
     "base", [more_shown, more_current, more_field, farther, turned], ids=lambda each: each.name
 )
-def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances) -> None:
+def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances):
     @during(base, words="since")
     def since():
         """Since."""
@@ -219,7 +213,7 @@ def test_effect_is_there_in_its_part_of_the_session_alone(base, circumstances) -
         assert effect.starts(circumstances, effect.places(circumstances.rig)[0])
 
 
-def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances) -> None:
+def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances):
     @during(turned, words="since")
     def since():
         """Since."""
@@ -233,7 +227,7 @@ def test_mover_is_turned_in_its_part_of_the_session_alone(circumstances) -> None
     assert (moved.rotation[~is_turned] == eye[~is_turned]).all()
 
 
-def test_an_answer_of_another_shape_than_what_it_changes_is_said_in_one_sentence(circumstances) -> None:
+def test_an_answer_of_another_shape_than_what_it_changes_is_said_in_one_sentence(circumstances):
     def first_axis(field_sensor_T, theta):
         """The sensor gives one axis."""
         return field_sensor_T[..., 0] * (1.0 + theta["excess"][..., None])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from estimator.effects.use import is_in_field
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import Cause
 
 
 @pytest.mark.parametrize(
@@ -20,6 +20,6 @@ from estimator.rig.rig import Cause, Rig
     ],
 )
 def test_where_a_coil_is_mounted_changes_its_field_and_where_a_sensor_is_does_not(
-    small_rig: Rig, name: str, place: str, expected: bool
-) -> None:
+    small_rig, name, place, expected
+):
     assert is_in_field(small_rig, Cause(name, place)) is expected

@@ -12,7 +12,7 @@ from estimator.effects.circumstances import Extent
 
 
 @pytest.mark.parametrize("name", ["winding_misstated", "sides_misstated", "axial_pitch", "radial_pitch"])
-def test_nothing_is_left_of_no_number(name: str) -> None:
+def test_nothing_is_left_of_no_number(name):
     for quantity in EFFECTS[name].quantities(Extent()):
         nothing, half = (quantity.prior.log_density(torch.tensor(change)) for change in (-1.0, -0.5))
         assert float(nothing) == -math.inf

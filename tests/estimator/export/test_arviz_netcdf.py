@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
-from pathlib import Path
 
 import arviz
 import numpy as np
 import pytest
 from scipy import stats
 
-from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import nominal_tensors
-from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 
 
-def test_arviz_reads_draws_readings_and_units(magnet: Calibration, tmp_path: Path) -> None:
+def test_arviz_reads_draws_readings_and_units(magnet, tmp_path):
     data = arviz.from_netcdf(str(magnet.export("arviz", tmp_path / "magnet.nc")))
     assert set(data.posterior.data_vars) == set(magnet.draws)
     for name, draws in magnet.draws.items():
@@ -31,7 +27,7 @@ def test_arviz_reads_draws_readings_and_units(magnet: Calibration, tmp_path: Pat
     assert rig_from_text(data.attrs["rig"]).name == magnet.rig.name
 
 
-def test_groups_hold_prior_predictions_and_likelihood_with_units(magnet: Calibration, tmp_path: Path) -> None:
+def test_groups_hold_prior_predictions_and_likelihood_with_units(magnet, tmp_path):
     data = arviz.from_netcdf(str(magnet.export("arviz", tmp_path / "magnet.nc")))
     for name in magnet.draws:
         prior = magnet.rig.parameters[name].prior
@@ -65,9 +61,7 @@ def test_groups_hold_prior_predictions_and_likelihood_with_units(magnet: Calibra
     assert data.constant_data["current_A"].attrs["units"] == "A"
 
 
-def test_posterior_without_a_free_parameter_is_refused(
-    calibrated: Callable[[Rig], Calibration], small_rig: Rig, tmp_path: Path
-) -> None:
+def test_posterior_without_a_free_parameter_is_refused(calibrated, small_rig, tmp_path):
     fixed = small_rig.with_fixed(parameter.name for parameter in small_rig.free)
     with pytest.raises(InvalidInput, match="must have a free parameter; rig 'small' has none"):
         calibrated(fixed).export("arviz", tmp_path / "magnet.nc")

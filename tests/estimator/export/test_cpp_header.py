@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import subprocess
-from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 
-from estimator.calibration.result import Calibration
-from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from tests.estimator.export.compared import STRICT, Question, needs_gcc
+from tests.estimator.export.compared import STRICT, needs_gcc
 
 pytestmark = needs_gcc
 STANDING = """
@@ -38,9 +34,7 @@ int main() {
 """
 
 
-def test_header_has_field_gradient_actuation_and_standard_deviation_of_predict(
-    magnet: Calibration, question: Question, tmp_path: Path
-) -> None:
+def test_header_has_field_gradient_actuation_and_standard_deviation_of_predict(magnet, question, tmp_path):
     """Near wires loop counts are no real numbers, and deviations not of first order."""
     rows = question.by_gcc(magnet, "three_coils_two_movers", tmp_path)
     question.check(rows, magnet)
@@ -48,9 +42,7 @@ def test_header_has_field_gradient_actuation_and_standard_deviation_of_predict(
     assert np.isnan(rows[-1, 36:]).all()
 
 
-def test_header_of_a_coil_that_stands_still_and_is_known_exactly_compiles_too(
-    calibrated: Callable[[Rig], Calibration], tmp_path: Path
-) -> None:
+def test_header_of_a_coil_that_stands_still_and_is_known_exactly_compiles_too(calibrated, tmp_path):
     """No mover and no direction of the posterior: arrays of length zero."""
     rig = rig_from_text(STANDING)
     calibrated(rig).export("cpp", tmp_path / "magnet.hpp")

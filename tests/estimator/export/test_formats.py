@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 
 import pytest
 import torch
@@ -21,15 +20,13 @@ PLATE = "strength: 0.3, axis: 2, tilt_1_rad: 0, tilt_2_rad: 0, distance_m: -0.3"
 
 
 @pytest.mark.parametrize("to", ["json", "cpp"])
-def test_model_that_a_format_cannot_express_is_refused_by_name(
-    to: str, calibrated: Calibrated, corrected_rig: Rig, tmp_path: Path
-) -> None:
+def test_model_that_a_format_cannot_express_is_refused_by_name(to, calibrated, corrected_rig, tmp_path):
     with pytest.raises(InvalidInput, match=r"no place for coil_harmonics\[coil1\] of rig 'small'"):
         calibrated(corrected_rig).export(to, tmp_path / "file")
     assert not list(tmp_path.iterdir())
 
 
-def test_what_a_format_does_not_take_is_refused(magnet: Calibration, tmp_path: Path) -> None:
+def test_what_a_format_does_not_take_is_refused(magnet, tmp_path):
     with pytest.raises(InvalidInput, match="export to cpp must have no currents"):
         magnet.export("cpp", tmp_path / "file", currents_A={"carried": 1.0})
     with pytest.raises(InvalidInput, match="format must be one of json, cpp"):
@@ -46,14 +43,14 @@ def test_what_a_format_does_not_take_is_refused(magnet: Calibration, tmp_path: P
         ("turns_gradient[coil1]: {slope: 0.01}", r"for turns_gradient\[coil1\] of"),
     ],
 )
-def test_effects_beyond_windings_and_poses_are_named(effects: str, named: str, rig_text: str) -> None:
+def test_effects_beyond_windings_and_poses_are_named(effects, named, rig_text):
     rig = rig_from_text(f"{rig_text}effects:\n  {effects}")
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     with pytest.raises(InvalidInput, match=named):
         plain_model(rig, values, "cpp")
 
 
-def test_supply_that_is_not_linear_is_named(rig_text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_supply_that_is_not_linear_is_named(rig_text, monkeypatch):
     rig = rig_from_text(f"{rig_text}effects:\n  current_offset[coil1]: {{offset_A: 0.01}}")
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     plain_model(rig, values, "cpp")
@@ -63,7 +60,7 @@ def test_supply_that_is_not_linear_is_named(rig_text: str, monkeypatch: pytest.M
         plain_model(rig, values, "cpp")
 
 
-def test_room_that_is_not_uniform_is_named(rig_text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_room_that_is_not_uniform_is_named(rig_text, monkeypatch):
     rig = rig_from_text(f"{rig_text}effects:\n  background_field[room]: {{x_T: 1e-5, y_T: 0, z_T: 0}}")
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     assert plain_model(rig, values, "cpp").background_T.tolist() == [1e-5, 0.0, 0.0]

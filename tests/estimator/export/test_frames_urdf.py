@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import runpy
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,14 +13,11 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from torch import Tensor
 
-from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.export.frames_urdf import rpy_rad
 from estimator.frames import Transform, rotation_from_vector
 from estimator.model.room_field import at_one_moment
-from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 
 ONE = torch.zeros(1, dtype=torch.int64)
@@ -55,9 +51,7 @@ def followed(path: Path, body: str, motion: dict[str, np.ndarray]) -> np.ndarray
     return pose
 
 
-def test_every_body_stands_where_the_model_has_it(
-    magnet: Calibration, motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_every_body_stands_where_the_model_has_it(magnet, motion, tmp_path):
     path = magnet.export("urdf", tmp_path / "magnet.urdf")
     sources = at_one_moment(magnet.rig, 1, motion)
     numbers = {name: row.numpy() for name, row in motion.items()}
@@ -70,9 +64,7 @@ def test_every_body_stands_where_the_model_has_it(
             np.testing.assert_allclose(followed(path, body.name, numbers), pose, atol=1e-12)
 
 
-def test_launch_file_publishes_the_fixed_transforms(
-    magnet: Calibration, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_launch_file_publishes_the_fixed_transforms(magnet, tmp_path, monkeypatch):
     """ROS 2 is not at hand: stand-ins of the two classes that it uses take what the file says."""
     launch, launch_ros, actions = (
         ModuleType("launch"),
@@ -99,15 +91,13 @@ def test_launch_file_publishes_the_fixed_transforms(
 @pytest.mark.parametrize(
     "vector_rad", [[0.0, np.pi / 2, 0.0], [0.3, -2.0, 1.0], [0.0, -np.pi / 2, 0.0], [0.0, 0.0, 0.0]]
 )
-def test_roll_pitch_yaw_give_the_rotation_also_in_gimbal_lock(vector_rad: list[float]) -> None:
+def test_roll_pitch_yaw_give_the_rotation_also_in_gimbal_lock(vector_rad):
     rotation = rotation_from_vector(torch.tensor(vector_rad, dtype=torch.float64))
     angles_rad = rpy_rad(Transform(rotation, torch.zeros(3, dtype=torch.float64)))
     np.testing.assert_allclose(Rotation.from_euler("xyz", angles_rad).as_matrix(), rotation, atol=1e-12)
 
 
-def test_movers_that_do_not_stand_where_they_say_are_refused(
-    calibrated: Callable[[Rig], Calibration], rig_text: str, tmp_path: Path
-) -> None:
+def test_movers_that_do_not_stand_where_they_say_are_refused(calibrated, rig_text, tmp_path):
     rig = rig_from_text(f"{rig_text}effects:\n  robot_scale[arm1]: {{x: 0.01, y: 0, z: 0}}")
     with pytest.raises(InvalidInput, match=r"robot_scale\[arm1\] of rig 'small' changes them"):
         calibrated(rig).export("urdf", tmp_path / "small.urdf")

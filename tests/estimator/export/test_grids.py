@@ -3,27 +3,20 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 import yaml
-from torch import Tensor
 
-from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.export.request import Grid
-from estimator.rig.rig import Rig
 
 GRID = Grid(np.linspace(-0.02, 0.02, 3), np.linspace(-0.01, 0.03, 3), np.linspace(0.0, 0.01, 3))
 
 
-def test_csv_has_field_and_gradient_of_any_model(
-    calibrated: Callable[[Rig], Calibration], corrected_rig: Rig, tmp_path: Path
-) -> None:
+def test_csv_has_field_and_gradient_of_any_model(calibrated, corrected_rig, tmp_path):
     """Corrections too; the column of z runs fastest, and inside the winding cells are empty."""
     model = calibrated(corrected_rig)
     inside = Grid(np.array([0.0, 0.0495]), np.zeros(1), np.array([-0.042, 0.0]))
@@ -39,7 +32,7 @@ def test_csv_has_field_and_gradient_of_any_model(
         assert float(rows[i]["dBx_dz_T_per_m"]) == gradient[i, 0, 2].item()
 
 
-def test_grid_and_currents_are_asked_for(magnet: Calibration, tmp_path: Path) -> None:
+def test_grid_and_currents_are_asked_for(magnet, tmp_path):
     with pytest.raises(InvalidInput, match="export to csv must have a grid"):
         magnet.export("csv", tmp_path / "field.csv", currents_A={"standing": 1.0})
     with pytest.raises(InvalidInput, match="export to csv must have currents"):
@@ -53,9 +46,7 @@ def read_vfield(document: dict[str, Any], coil: int, i: int, j: int, k: int) -> 
     return row
 
 
-def test_vfield_is_the_field_per_ampere(
-    calibrated: Callable[[Rig], Calibration], magnet: Calibration, motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_vfield_is_the_field_per_ampere(calibrated, magnet, motion, tmp_path):
     quiet = magnet.rig
     for cause in quiet.effects:
         quiet = (
@@ -73,9 +64,7 @@ def test_vfield_is_the_field_per_ampere(
         np.testing.assert_allclose(read_vfield(document, number, 2, 1, 1), field_T[0], rtol=1e-12)
 
 
-def test_vfield_refuses_what_it_cannot_hold(
-    magnet: Calibration, motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_vfield_refuses_what_it_cannot_hold(magnet, motion, tmp_path):
     with pytest.raises(InvalidInput, match="must have a field proportional to the currents"):
         magnet.export("mag_manip", tmp_path / "vfield.yaml", grid=GRID, motion=motion)
     flat = Grid(GRID.x_m, np.zeros(1), GRID.z_m)

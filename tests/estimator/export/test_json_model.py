@@ -14,7 +14,6 @@ from scipy.special import ellipe, ellipk
 
 from estimator.calibration.result import Calibration
 from estimator.export.json_model import calibration_schema
-from tests.estimator.export.compared import Question
 
 Pose = tuple[np.ndarray, np.ndarray]
 
@@ -26,7 +25,7 @@ def document(magnet: Calibration, tmp_path_factory: pytest.TempPathFactory) -> d
     return loaded
 
 
-def test_file_follows_its_schema(document: dict[str, Any]) -> None:
+def test_file_follows_its_schema(document):
     jsonschema.Draft202012Validator.check_schema(calibration_schema())
     jsonschema.validate(document, calibration_schema())
     broken = copy.deepcopy(document)
@@ -35,9 +34,7 @@ def test_file_follows_its_schema(document: dict[str, Any]) -> None:
         jsonschema.validate(broken, calibration_schema())
 
 
-def test_another_reader_finds_the_field_of_predict(
-    document: dict[str, Any], magnet: Calibration, question: Question
-) -> None:
+def test_another_reader_finds_the_field_of_predict(document, magnet, question):
     """The textbook formula loses digits far away; elsewhere it agrees to rounding."""
     near_m, currents_A = question.points_m[:18], list(question.currents_A.values())
     expected_T = magnet.field(near_m, question.currents_A, question.motion).numpy()
@@ -46,7 +43,7 @@ def test_another_reader_finds_the_field_of_predict(
     assert (np.linalg.norm(received_T - expected_T, axis=1) / np.linalg.norm(expected_T, axis=1)).max() < 1e-9
 
 
-def test_parameters_have_units_and_widths(document: dict[str, Any], magnet: Calibration) -> None:
+def test_parameters_have_units_and_widths(document, magnet):
     radius = document["parameters"]["carried.radius_m"]
     assert (radius["value"], radius["unit"]) == (pytest.approx(0.051), "m")
     assert radius["sd"] == pytest.approx(1e-4, rel=0.2)

@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import runpy
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
-from torch import Tensor
 
-from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
-from tests.estimator.export.compared import Question, assert_close
+from tests.estimator.export.compared import assert_close
 
 
-def test_collection_has_the_field_of_all_loops(
-    magnet: Calibration, question: Question, tmp_path: Path
-) -> None:
+def test_collection_has_the_field_of_all_loops(magnet, question, tmp_path):
     outside_m, best = question.points_m[:-1], magnet.best_values()
     path = magnet.export("magpylib", tmp_path / "magnet.py", motion=question.motion)
     collection = runpy.run_path(str(path))["magnet"](list(question.currents_A.values()))
@@ -26,9 +21,7 @@ def test_collection_has_the_field_of_all_loops(
     assert_close(collection.getB(outside_m.numpy()), expected_T)
 
 
-def test_mover_without_a_pose_and_loops_that_are_not_whole_are_refused(
-    magnet: Calibration, motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_mover_without_a_pose_and_loops_that_are_not_whole_are_refused(magnet, motion, tmp_path):
     with pytest.raises(InvalidInput, match="motion of arm must be given"):
         magnet.export("magpylib", tmp_path / "magnet.py")
     best = {**magnet.best, "standing.axial_loops": 10.5}

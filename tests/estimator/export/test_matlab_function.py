@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 import torch
 
-from estimator.calibration.result import Calibration
 from estimator.errors import InvalidInput
-from tests.estimator.export.compared import Question, assert_close, needs_octave
+from tests.estimator.export.compared import assert_close, needs_octave
 
 AT_REST = """
 printed = [printed, magnet(points_m, [0 0 0])];
@@ -23,16 +20,14 @@ end
 
 
 @needs_octave
-def test_octave_finds_field_gradient_and_actuation_of_predict(
-    magnet: Calibration, question: Question, tmp_path: Path
-) -> None:
+def test_octave_finds_field_gradient_and_actuation_of_predict(magnet, question, tmp_path):
     rows = question.by_octave(magnet, tmp_path, AT_REST)
     question.check(rows, magnet)
     at_zeros = {"arm": torch.zeros(6).double()}  # no motion is zeros
     assert_close(rows[:, 36:], magnet.field(question.points_m, {}, at_zeros))
 
 
-def test_name_that_matlab_does_not_take_is_refused(magnet: Calibration, tmp_path: Path) -> None:
+def test_name_that_matlab_does_not_take_is_refused(magnet, tmp_path):
     with pytest.raises(InvalidInput, match="received '3coils'"):
         magnet.export("matlab", tmp_path / "3coils.m")
     with pytest.raises(InvalidInput, match="inside it; received 'pose_of'"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -67,9 +66,7 @@ def field_T(document: dict[str, Any], coil: str, points_m: np.ndarray) -> np.nda
     return total
 
 
-def test_field_and_gradient_are_those_of_predict_to_what_the_header_says(
-    model: Calibration, motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_field_and_gradient_are_those_of_predict_to_what_the_header_says(model, motion, tmp_path):
     path = model.export("mpem", tmp_path / "mpem.yaml", grid=BOX, motion=motion)
     text = path.read_text(encoding="utf-8")
     document = yaml.safe_load(text)
@@ -92,9 +89,7 @@ def test_field_and_gradient_are_those_of_predict_to_what_the_header_says(
             assert np.abs(slope - gradient[:, :, axis]).max() < 1e-4 * np.abs(gradient).max()
 
 
-def test_what_multipoles_cannot_hold_is_refused(
-    model: Calibration, motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_what_multipoles_cannot_hold_is_refused(model, motion, tmp_path):
     path = tmp_path / "mpem.yaml"
     wide_m = np.linspace(-0.06, 0.06, 2)
     around = Grid(wide_m, wide_m, np.linspace(-0.034, -0.028, 2))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import runpy
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import jsonschema
@@ -16,14 +15,12 @@ import torch
 from torch import Tensor
 
 from estimator.calibration.result import Calibration
-from estimator.errors import InvalidInput
 from estimator.export.json_model import calibration_schema
 from estimator.export.magnet import Magnet
 from estimator.export.torch_program import MagnetProgram
 from estimator.model.room_field import RoomField
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.system.system import System
 from tests.estimator.export.compared import Question, needs_gcc, needs_octave
 from tests.estimator.field.test_sided import MAGPYLIB_OVER_OURS, outline
 
@@ -57,9 +54,7 @@ def points_m() -> Tensor:
 MOTION = {"stage": torch.tensor([0.01, 0.0, -0.01, 0.1, 0.2, 0.0], dtype=torch.float64)}
 
 
-def test_json_follows_its_schema_and_holds_what_a_reader_needs(
-    magnet: Calibration, points_m: Tensor, tmp_path: Path
-) -> None:
+def test_json_follows_its_schema_and_holds_what_a_reader_needs(magnet, points_m, tmp_path):
     document = json.loads(magnet.export("json", tmp_path / "magnet.json").read_text())
     jsonschema.validate(document, calibration_schema())
     assert [coil.get("corners") for coil in document["coils"]] == ["sharp", "round", None]
@@ -93,7 +88,7 @@ def loops_T(coil: dict[str, Any], points_m: np.ndarray) -> np.ndarray:
     return total
 
 
-def test_magpylib_has_the_field_of_all_loops(magnet: Calibration, points_m: Tensor, tmp_path: Path) -> None:
+def test_magpylib_has_the_field_of_all_loops(magnet, points_m, tmp_path):
     path = magnet.export("magpylib", tmp_path / "magnet.py", motion=MOTION)
     found_T = runpy.run_path(str(path))["magnet"](list(CURRENTS_A.values())).getB(points_m.numpy())
     whole = RoomField(magnet.rig, magnet.best_values(), points_m, MOTION, tolerance=0.0)
@@ -125,23 +120,19 @@ def question(around_m: Tensor) -> Question:
 
 
 @needs_gcc
-def test_cpp_has_field_gradient_and_standard_deviation(
-    magnet: Calibration, question: Question, tmp_path: Path
-) -> None:
+def test_cpp_has_field_gradient_and_standard_deviation(magnet, question, tmp_path):
     rows = question.by_gcc(magnet, "three_shapes", tmp_path)
     question.check(rows, magnet)
     question.check_deviation(rows, magnet, 11)
 
 
 @needs_octave
-def test_octave_has_field_and_gradient(magnet: Calibration, question: Question, tmp_path: Path) -> None:
+def test_octave_has_field_and_gradient(magnet, question, tmp_path):
     question.check(question.by_octave(magnet, tmp_path), magnet)
 
 
 @pytest.mark.parametrize("is_exported", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_the_program_of_torch_has_field_and_gradient(
-    magnet: Calibration, question: Question, tmp_path: Path, is_exported: bool
-) -> None:
+def test_the_program_of_torch_has_field_and_gradient(magnet, question, tmp_path, is_exported):
     """As the module that is exported, and as the file; `test_torch_program` runs one without coilcal."""
     program = MagnetProgram(Magnet.of(magnet).model("torch"))
     if is_exported:
@@ -149,13 +140,3 @@ def test_the_program_of_torch_has_field_and_gradient(
     currents_A = torch.tensor(list(CURRENTS_A.values()), dtype=torch.float64)
     field_T, gradient = program(question.points_m, currents_A, MOTION["stage"][None])
     question.check(torch.cat((field_T, gradient.flatten(1)), dim=1).numpy(), magnet)
-
-
-def test_a_system_has_their_field_but_not_in_machine_code(magnet: Calibration, points_m: Tensor) -> None:
-    system = System.of(magnet)
-    with pytest.raises(InvalidInput, match="machine code must express the whole model"):
-        system.compiled()
-    matrix = system.at(points_m, MOTION).actuation()
-    expected_T = magnet.field(points_m, CURRENTS_A, MOTION)
-    current_A = torch.tensor(list(CURRENTS_A.values()), dtype=torch.float64)
-    torch.testing.assert_close(matrix[..., :3, :] @ current_A, expected_T, rtol=1e-9, atol=1e-15)

@@ -41,9 +41,7 @@ def expected(
     return field_T.reshape(*grid.shape, 3), gradient.reshape(*grid.shape, 3, 3)
 
 
-def test_vtk_grid_holds_field_and_gradient_with_x_fastest(
-    magnet: Calibration, currents_A: dict[str, float], motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_vtk_grid_holds_field_and_gradient_with_x_fastest(magnet, currents_A, motion, tmp_path):
     path = magnet.export("vtk", tmp_path / "f.vtr", grid=UNEVEN, currents_A=currents_A, motion=motion)
     arrays = read_arrays(path)
     extents = [element.get("Extent") for element in ET.parse(path).getroot().iter("Piece")]
@@ -62,9 +60,7 @@ def test_vtk_grid_holds_field_and_gradient_with_x_fastest(
     assert arrays["inside_winding"].sum() == np.isnan(field_T).any(-1).sum() >= 1
 
 
-def test_openpmd_has_what_the_standard_asks_for(
-    magnet: Calibration, currents_A: dict[str, float], motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_openpmd_has_what_the_standard_asks_for(magnet, currents_A, motion, tmp_path):
     path = magnet.export("openpmd", tmp_path / "f.h5", grid=EVEN, currents_A=currents_A, motion=motion)
     field_T, gradient = expected(magnet, currents_A, motion, EVEN)
     with h5py.File(path) as file:
@@ -97,9 +93,7 @@ def test_openpmd_has_what_the_standard_asks_for(
             )
 
 
-def test_openpmd_needs_even_spacing(
-    magnet: Calibration, currents_A: dict[str, float], motion: dict[str, Tensor], tmp_path: Path
-) -> None:
+def test_openpmd_needs_even_spacing(magnet, currents_A, motion, tmp_path):
     with pytest.raises(InvalidInput, match="grid of openpmd must have evenly spaced points along x"):
         magnet.export("openpmd", tmp_path / "f.h5", grid=UNEVEN, currents_A=currents_A, motion=motion)
     assert not (tmp_path / "f.h5").exists()

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from torch import Tensor
 
 from estimator.calibration.result import Calibration
 from estimator.export.magnet import Magnet
@@ -53,20 +52,16 @@ def answers(
     return dict(np.load(folder / "found.npz"))
 
 
-def test_field_and_gradient_are_those_of_predict(
-    answers: dict[str, np.ndarray], magnet: Calibration, question: Question
-) -> None:
+def test_field_and_gradient_are_those_of_predict(answers, magnet, question):
     question.check(np.concatenate((answers["field_T"], answers["gradient"].reshape(-1, 9)), axis=1), magnet)
 
 
-def test_one_point_will_do_and_it_can_be_differentiated(answers: dict[str, np.ndarray]) -> None:
+def test_one_point_will_do_and_it_can_be_differentiated(answers):
     np.testing.assert_allclose(answers["one_T"], answers["field_T"][:1], rtol=1e-13)
     np.testing.assert_allclose(answers["slope"], answers["gradient"][:3].sum(1), rtol=1e-8)
 
 
-def test_derivatives_in_poses_are_those_of_finite_steps(
-    magnet: Calibration, motion: dict[str, Tensor]
-) -> None:
+def test_derivatives_in_poses_are_those_of_finite_steps(magnet, motion):
     program = MagnetProgram(Magnet.of(magnet).model("torch"))
     points_m, currents_A = torch.tensor([[0.01, 0.0, -0.01]]).double(), torch.tensor([1.0, 2.0, 3.0]).double()
     rows = torch.stack((motion["arm"], motion["stage"])).requires_grad_(True)

@@ -25,7 +25,7 @@ def cylinder(n: int, seed: int, radius: float = 1.0, length: float = LENGTH) -> 
 
 
 @pytest.mark.parametrize("degree", [0, 1, 7, 25])
-def test_fields_have_neither_divergence_nor_curl(degree: int) -> None:
+def test_fields_have_neither_divergence_nor_curl(degree):
     each = torch.eye(8, dtype=torch.float64)
 
     def fields(point: Tensor) -> Tensor:
@@ -41,7 +41,7 @@ def test_fields_have_neither_divergence_nor_curl(degree: int) -> None:
 
 
 @pytest.mark.parametrize("degree", [1, 4, 12])
-def test_waves_have_rms_one_where_sources_begin(degree: int) -> None:
+def test_waves_have_rms_one_where_sources_begin(degree):
     angle = 2.0 * np.pi * (np.arange(32) / 32)[:, None]
     z = LENGTH * ((np.arange(100) + 0.5) / 100 - 0.5)
     wall = np.stack(np.broadcast_arrays(np.cos(angle), np.sin(angle), z), axis=-1).reshape(-1, 3)
@@ -51,7 +51,7 @@ def test_waves_have_rms_one_where_sources_begin(degree: int) -> None:
     torch.testing.assert_close(rms, torch.ones_like(rms), rtol=0.0, atol=1e-12)
 
 
-def test_a_wave_is_a_modified_bessel_function_across_the_bore() -> None:
+def test_a_wave_is_a_modified_bessel_function_across_the_bore():
     """B_z of n half waves with m turns is proportional to I_m(k r); by SciPy."""
     n, radii = 6, np.array([0.2, 0.5, 0.9, 1.6])
     points = torch.from_numpy(np.stack((radii, 0.0 * radii, 0.0 * radii), axis=1))
@@ -62,7 +62,7 @@ def test_a_wave_is_a_modified_bessel_function_across_the_bore() -> None:
         np.testing.assert_allclose(along / along[0], iv(m, k * radii) / iv(m, k * radii[0]), rtol=1e-13)
 
 
-def test_loops_outside_are_followed_where_a_ball_would_hold_them() -> None:
+def test_loops_outside_are_followed_where_a_ball_would_hold_them():
     """A loop about the bore and a tilted one beside it, by magpylib: from half of the places to the others."""
     around = magpylib.current.Circle(diameter=5.0, current=1.0, position=(0.0, 0.0, 1.3))
     beside = magpylib.current.Circle(diameter=1.5, current=60.0, position=(0.0, 6.0, -2.0)).rotate_from_angax(
@@ -86,7 +86,7 @@ def test_loops_outside_are_followed_where_a_ball_would_hold_them() -> None:
 
 
 @pytest.mark.parametrize("batch", [(), (2,), (2, 3)])
-def test_many_amplitudes_at_the_same_points_have_the_fields_of_each_alone(batch: tuple[int, ...]) -> None:
+def test_many_amplitudes_at_the_same_points_have_the_fields_of_each_alone(batch):
     rng = np.random.default_rng(150_000)
     points = cylinder(12, 7).reshape(*batch, -1, 3)
     ones = (1,) * len(batch)

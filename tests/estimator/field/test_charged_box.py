@@ -30,7 +30,7 @@ def columns(half_m: tuple[float, float, float], n: tuple[int, int, int], points_
     return charged_box_field(points_m, half_m, n, each).flatten(1).T
 
 
-def test_it_is_the_sum_of_the_fields_of_single_charges() -> None:
+def test_it_is_the_sum_of_the_fields_of_single_charges():
     steps = [np.linspace(-half, half, n + 1) for half, n in zip(HALF_M, N, strict=True)]
     places = [p for p in itertools.product(*steps) if max(abs(np.array(p)) / HALF_M) > 1.0 - 1e-9]
     assert len(places) == n_charges(N)
@@ -45,7 +45,7 @@ def test_it_is_the_sum_of_the_fields_of_single_charges() -> None:
     np.testing.assert_allclose(field.numpy(), expected, rtol=1e-11, atol=1e-14 * np.abs(expected).max())
 
 
-def test_divergence_and_curl_vanish() -> None:
+def test_divergence_and_curl_vanish():
     amplitudes = torch.randn(n_charges(N), generator=torch.Generator().manual_seed(1)).double()
 
     def at(point_m: Tensor) -> Tensor:
@@ -58,7 +58,7 @@ def test_divergence_and_curl_vanish() -> None:
 
 
 @pytest.mark.parametrize("spacing_m", [0.01, 0.004])
-def test_its_prior_means_the_same_at_every_spacing(spacing_m: float) -> None:
+def test_its_prior_means_the_same_at_every_spacing(spacing_m):
     """Covariances of the field between places, of independent amplitudes with rms 1, against those of charges four times denser."""
     half_m = (0.02, 0.02, 0.02)
     points_m = torch.tensor([[0.0, 0.0, 0.0], [0.008, 0.0, 0.0], [0.008, 0.008, 0.008]]).double()
@@ -69,7 +69,7 @@ def test_its_prior_means_the_same_at_every_spacing(spacing_m: float) -> None:
     torch.testing.assert_close(coarse @ coarse.T, fine @ fine.T, rtol=0.25, atol=0.06)
 
 
-def test_a_sum_of_charges_other_than_zero_need_not_make_a_field_inside() -> None:
+def test_a_sum_of_charges_other_than_zero_need_not_make_a_field_inside():
     """As on a conductor; so nothing is lost or gained by asking for a sum of zero."""
     n = (16, 16, 16)
     design = columns((1.0, 1.0, 1.0), n, 0.5 * inside(200) / 0.03)
@@ -82,7 +82,7 @@ def test_a_sum_of_charges_other_than_zero_need_not_make_a_field_inside() -> None
     assert float((design @ amplitudes).norm()) < 1e-3 * float(alone)
 
 
-def test_batches_dtype_and_places_are_kept() -> None:
+def test_batches_dtype_and_places_are_kept():
     amplitudes = torch.randn(4, n_charges(N), generator=torch.Generator().manual_seed(2))
     together = charged_box_field(inside(6).float(), HALF_M, N, amplitudes)
     assert together.dtype == torch.float32
@@ -91,7 +91,7 @@ def test_batches_dtype_and_places_are_kept() -> None:
     assert len(charge_places(HALF_M, N).unique(dim=0)) == n_charges(N)
 
 
-def test_a_multipole_of_the_first_degree_is_a_dipole_and_each_degree_has_rms_1_a_gap_away() -> None:
+def test_a_multipole_of_the_first_degree_is_a_dipole_and_each_degree_has_rms_1_a_gap_away():
     place_m, gap_m = torch.tensor([[0.05, -0.02, 0.01]]).double(), torch.tensor([0.02]).double()
     generator = torch.Generator().manual_seed(1)
     direction = torch.randn(4000, 3, generator=generator, dtype=torch.float64)
@@ -110,7 +110,7 @@ def test_a_multipole_of_the_first_degree_is_a_dipole_and_each_degree_has_rms_1_a
     assert max(left) < 1e-24
 
 
-def test_two_multipoles_add_and_rows_stay_apart() -> None:
+def test_two_multipoles_add_and_rows_stay_apart():
     places_m, gaps_m = (
         torch.tensor([[0.05, 0.0, 0.0], [0.0, -0.04, 0.0]]).double(),
         torch.tensor([0.03, 0.025]),

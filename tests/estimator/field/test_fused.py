@@ -33,7 +33,7 @@ def loops(n_rows: int, n_nodes: int) -> Nodes:
 
 @pytest.mark.parametrize(("n_rows", "n_points", "n_nodes"), [(1, 1, 1), (3, 129, 7), (2, 300, 64), (0, 5, 3)])
 @pytest.mark.parametrize("steps", [3, 5, 10])
-def test_sum_is_that_of_the_processor(n_rows: int, n_points: int, n_nodes: int, steps: int) -> None:
+def test_sum_is_that_of_the_processor(n_rows, n_points, n_nodes, steps):
     random = torch.Generator().manual_seed(4)
     points_m = 0.1 * torch.rand(n_rows, n_points, 3, generator=random, dtype=torch.float64)
     if points_m.numel():
@@ -49,7 +49,7 @@ def test_sum_is_that_of_the_processor(n_rows: int, n_points: int, n_nodes: int, 
 
 
 @pytest.mark.skipif(not REAL, reason="the interpreter's tensors are the processor's")
-def test_windings_there_take_the_kernel_unless_they_carry_derivatives() -> None:
+def test_windings_there_take_the_kernel_unless_they_carry_derivatives():
     numbers = torch.tensor([0.051, 48.0, 25.0, 0.98e-3, 0.98e-3], dtype=torch.float64)
     points_m = torch.tensor([[0.01, 0.0, 0.02], [0.0, 0.03, 0.3]], dtype=torch.float64)
     near_T = winding_field_per_ampere(points_m, Winding(*numbers), Rule(4, 4, 5))

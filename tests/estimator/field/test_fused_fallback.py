@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 
 from estimator.field import fused
 
 
-def test_a_kernel_that_cannot_be_translated_is_not_used_and_one_sentence_says_why(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_kernel_that_cannot_be_translated_is_not_used_and_one_sentence_says_why(monkeypatch, caplog):
     def without_linker() -> None:
         raise RuntimeError("gcc returned 1: cannot find 'ld'")
 

@@ -25,7 +25,7 @@ def each_of(field: Field, points: Tensor, degree: int) -> Tensor:
 
 @pytest.mark.parametrize("field", [interior_field, exterior_field])
 @pytest.mark.parametrize("degree", [*DEGREES, HIGHEST_DEGREE])
-def test_fields_have_neither_divergence_nor_curl(field: Field, degree: int) -> None:
+def test_fields_have_neither_divergence_nor_curl(field, degree):
     points = torch.randn(7, 3, generator=torch.Generator().manual_seed(degree), dtype=torch.float64)
     points = points / points.norm(dim=-1, keepdim=True) * torch.linspace(0.8, 1.2, 7)[:, None]
     along = [axis.expand_as(points) for axis in torch.eye(3, dtype=torch.float64)]
@@ -39,7 +39,7 @@ def test_fields_have_neither_divergence_nor_curl(field: Field, degree: int) -> N
 
 @pytest.mark.parametrize("field", [interior_field, exterior_field])
 @pytest.mark.parametrize("degree", DEGREES)
-def test_terms_are_orthogonal_and_of_rms_one_at_the_edge(field: Field, degree: int) -> None:
+def test_terms_are_orthogonal_and_of_rms_one_at_the_edge(field, degree):
     """By Lebedev's rule, which is exact there, so that equal widths prefer no direction."""
     points, weights = (torch.from_numpy(np.ascontiguousarray(a)) for a in lebedev_rule(15))
     fields = each_of(field, points.T, degree)
@@ -49,7 +49,7 @@ def test_terms_are_orthogonal_and_of_rms_one_at_the_edge(field: Field, degree: i
     )
 
 
-def test_exterior_degree_one_is_a_dipole() -> None:
+def test_exterior_degree_one_is_a_dipole():
     points = torch.randn(5, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     moment = torch.tensor([0.3, -0.2, 0.7], dtype=torch.float64)
     r2 = points.square().sum(-1, keepdim=True)
@@ -61,7 +61,7 @@ def test_exterior_degree_one_is_a_dipole() -> None:
     torch.testing.assert_close(exterior_field(points, {1: amplitude}), dipole_T, rtol=1e-12, atol=1e-14)
 
 
-def test_a_batch_of_amplitudes_is_a_loop() -> None:
+def test_a_batch_of_amplitudes_is_a_loop():
     points = torch.randn(4, 3, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
     amplitudes = {
         d: torch.randn(6, 2 * d + 1, generator=torch.Generator().manual_seed(d)).double() for d in (2, 4)

@@ -7,7 +7,7 @@ import torch
 from estimator.field.magnetised import Rings, field_of_rings, field_of_rings_to_first_order
 
 
-def test_cheap_derivatives_in_the_points_are_those_of_the_field() -> None:
+def test_cheap_derivatives_in_the_points_are_those_of_the_field():
     random = torch.Generator().manual_seed(3)
     rings = Rings(
         *torch.tensor([[0.10, 0.11, 0.12], [-0.02, 0.0, 0.03], [1e-4, 2e-4, 1e-4]], dtype=torch.float64)

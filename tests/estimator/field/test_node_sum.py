@@ -39,7 +39,7 @@ def test_sum_is_that_of_the_weighted_loops_of_every_row():
 
 
 @pytest.mark.parametrize("axis_m", [0.0, 1e-13, 1e-6, 0.02, 0.3], ids=lambda m: f"{m:g} m from the axis")
-def test_sum_to_first_order_has_the_value_and_the_derivatives_of_the_plain_one(axis_m: float):
+def test_sum_to_first_order_has_the_value_and_the_derivatives_of_the_plain_one(axis_m):
     """In the points, and in height, radius and weight of every loop, on the axis and off it."""
     points_m = random(2, 5, 3) - 0.5
     points_m[..., :2] *= axis_m

@@ -102,7 +102,7 @@ def test_field_on_the_axis_of_a_rectangle_is_the_closed_formula():
 
 
 @BOTH
-def test_far_away_it_is_a_dipole_of_all_turns_and_areas(winding: SidedWinding):
+def test_far_away_it_is_a_dipole_of_all_turns_and_areas(winding):
     distance_m = 20.0
     direction = tensor(np.random.default_rng(1).normal(size=(30, 3)))
     direction = direction / direction.norm(dim=1, keepdim=True)
@@ -138,7 +138,7 @@ def test_a_racetrack_with_hardly_any_corners_is_rectangular():
 
 
 @BOTH
-def test_divergence_and_curl_vanish(winding: SidedWinding):
+def test_divergence_and_curl_vanish(winding):
     points_m = points_about(winding, 2e-3, 60)
     rule = full_sided_rule(winding, points_m)
 
@@ -152,7 +152,7 @@ def test_divergence_and_curl_vanish(winding: SidedWinding):
 
 
 @BOTH
-def test_current_through_a_closed_path_is_that_of_all_turns(winding: SidedWinding):
+def test_current_through_a_closed_path_is_that_of_all_turns(winding):
     """Ampere's law along a rectangle that links one side of the winding; the current at +x runs along +y."""
     low, high, near, far = -0.024, 0.02, 0.02, 0.05
     nodes, weights = (tensor(v) for v in np.polynomial.legendre.leggauss(80))
@@ -168,7 +168,7 @@ def test_current_through_a_closed_path_is_that_of_all_turns(winding: SidedWindin
 
 
 @BOTH
-def test_machine_code_torch_and_batches_agree(winding: SidedWinding):
+def test_machine_code_torch_and_batches_agree(winding):
     points_m = points_about(winding, 2e-3, 60)
     rule = Rule(3, 2, 15 if winding.is_rounded else 0)
     numbers = [number * tensor([0.98, 1.0, 1.03]) for number in winding.numbers]
@@ -186,7 +186,7 @@ def test_machine_code_torch_and_batches_agree(winding: SidedWinding):
 
 
 @BOTH
-def test_single_precision_stays_single(winding: SidedWinding):
+def test_single_precision_stays_single(winding):
     points_m = points_about(winding, 5e-3, 60)
     rule = Rule(4, 3, 15 if winding.is_rounded else 0)
     single = SidedWinding(winding.is_rounded, *(number.float() for number in winding.numbers))
@@ -196,7 +196,7 @@ def test_single_precision_stays_single(winding: SidedWinding):
 
 
 @BOTH
-def test_first_derivatives_by_hand_are_those_of_torch(winding: SidedWinding):
+def test_first_derivatives_by_hand_are_those_of_torch(winding):
     points_m = points_about(winding, 2e-3, 60)
     rule = Rule(3, 2, 15 if winding.is_rounded else 0)
 
@@ -214,7 +214,7 @@ def test_first_derivatives_by_hand_are_those_of_torch(winding: SidedWinding):
 
 
 @BOTH
-def test_chosen_rule_keeps_its_tolerance_with_few_nodes(winding: SidedWinding):
+def test_chosen_rule_keeps_its_tolerance_with_few_nodes(winding):
     large = SidedWinding(winding.is_rounded, *winding.numbers[:3], *map(tensor, (30.0, 12.0, 1e-3, 1e-3)))
     points_m = points_about(large, 10e-3)
     rule, full = choose_rule(large, points_m, 1e-5), full_sided_rule(large, points_m)
@@ -226,7 +226,7 @@ def test_chosen_rule_keeps_its_tolerance_with_few_nodes(winding: SidedWinding):
 
 
 @BOTH
-def test_distance_is_that_to_the_nearest_point_of_the_winding(winding: SidedWinding):
+def test_distance_is_that_to_the_nearest_point_of_the_winding(winding):
     """Against a fine mesh of all that the winding fills."""
     radius = 0.008 if winding.is_rounded else 0.0
     mesh = []

@@ -31,7 +31,7 @@ def test_field_is_that_of_magpylib():
 
 @pytest.mark.parametrize("along_m", [0.0, 0.03, 0.0499, 0.0501, 0.2])
 @pytest.mark.parametrize("beside_m", [1e-9, 1e-6, 1e-3, 0.5])
-def test_all_digits_beside_the_wire_and_its_extension(along_m: float, beside_m: float):
+def test_all_digits_beside_the_wire_and_its_extension(along_m, beside_m):
     """Against the same integral with 60 digits; the points' own digits are the exact ones of the double numbers."""
     half_m = 0.05
     with mpmath.workdps(60):

@@ -29,7 +29,7 @@ def winding(request: pytest.FixtureRequest) -> WindingShape:
     return request.param
 
 
-def test_winding_is_made_again_of_its_numbers(winding: WindingShape) -> None:
+def test_winding_is_made_again_of_its_numbers(winding):
     again = winding.like(winding.numbers)
     assert again == winding
     half = winding.like([*winding.numbers[:-4], *tensors(11.6, 0.2, 1e-3, 1e-3)]).with_integer_loops()
@@ -38,7 +38,7 @@ def test_winding_is_made_again_of_its_numbers(winding: WindingShape) -> None:
 
 
 @pytest.mark.parametrize("distance_m", [0.5e-3, 0.01, 0.05])
-def test_contour_lies_at_its_distance_outside_the_winding(winding: WindingShape, distance_m: float) -> None:
+def test_contour_lies_at_its_distance_outside_the_winding(winding, distance_m):
     """Around corners points may lie nearer to another side, never farther off."""
     at_m = winding.distance_m(winding.contour_m(distance_m))
     assert len(at_m) >= 20
@@ -47,7 +47,7 @@ def test_contour_lies_at_its_distance_outside_the_winding(winding: WindingShape,
     assert (winding.contour_m(distance_m).norm(dim=-1) < 4.0 * winding.half_width_m + 2.0 * distance_m).all()
 
 
-def test_chosen_rule_has_the_field_of_all_loops_to_the_tolerance(winding: WindingShape) -> None:
+def test_chosen_rule_has_the_field_of_all_loops_to_the_tolerance(winding):
     points_m = winding.contour_m(0.03)
     full, few = choose_rule(winding, points_m, 0.0), choose_rule(winding, points_m, 1e-4)
     assert full == winding.full_rule(points_m)
@@ -57,7 +57,7 @@ def test_chosen_rule_has_the_field_of_all_loops_to_the_tolerance(winding: Windin
 
 
 @pytest.mark.parametrize("distance_m", [1e-3, 4e-3, 0.016, 0.064])
-def test_no_smaller_rule_of_the_ladder_would_do(winding: WindingShape, distance_m: float) -> None:
+def test_no_smaller_rule_of_the_ladder_would_do(winding, distance_m):
     """The rule is found by halving; a search through all of them finds no other."""
     points_m, tolerance = winding.contour_m(distance_m)[:48], 1e-6
     expected = winding.field_by(winding.full_rule(points_m))(points_m)

@@ -23,7 +23,7 @@ def by_zones(points_m: Tensor, coil: Winding, tolerance: float) -> tuple[Tensor,
 
 @pytest.mark.parametrize("coil", [TABLE_TOP, SMALL, NARROW])
 @pytest.mark.parametrize("tolerance", [1e-4, 1e-6])
-def test_every_point_is_within_the_tolerance_however_near(coil: Winding, tolerance: float) -> None:
+def test_every_point_is_within_the_tolerance_however_near(coil, tolerance):
     size_m = float(coil.radius_m)
     points_m = torch.cat(
         [points_around(coil, 0.02 * 4**i * size_m, 0.04 * 4**i * size_m, 60) for i in range(3)]
@@ -41,7 +41,7 @@ def test_every_point_is_within_the_tolerance_however_near(coil: Winding, toleran
     assert sorted(torch.cat([zone.points for zone in zones]).tolist()) == list(range(len(points_m)))
 
 
-def test_a_point_near_the_winding_costs_the_others_nothing() -> None:
+def test_a_point_near_the_winding_costs_the_others_nothing():
     far_m = points_around(TABLE_TOP, 0.05, 0.1, 100)
     near_m = points_around(TABLE_TOP, 1e-4, 2e-4, 1)
     alone, zones = by_zones(far_m, TABLE_TOP, 1e-6)
@@ -51,7 +51,7 @@ def test_a_point_near_the_winding_costs_the_others_nothing() -> None:
     assert zones_of_all[0].points.tolist() == [100]
 
 
-def test_points_inside_go_with_the_farthest_and_tolerance_0_takes_every_loop() -> None:
+def test_points_inside_go_with_the_farthest_and_tolerance_0_takes_every_loop():
     points_m = torch.tensor([[0.045, 0.0, -0.01], [0.0, 0.0, 0.1]], dtype=torch.float64)
     assert [
         zone.points.tolist() for zone in zones_of(TABLE_TOP, distance_to_winding(points_m, TABLE_TOP), 1e-6)

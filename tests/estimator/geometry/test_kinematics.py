@@ -86,14 +86,14 @@ def random_joints_rad(*shape: int) -> Tensor:
 
 
 @pytest.mark.parametrize("name", CONTROLLER_POSES)
-def test_pose_agrees_with_the_robot_controller_to_all_printed_digits(name: str) -> None:
+def test_pose_agrees_with_the_robot_controller_to_all_printed_digits(name):
     robot, joints_rad, pose = CONTROLLER_POSES[name]
     flange = base_from_flange(robot, tensor(joints_rad))
     torch.testing.assert_close(flange.translation_m, tensor(pose[:3]), rtol=0, atol=5e-11)
     torch.testing.assert_close(vector_from_rotation(flange.rotation), tensor(pose[3:]), rtol=0, atol=5e-11)
 
 
-def test_ur3e_pose_agrees_with_the_simulated_controller() -> None:
+def test_ur3e_pose_agrees_with_the_simulated_controller():
     """Pose of `tool0` in `base` at the start joints of the simulator.
 
     GitHub antisnoop12/My-project, Assets/Scripts/GridPathRosClient.cs (gridOrigin, orientation). The file
@@ -107,7 +107,7 @@ def test_ur3e_pose_agrees_with_the_simulated_controller() -> None:
     torch.testing.assert_close(flange.rotation, expected, rtol=0, atol=5e-8)
 
 
-def test_factory_corrections_of_a_mover_are_added_to_the_nominal_table() -> None:
+def test_factory_corrections_of_a_mover_are_added_to_the_nominal_table():
     nominal = ARMS["UR10e"]
     columns = zip(astuple(UR10E_CORRECTED), astuple(nominal), strict=True)
     measured = DenavitHartenberg(*(tuple(b - a for b, a in zip(*both, strict=True)) for both in columns))
@@ -120,7 +120,7 @@ def test_factory_corrections_of_a_mover_are_added_to_the_nominal_table() -> None
     assert float((far.translation_m - expected.translation_m).norm(dim=-1).min()) > 1e-4
 
 
-def test_an_arm_of_any_maker_has_the_kinematics_of_its_table() -> None:
+def test_an_arm_of_any_maker_has_the_kinematics_of_its_table():
     arm = Mover("arm1", MotionKind.JOINTS, own_table=ARMS["UR5e"])
     joints_rad = random_joints_rad(3)
     assert arm.columns[0] == "arm1_q0_rad"
@@ -129,7 +129,7 @@ def test_an_arm_of_any_maker_has_the_kinematics_of_its_table() -> None:
     )
 
 
-def test_nominal_table_places_a_real_ur3e_within_two_millimetres_and_the_ur3_table_does_not() -> None:
+def test_nominal_table_places_a_real_ur3e_within_two_millimetres_and_the_ur3_table_does_not():
     """Joints and flange by the controller of one: GitHub Olympus-Controls/UR-Docker, tests/test_armfk.py."""
     joints_rad = tensor([-1.021, -1.557, 2.302, -2.881, -1.852, 0.61])
     controller_m = tensor([-0.2359, 0.1825, 0.2213])
@@ -193,7 +193,7 @@ def product_of_exponentials(robot: str, joints_rad: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("robot", ARMS)
-def test_poses_agree_with_the_product_of_exponentials_of_the_screw_axes(robot: str) -> None:
+def test_poses_agree_with_the_product_of_exponentials_of_the_screw_axes(robot):
     joints_rad = random_joints_rad(5, 10)
     flange = base_from_flange(robot, joints_rad)
     expected = np.array([product_of_exponentials(robot, q) for q in joints_rad.reshape(-1, 6).numpy()])
@@ -203,7 +203,7 @@ def test_poses_agree_with_the_product_of_exponentials_of_the_screw_axes(robot: s
 
 
 @pytest.mark.parametrize("robot", ARMS)
-def test_home_pose_stands_straight_up_with_the_flange_to_the_side(robot: str) -> None:
+def test_home_pose_stands_straight_up_with_the_flange_to_the_side(robot):
     height, upper_arm, forearm, offset_1, offset_2, offset_3 = LENGTHS_M[robot]
     flange = base_from_flange(robot, tensor([0.0, -pi / 2, 0.0, -pi / 2, 0.0, 0.0]))
     expected_m = tensor([0.0, -offset_1 - offset_3, height + upper_arm + forearm + offset_2])
@@ -212,9 +212,7 @@ def test_home_pose_stands_straight_up_with_the_flange_to_the_side(robot: str) ->
 
 @pytest.mark.parametrize("derivative", [jacfwd, jacrev])
 @pytest.mark.parametrize("robot", ARMS)
-def test_derivative_in_the_stretched_out_pose_is_that_of_turning_about_each_axis(
-    robot: str, derivative
-) -> None:
+def test_derivative_in_the_stretched_out_pose_is_that_of_turning_about_each_axis(robot, derivative):
     directions, points, flange = screw_axes(robot)
     expected_m = np.cross(directions, flange[:3, 3] - points).T
     zero = torch.zeros(6, dtype=torch.float64)
@@ -222,7 +220,7 @@ def test_derivative_in_the_stretched_out_pose_is_that_of_turning_about_each_axis
     torch.testing.assert_close(jacobian_m, tensor(expected_m), rtol=0, atol=1e-15)
 
 
-def test_derivative_agrees_with_central_differences_at_random_joints_under_vmap() -> None:
+def test_derivative_agrees_with_central_differences_at_random_joints_under_vmap():
     joints_rad, step_rad = random_joints_rad(4), 1e-6
 
     def position_m(q: Tensor) -> Tensor:
@@ -234,7 +232,7 @@ def test_derivative_agrees_with_central_differences_at_random_joints_under_vmap(
     torch.testing.assert_close(vmap(jacfwd(position_m))(joints_rad), slope_m, rtol=0, atol=1e-9)
 
 
-def test_batch_equals_loop_and_single_precision_is_kept() -> None:
+def test_batch_equals_loop_and_single_precision_is_kept():
     joints_rad = random_joints_rad(2, 3)
     batched = base_from_flange("UR3", joints_rad)
     torch.testing.assert_close(
@@ -245,7 +243,7 @@ def test_batch_equals_loop_and_single_precision_is_kept() -> None:
     torch.testing.assert_close(single.translation_m.double(), batched.translation_m, rtol=0, atol=2e-6)
 
 
-def test_unknown_robot_is_refused_with_the_known_names() -> None:
+def test_unknown_robot_is_refused_with_the_known_names():
     with pytest.raises(
         InvalidInput,
         match=r"robot must be one of UR3, UR5, UR10, UR3e, UR5e, UR10e, UR16e, UR20; received 'UR4'",

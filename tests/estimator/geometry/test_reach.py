@@ -27,9 +27,7 @@ REACHED = {
 
 
 @pytest.mark.parametrize(("mover", "position_m", "turn"), REACHED.values(), ids=REACHED)
-def test_a_flange_is_brought_to_where_its_readings_say(
-    mover: Mover, position_m: np.ndarray, turn: Rotation
-) -> None:
+def test_a_flange_is_brought_to_where_its_readings_say(mover, position_m, turn):
     """The reference is turned, so that the order of the axes shows: first the reference pose, then the move in its axes."""
     reference = Transform.from_pose(torch.from_numpy(AT_ZERO_M), torch.from_numpy(TURN_AT_ZERO.as_rotvec()))
     motion = torch.from_numpy(np.concatenate((MOVED_M, TURN.as_rotvec())))[None]

@@ -29,7 +29,7 @@ def coordinates() -> Coordinates:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_step_is_that_of_a_solver_for_the_coordinates_at_bounds(coordinates: Coordinates, seed: int) -> None:
+def test_step_is_that_of_a_solver_for_the_coordinates_at_bounds(coordinates, seed):
     """The solver bounds only the coordinates that lie at a bound, for others the step may leave."""
     rng = np.random.default_rng(seed)
     lower, upper = (ends.numpy() for ends in coordinates.bounds())
@@ -62,14 +62,14 @@ def test_step_is_that_of_a_solver_for_the_coordinates_at_bounds(coordinates: Coo
     assert float(loss(step.numpy() / scale)) == pytest.approx(best.fun, abs=1e-6 * abs(best.fun))
 
 
-def test_inside_it_is_newtons_step(coordinates: Coordinates) -> None:
+def test_inside_it_is_newtons_step(coordinates):
     precision = torch.diag(coordinates.scale**-2)
     gradient = 3.0 / coordinates.scale
     step = Inside(coordinates, coordinates.start()).step_of_the_free(precision, gradient)
     assert torch.equal(step, solve(precision, gradient))
 
 
-def test_next_to_a_bound_it_is_free(coordinates: Coordinates) -> None:
+def test_next_to_a_bound_it_is_free(coordinates):
     column = coordinates.names.index("c.world_from_coil.x_m")
     vector, precision = coordinates.start(), torch.diag(coordinates.scale**-2)
     gradient = 3.0 / coordinates.scale

@@ -111,7 +111,7 @@ def marginal_of(columns: np.ndarray, sd: np.ndarray) -> stats.rv_continuous:
     return stats.multivariate_normal(np.zeros(len(columns)), covariance)
 
 
-def test_amplitudes_and_evidence_are_those_of_ridge_regression() -> None:
+def test_amplitudes_and_evidence_are_those_of_ridge_regression():
     rig, observations = problem(TEXT)
     measured_T, columns = observations.field_sensor_T.numpy().ravel(), design(rig, observations)
     is_measured = np.isfinite(measured_T)
@@ -143,7 +143,7 @@ def test_amplitudes_and_evidence_are_those_of_ridge_regression() -> None:
 
 
 @pytest.mark.parametrize("text", [TEXT, TWO_SENSORS])
-def test_sums_over_readings_say_the_same_as_the_readings(text: str) -> None:
+def test_sums_over_readings_say_the_same_as_the_readings(text):
     rig, observations = problem(text)
     by_sums = CollapsedPosterior(full_posterior(rig, observations))
     by_readings = CollapsedPosterior(full_posterior(rig, observations))
@@ -161,7 +161,7 @@ def test_sums_over_readings_say_the_same_as_the_readings(text: str) -> None:
 
 
 @pytest.mark.whole
-def test_everything_sampled_by_emcee_has_the_same_posterior() -> None:
+def test_everything_sampled_by_emcee_has_the_same_posterior():
     rig, observations = problem(FREE_GAIN, n=12)
     full = full_posterior(rig, observations)
     collapsed = CollapsedPosterior(full)
@@ -184,7 +184,7 @@ def test_everything_sampled_by_emcee_has_the_same_posterior() -> None:
         assert received.std() == pytest.approx(expected.std(), rel=0.12), name
 
 
-def test_a_millionth_of_noise_leaves_digits_for_the_density() -> None:
+def test_a_millionth_of_noise_leaves_digits_for_the_density():
     """Readings of 1 mT with noise of 1 nT: about zero their squares would be 1e12."""
     rig, observations = problem(TEXT.replace("median: 10", "median: 0.001"))
     exact = CollapsedPosterior(full_posterior(rig, observations))
@@ -199,7 +199,7 @@ def test_a_millionth_of_noise_leaves_digits_for_the_density() -> None:
     assert float(curved.abs().max()) < 1e-6  # a smooth curve; rounding would show as scatter
 
 
-def test_the_maximum_is_no_lower_than_any_point_about_it() -> None:
+def test_the_maximum_is_no_lower_than_any_point_about_it():
     rig, observations = problem(FREE_GAIN)
     collapsed = CollapsedPosterior(full_posterior(rig, observations))
     estimate = collapsed_estimate(collapsed, observations, 0)
@@ -212,7 +212,7 @@ def test_the_maximum_is_no_lower_than_any_point_about_it() -> None:
     assert estimate.fit.log_posterior[0] == collapsed(estimate.vector[None])[0]
 
 
-def test_what_is_tied_to_an_amplitude_follows_it() -> None:
+def test_what_is_tied_to_an_amplitude_follows_it():
     rig, observations = problem(TIED)
     collapsed = CollapsedPosterior(full_posterior(rig, observations))
     best = collapsed.values(collapsed.coordinates.start())
@@ -221,12 +221,12 @@ def test_what_is_tied_to_an_amplitude_follows_it() -> None:
     assert float(misfit_T.nan_to_num().square().mean().sqrt()) < 2.0 * NOISE_T
 
 
-def test_readings_that_do_not_scatter_normally_are_left_to_the_sampler() -> None:
+def test_readings_that_do_not_scatter_normally_are_left_to_the_sampler():
     for text, is_linear in ((TEXT, True), (FREE_GAIN, True), (OUTLIERS, False)):
         assert CollapsedPosterior(full_posterior(*problem(text))).is_linear is is_linear
 
 
-def test_outside_the_prior_there_is_no_density() -> None:
+def test_outside_the_prior_there_is_no_density():
     rig, observations = problem(TEXT.replace("relative_sd: 1", "relative_sd: 1, lower: 1"))
     collapsed = CollapsedPosterior(full_posterior(rig, observations))
     inside, outside = (collapsed.coordinates.vector({"hall.noise_T": noise_T}) for noise_T in (NOISE_T, 1e-7))
@@ -238,7 +238,7 @@ def test_outside_the_prior_there_is_no_density() -> None:
 @pytest.mark.parametrize(
     "text", [*(pytest.param(text, marks=pytest.mark.slow) for text in (TEXT, FREE_GAIN, TIED)), TWO_SENSORS]
 )
-def test_amplitudes_are_integrated_out_on_another_device_as_on_the_processor(text: str) -> None:
+def test_amplitudes_are_integrated_out_on_another_device_as_on_the_processor(text):
     """Design matrix, maximum, chain, draws of the amplitudes given it, and the evidence for a degree more."""
     rig, readings = problem(text)
     settings = SamplerSettings(n_walkers=16, max_steps=10, check_every=10)

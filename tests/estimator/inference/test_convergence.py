@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import arviz
 import numpy as np
 import pytest
@@ -54,9 +52,7 @@ def test_shortest_chain_that_is_looked_at_has_numbers():
 @pytest.mark.parametrize("steps", [FEWEST_STEPS, 9, 51, 400])
 @pytest.mark.parametrize("correlation", [0.0, 0.9, -0.9])
 @pytest.mark.parametrize("shaped", [np.asarray, np.round, np.exp], ids=["normal", "whole numbers", "skew"])
-def test_numbers_are_those_of_arviz(
-    steps: int, correlation: float, shaped: Callable[[np.ndarray], np.ndarray]
-) -> None:
+def test_numbers_are_those_of_arviz(steps, correlation, shaped):
     chain = shaped(autoregressive(correlation, steps, 6))
     diagnostics, series = convergence(chain), chain[:, :, 0].T
     own = (diagnostics.ess_bulk[0], diagnostics.ess_tail[0], diagnostics.rhat[0])
@@ -68,7 +64,7 @@ def test_numbers_are_those_of_arviz(
     assert own == pytest.approx([float(number) for number in theirs], rel=1e-9)
 
 
-def test_a_count_that_changes_once_for_all_walkers_is_no_fault() -> None:
+def test_a_count_that_changes_once_for_all_walkers_is_no_fault():
     """Each half of the chain is constant; warnings are errors here."""
     chain = np.zeros((200, 8, 1))
     chain[:100] = 1.0

@@ -22,7 +22,7 @@ def problem() -> Problem:
     return make_problem(COIL, SENSORS)
 
 
-def test_shared_directions_give_the_derivatives_in_every_coordinate(problem: Problem) -> None:
+def test_shared_directions_give_the_derivatives_in_every_coordinate(problem):
     posterior = posterior_with(problem, *CAUSES)
     directions = Directions.of(posterior.model.rig, posterior.coordinates)
     n = posterior.coordinates.n_continuous
@@ -39,7 +39,7 @@ def test_shared_directions_give_the_derivatives_in_every_coordinate(problem: Pro
     assert torch.allclose(found.jacobian_T, jacobian_of(posterior.predicted, vector), rtol=1e-9, atol=1e-12)
 
 
-def test_what_may_change_readings_of_another_sensor_has_a_direction_of_its_own(problem: Problem) -> None:
+def test_what_may_change_readings_of_another_sensor_has_a_direction_of_its_own(problem):
     exchanged = posterior_with(
         problem, *CAUSES, Cause("sensors_exchanged", *EFFECTS["sensors_exchanged"].places(problem.rig))
     )
@@ -48,7 +48,7 @@ def test_what_may_change_readings_of_another_sensor_has_a_direction_of_its_own(p
     assert len(directions.each) == len(directions.of_coordinate)
 
 
-def test_derivatives_of_one_sensor_stay_in_the_order_of_the_coordinates() -> None:
+def test_derivatives_of_one_sensor_stay_in_the_order_of_the_coordinates():
     """Its noise stands before the causes of the room."""
     posterior = posterior_with(
         make_problem(COIL, f"{{one: {{{SENSOR}}}}}"), Cause("background_field", "room")
@@ -58,7 +58,7 @@ def test_derivatives_of_one_sensor_stay_in_the_order_of_the_coordinates() -> Non
     assert torch.allclose(posterior.to_first_order(vector).jacobian_T, expected, rtol=1e-9, atol=1e-12)
 
 
-def test_derivatives_in_some_coordinates_are_theirs(problem: Problem) -> None:
+def test_derivatives_in_some_coordinates_are_theirs(problem):
     """Two of them share a direction with others, and one comes before a coordinate that is numbered lower."""
     posterior = posterior_with(problem, *CAUSES)
     names = posterior.coordinates.names
@@ -72,7 +72,7 @@ def test_derivatives_in_some_coordinates_are_theirs(problem: Problem) -> None:
 
 
 @pytest.mark.parametrize("places", [("one",), ("one", "two")])
-def test_derivatives_by_poses_may_go_through_the_points(problem: Problem, places: tuple[str, ...]) -> None:
+def test_derivatives_by_poses_may_go_through_the_points(problem, places):
     """With elements apart at some or all sensors, each component has a point of its own."""
     apart = [Cause("element_displacement", place) for place in places]
     posterior = posterior_with(problem, *CAUSES, *apart, Cause("robot_shear", "stage"))

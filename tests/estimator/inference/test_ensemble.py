@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,7 +117,7 @@ class Killed(Exception):
 
 @pytest.mark.parametrize("killed_at", [10, 20, 30])
 def test_killed_run_continues_to_the_chain_of_the_uninterrupted_one(
-    counts_problem, mixture, tmp_path: Path, killed_at
+    counts_problem, mixture, tmp_path, killed_at
 ):
     settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=50, seed=5)
     expected = sample(counts_problem.whole, mixture, settings)
@@ -180,25 +179,6 @@ def test_finished_chain_is_looked_at_again_and_not_prolonged(counts_problem, mix
     longer = sample(counts_problem.whole, mixture, replace(settings, max_steps=40), backend)
     assert longer.n_steps == 40
     np.testing.assert_array_equal(longer.chain[: 40 - 8], backend.get_chain()[4:36])
-
-
-def test_progress_tells_every_look(counts_problem, mixture):
-    seen: list[Progress] = []
-    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=10, max_steps=45)
-    samples = sample(counts_problem.whole, mixture, settings, on_progress=seen.append)
-    assert [look.step for look in seen] == [10, 20, 30, 40, 45]
-    assert {look.max_steps for look in seen} == {45}
-    assert seen[-1].smallest_ess == samples.convergence.smallest_ess
-    assert seen[-1].target_ess == NEVER
-
-
-def test_looks_grow_rarer_as_the_chain_grows(counts_problem, mixture):
-    seen: list[int] = []
-    settings = SamplerSettings(n_walkers=12, target_ess=NEVER, check_every=1, max_steps=60)
-    sample(counts_problem.whole, mixture, settings, on_progress=lambda progress: seen.append(progress.step))
-    assert seen[:3] == [1, 2, 3]
-    assert seen[-1] == 60
-    assert len(seen) < 35
 
 
 def test_walkers_start_inside_the_prior(counts_problem, mixture):

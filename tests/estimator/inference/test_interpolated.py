@@ -42,7 +42,7 @@ def two_sensors(problem: Callable[..., Problem]) -> Problem:
 
 
 @pytest.mark.usefixtures("few_are_many")
-def test_density_is_that_of_all_readings(two_sensors: Problem) -> None:
+def test_density_is_that_of_all_readings(two_sensors):
     sampled = for_sampling(two_sensors.whole, mixture_of(two_sensors), seed=1)
     assert isinstance(sampled, InterpolatedPosterior)
     vectors = sampled.drawn_about(200, 1.0, torch.Generator().manual_seed(9))
@@ -53,7 +53,7 @@ def test_density_is_that_of_all_readings(two_sensors: Problem) -> None:
 
 
 @pytest.mark.usefixtures("few_are_many")
-def test_vectors_with_other_counts_have_the_density_itself(counts_problem: Problem) -> None:
+def test_vectors_with_other_counts_have_the_density_itself(counts_problem):
     sampled = for_sampling(counts_problem.whole, mixture_of(counts_problem), seed=1)
     assert isinstance(sampled, InterpolatedPosterior)
     vectors = sampled.drawn_about(6, 1.0, torch.Generator().manual_seed(2))
@@ -64,7 +64,7 @@ def test_vectors_with_other_counts_have_the_density_itself(counts_problem: Probl
 
 
 @pytest.mark.usefixtures("few_are_many")
-def test_what_is_no_polynomial_is_not_interpolated(problem: Callable[..., Problem]) -> None:
+def test_what_is_no_polynomial_is_not_interpolated(problem):
     bent = problem(
         "{coil1: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 3, radial_loops: 2, "
         "world_from_coil: {z_mm: {prior: {normal: {mean: -40, sd: 8}}}}}}",
@@ -74,5 +74,5 @@ def test_what_is_no_polynomial_is_not_interpolated(problem: Callable[..., Proble
     assert for_sampling(bent.whole, mixture_of(bent), seed=1) is bent.whole
 
 
-def test_few_readings_are_not_interpolated(two_sensors: Problem) -> None:
+def test_few_readings_are_not_interpolated(two_sensors):
     assert for_sampling(two_sensors.whole, mixture_of(two_sensors), seed=1) is two_sensors.whole

@@ -97,16 +97,3 @@ def test_open_directions_come_least_determined_first_and_stop_where_the_data_tak
         coordinates, at_start(coordinates, torch.diag(torch.tensor([4.0, 0.25]).double()) / sd**2)
     )
     assert named.words == "coil2.current_gain"
-
-
-def test_directions_are_told_with_their_signs_and_without_small_shares(linear_problem):
-    coordinates = linear_problem.real.coordinates
-    along = torch.tensor([1.0, -0.5]).double() / math.hypot(1.0, 0.5)
-    information = 100.0 * (torch.eye(2).double() - torch.outer(along, along)) / 0.05**2
-    (direction,) = open_directions(coordinates, at_start(coordinates, information))
-    assert direction.words == "coil1.current_gain up together with coil2.current_gain down"
-    assert direction.shares == {"coil1.current_gain": 1.0, "coil2.current_gain": -0.5}
-    along = torch.tensor([1.0, 0.1]).double() / math.hypot(1.0, 0.1)
-    information = 100.0 * (torch.eye(2).double() - torch.outer(along, along)) / 0.05**2
-    (direction,) = open_directions(coordinates, at_start(coordinates, information))
-    assert direction.words == "coil1.current_gain"

@@ -169,9 +169,7 @@ def test_what_follows_a_gain_is_differentiated_with_it(problem):
 
 
 @pytest.mark.parametrize("cause", ["coil_harmonics", "room_harmonics", "sensor_response"])
-def test_derivatives_by_amplitudes_of_corrections_are_those_of_automatic_differentiation(
-    posterior: LogPosterior, cause: str
-):
+def test_derivatives_by_amplitudes_of_corrections_are_those_of_automatic_differentiation(posterior, cause):
     """Predictions are linear in them, beside a response that is not."""
     model = posterior.model
     place = {"coil_harmonics": "coil1", "room_harmonics": "room", "sensor_response": "near"}[cause]

@@ -16,7 +16,6 @@ from estimator.inference.convergence import convergence
 from estimator.inference.lattice import CountMixture
 from estimator.inference.moves import (
     BLOCK,
-    POOR_SHARES,
     LatticeDifferenceMove,
     MovesInBlocks,
     autoregressive_move,
@@ -107,15 +106,6 @@ def test_draws_have_the_density(proposal):
             assert abs(sampled.mean() - expected) < 4.0 * sampled.std() / np.sqrt(len(draws))
 
 
-def test_no_pair_of_counts_starves_in_the_proposal():
-    draws = MixtureProposal(mixture(np.array([1.0, 0.0, 0.0]), MEAN, COVARIANCE)).draw(
-        20_000, np.random.RandomState(2)
-    )
-    for counts in COUNTS[1:]:
-        share = (draws[:, 2:] == counts).all(axis=1).mean()
-        assert share == pytest.approx(FLOOR / 3.0, rel=0.2)
-
-
 def chain_in_blocks(proposal: MixtureProposal, steps: int, backend: Backend, calls: list[int]) -> np.ndarray:
     """A chain that may continue an earlier one, noting how many points each call of the density takes."""
 
@@ -143,14 +133,7 @@ def test_chain_continued_within_a_block_is_that_of_an_uninterrupted_run(proposal
     )
 
 
-def test_fresh_draws_of_a_block_are_evaluated_in_one_call(proposal):
-    calls: list[int] = []
-    chain_in_blocks(proposal, BLOCK, Backend(), calls)
-    n_fresh = int((np.random.RandomState([3, 0]).choice(3, size=BLOCK, p=POOR_SHARES) == 0).sum())
-    assert max(calls) == 20 * n_fresh
-
-
-def test_draws_without_a_density_are_not_accepted(monkeypatch: pytest.MonkeyPatch):
+def test_draws_without_a_density_are_not_accepted(monkeypatch):
     """The target has one there, so that the ratio would be infinite."""
     proposal = MixtureProposal(RIGHT)
     known = proposal.log_density
@@ -220,13 +203,6 @@ def test_difference_move_is_symmetric_keeps_the_counts_and_moves_every_walker():
     )[..., 0]
     assert np.abs(white.mean(axis=0)).max() < 0.15
     assert 0.5 < white.std() < 2.5
-
-
-def test_difference_move_needs_no_walker_of_the_same_counts():
-    move, random = LatticeDifferenceMove(MixtureProposal(RIGHT)), np.random.RandomState(7)
-    lonely = target_draws(1, random, np.array([2]))
-    new, _ = move.get_proposal(lonely, [target_draws(9, random, np.zeros(9, dtype=int))], random)
-    assert np.abs(new[:, :2] - lonely[:, :2]).max() > 0.0
 
 
 MovesOf = Callable[[MixtureProposal], list[tuple[emcee.moves.Move, float]]]

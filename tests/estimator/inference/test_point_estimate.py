@@ -99,24 +99,6 @@ def test_estimate_is_the_maximum_of_all_readings_though_nelder_mead_saw_a_few(ma
     assert distance(estimate.fit, of_few) > 0.1
 
 
-def test_thinning_keeps_distinct_readings_that_the_generator_chooses(many_readings):
-    def thinned_readings(seed: int) -> list[float]:
-        thinned = module.thinned_posterior(
-            many_readings.real, many_readings.observations, np.random.default_rng(seed)
-        )
-        return thinned.measured_T.tolist()
-
-    everything = many_readings.real.measured_T.tolist()
-    assert len(set(thinned_readings(0))) == 3 * THIN_TO
-    assert set(thinned_readings(0)) <= set(everything)
-    assert thinned_readings(0) == thinned_readings(0) != thinned_readings(1)
-
-
-def test_few_readings_are_not_thinned(winding_problem):
-    posterior, rng = winding_problem.real, np.random.default_rng(0)
-    assert module.thinned_posterior(posterior, winding_problem.observations, rng) is posterior
-
-
 def test_starts_where_the_posterior_has_no_value_are_left_out(mirrored):
     """Half of the prior is forbidden here; the estimate comes from the other half, and says from how many starts."""
 

@@ -95,8 +95,8 @@ def with_free_noise(rig: Rig) -> Rig:
     ],
 )
 def test_after_each_reading_it_is_the_batch_fit_once_polished_and_not_before(
-    small_rig: Rig, readings: Observations, causes: tuple[str, ...], is_noise_free: bool
-) -> None:
+    small_rig, readings, causes, is_noise_free
+):
     rig = with_free_noise(small_rig) if is_noise_free else small_rig
     for cause in causes:
         values = {"share": 0.05, "ratio": 15.0} if cause == "outliers" else {}
@@ -122,8 +122,8 @@ def test_after_each_reading_it_is_the_batch_fit_once_polished_and_not_before(
 
 
 def test_readings_that_come_between_two_parts_do_not_wait_and_are_in_the_result(
-    small_rig: Rig, readings: Observations, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    small_rig, readings, monkeypatch
+):
     monkeypatch.setattr(running_fits, "GRADIENT_READINGS", 9)
     monkeypatch.setattr(running_fits, "LINEARISED_PREDICTIONS", 50)
     sizes = []
@@ -149,9 +149,7 @@ def test_readings_that_come_between_two_parts_do_not_wait_and_are_in_the_result(
     assert distance_sd(running, small_rig, readings) < EQUAL_SD
 
 
-def test_information_is_that_of_the_place_where_the_maximum_is(
-    small_rig: Rig, readings: Observations
-) -> None:
+def test_information_is_that_of_the_place_where_the_maximum_is(small_rig, readings):
     rig = with_free_noise(small_rig)
     running = RunningFit(rig)
     for n in range(3, N + 1):
@@ -166,7 +164,7 @@ def test_information_is_that_of_the_place_where_the_maximum_is(
     assert torch.allclose(sd, batch_sd, rtol=0.05)
 
 
-def test_at_a_bound_of_the_prior_it_gives_up_and_says_so(small_rig: Rig, readings: Observations) -> None:
+def test_at_a_bound_of_the_prior_it_gives_up_and_says_so(small_rig, readings):
     radius = small_rig.parameters["coil1.radius_m"]
     rig = small_rig.with_parameters([replace(radius, prior=Uniform(0.0505, 0.0515))])  # it is 0.0518
     running = RunningFit(rig)
@@ -174,14 +172,3 @@ def test_at_a_bound_of_the_prior_it_gives_up_and_says_so(small_rig: Rig, reading
     polished(running, readings)
     assert not running.is_polished
     assert running.n_sweeps <= MOST_SWEEPS
-
-
-def test_a_better_start_leaves_it_to_be_polished_again(small_rig: Rig, readings: Observations) -> None:
-    running = RunningFit(small_rig)
-    running.update(readings, N)
-    polished(running, readings)
-    running.refit(readings, running.coordinates.start())
-    assert not running.is_polished
-    polished(running, readings)
-    assert running.is_polished
-    assert distance_sd(running, small_rig, readings) < EQUAL_SD

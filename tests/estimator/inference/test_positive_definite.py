@@ -34,7 +34,7 @@ def matrices() -> torch.Tensor:
     return root @ root.mT * unit[:, None] * unit
 
 
-def test_solutions_inverses_and_determinants_are_those_of_sixty_digits() -> None:
+def test_solutions_inverses_and_determinants_are_those_of_sixty_digits():
     matrix, right = matrices(), torch.arange(1.0, 16.0, dtype=torch.float64).reshape(3, 5)
     with mpmath.workdps(60):
         exact = [mpmath.matrix(each.tolist()) for each in matrix]
@@ -48,7 +48,7 @@ def test_solutions_inverses_and_determinants_are_those_of_sixty_digits() -> None
     assert_close(log_determinant(matrix), matrix.new_tensor(log_determinants), rtol=1e-12, atol=0.0)
 
 
-def test_what_rounding_has_made_indefinite_is_solved_all_the_same() -> None:
+def test_what_rounding_has_made_indefinite_is_solved_all_the_same():
     angle = torch.tensor([0.3, 0.3, 1.1], dtype=torch.float64)
     column = torch.stack((angle.cos(), angle.sin()), dim=-1)
     matrix = column @ column.mT - 1e-9 * torch.eye(3, dtype=torch.float64)  # of rank two, less a little
@@ -61,7 +61,7 @@ def test_what_rounding_has_made_indefinite_is_solved_all_the_same() -> None:
     )
 
 
-def test_a_matrix_without_values_has_none_and_leaves_the_others_theirs() -> None:
+def test_a_matrix_without_values_has_none_and_leaves_the_others_theirs():
     """Weights of tuples of counts give such a fit none (`lattice`)."""
     unit = torch.eye(3, dtype=torch.float64)
     both = torch.stack((torch.full((3, 3), torch.nan, dtype=torch.float64), 4.0 * unit))
@@ -74,7 +74,7 @@ def test_a_matrix_without_values_has_none_and_leaves_the_others_theirs() -> None
     assert_close(solution[1], torch.full_like(solution[1], 0.25), rtol=1e-12, atol=0.0)
 
 
-def test_a_factor_of_a_covariance_that_rounding_has_made_indefinite_is_that_of_its_neighbour() -> None:
+def test_a_factor_of_a_covariance_that_rounding_has_made_indefinite_is_that_of_its_neighbour():
     generator = torch.Generator().manual_seed(1)
     root = torch.randn(6, 3, generator=generator, dtype=torch.float64)
     sizes = torch.tensor([1e-6, 1.0, 1e3, 1e-3, 1.0, 10.0], dtype=torch.float64)
@@ -89,7 +89,7 @@ def test_a_factor_of_a_covariance_that_rounding_has_made_indefinite_is_that_of_i
     assert_close(factors[0] @ factors[0].mT / scale, singular / scale, rtol=0.0, atol=1e-13)
 
 
-def test_batches_of_many_rows_are_solved_with_several_threads() -> None:
+def test_batches_of_many_rows_are_solved_with_several_threads():
     """The LU of torch fails here, or never ends (pytorch issue 141358)."""
     ended = subprocess.run(
         [sys.executable, "-c", SEVERAL_THREADS], capture_output=True, text=True, timeout=120, check=False

@@ -16,7 +16,6 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.readings.observations import Observations
 from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
-from estimator.store.session import Session
 
 pytestmark = pytest.mark.whole
 
@@ -29,9 +28,7 @@ def followed(rig: Rig, observations: Observations, n_each: int) -> RunningFit:
 
 
 @pytest.mark.parametrize("n_each", [1, 9])
-def test_it_ends_within_a_twentieth_of_a_standard_deviation_of_the_fit_of_all(
-    small_session: Session, n_each: int
-) -> None:
+def test_it_ends_within_a_twentieth_of_a_standard_deviation_of_the_fit_of_all(small_session, n_each):
     rig, observations = small_session.rig, small_session.observations.calibration.alone
     running = followed(rig, observations, n_each)
     posterior = LogPosterior(running.coordinates, MeasurementModel.build(rig, observations), observations)
@@ -44,14 +41,14 @@ def test_it_ends_within_a_twentieth_of_a_standard_deviation_of_the_fit_of_all(
     assert running.n_fits < len(observations) // 2
 
 
-def test_before_the_first_reading_it_is_the_prior(small_rig: Rig) -> None:
+def test_before_the_first_reading_it_is_the_prior(small_rig):
     running = RunningFit(small_rig)
     width = running.covariance.diagonal().sqrt() / running.coordinates.scale
     assert bool((width > 0.3).all())
     assert bool((width < 3.0).all())
 
 
-def test_what_is_new_about_readings_is_noise_of_the_size_it_says(small_session: Session) -> None:
+def test_what_is_new_about_readings_is_noise_of_the_size_it_says(small_session):
     observations = small_session.observations.calibration.alone
     running = RunningFit(small_session.rig)
     running.update(observations.rows(torch.arange(7)).alone, 7)
@@ -67,7 +64,7 @@ def test_what_is_new_about_readings_is_noise_of_the_size_it_says(small_session: 
     assert 0.75 < float(standard.std()) < 1.25
 
 
-def test_a_better_start_is_taken_and_a_worse_one_is_not(small_session: Session) -> None:
+def test_a_better_start_is_taken_and_a_worse_one_is_not(small_session):
     observations = small_session.observations.calibration.alone
     running = followed(small_session.rig, observations, 9)
     best = running.vector
@@ -75,9 +72,7 @@ def test_a_better_start_is_taken_and_a_worse_one_is_not(small_session: Session) 
     assert torch.allclose(running.vector, best, rtol=1e-4, atol=1e-6)
 
 
-def test_rules_are_kept_until_a_sensor_comes_nearer_and_stay_exact(
-    small_session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rules_are_kept_until_a_sensor_comes_nearer_and_stay_exact(small_session, monkeypatch):
     rig, observations = small_session.rig, small_session.observations.calibration.alone
     chosen = []
     choose = MeasurementModel.choose_rules

@@ -5,25 +5,20 @@ from __future__ import annotations
 import pytest
 import torch
 
-from estimator.calibration.result import Calibration
 from estimator.live.stream import Stream
-from estimator.rig.rig import Rig
-from estimator.store.session import Session
 from tests.estimator.conftest import CORED_SIZES, SIDEWAYS
 
 pytestmark = pytest.mark.whole
 
 
-def test_a_calibration_finds_both(cored_calibration: Calibration) -> None:
+def test_a_calibration_finds_both(cored_calibration):
     known = cored_calibration.summary()["parameters"]
     for name, size in CORED_SIZES.items():
         assert known[name]["median"] == pytest.approx(size, abs=3.0 * known[name]["sd"])
     assert known[SIDEWAYS]["sd"] < 0.3 * CORED_SIZES[SIDEWAYS]
 
 
-def test_live_estimates_are_those_of_the_calibration(
-    cored_rig: Rig, cored_session: Session, cored_calibration: Calibration
-) -> None:
+def test_live_estimates_are_those_of_the_calibration(cored_rig, cored_session, cored_calibration):
     stream, readings = Stream(cored_rig), cored_session.observations.calibration.alone
     for rows in torch.arange(len(readings)).split(6):
         last = stream.update(readings.rows(rows))

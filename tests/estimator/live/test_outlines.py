@@ -16,7 +16,6 @@ from estimator.readings.observations import Observations
 from estimator.rig.bodies import SidedCoil
 from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
-from estimator.store.session import Session
 
 CONFIGS = Path(__file__).parents[3] / "configs"
 
@@ -40,9 +39,7 @@ def at_rest(rig: Rig) -> Observations:
     )
 
 
-def test_a_coil_that_is_carried_stands_where_its_last_place_was_seen_from(
-    small_session: Session, small_rig: Rig
-) -> None:
+def test_a_coil_that_is_carried_stands_where_its_last_place_was_seen_from(small_session, small_rig):
     """Its frame holds the places, and the sensor stays where it is: origin and axes lead from one to the other."""
     readings, values = small_session.observations, nominal_tensors(small_rig)
     for key, angle_rad in {"rx": 0.3, "ry": -0.2, "rz": 0.4}.items():
@@ -57,9 +54,7 @@ def test_a_coil_that_is_carried_stands_where_its_last_place_was_seen_from(
         assert world_m.tolist() == pytest.approx(sensor_m, abs=1e-7)
 
 
-def test_a_round_coil_is_a_circle_of_its_mean_radius_in_the_middle_of_its_winding(
-    small_session: Session, small_rig: Rig
-) -> None:
+def test_a_round_coil_is_a_circle_of_its_mean_radius_in_the_middle_of_its_winding(small_session, small_rig):
     (outline,) = of(small_rig, small_session.observations)
     keys = ("radius_m", "radial_loops", "radial_pitch_m", "axial_loops", "axial_pitch_m")
     radius_m, layers, layer_m, turns, turn_m = (small_rig.nominal_values()[f"coil1.{key}"] for key in keys)
@@ -69,9 +64,7 @@ def test_a_round_coil_is_a_circle_of_its_mean_radius_in_the_middle_of_its_windin
 
 
 @pytest.mark.parametrize(("is_rounded", "radius_m"), [(False, 0.0), (True, 5e-3 + 4e-3)])
-def test_a_coil_with_straight_sides_is_a_rectangle_between_its_layers(
-    is_rounded: bool, radius_m: float
-) -> None:
+def test_a_coil_with_straight_sides_is_a_rectangle_between_its_layers(is_rounded, radius_m):
     """A bore of 160 mm by 120 mm and eight layers of 1 mm: the mean turn has 168 mm by 128 mm from side to side."""
     rig = load_rig(CONFIGS / "rectangular_helmholtz.yaml")
     coils = tuple(replace(coil, is_rounded=is_rounded) for coil in rig.wound if isinstance(coil, SidedCoil))
@@ -85,10 +78,3 @@ def test_a_coil_with_straight_sides_is_a_rectangle_between_its_layers(
         assert outline.radius_m == pytest.approx(radius_m)
         assert outline.straight_m == pytest.approx((0.168 - 2 * radius_m, 0.128 - 2 * radius_m))
     assert math.dist(first.origin_m, second.origin_m) > 0.05
-
-
-def test_coils_without_a_winding_have_a_place_and_no_width() -> None:
-    rig = load_rig(CONFIGS / "mfg_8coil.yaml")
-    drawn = of(rig, at_rest(rig))
-    assert [outline.name for outline in drawn] == [coil.name for coil in rig.coils]
-    assert {outline.radius_m for outline in drawn} == {0.0}

@@ -11,10 +11,9 @@ import torch
 from estimator.live.picture import places
 from estimator.live.stream import Stream
 from estimator.model.measurement_model import MeasurementModel
-from estimator.store.session import Session
 
 
-def test_residuals_keep_their_length_and_stand_where_the_sensor_was(small_session: Session) -> None:
+def test_residuals_keep_their_length_and_stand_where_the_sensor_was(small_session):
     readings, rig = small_session.observations.alone, small_session.rig
     stream = Stream(rig)
     stream.update(readings)
@@ -30,7 +29,7 @@ def test_residuals_keep_their_length_and_stand_where_the_sensor_was(small_sessio
     assert sum(place.rms_sigma**2 for place in found) / len(found) == pytest.approx(1.0, abs=0.4)
 
 
-def test_readings_without_a_component_have_no_place(small_session: Session) -> None:
+def test_readings_without_a_component_have_no_place(small_session):
     readings = small_session.observations.alone
     field_T = readings.field_sensor_T.clone()
     field_T[1] = torch.nan

@@ -23,9 +23,7 @@ class Clock:
 
 
 @pytest.mark.parametrize("update_s", [0.0, 0.01, 0.1])
-def test_updates_and_polishing_together_keep_to_the_share(
-    monkeypatch: pytest.MonkeyPatch, update_s: float
-) -> None:
+def test_updates_and_polishing_together_keep_to_the_share(monkeypatch, update_s):
     clock = Clock(monkeypatch)
     time_left = ProcessorShare()
     polished_s = 0.0
@@ -43,9 +41,7 @@ def test_updates_and_polishing_together_keep_to_the_share(
     assert polished_s > 0.0
 
 
-def test_a_pause_saves_up_no_more_than_a_burst_and_a_fast_stream_owes_no_more(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_pause_saves_up_no_more_than_a_burst_and_a_fast_stream_owes_no_more(monkeypatch):
     clock = Clock(monkeypatch)
     time_left = ProcessorShare()
     clock.sleep(3600.0)

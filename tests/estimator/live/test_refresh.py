@@ -26,7 +26,7 @@ def broken(session: Session, n: int) -> Session:
     return some
 
 
-def test_a_session_is_refreshed_beside_the_program_and_once(small_session: Session) -> None:
+def test_a_session_is_refreshed_beside_the_program_and_once(small_session):
     with Background(seed=1) as background:
         background.offer(of_first(small_session, 10))
         assert not background.is_busy  # too few
@@ -46,14 +46,14 @@ def test_a_session_is_refreshed_beside_the_program_and_once(small_session: Sessi
     assert result.best["coil1.axial_loops"] == small_session.truth["coil1.axial_loops"]
 
 
-def test_leaving_it_ends_the_work_at_once(small_session: Session) -> None:
+def test_leaving_it_ends_the_work_at_once(small_session):
     with Background(seed=1) as background:
         background.offer(small_session)
         begin_s = time.monotonic()
     assert time.monotonic() - begin_s < 5.0
 
 
-def test_a_session_that_nobody_reads_any_more_leaves_no_file_open(small_session: Session) -> None:
+def test_a_session_that_nobody_reads_any_more_leaves_no_file_open(small_session):
     """A page is opened and closed: the process ends before it has read what it was given."""
     with Background(seed=1) as background:
         background.begin(small_session)  # what is opened once is open
@@ -64,7 +64,7 @@ def test_a_session_that_nobody_reads_any_more_leaves_no_file_open(small_session:
     assert len(list(Path("/proc/self/fd").iterdir())) == n_open
 
 
-def test_a_session_that_fills_the_pipe_holds_up_nobody(small_session: Session) -> None:
+def test_a_session_that_fills_the_pipe_holds_up_nobody(small_session):
     readings = small_session.observations.rows(torch.arange(36).repeat(2000)).alone
     begin_s = time.monotonic()
     with Background(seed=1) as background:
@@ -72,7 +72,7 @@ def test_a_session_that_fills_the_pipe_holds_up_nobody(small_session: Session) -
     assert time.monotonic() - begin_s < 5.0
 
 
-def test_a_process_that_is_killed_is_told_of_and_the_next_one_goes_on(small_session: Session) -> None:
+def test_a_process_that_is_killed_is_told_of_and_the_next_one_goes_on(small_session):
     with Background(seed=1) as background:
         background.offer(of_first(small_session, 20))
         (process,) = multiprocessing.active_children()
@@ -90,7 +90,7 @@ def test_a_process_that_is_killed_is_told_of_and_the_next_one_goes_on(small_sess
 
 
 @pytest.mark.slow
-def test_a_process_that_is_killed_while_it_waits_is_followed_by_another(small_session: Session) -> None:
+def test_a_process_that_is_killed_while_it_waits_is_followed_by_another(small_session):
     with Background(seed=1) as background:
         (process,) = multiprocessing.active_children()
         process.kill()
@@ -98,7 +98,7 @@ def test_a_process_that_is_killed_while_it_waits_is_followed_by_another(small_se
         assert background.last(of_first(small_session, 20)) is not None
 
 
-def test_an_error_of_the_diagnosis_is_a_sentence_and_the_process_goes_on(small_session: Session) -> None:
+def test_an_error_of_the_diagnosis_is_a_sentence_and_the_process_goes_on(small_session):
     with Background(seed=1) as background:
         (process,) = multiprocessing.active_children()
         for n in (20, 25):
@@ -115,11 +115,11 @@ def test_an_error_of_the_diagnosis_is_a_sentence_and_the_process_goes_on(small_s
         ("named", ("axis_gain[hall]",), "named: axis_gain[hall] (after 30 readings)"),
     ],
 )
-def test_a_verdict_is_said_in_words(verdict: str, causes: tuple[str, ...], words: str) -> None:
+def test_a_verdict_is_said_in_words(verdict, causes, words):
     assert Refreshed(30, {}, {}, verdict, causes, 1.0).words == words
 
 
-def test_readings_that_were_recorded_wrongly_are_told(small_session: Session) -> None:
+def test_readings_that_were_recorded_wrongly_are_told(small_session):
     readings = small_session.observations.calibration.alone
     field_T = readings.field_sensor_T.clone()
     field_T[[5, 12, 19]] *= 10.0

@@ -10,19 +10,14 @@ import numpy as np
 import pytest
 import torch
 
-from estimator.calibration.result import Calibration
 from estimator.live.stream import Stream
 from estimator.model.simulate import simulate
-from estimator.readings.plan import Plan, load_plan
+from estimator.readings.plan import load_plan
 from estimator.rig.coordinates import Coordinates
-from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
-from estimator.store.session import Session
 
 
-def test_its_intervals_are_those_of_the_calibration(
-    small_session: Session, small_calibration: Calibration
-) -> None:
+def test_its_intervals_are_those_of_the_calibration(small_session, small_calibration):
     stream = Stream(small_session.rig)
     readings = small_session.observations
     stream.update(readings.rows(torch.arange(20)))
@@ -34,7 +29,7 @@ def test_its_intervals_are_those_of_the_calibration(
             assert last.intervals[name].value == pytest.approx(known["median"], abs=known["sd"])
 
 
-def test_what_comes_at_once_counts_as_what_comes_one_by_one(small_session: Session) -> None:
+def test_what_comes_at_once_counts_as_what_comes_one_by_one(small_session):
     readings = small_session.observations.calibration
     one_by_one, at_once = Stream(small_session.rig), Stream(small_session.rig)
     one_by_one.update(readings.rows(torch.arange(10)))
@@ -47,7 +42,7 @@ def test_what_comes_at_once_counts_as_what_comes_one_by_one(small_session: Sessi
 
 
 @pytest.mark.parametrize("seed", [0, 4])
-def test_noise_raises_no_alarm_where_readings_arrive_together(seed: int) -> None:
+def test_noise_raises_no_alarm_where_readings_arrive_together(seed):
     """Early ones share an error of the prediction, which ten numbers that are hardly known make."""
     rig = load_rig("configs/paper_simulation.yaml")
     coordinates = Coordinates(rig, integer_counts=True)
@@ -61,8 +56,8 @@ def test_noise_raises_no_alarm_where_readings_arrive_together(seed: int) -> None
 
 
 def test_a_current_that_drops_in_mid_session_raises_an_alarm_that_dates_it(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+    small_rig, small_plan, small_truth
+):
     readings = simulate(small_rig, replace(small_plan, repeats=4), small_truth, seed=4).calibration.alone
     weaker = torch.ones(len(readings), 1, dtype=torch.float64)
     weaker[69:] = 0.97
@@ -76,7 +71,7 @@ def test_a_current_that_drops_in_mid_session_raises_an_alarm_that_dates_it(
     assert stream.alarms[0].at < 85
 
 
-def test_readings_without_a_component_are_counted_and_not_fitted(small_session: Session) -> None:
+def test_readings_without_a_component_are_counted_and_not_fitted(small_session):
     stream = Stream(small_session.rig)
     blank = small_session.observations.with_field(
         torch.full_like(small_session.observations.field_sensor_T, torch.nan)
@@ -85,9 +80,7 @@ def test_readings_without_a_component_are_counted_and_not_fitted(small_session: 
     assert stream.n_skipped == len(blank)
 
 
-def test_an_update_takes_milliseconds_however_long_the_session_is(
-    small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+def test_an_update_takes_milliseconds_however_long_the_session_is(small_rig, small_plan, small_truth):
     """The target is 50 ms at 500 readings (`make bench-live`); shared machines get three times as long."""
     readings = simulate(small_rig, replace(small_plan, repeats=20), small_truth, seed=4).calibration.alone
     stream = Stream(small_rig)

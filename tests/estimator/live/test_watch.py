@@ -40,12 +40,12 @@ def watched(rig: Rig, change: torch.Tensor, seed: int, expected_T: torch.Tensor 
     return watch.alarms
 
 
-def test_noise_raises_no_alarm(small_rig: Rig) -> None:
+def test_noise_raises_no_alarm(small_rig):
     assert [alarm for seed in range(5) for alarm in watched(small_rig, torch.zeros(N, 3), seed)] == []
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_shift_is_found_soon_and_dated(small_rig: Rig, seed: int) -> None:
+def test_a_shift_is_found_soon_and_dated(small_rig, seed):
     change = torch.zeros(N, 3)
     change[209:, 1] = -1.5
     (alarm, *_) = watched(small_rig, change, seed)
@@ -55,7 +55,7 @@ def test_a_shift_is_found_soon_and_dated(small_rig: Rig, seed: int) -> None:
     assert alarm.size_sigma == pytest.approx(-1.5, abs=0.9)
 
 
-def test_a_field_that_weakens_is_told_from_a_component_that_is_off(small_rig: Rig) -> None:
+def test_a_field_that_weakens_is_told_from_a_component_that_is_off(small_rig):
     """The field points another way at each reading, so that only its strength is off the same way."""
     direction = torch.randn(N, 3, generator=torch.Generator().manual_seed(9), dtype=torch.float64)
     direction = direction / direction.norm(dim=1, keepdim=True)
@@ -66,7 +66,7 @@ def test_a_field_that_weakens_is_told_from_a_component_that_is_off(small_rig: Ri
     assert alarms[0].since == pytest.approx(101, abs=8)
 
 
-def test_one_improbable_reading_is_one_alarm(small_rig: Rig) -> None:
+def test_one_improbable_reading_is_one_alarm(small_rig):
     change = torch.zeros(N, 3)
     change[49, 2] = 9.0
     (alarm,) = watched(small_rig, change, 3)
@@ -74,7 +74,7 @@ def test_one_improbable_reading_is_one_alarm(small_rig: Rig) -> None:
     assert "reading 50 is improbable" in alarm.words
 
 
-def test_readings_that_arrive_together_are_expected_by_those_before_them() -> None:
+def test_readings_that_arrive_together_are_expected_by_those_before_them():
     """One after the other they are independent: the factors of their joint density multiply."""
     generator = torch.Generator().manual_seed(4)
     jacobian_T, root = (torch.randn(n, 3, generator=generator, dtype=torch.float64) for n in (9, 3))

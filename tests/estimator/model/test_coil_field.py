@@ -42,7 +42,7 @@ def field_of(kind: str, scale: float = 1.0):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_field_has_neither_divergence_nor_curl_where_it_is_there(kind: str) -> None:
+def test_field_has_neither_divergence_nor_curl_where_it_is_there(kind):
     field, rig = field_of(kind)
     point_m = torch.tensor([SPOT_M.get(kind, (0.01, -0.005, 0.02))], dtype=torch.float64)
     assert not field.has_none(point_m).any()
@@ -57,7 +57,7 @@ def test_field_has_neither_divergence_nor_curl_where_it_is_there(kind: str) -> N
 
 
 @pytest.mark.parametrize("kind", FORBIDDEN_M)
-def test_sensor_is_refused_where_a_coil_has_no_field(kind: str) -> None:
+def test_sensor_is_refused_where_a_coil_has_no_field(kind):
     field, _ = field_of(kind)
     points_m = torch.tensor([SPOT_M.get(kind, (0.01, -0.005, 0.02)), FORBIDDEN_M[kind]], dtype=torch.float64)
     assert field.has_none(points_m).tolist() == [False, True]
@@ -72,7 +72,7 @@ def test_sensor_is_refused_where_a_coil_has_no_field(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["interior", "exterior", "charges"])
-def test_field_without_a_winding_is_linear_in_its_amplitudes(kind: str) -> None:
+def test_field_without_a_winding_is_linear_in_its_amplitudes(kind):
     point_m = torch.tensor([SPOT_M.get(kind, (0.01, -0.005, 0.02))], dtype=torch.float64)
     once, thrice = (field_of(kind, scale)[0].by(None)(point_m) for scale in (1.0, 3.0))
     torch.testing.assert_close(thrice, 3.0 * once, rtol=1e-12, atol=0.0)

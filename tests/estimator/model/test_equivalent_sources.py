@@ -45,7 +45,7 @@ sensors: {hall: {carried_by: stage, noise_uT: 1}}
 NOISE_T = 1e-8
 
 
-def test_readings_beyond_half_the_margin_are_refused() -> None:
+def test_readings_beyond_half_the_margin_are_refused():
     rig = rig_from_text(TEXT)
     MeasurementModel.build(rig, readings([[0.0169, 0.0, 0.005]], [1.0]))
     with pytest.raises(
@@ -54,7 +54,7 @@ def test_readings_beyond_half_the_margin_are_refused() -> None:
         MeasurementModel.build(rig, readings([[0.010, 0.0, 0.0], [0.0, 0.0, 0.0071]], [1.0]))
 
 
-def test_the_room_has_no_field_near_the_charges_and_beyond() -> None:
+def test_the_room_has_no_field_near_the_charges_and_beyond():
     rig = rig_from_text(TEXT).with_values({"c1.charge1_T_per_A": 1e-3})
     values = nominal_tensors(rig)
     points_m = torch.tensor(
@@ -70,7 +70,7 @@ def test_the_room_has_no_field_near_the_charges_and_beyond() -> None:
         torch.testing.assert_close(far_T.cpu(), field_T, equal_nan=True)
 
 
-def test_nearer_to_a_multipole_than_the_box_readings_are_refused_and_the_room_has_no_field() -> None:
+def test_nearer_to_a_multipole_than_the_box_readings_are_refused_and_the_room_has_no_field():
     rig = rig_from_text(TEXT.replace("spacing_mm: 1.8", "spacing_mm: 1.8\n    multipoles_mm: [[0, 0, 6]]"))
     MeasurementModel.build(rig, readings([[0.010, 0.0, 0.005], [0.013, 0.0, 0.0055]], [1.0]))
     with pytest.raises(InvalidInput, match="no nearer to a multipole of c1 than its box does"):
@@ -91,7 +91,7 @@ def columns(rig: Rig, points_m: Tensor) -> Tensor:
 
 
 @pytest.mark.whole
-def test_magnets_beside_the_box_are_followed_into_the_corners() -> None:
+def test_magnets_beside_the_box_are_followed_into_the_corners():
     """Three magnets 2 mm off a face, by posterior means without the corners: a ball that holds the corners holds the magnets too."""
     axis = torch.linspace(-5e-3, 5e-3, 8).double()
     places_m = torch.cartesian_prod(axis, axis, axis)

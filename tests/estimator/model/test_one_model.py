@@ -121,14 +121,14 @@ NOT_AT_THE_FIRST_MOMENT = {
 }
 
 
-def test_causes_of_every_stage_are_asked() -> None:
+def test_causes_of_every_stage_are_asked():
     assert {
         stage for stage in OF_THE_FIELD if any(isinstance(EFFECTS[c.name], stage) for c in CAUSES)
     } == set(OF_THE_FIELD)
 
 
 @pytest.mark.parametrize("cause", CAUSES, ids=lambda cause: cause.label)
-def test_an_effect_changes_fit_and_prediction_alike(cause: Cause) -> None:
+def test_an_effect_changes_fit_and_prediction_alike(cause):
     plain = rig_from_text(TEXT.format(sensors=SENSORS))
     observations, effect = moment(), EFFECTS[cause.name]
     circumstances = Circumstances(plain, observations)

@@ -112,7 +112,7 @@ def moved(observations: Observations, position: float = 1.0, rotation: float = 1
 
 
 @pytest.mark.parametrize("noise_T", [20e-6, 200e-6])
-def test_readings_of_30_random_truths_are_never_refused(setup: tuple[Rig, Plan], noise_T: float) -> None:
+def test_readings_of_30_random_truths_are_never_refused(setup, noise_T):
     rig, plan = setup
     for seed in SEEDS:
         check(rig, read(rig, plan, seed, noise_T))
@@ -141,9 +141,7 @@ def test_readings_of_30_random_truths_are_never_refused(setup: tuple[Rig, Plan],
     ],
     ids=["mT", "uT", "G", "mA", "unknown factor"],
 )
-def test_another_unit_of_field_or_current_is_named(
-    setup: tuple[Rig, Plan], change: Change, message: str
-) -> None:
+def test_another_unit_of_field_or_current_is_named(setup, change, message):
     rig, plan = setup
     for seed in SEEDS[:4]:
         refused = refusal(rig, change(read(rig, plan, seed)))
@@ -153,7 +151,7 @@ def test_another_unit_of_field_or_current_is_named(
         assert has_cure == ("look like" in message)
 
 
-def test_another_unit_of_positions_or_angles_is_named(setup: tuple[Rig, Plan]) -> None:
+def test_another_unit_of_positions_or_angles_is_named(setup):
     rig, plan = setup
     is_robot = len(rig.movers[0].columns[0].split("_q")) == 2
     has_rotations = any(pose["arm"][3:].any() for pose in plan.calibration)
@@ -178,9 +176,7 @@ def test_another_unit_of_positions_or_angles_is_named(setup: tuple[Rig, Plan]) -
             )
 
 
-def test_units_of_a_session_with_zero_current_readings_are_judged_by_the_others(
-    small_rig: Rig, good: Observations
-) -> None:
+def test_units_of_a_session_with_zero_current_readings_are_judged_by_the_others(small_rig, good):
     offset_T = torch.tensor([0.0, 0.0, 0.05], dtype=torch.float64)
     off = replace(good, current_A=0.0 * good.current_A).with_field(good.field_sensor_T * 0 + offset_T)
     check_units(small_rig, good.rows(torch.arange(9)), "readings.csv")
@@ -239,21 +235,19 @@ REFUSALS: dict[str, tuple[Change, str]] = {
 
 
 @pytest.mark.parametrize(("change", "message"), REFUSALS.values(), ids=REFUSALS)
-def test_readings_that_support_no_fit_are_refused(
-    small_rig: Rig, good: Observations, change: Change, message: str
-) -> None:
+def test_readings_that_support_no_fit_are_refused(small_rig, good, change, message):
     check(small_rig, good)
     assert refusal(small_rig, change(good)) == f"{message} (readings.csv)"
 
 
-def test_components_that_were_not_measured_are_no_fault(small_rig: Rig, good: Observations) -> None:
+def test_components_that_were_not_measured_are_no_fault(small_rig, good):
     field_T = good.field_sensor_T.clone()
     field_T[:, 0] = math.nan
     field_T[::2, 1] = math.nan
     check(small_rig, good.with_field(field_T))
 
 
-def test_a_large_session_is_judged_by_some_of_its_readings(small_rig: Rig, good: Observations) -> None:
+def test_a_large_session_is_judged_by_some_of_its_readings(small_rig, good):
     large = good.rows(torch.arange(20_000) % len(good))
     check(small_rig, large)
     assert "mT" in refusal(small_rig, large.with_field(1e3 * large.field_sensor_T))

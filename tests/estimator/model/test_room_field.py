@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -156,9 +154,7 @@ def test_batches_of_parameter_sets_and_of_currents_equal_one_by_one(rig, points_
         torch.testing.assert_close(together[i], room.field_T(values_of(rig), current), rtol=1e-12, atol=1e-20)
 
 
-def test_draws_some_at_a_time_give_what_all_give_together(
-    rig: Rig, points_m: Tensor, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_draws_some_at_a_time_give_what_all_give_together(rig, points_m, monkeypatch):
     """With a block that ends in the middle, and without a batch where nothing depends on the draws."""
     values = values_of(rig)
     room = RoomField(rig, values, points_m)
@@ -176,15 +172,3 @@ def test_draws_some_at_a_time_give_what_all_give_together(
     assert asked == [3, 3, 1]
     best = room.field_T(values, CURRENT_A)
     assert torch.equal(some_at_a_time(lambda _: best, draws, len(points_m), 2), best)
-
-
-def test_draws_of_many_points_are_asked_by_several_threads(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("estimator.side_by_side.n_cores", lambda: 2)
-    met = threading.Barrier(2, timeout=60.0)
-
-    def at(draws: Mapping[str, Tensor]) -> Tensor:
-        met.wait()
-        return draws["x"][:, None, None].expand(-1, 10_000, 3)
-
-    x = torch.arange(4.0)
-    assert some_at_a_time(at, {"x": x}, 10_000, 2)[:, 0, 0].tolist() == x.tolist()

@@ -61,7 +61,7 @@ def motion() -> Tensor:
     return tensor(np.hstack((rng.uniform(-0.01, 0.01, (12, 3)), rng.uniform(-0.3, 0.3, (12, 3)))))
 
 
-def test_readings_are_those_of_magpylib_loops_in_their_places(rig: Rig, motion: Tensor):
+def test_readings_are_those_of_magpylib_loops_in_their_places(rig, motion):
     model = MeasurementModel.build(rig, readings(motion), tolerance=1e-9)
     found_T = model.predict(nominal_tensors(rig))
     values = nominal_tensors(rig)
@@ -83,7 +83,7 @@ def test_readings_are_those_of_magpylib_loops_in_their_places(rig: Rig, motion: 
     )  # chords
 
 
-def test_field_in_the_room_is_what_a_sensor_there_would_read(rig: Rig, motion: Tensor):
+def test_field_in_the_room_is_what_a_sensor_there_would_read(rig, motion):
     values = nominal_tensors(rig)
     found_T = MeasurementModel.build(rig, readings(motion), tolerance=1e-9).predict(values)
     for i in range(3):
@@ -91,7 +91,7 @@ def test_field_in_the_room_is_what_a_sensor_there_would_read(rig: Rig, motion: T
         torch.testing.assert_close(room.field_T(values, CURRENT_A)[0], found_T[i], rtol=1e-8, atol=0.0)
 
 
-def test_points_in_a_winding_have_no_field_and_sensors_there_are_refused(rig: Rig, motion: Tensor):
+def test_points_in_a_winding_have_no_field_and_sensors_there_are_refused(rig, motion):
     in_wire_m = tensor([[0.0, 0.0215, -5e-3], [0.0, 0.0195, -5e-3]])
     room = RoomField(rig, nominal_tensors(rig), in_wire_m)
     field_T = room.field_T(nominal_tensors(rig), CURRENT_A)
@@ -105,7 +105,7 @@ def test_points_in_a_winding_have_no_field_and_sensors_there_are_refused(rig: Ri
 
 
 @pytest.mark.parametrize("coil", [0, 1])
-def test_rules_by_distance_keep_their_tolerance(rig: Rig, coil: int):
+def test_rules_by_distance_keep_their_tolerance(rig, coil):
     winding = winding_of(rig, rig.wound[coil], nominal_tensors(rig))
     points_m = tensor(np.random.default_rng(3).uniform(-0.12, 0.12, (1500, 3)))
     distance_m = distance_to_sided(points_m, winding)
@@ -150,7 +150,7 @@ def test_coordinates_are_those_of_the_mean_loop_and_lead_back():
     assert torch.isfinite(coordinates.log_prior(draws)).all()
 
 
-def test_causes_of_a_round_winding_have_no_place_but_those_of_any_coil_do(rig: Rig):
+def test_causes_of_a_round_winding_have_no_place_but_those_of_any_coil_do(rig):
     at = {name: set(effect.places(rig)) for name, effect in EFFECTS.items()}
     assert all(
         at[name] >= {"c1", "c2"}

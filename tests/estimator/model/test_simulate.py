@@ -10,8 +10,6 @@ import torch
 
 from estimator.errors import InvalidInput
 from estimator.model.simulate import draw_truth, perfect_readings, simulate
-from estimator.readings.plan import Plan
-from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 
 pytestmark = pytest.mark.whole
@@ -19,9 +17,7 @@ pytestmark = pytest.mark.whole
 MU0 = 1.25663706212e-6
 
 
-def test_without_noise_the_centre_of_the_coil_reads_the_sum_of_its_loops(
-    small_rig: Rig, small_plan: Plan
-) -> None:
+def test_without_noise_the_centre_of_the_coil_reads_the_sum_of_its_loops(small_rig, small_plan):
     truth = {"hall.noise_T": 0.0, "coil1.axial_loops": 4.0, "coil1.world_from_coil0.z_m": -0.03}
     o = simulate(small_rig, small_plan, truth, seed=0)
     on_axis = (o.motion["arm1"][:, :2] == 0.0).all(dim=1)
@@ -34,7 +30,7 @@ def test_without_noise_the_centre_of_the_coil_reads_the_sum_of_its_loops(
         assert field_T[:2].abs().max() < 1e-15
 
 
-def test_noise_is_that_of_the_truth_in_every_component(small_rig: Rig, small_plan: Plan) -> None:
+def test_noise_is_that_of_the_truth_in_every_component(small_rig, small_plan):
     clean = simulate(small_rig, small_plan, {"hall.noise_T": 0.0}, seed=0).field_sensor_T
     noise = torch.stack(
         [
@@ -49,7 +45,7 @@ def test_noise_is_that_of_the_truth_in_every_component(small_rig: Rig, small_pla
     assert np.abs(correlation - np.eye(3)).max() < 5 / np.sqrt(noise.numel() / 3)
 
 
-def test_each_sensor_has_its_own_noise(small_plan: Plan, rig_text: str) -> None:
+def test_each_sensor_has_its_own_noise(small_plan, rig_text):
     rig = rig_from_text(rig_text + "  second: {noise_mT: 1}\n")
     o = simulate(rig, small_plan, {}, seed=0)
     scatter = o.field_sensor_T - perfect_readings(rig, o)
@@ -57,13 +53,13 @@ def test_each_sensor_has_its_own_noise(small_plan: Plan, rig_text: str) -> None:
     assert scatter[o.sensor == 1].std().item() == pytest.approx(1e-3, rel=0.25)
 
 
-def test_the_seed_decides_everything_and_nothing_else_does(small_rig: Rig, small_plan: Plan) -> None:
+def test_the_seed_decides_everything_and_nothing_else_does(small_rig, small_plan):
     first, again, differing = (simulate(small_rig, small_plan, {}, seed).field_sensor_T for seed in (3, 3, 4))
     assert torch.equal(first, again)
     assert not torch.isclose(first, differing, rtol=0, atol=1e-9).any(dim=1).all()
 
 
-def test_a_repeated_setting_has_the_same_field_and_other_noise(small_rig: Rig, small_plan: Plan) -> None:
+def test_a_repeated_setting_has_the_same_field_and_other_noise(small_rig, small_plan):
     twice = replace(small_plan, repeats=2)
     clean, noisy = (simulate(small_rig, twice, {"hall.noise_T": noise_T}, seed=0) for noise_T in (0.0, 5e-6))
     is_first = clean.repeat == 0
@@ -71,7 +67,7 @@ def test_a_repeated_setting_has_the_same_field_and_other_noise(small_rig: Rig, s
     assert not (noisy.field_sensor_T[is_first] == noisy.field_sensor_T[~is_first]).any()
 
 
-def test_truths_follow_the_priors(small_rig: Rig) -> None:
+def test_truths_follow_the_priors(small_rig):
     truths = [draw_truth(small_rig, seed) for seed in range(400)]
     assert truths[7] == draw_truth(small_rig, 7)
     assert set(truths[0]) == {parameter.name for parameter in small_rig.free}
@@ -83,7 +79,7 @@ def test_truths_follow_the_priors(small_rig: Rig) -> None:
     assert radius.std() == pytest.approx(0.001, rel=5 / np.sqrt(800))
 
 
-def test_a_truth_never_lacks_its_bore_nor_a_loop(rig_text: str) -> None:
+def test_a_truth_never_lacks_its_bore_nor_a_loop(rig_text):
     wide = rig_text.replace("mean: 51, sd: 1", "mean: 51, sd: 40").replace(
         "mean: 12, sd: 1, lower: 1", "mean: 1, sd: 9"
     )
@@ -94,7 +90,7 @@ def test_a_truth_never_lacks_its_bore_nor_a_loop(rig_text: str) -> None:
         assert truth["coil1.axial_loops"] >= 1.0
 
 
-def test_priors_that_leave_no_bore_are_refused(rig_text: str) -> None:
+def test_priors_that_leave_no_bore_are_refused(rig_text):
     prior = "radius_mm: {value: 51, prior: {normal: {mean: 3, sd: 0.1}}}"
     rig = rig_from_text(rig_text.replace("radius_mm: {prior: {normal: {mean: 51, sd: 1}}}", prior))
     with pytest.raises(InvalidInput, match="priors of rig 'small' must allow windings that leave a bore"):
@@ -124,9 +120,7 @@ def test_priors_that_leave_no_bore_are_refused(rig_text: str) -> None:
         ),
     ],
 )
-def test_an_impossible_truth_is_refused(
-    small_rig: Rig, small_plan: Plan, truth: dict[str, float], message: str
-) -> None:
+def test_an_impossible_truth_is_refused(small_rig, small_plan, truth, message):
     with pytest.raises(InvalidInput) as caught:
         simulate(small_rig, small_plan, truth, seed=0)
     assert str(caught.value) == message

@@ -74,7 +74,7 @@ def rig(request: pytest.FixtureRequest, rig_text: str) -> Rig:
     )
 
 
-def test_it_is_the_models_whatever_the_movers_report(rig: Rig) -> None:
+def test_it_is_the_models_whatever_the_movers_report(rig):
     readings = some_readings(rig)
     expected_T = perfect_readings(rig, readings)
     field = field_of(rig)
@@ -84,7 +84,7 @@ def test_it_is_the_models_whatever_the_movers_report(rig: Rig) -> None:
         )
 
 
-def test_pose_and_readings_of_a_mover_are_inverse_to_each_other(rig: Rig) -> None:
+def test_pose_and_readings_of_a_mover_are_inverse_to_each_other(rig):
     readings = some_readings(rig)
     for mover in rig.movers:
         motion = readings.motion[mover.name]
@@ -95,7 +95,7 @@ def test_pose_and_readings_of_a_mover_are_inverse_to_each_other(rig: Rig) -> Non
         )
 
 
-def test_a_hidden_gain_shows_and_a_drift_grows_with_time(small_rig: Rig) -> None:
+def test_a_hidden_gain_shows_and_a_drift_grows_with_time(small_rig):
     readings = some_readings(small_rig)
     moment = moment_of(small_rig, readings, 1)
     x_T, y_T, z_T = field_of(small_rig)(moment)
@@ -105,7 +105,7 @@ def test_a_hidden_gain_shows_and_a_drift_grows_with_time(small_rig: Rig) -> None
     assert drifting(replace(moment, time_s=7200.0))[0] == pytest.approx(x_T + 2e-5)
 
 
-def test_a_warm_coil_carries_less_and_a_warm_sensor_reads_otherwise(small_rig: Rig) -> None:
+def test_a_warm_coil_carries_less_and_a_warm_sensor_reads_otherwise(small_rig):
     readings = some_readings(small_rig)
     moment = moment_of(small_rig, readings, 1)
     warm = replace(moment, coil_temperatures_K=(REFERENCE_K + 10.0,), room_temperature_K=REFERENCE_K + 2.0)
@@ -119,7 +119,7 @@ def test_a_warm_coil_carries_less_and_a_warm_sensor_reads_otherwise(small_rig: R
 
 
 @pytest.mark.parametrize("quantity", ["loss_per_A2", "tau_h"])
-def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig: Rig, quantity: str) -> None:
+def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig, quantity):
     with pytest.raises(InvalidInput, match="coil_heating.* depends on .*loss_per_K"):
         simulated_rig(small_rig, {}, {f"coil_heating[coil1].{quantity}": 1.0})
 
@@ -142,18 +142,18 @@ def test_coils_of_a_running_rig_warm_up_by_themselves(small_rig: Rig, quantity: 
         "position_jitter",
     ],
 )
-def test_a_cause_that_no_moment_shows_is_refused(small_rig: Rig, cause: str) -> None:
+def test_a_cause_that_no_moment_shows_is_refused(small_rig, cause):
     with pytest.raises(InvalidInput, match=f"{cause}.* depends on "):
         simulated_rig(small_rig, {}, {cause: 1.0})
 
 
-def test_a_sensor_inside_the_winding_reads_zero(small_rig: Rig) -> None:
+def test_a_sensor_inside_the_winding_reads_zero(small_rig):
     readings = some_readings(small_rig)
     readings.motion["arm1"][0] = torch.tensor([0.048, 0.0, 0.045, 0.0, 0.0, 0.0])
     assert field_of(small_rig)(moment_of(small_rig, readings, 0)) == (0.0, 0.0, 0.0)
 
 
-def test_noise_has_the_width_of_the_truth_and_comes_back_with_its_seed(small_rig: Rig) -> None:
+def test_noise_has_the_width_of_the_truth_and_comes_back_with_its_seed(small_rig):
     real = simulated_rig(small_rig, {"hall.noise_T": 1e-5}, {})
     field = SimulatedField(real, "hall", ("coil1",), {"arm1": HOME}, 7)
     same = pickle.loads(pickle.dumps(field))

@@ -58,11 +58,11 @@ def with_row(observations: Observations, row: int, field_T: float) -> Observatio
     return observations.with_field(changed_T)
 
 
-def test_readings_as_the_rig_describes_them_call_for_no_word(readings: Observations) -> None:
+def test_readings_as_the_rig_describes_them_call_for_no_word(readings):
     assert check_units(rig(), readings, "a.csv") == []
 
 
-def test_fields_in_the_frame_of_the_base_are_no_degrees(readings: Observations) -> None:
+def test_fields_in_the_frame_of_the_base_are_no_degrees(readings):
     world_from_sensor = rotation_from_vector(readings.motion["stage"][:, 3:])
     field_T = (world_from_sensor @ readings.field_sensor_T[..., None])[..., 0]
     (told,) = check_units(rig(), readings.with_field(field_T), "a.csv")
@@ -70,11 +70,11 @@ def test_fields_in_the_frame_of_the_base_are_no_degrees(readings: Observations) 
 
 
 @pytest.mark.parametrize("holder_mm", [-30.0, 25.0, 60.0])
-def test_a_sensor_that_sits_elsewhere_is_not_refused(readings: Observations, holder_mm: float) -> None:
+def test_a_sensor_that_sits_elsewhere_is_not_refused(readings, holder_mm):
     check_units(rig(holder_mm), readings, "a.csv")
 
 
-def test_a_sensor_that_nominally_stands_in_the_winding_is_no_wrong_unit(readings: Observations) -> None:
+def test_a_sensor_that_nominally_stands_in_the_winding_is_no_wrong_unit(readings):
     motion = readings.motion["stage"].clone()
     motion[3, :3] = torch.tensor([0.05, 0.0, -0.042])
     motion[3, 3:] = 0.0
@@ -90,25 +90,25 @@ def test_a_sensor_that_nominally_stands_in_the_winding_is_no_wrong_unit(readings
 
 
 @pytest.mark.parametrize("wild_T", [-0.26624, 9.999])
-def test_a_few_wild_readings_are_named_and_not_the_unit(readings: Observations, wild_T: float) -> None:
+def test_a_few_wild_readings_are_named_and_not_the_unit(readings, wild_T):
     wild = with_row(with_row(readings, 7, wild_T), 11, wild_T)
     assert check_units(rig(), wild, "a.csv") == [
         "Readings 8, 12: far from all others beside the rig's nominal model (a.csv)."
     ]
 
 
-def test_a_reversed_sign_is_told_and_left_to_the_diagnosis(readings: Observations) -> None:
+def test_a_reversed_sign_is_told_and_left_to_the_diagnosis(readings):
     (told,) = check_units(rig(), replace(readings, current_A=-readings.current_A), "a.csv")
     assert "may be reversed" in told
 
 
 @pytest.mark.parametrize(("factor", "is_told"), [(0.1, True), (0.5, False), (2.0, False), (10.0, True)])
-def test_a_scale_that_a_rig_may_have_is_told(readings: Observations, factor: float, is_told: bool) -> None:
+def test_a_scale_that_a_rig_may_have_is_told(readings, factor, is_told):
     told = check_units(rig(), readings.with_field(factor * readings.field_sensor_T), "a.csv")
     assert [note.partition(" times those of")[0] for note in told] == [f"Fields are {factor:g}"] * is_told
 
 
-def test_a_thousand_in_all_rows_is_refused_whatever_the_pattern(readings: Observations) -> None:
+def test_a_thousand_in_all_rows_is_refused_whatever_the_pattern(readings):
     shuffled = readings.field_sensor_T[
         torch.randperm(len(readings), generator=torch.Generator().manual_seed(0))
     ]
@@ -117,7 +117,7 @@ def test_a_thousand_in_all_rows_is_refused_whatever_the_pattern(readings: Observ
         check_units(rig(), readings.with_field(1e3 * shuffled), "a.csv")
 
 
-def test_currents_without_their_sign_are_told(readings: Observations) -> None:
+def test_currents_without_their_sign_are_told(readings):
     """Both signs flowed, and the record holds sizes; where the record has the signs, nothing is said."""
     sign = torch.where(torch.arange(len(readings)) % 3 == 0, -1.0, 1.0).double()
     flowed = readings.with_field(sign[:, None] * readings.field_sensor_T)
@@ -131,7 +131,7 @@ def test_currents_without_their_sign_are_told(readings: Observations) -> None:
     assert "without their sign" not in all_reversed
 
 
-def test_the_field_of_the_room_is_no_other_pattern(readings: Observations) -> None:
+def test_the_field_of_the_room_is_no_other_pattern(readings):
     """Half the readings without current, and a room whose field is larger than that of the coil."""
     is_idle = torch.arange(len(readings)) % 2 == 0
     field_T = readings.field_sensor_T.masked_fill(is_idle[:, None], 0.0) + torch.tensor([3e-3, -2e-3, 1e-3])

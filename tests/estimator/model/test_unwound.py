@@ -85,9 +85,7 @@ def coil_and_values(text: str, amplitudes: dict[str, float]) -> tuple[HarmonicCo
 
 @pytest.mark.parametrize("text", [TEXT, EXTERIOR])
 @pytest.mark.parametrize("degree", [1, 2, 4])
-def test_each_term_is_the_gradient_of_its_potential_with_rms_one_at_the_reference_sphere(
-    text: str, degree: int
-) -> None:
+def test_each_term_is_the_gradient_of_its_potential_with_rms_one_at_the_reference_sphere(text, degree):
     rng = np.random.default_rng(degree)
     directions = rng.normal(size=(30, 3))
     points = directions / np.linalg.norm(directions, axis=1)[:, None] * rng.uniform(0.3, 2.0, (30, 1))
@@ -103,7 +101,7 @@ def test_each_term_is_the_gradient_of_its_potential_with_rms_one_at_the_referenc
 
 
 @pytest.mark.parametrize("text", [TEXT, EXTERIOR])
-def test_divergence_and_curl_vanish(text: str) -> None:
+def test_divergence_and_curl_vanish(text):
     rig = rig_from_text(text)
     names = [name for own in rig.unwound[0].amplitudes.values() for name in own]
     rng = np.random.default_rng(0)
@@ -121,7 +119,7 @@ def test_divergence_and_curl_vanish(text: str) -> None:
     assert ((gradient - gradient.mT).abs().amax((-1, -2)) / size).max() < 1e-12
 
 
-def test_multipoles_fitted_to_a_loop_of_magpylib_give_its_field_farther_away() -> None:
+def test_multipoles_fitted_to_a_loop_of_magpylib_give_its_field_farther_away():
     loop = magpylib.current.Circle(diameter=0.04, current=1.0, position=(0.005, 0.0, -0.004))
     coil, values = coil_and_values(EXTERIOR.replace("degree: 4", "degree: 8"), {})
     names = [name for own in coil.amplitudes.values() for name in own]
@@ -147,7 +145,7 @@ def readings(places_m: list[list[float]], current_A: list[float]) -> Observation
     return Observations(zeros.double(), zeros, current, {"stage": pose}, field_T, zeros.bool(), zeros, {})
 
 
-def test_readings_among_the_sources_or_far_beyond_the_reference_sphere_are_refused() -> None:
+def test_readings_among_the_sources_or_far_beyond_the_reference_sphere_are_refused():
     inside, outside = rig_from_text(TEXT), rig_from_text(EXTERIOR)
     MeasurementModel.build(inside, readings([[0.01, 0.0, 0.14]], [1.0]))
     with pytest.raises(InvalidInput, match=r"within 3 times the reference_radius of c1, 50 mm.*reading 1"):
@@ -159,7 +157,7 @@ def test_readings_among_the_sources_or_far_beyond_the_reference_sphere_are_refus
         MeasurementModel.build(outside, readings([[0.01, 0.0, 0.04]], [1.0]))
 
 
-def test_the_room_has_no_field_among_the_sources() -> None:
+def test_the_room_has_no_field_among_the_sources():
     rig = rig_from_text(EXTERIOR).with_values({"c1.degree1_cos0_T_per_A": 1e-3})
     points_m = torch.tensor([[0.01, 0.0, 0.04], [0.01, 0.0, 0.06]]).double()
     room = RoomField(rig, nominal_tensors(rig), points_m)
@@ -167,7 +165,7 @@ def test_the_room_has_no_field_among_the_sources() -> None:
     assert torch.isnan(field_T).all(-1).tolist() == [True, False]
 
 
-def test_a_coil_with_a_winding_beside_it_adds_its_field() -> None:
+def test_a_coil_with_a_winding_beside_it_adds_its_field():
     rig = rig_from_text(WITH_WINDING).with_values({"c1.degree1_cos0_T_per_A": 1e-3})
     points_m = torch.tensor([[0.0, 0.0, 0.02]]).double()
     room = RoomField(rig, nominal_tensors(rig), points_m)
@@ -179,7 +177,7 @@ def test_a_coil_with_a_winding_beside_it_adds_its_field() -> None:
     assert one.norm() == pytest.approx(2e-3)  # uniform, whatever way it points
 
 
-def test_units_are_judged_by_readings_of_windings_alone() -> None:
+def test_units_are_judged_by_readings_of_windings_alone():
     rig = rig_from_text(WITH_WINDING)
     places = [[0.0, 0.0, 0.001 * i] for i in range(5)]
     check_units(
@@ -189,7 +187,7 @@ def test_units_are_judged_by_readings_of_windings_alone() -> None:
         check_units(rig, readings(places, [0.0, 1.0]), "here")
 
 
-def test_causes_that_need_a_winding_have_no_place_at_a_coil_without_one() -> None:
+def test_causes_that_need_a_winding_have_no_place_at_a_coil_without_one():
     rig = rig_from_text(WITH_WINDING)
     at = {name: effect.places(rig) for name, effect in EFFECTS.items()}
     assert {name for name, places in at.items() if "c1" in places} >= {"current_gain", "neighbour_coil"}

@@ -13,7 +13,9 @@ from estimator.acquisition.acquire import Choice
 from estimator.model.hide import with_hidden
 from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.autopilot import Autopilot
-from estimator.planning.decision import Decision
+from estimator.planning.decision import Decided
+from estimator.readings.observations import Observations
+from estimator.recalibration.recheck import Recheck
 from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings
@@ -21,13 +23,13 @@ from estimator.store.growing import StopReadings
 
 @dataclass
 class World:
-    """Field that each candidate of an autopilot really has, and noise.
+    """Field that each candidate of a session really has, and noise.
 
     Attributes:
         field_T: At every candidate and sensor, without noise.
     """
 
-    pilot: Autopilot
+    pilot: Autopilot | Recheck
     field_T: torch.Tensor
     noise_T: float
     seed: int
@@ -36,18 +38,18 @@ class World:
     def of(
         cls,
         rig: Rig,
-        pilot: Autopilot,
+        pilot: Autopilot | Recheck,
         truth: Mapping[str, float],
         noise_T: float,
         seed: int,
         hidden: Mapping[str, float] | None = None,
+        stops: Observations | None = None,
     ) -> World:
-        real = with_hidden(rig.with_values(truth), pilot.stops, hidden or {})
+        stops = pilot.stops if stops is None else stops
+        real = with_hidden(rig.with_values(truth), stops, hidden or {})
         with torch.no_grad():
-            field_T = MeasurementModel.build(real, pilot.stops).predict(nominal_tensors(real))
-        return cls(
-            pilot, field_T.expand(len(pilot.stops), 3).unflatten(0, (-1, len(rig.sensors))), noise_T, seed
-        )
+            field_T = MeasurementModel.build(real, stops).predict(nominal_tensors(real))
+        return cls(pilot, field_T.expand(len(stops), 3).unflatten(0, (-1, len(rig.sensors))), noise_T, seed)
 
     def entry(self, choice: Choice, number: int) -> dict[str, Any]:
         """What a stop adds to the journal."""
@@ -66,7 +68,7 @@ class World:
         )
         return {**readings.entry(), **choice.record}
 
-    def run(self) -> tuple[list[dict[str, Any]], Decision]:
+    def run(self) -> tuple[list[dict[str, Any]], Decided]:
         """The entries of a whole session, and why it ended."""
         entries: list[dict[str, Any]] = []
         while (choice := self.pilot.choose(entries)) is not None:

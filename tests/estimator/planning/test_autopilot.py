@@ -64,7 +64,7 @@ def true_error(rig: Rig, chooser: Autopilot, hidden_from: dict[str, float]) -> f
 
 
 @pytest.mark.whole
-def test_it_ends_when_held_out_stops_agree_and_the_promise_is_kept(measured: Run, small_rig: Rig) -> None:
+def test_it_ends_when_held_out_stops_agree_and_the_promise_is_kept(measured, small_rig):
     chooser, entries, end = measured
     assert end.reason.startswith("goal reached, also by")
     assert max(end.widths) <= 1.0 < max(entries[len(entries) // 3]["decision"]["widths"])
@@ -75,7 +75,7 @@ def test_it_ends_when_held_out_stops_agree_and_the_promise_is_kept(measured: Run
 
 
 @pytest.mark.whole
-def test_every_decision_is_the_same_after_a_restart(measured: Run, small_rig: Rig, places: Plan) -> None:
+def test_every_decision_is_the_same_after_a_restart(measured, small_rig, places):
     _, entries, end = measured
     for n in (0, 1, 2, 5, len(entries) // 2, len(entries) - 1):
         choice = pilot(small_rig, places).choose(entries[:n])
@@ -86,7 +86,7 @@ def test_every_decision_is_the_same_after_a_restart(measured: Run, small_rig: Ri
 
 
 @pytest.mark.whole
-def test_decisions_beside_the_readings_leave_the_session_readable(measured: Run, small_rig: Rig) -> None:
+def test_decisions_beside_the_readings_leave_the_session_readable(measured, small_rig):
     _, entries, _ = measured
     readings = observations_of(entries, small_rig)
     assert len(readings) == len(entries)
@@ -107,7 +107,7 @@ def test_decisions_beside_the_readings_leave_the_session_readable(measured: Run,
 
 
 @pytest.mark.whole
-def test_no_goal_is_reached_that_the_readings_contradict(small_rig: Rig, places: Plan) -> None:
+def test_no_goal_is_reached_that_the_readings_contradict(small_rig, places):
     chooser = pilot(small_rig, places)
     world = World.of(small_rig, chooser, TRUTH, NOISE_T, seed=2, hidden={"axis_gain[hall].x": 0.05})
     entries, end = world.run()
@@ -121,9 +121,7 @@ def test_no_goal_is_reached_that_the_readings_contradict(small_rig: Rig, places:
     ("limits", "n_stops", "words"),
     [(Limits(6), 6, "limit of 6 stops"), (Limits(200, 5.5), 5, "limit of 0.0917 minutes")],
 )
-def test_it_ends_at_its_limits(
-    small_rig: Rig, places: Plan, limits: Limits, n_stops: int, words: str
-) -> None:
+def test_it_ends_at_its_limits(small_rig, places, limits, n_stops, words):
     chooser = pilot(small_rig, places, limits=limits)
     entries, end = World.of(small_rig, chooser, TRUTH, NOISE_T, seed=3).run()
     assert len(entries) == n_stops
@@ -131,7 +129,7 @@ def test_it_ends_at_its_limits(
     assert "times the wanted half-width is left" in end.reason
 
 
-def test_what_readings_contradict_does_not_average_out() -> None:
+def test_what_readings_contradict_does_not_average_out():
     clean, contradicted = Misfit(0.0, 1e-6, 4, 4), Misfit(1e-6, 1e-6, 4, 4)
     assert clean.factor(1000, 3) == 1.0
     widths = [contradicted.factor(n, 3) / n**0.5 for n in (100, 400, 1600)]
@@ -139,7 +137,7 @@ def test_what_readings_contradict_does_not_average_out() -> None:
 
 
 @pytest.mark.whole
-def test_a_rig_that_others_drive_gets_the_same_stops(measured: Run, small_rig: Rig, places: Plan) -> None:
+def test_a_rig_that_others_drive_gets_the_same_stops(measured, small_rig, places):
     _, entries, _ = measured
     pace = default_pace(small_rig, 0.1)
     for n in (0, 5):
@@ -155,7 +153,7 @@ def test_a_rig_that_others_drive_gets_the_same_stops(measured: Run, small_rig: R
 
 
 @pytest.mark.whole
-def test_stops_that_are_refused_are_not_chosen_again(measured: Run, small_rig: Rig, places: Plan) -> None:
+def test_stops_that_are_refused_are_not_chosen_again(measured, small_rig, places):
     _, entries, _ = measured
     chooser = pilot(small_rig, places)
     first = chooser.choose(entries[:4])

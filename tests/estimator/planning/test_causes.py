@@ -22,7 +22,7 @@ def places(small_plan: Plan) -> Plan:
 
 
 @pytest.mark.whole
-def test_a_planned_cause_shows_by_five_standard_deviations(small_rig: Rig, places: Plan) -> None:
+def test_a_planned_cause_shows_by_five_standard_deviations(small_rig, places):
     goal, name = "causes cross_axis[hall].xy=0.004", "cross_axis[hall].xy"
     planned = plan(small_rig, places, [goal])
     assert planned.expected[0][-1] <= 1.0
@@ -36,7 +36,7 @@ def test_a_planned_cause_shows_by_five_standard_deviations(small_rig: Rig, place
     assert abs(size - 0.004) < 4.0 * sd
 
 
-def test_half_widths_are_a_fifth_of_the_size_as_a_standard_deviation(small_rig: Rig, places: Plan) -> None:
+def test_half_widths_are_a_fifth_of_the_size_as_a_standard_deviation(small_rig, places):
     words = ["axis_gain[hall].y=0.01", "sensor_offset"]
     rig = with_causes(small_rig, clear_candidates(places, small_rig, 0), [f"causes {' '.join(words)}"])
     widths = visible_half_widths(words, rig)

@@ -15,7 +15,7 @@ from estimator.planning.candidates import candidates_of, possible
 from estimator.planning.design import Design
 from estimator.planning.goal_text import goal_of
 from estimator.planning.information import Expected, draws_of_prior, is_clear, known_coordinates
-from estimator.readings.plan import Plan, load_plan, plan_from_text, plan_text
+from estimator.readings.plan import load_plan, plan_from_text, plan_text
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
@@ -34,7 +34,7 @@ def paper() -> tuple[Rig, Expected]:
     return rig, Expected.of(rig, stops, [goal_of(BOX, rig, {"coil1": 3.0})], draws_of_prior(rig, 24, 0))
 
 
-def test_information_is_that_of_finite_differences(small_rig: Rig, small_plan: Plan) -> None:
+def test_information_is_that_of_finite_differences(small_rig, small_plan):
     stops = candidates_of(small_plan, small_rig, 0)
     coordinates = Coordinates(small_rig)
     at = draws_of_prior(small_rig, 3, 1)
@@ -50,7 +50,7 @@ def test_information_is_that_of_finite_differences(small_rig: Rig, small_plan: P
         )
 
 
-def test_rows_of_a_goal_are_those_of_finite_differences(paper: tuple[Rig, Expected]) -> None:
+def test_rows_of_a_goal_are_those_of_finite_differences(paper):
     rig, expected = paper
     coordinates, at = Coordinates(rig), expected.at[:2]
     texts = (
@@ -70,7 +70,7 @@ def test_rows_of_a_goal_are_those_of_finite_differences(paper: tuple[Rig, Expect
 
 
 @pytest.mark.whole
-def test_a_third_of_the_raster_s_stops_reach_its_interval_of_the_field(paper: tuple[Rig, Expected]) -> None:
+def test_a_third_of_the_raster_s_stops_reach_its_interval_of_the_field(paper):
     _, expected = paper
     raster = float(expected.widths(expected.precision + expected.information(torch.arange(125))).median())
     design = Design(expected)
@@ -82,7 +82,7 @@ def test_a_third_of_the_raster_s_stops_reach_its_interval_of_the_field(paper: tu
     assert float(design.widths) < 0.6 * raster
 
 
-def test_the_determinant_grows_at_least_as_with_any_other_stops(small_rig: Rig, small_plan: Plan) -> None:
+def test_the_determinant_grows_at_least_as_with_any_other_stops(small_rig, small_plan):
     stops = candidates_of(small_plan, small_rig, 0)
     expected = Expected.of(small_rig, stops, [], draws_of_prior(small_rig, 8, 0))
     design = Design(expected)
@@ -95,7 +95,7 @@ def test_the_determinant_grows_at_least_as_with_any_other_stops(small_rig: Rig, 
 
 
 @pytest.mark.whole
-def test_a_sampled_posterior_has_the_expected_widths(small_rig: Rig, small_plan: Plan) -> None:
+def test_a_sampled_posterior_has_the_expected_widths(small_rig, small_plan):
     stops = candidates_of(small_plan, small_rig, 0)
     truth = {"coil1.radius_m": 0.0515, "coil1.axial_loops": 12.4, "coil1.world_from_coil0.z_m": -0.041}
     coordinates = Coordinates(small_rig)
@@ -115,7 +115,7 @@ def test_a_sampled_posterior_has_the_expected_widths(small_rig: Rig, small_plan:
     torch.testing.assert_close(sampled, predicted, rtol=0.2, atol=0.0)
 
 
-def test_stops_that_may_lie_in_a_winding_are_no_candidates(small_rig: Rig) -> None:
+def test_stops_that_may_lie_in_a_winding_are_no_candidates(small_rig):
     text = """
 schema_version: 1
 name: through the winding
@@ -132,7 +132,7 @@ currents_A: [{coil1: 3}, {coil1: -3}]
     assert len(left) < int(clear_at_nominal.sum()) < len(stops)
 
 
-def test_noise_is_no_coordinate_of_a_plan(paper: tuple[Rig, Expected]) -> None:
+def test_noise_is_no_coordinate_of_a_plan(paper):
     rig, expected = paper
     names = [Coordinates(rig).names[i] for i in known_coordinates(Coordinates(rig))]
     assert "hall.noise_T" not in names

@@ -45,9 +45,7 @@ def measured() -> tuple[Autopilot, list[dict[str, Any]]]:
 
 
 @pytest.mark.whole
-def test_no_stop_promises_more_than_its_like_have_given(
-    measured: tuple[Autopilot, list[dict[str, Any]]],
-) -> None:
+def test_no_stop_promises_more_than_its_like_have_given(measured):
     pilot, entries = measured
     pilot.decide(entries)
     precisions, row = pilot.so_far.products().precision_of_draws, pilot.rows[-1]
@@ -61,9 +59,7 @@ def test_no_stop_promises_more_than_its_like_have_given(
 
 
 @pytest.mark.whole
-def test_a_design_lessens_the_variance_that_is_judged(
-    measured: tuple[Autopilot, list[dict[str, Any]]],
-) -> None:
+def test_a_design_lessens_the_variance_that_is_judged(measured):
     pilot, entries = measured
     pilot.decide(entries[:9])  # after which the candidates are linearised at the estimate
     so_far, judged = pilot.so_far, judge(pilot.so_far)

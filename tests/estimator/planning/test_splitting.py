@@ -22,7 +22,7 @@ def judged(size: list[float], sd: list[float]) -> Unseen:
     return Unseen([], torch.tensor(sd).double(), torch.tensor(size).double(), ones, ones == 0.0)
 
 
-def test_the_credible_set_holds_causes_each_by_its_leading_quantity() -> None:
+def test_the_credible_set_holds_causes_each_by_its_leading_quantity():
     causes = ["gain", "gain", "shear", "tilt"]
     alike = judged([0.50, 0.51, 0.505, 0.1], [0.1] * 4)
     assert credible(alike, causes) == [1, 2]
@@ -56,7 +56,7 @@ def left(split: Split, readings: torch.Tensor, right: int, rival: int) -> float:
     return 0.5 * float((shown - fitted).square().sum())
 
 
-def test_expected_evidence_is_what_a_fit_with_the_rival_leaves(split: tuple[Split, torch.Tensor]) -> None:
+def test_expected_evidence_is_what_a_fit_with_the_rival_leaves(split):
     chosen, seen = split
     now, after = chosen.evidence
     pairs = ((RIGHT, RIVAL), (RIVAL, RIGHT))
@@ -68,7 +68,7 @@ def test_expected_evidence_is_what_a_fit_with_the_rival_leaves(split: tuple[Spli
     assert int(chosen.gains.argmax()) == 17
 
 
-def test_causes_are_told_apart_only_while_stops_are_expected_to(split: tuple[Split, torch.Tensor]) -> None:
+def test_causes_are_told_apart_only_while_stops_are_expected_to(split):
     chosen, _ = split
     best = float(chosen.gains.max())
     needed = (CLEAR_LOG_EVIDENCE - chosen.evidence[0]) / best

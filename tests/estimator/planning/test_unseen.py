@@ -14,8 +14,6 @@ from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.candidates import clear_candidates
 from estimator.planning.ordinary import with_ordinary
 from estimator.planning.unseen import ODDS, SURE, Unseen
-from estimator.readings.plan import Plan
-from estimator.rig.rig import Rig
 
 N_OWN, N_CAUSES, N_NUMBERS = 3, 4, 5
 N_SESSIONS = 80
@@ -56,7 +54,7 @@ class Linear:
         return unseen, rows @ (estimate - truth[OWN]) - self.wanted[:, ~OWN] @ truth[~OWN], variance
 
 
-def test_each_quantity_is_that_of_a_fit_with_it() -> None:
+def test_each_quantity_is_that_of_a_fit_with_it():
     linear = Linear.drawn(1, 20)
     truth = torch.tensor([1.0, -2.0, 0.5, 0.0, 0.7, 0.0, 0.0], dtype=torch.float64)
     linear.rng = np.random.default_rng(5)
@@ -75,7 +73,7 @@ def test_each_quantity_is_that_of_a_fit_with_it() -> None:
         assert torch.allclose(unseen.errors[0][:, i], errors, rtol=1e-8)
 
 
-def test_a_quantity_that_readings_hardly_show_keeps_its_odds_and_a_clear_one_is_sure() -> None:
+def test_a_quantity_that_readings_hardly_show_keeps_its_odds_and_a_clear_one_is_sure():
     nothing = torch.zeros(N_OWN + N_CAUSES, N_OWN + N_CAUSES, dtype=torch.float64)
     linear = Linear.drawn(2, 1)
     before = Unseen.of(nothing, nothing[0], linear.prior, [linear.wanted], OWN)
@@ -88,7 +86,7 @@ def test_a_quantity_that_readings_hardly_show_keeps_its_odds_and_a_clear_one_is_
     assert float(clear.mean_square(4.0)[2]) == pytest.approx(0.25 * float(clear.mean_square()[2]))
 
 
-def test_goals_are_kept_beside_a_hidden_quantity_which_the_fit_alone_does_not_keep() -> None:
+def test_goals_are_kept_beside_a_hidden_quantity_which_the_fit_alone_does_not_keep():
     kept: dict[tuple[bool, bool], list[bool]] = {}
     for seed in range(N_SESSIONS):
         for hidden in (False, True):
@@ -115,7 +113,7 @@ def test_goals_are_kept_beside_a_hidden_quantity_which_the_fit_alone_does_not_ke
     assert len(kept[False, True]) > 0.9 * N_SESSIONS
 
 
-def test_promises_beside_what_every_device_has_are_kept_more_often() -> None:
+def test_promises_beside_what_every_device_has_are_kept_more_often():
     broken, ends = {False: 0, True: 0}, {False: 0, True: 0}
     for seed in range(60):
         whole = Linear.drawn(seed, 240)
@@ -137,7 +135,7 @@ def test_promises_beside_what_every_device_has_are_kept_more_often() -> None:
 
 
 @pytest.mark.parametrize("widest", [False, True])
-def test_a_goal_of_the_widest_interval_takes_the_largest_error(widest: bool) -> None:
+def test_a_goal_of_the_widest_interval_takes_the_largest_error(widest):
     unseen, _, _ = Linear.drawn(4, 30).judged(torch.zeros(N_OWN + N_CAUSES, dtype=torch.float64))
     square = unseen.errors[0].square()
     expected = (square.amax(0) if widest else square.mean(0)) * unseen.sd.square()
@@ -148,7 +146,7 @@ def test_a_goal_of_the_widest_interval_takes_the_largest_error(widest: bool) -> 
 
 
 @pytest.mark.whole
-def test_ordinary_causes_are_those_that_one_moment_shows(small_rig: Rig, small_plan: Plan) -> None:
+def test_ordinary_causes_are_those_that_one_moment_shows(small_rig, small_plan):
     stops = clear_candidates(small_plan, small_rig, 0)
     rules = MeasurementModel.build(small_rig, stops).rules
     names = {cause.name for cause in with_ordinary(small_rig, stops, rules).effects}
@@ -161,7 +159,7 @@ def test_ordinary_causes_are_those_that_one_moment_shows(small_rig: Rig, small_p
 
 
 @pytest.mark.parametrize("size", [0.0, 2.0, 3.5])
-def test_the_variance_of_what_may_be_there_is_that_of_its_draws(size: float) -> None:
+def test_the_variance_of_what_may_be_there_is_that_of_its_draws(size):
     one = torch.ones(1, dtype=torch.float64)
     unseen = Unseen([], 0.1 * one, 0.1 * size * one, 1.0 * one, one == 0.0)
     rng = np.random.default_rng(4)

@@ -12,7 +12,7 @@ from estimator.readings.clusters import k_means
 @pytest.mark.parametrize("n_columns", [1, 3, 4, 6])
 @pytest.mark.parametrize("is_grid", [True, False])
 @pytest.mark.filterwarnings("ignore:One of the clusters is empty")
-def test_clusters_are_those_of_scipy(n_columns: int, is_grid: bool) -> None:
+def test_clusters_are_those_of_scipy(n_columns, is_grid):
     rng = np.random.default_rng(n_columns)
     points = rng.integers(0, 5, (600, n_columns)) / 4.0 if is_grid else rng.normal(size=(600, n_columns))
     points = np.unique(points, axis=0)

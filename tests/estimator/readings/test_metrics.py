@@ -12,7 +12,7 @@ from estimator.readings.metrics import angular_deviation_rad, error_metrics
 NAN = float("nan")
 
 
-def test_two_full_readings_by_hand() -> None:
+def test_two_full_readings_by_hand():
     measured = np.array([[3.0, 0.0, 4.0], [0.0, 2.0, 0.0]])
     predicted = np.array([[3.0, 0.0, 1.0], [4.0, 2.0, 0.0]])
     result = error_metrics(measured, predicted)  # error vectors (0, 0, 3) and (-4, 0, 0)
@@ -24,7 +24,7 @@ def test_two_full_readings_by_hand() -> None:
     assert result.angular_deviation_rad == pytest.approx((math.atan2(9, 13) + math.atan2(8, 4)) / 2)
 
 
-def test_components_that_were_not_measured_do_not_count() -> None:
+def test_components_that_were_not_measured_do_not_count():
     measured = np.array([[NAN, NAN, 1.0], [0.0, 2.0, NAN]])
     predicted = np.array([[50.0, 60.0, 1.5], [0.0, 1.0, 70.0]])
     result = error_metrics(measured, predicted)  # errors 0.5; 0 and 1
@@ -35,7 +35,7 @@ def test_components_that_were_not_measured_do_not_count() -> None:
     assert math.isnan(result.angular_deviation_rad)
 
 
-def test_a_reading_without_any_component_does_not_count() -> None:
+def test_a_reading_without_any_component_does_not_count():
     measured, predicted = np.array([[1.0, 2.0, 3.0]]), np.array([[1.5, 2.0, 3.0]])
     empty = np.array([[NAN, NAN, NAN]])
     assert error_metrics(
@@ -43,32 +43,32 @@ def test_a_reading_without_any_component_does_not_count() -> None:
     ) == error_metrics(measured, predicted)
 
 
-def test_the_angle_is_over_whole_readings_only() -> None:
+def test_the_angle_is_over_whole_readings_only():
     measured = np.array([[1.0, 0.0, 0.0], [NAN, 1.0, 0.0]])
     predicted = np.array([[1.0, 1.0, 0.0], [5.0, 1.0, 0.0]])
     assert error_metrics(measured, predicted).angular_deviation_rad == pytest.approx(math.pi / 4)
 
 
 @pytest.mark.parametrize("angle_rad", [0.0, 1e-9, 0.3, math.pi / 2, math.pi - 1e-9, math.pi])
-def test_angles_keep_their_digits_at_both_ends(angle_rad: float) -> None:
+def test_angles_keep_their_digits_at_both_ends(angle_rad):
     measured = np.array([[2.0, 0.0, 0.0]])
     predicted = 3.0 * np.array([[math.cos(angle_rad), 0.0, math.sin(angle_rad)]])
     assert angular_deviation_rad(measured, predicted)[0] == pytest.approx(angle_rad, rel=1e-6, abs=1e-15)
 
 
 @pytest.mark.parametrize("measured", [np.zeros((0, 3)), np.full((2, 3), NAN)])
-def test_no_readings_have_no_errors(measured: np.ndarray) -> None:
+def test_no_readings_have_no_errors(measured):
     result = error_metrics(measured, np.ones_like(measured))
     assert all(math.isnan(value) for value in vars(result).values())
 
 
-def test_no_field_has_no_relative_error() -> None:
+def test_no_field_has_no_relative_error():
     result = error_metrics(np.zeros((1, 3)), np.ones((1, 3)))
     assert math.isnan(result.relative)
     assert result.vector_T == pytest.approx(math.sqrt(3))
 
 
-def test_a_perfect_prediction_has_no_error() -> None:
+def test_a_perfect_prediction_has_no_error():
     measured = np.array([[1e-3, -2e-3, 5e-4]])
     assert set(vars(error_metrics(measured, measured)).values()) == {0.0}
 

@@ -9,7 +9,6 @@ import torch
 
 from estimator.model.simulate import simulate
 from estimator.readings.observations import Observations
-from estimator.readings.plan import Plan
 from estimator.readings.scatter import scatter_T
 from estimator.rig_files.read import rig_from_text
 from tests.estimator.conftest import RIG
@@ -17,7 +16,7 @@ from tests.estimator.conftest import RIG
 CURRENTS = ({"coil1": -3.0}, {"coil1": 0.0}, {"coil1": 1.5}, {"coil1": 3.0})
 
 
-def test_it_is_the_noise_and_no_field_of_coil_or_room_adds_to_it(small_plan: Plan) -> None:
+def test_it_is_the_noise_and_no_field_of_coil_or_room_adds_to_it(small_plan):
     rig = rig_from_text(RIG + "effects:\n  background_field[room]: {x_T: 1.0e-3, y_T: 0, z_T: 0}\n")
     observations = simulate(rig, replace(small_plan, currents_A=CURRENTS), {}, seed=1)
     (noise_T,) = scatter_T(observations, 1)
@@ -25,20 +24,20 @@ def test_it_is_the_noise_and_no_field_of_coil_or_room_adds_to_it(small_plan: Pla
     assert noise_T == pytest.approx(5e-6, rel=4.0 / (2.0 * n) ** 0.5)
 
 
-def test_repeats_at_one_current_count(small_plan: Plan) -> None:
+def test_repeats_at_one_current_count(small_plan):
     observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=3), {}, seed=2)
     (noise_T,) = scatter_T(observations, 1)
     assert noise_T == pytest.approx(5e-6, rel=0.25)
 
 
-def test_places_that_are_read_once_or_twice_tell_nothing(small_plan: Plan) -> None:
+def test_places_that_are_read_once_or_twice_tell_nothing(small_plan):
     once = simulate(rig_from_text(RIG), small_plan, {}, seed=3)
     assert scatter_T(once, 1) == [None]
     twice = simulate(rig_from_text(RIG), replace(small_plan, currents_A=CURRENTS[1:3]), {}, seed=3)
     assert scatter_T(twice, 1) == [None]
 
 
-def test_each_sensor_has_its_own_and_missing_components_are_left_out(small_plan: Plan) -> None:
+def test_each_sensor_has_its_own_and_missing_components_are_left_out(small_plan):
     observations = simulate(
         rig_from_text(RIG), replace(small_plan, currents_A=CURRENTS, repeats=2), {}, seed=4
     )
@@ -55,7 +54,7 @@ def test_each_sensor_has_its_own_and_missing_components_are_left_out(small_plan:
     assert loud_T == pytest.approx(50e-6, rel=0.3)
 
 
-def test_a_component_that_was_read_nowhere_tells_nothing(small_plan: Plan) -> None:
+def test_a_component_that_was_read_nowhere_tells_nothing(small_plan):
     observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=3), {}, seed=5)
     field_T = observations.field_sensor_T.clone()
     field_T[:, 1] = float("nan")
@@ -63,7 +62,7 @@ def test_a_component_that_was_read_nowhere_tells_nothing(small_plan: Plan) -> No
     assert noise_T == pytest.approx(5e-6, rel=0.3)
 
 
-def test_readings_that_were_written_beside_a_wrong_place_do_not_count(small_plan: Plan) -> None:
+def test_readings_that_were_written_beside_a_wrong_place_do_not_count(small_plan):
     observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=3), {}, seed=6)
     field_T = observations.field_sensor_T.clone()
     field_T[::40] = field_T[::40].flip(0)
@@ -71,9 +70,7 @@ def test_readings_that_were_written_beside_a_wrong_place_do_not_count(small_plan
     assert noise_T == pytest.approx(5e-6, rel=0.25)
 
 
-def test_all_readings_are_looked_at_once_and_not_for_each_place(
-    small_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_readings_are_looked_at_once_and_not_for_each_place(small_plan, monkeypatch):
     observations = simulate(rig_from_text(RIG), replace(small_plan, repeats=2), {}, seed=4)
     looks = []
     is_measured = Observations.is_measured.fget

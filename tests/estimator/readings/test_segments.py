@@ -44,17 +44,17 @@ TWO_DAYS_S = [0.0, 1.0, 2.0, 3.0, 8 * HOUR_S, 8 * HOUR_S + 1.0]
         ([7.0], [-1]),
     ],
 )
-def test_a_pause_is_an_hour_and_twenty_intervals(hours: list[float], expected: list[int]) -> None:
+def test_a_pause_is_an_hour_and_twenty_intervals(hours, expected):
     assert segments_by_pauses(HOUR_S * torch.tensor(hours, dtype=torch.float64)).tolist() == expected
 
 
-def test_what_is_recorded_counts_and_pauses_do_not() -> None:
+def test_what_is_recorded_counts_and_pauses_do_not():
     assert session(TWO_DAYS_S).segment.tolist() == [0, 0, 0, 0, 1, 1]
     assert session(TWO_DAYS_S, [4, 4, 2, 2, 2, 2]).segment.tolist() == [4, 4, 2, 2, 2, 2]
 
 
 @pytest.mark.parametrize("segment", [None, [0, 0, 0, 0, 1, 1]])
-def test_a_selection_keeps_the_segments_of_its_session(segment: list[int] | None) -> None:
+def test_a_selection_keeps_the_segments_of_its_session(segment):
     whole = session(TWO_DAYS_S, segment)
     assert whole.rows(torch.tensor([5, 0])).segment.tolist() == [1, 0]
     assert whole.rows(torch.tensor([4, 5])).segment.tolist() == [1, 1]  # alone they have no pause
@@ -64,11 +64,11 @@ def test_a_selection_keeps_the_segments_of_its_session(segment: list[int] | None
     assert rows.segment.tolist() == (rows.time_s > HOUR_S).long().tolist()
 
 
-def test_readings_out_of_order_are_divided_in_order_of_time() -> None:
+def test_readings_out_of_order_are_divided_in_order_of_time():
     assert session([8 * HOUR_S, 1.0, 0.0, 8 * HOUR_S + 1.0, 2.0]).segment.tolist() == [1, 0, 0, 1, 0]
 
 
-def test_later_readings_keep_what_is_recorded_of_either() -> None:
+def test_later_readings_keep_what_is_recorded_of_either():
     first, later = session([0.0, 1.0], [5, 5]), session([2.0, 3.0])
     assert first.followed_by(later).segment.tolist() == [5, 5, -1, -1]
     assert later.followed_by(first).segment.tolist() == [-1, -1, 5, 5]
@@ -76,7 +76,7 @@ def test_later_readings_keep_what_is_recorded_of_either() -> None:
     assert first.alone.segment.tolist() == [5, 5]
 
 
-def test_a_session_is_divided_in_turn() -> None:
+def test_a_session_is_divided_in_turn():
     assert segments_in_turn(torch.arange(10.0), 3).tolist() == [0, 0, 0, 0, 1, 1, 1, 2, 2, 2]
     assert replace(session([0.0, 1.0]), recorded_segment=torch.tensor([1, 0])).segment.tolist() == [1, 0]
 
@@ -90,9 +90,7 @@ def test_a_session_is_divided_in_turn() -> None:
         (1.0, [0.5, 2.5], "from reading 2 to 3"),
     ],
 )
-def test_instants_of_a_file_without_times_are_told_by_the_numbers_of_readings(
-    interval_s: float, instants_s: list[float], words: str
-) -> None:
+def test_instants_of_a_file_without_times_are_told_by_the_numbers_of_readings(interval_s, instants_s, words):
     """Such a file is read as one reading a second."""
     readings = session([interval_s * i for i in range(5)])
     assert readings.instants_in_words([at_s / HOUR_S for at_s in instants_s]) == words

@@ -37,23 +37,23 @@ def grid(n: int, size_m: float = 0.1) -> np.ndarray:
 
 
 @pytest.mark.parametrize("share", [0.1, 0.2, 0.5, 0.8])
-def test_the_share_is_kept_to_within_a_block(share: float) -> None:
+def test_the_share_is_kept_to_within_a_block(share):
     for seed in range(10):
         kept_out_share = block_split(readings(grid(7)), share, seed).double().mean().item()
         assert share <= kept_out_share < share + 0.12  # blocks hold about a twentieth, the largest twice that
 
 
-def test_a_share_of_zero_keeps_every_reading() -> None:
+def test_a_share_of_zero_keeps_every_reading():
     assert not block_split(readings(grid(3)), 0.0, 0).any()
 
 
 @pytest.mark.parametrize("share", [-0.1, 1.0, 20.0, float("nan")])
-def test_a_share_outside_its_range_is_refused(share: float) -> None:
+def test_a_share_outside_its_range_is_refused(share):
     with pytest.raises(InvalidInput, match=r"validation share must be at least 0 and below 1; received"):
         block_split(readings(grid(3)), share, 0)
 
 
-def test_neighbours_are_kept_out_together() -> None:
+def test_neighbours_are_kept_out_together():
     """A reading kept out has far more neighbours kept out with it than single readings drawn at random would have."""
     position_m = grid(8)
     distance_m = np.linalg.norm(position_m[:, None] - position_m[None], axis=-1)
@@ -65,19 +65,13 @@ def test_neighbours_are_kept_out_together() -> None:
     assert min(together) > 0.5  # 0.2 where readings are drawn one by one
 
 
-def test_blocks_are_neighbours_in_units_of_their_own_spread() -> None:
+def test_blocks_are_neighbours_in_units_of_their_own_spread():
     """Rotations in radians count like positions in metres: each axis is measured by how far it was moved."""
     scaled = grid(6) * np.array([2.0**-10, 1.0, 2.0**6])  # powers of two, so that rounding is the same
     assert torch.equal(block_split(readings(scaled), 0.2, 0), block_split(readings(grid(6)), 0.2, 0))
 
 
-def test_the_seed_decides() -> None:
-    observations = readings(grid(5))
-    assert torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 3))
-    assert not torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 4))
-
-
-def test_blocks_of_time_hold_readings_that_follow_each_other() -> None:
+def test_blocks_of_time_hold_readings_that_follow_each_other():
     observations = readings(grid(5))
     backwards = observations.rows(torch.arange(len(observations)).flip(0))
     block = time_blocks(observations)
@@ -105,7 +99,7 @@ def test_repeats_of_one_pose_never_straddle(
         assert decided.setdefault(key, is_out) == is_out
 
 
-def test_a_million_poses_are_split_in_seconds() -> None:
+def test_a_million_poses_are_split_in_seconds():
     """Blocks are placed by some of the poses, and hold the share all the same."""
     position_m = np.random.default_rng(0).uniform(-0.1, 0.1, (200_000, 3))
     begin_s = time.process_time()
@@ -114,7 +108,7 @@ def test_a_million_poses_are_split_in_seconds() -> None:
     assert 0.2 <= share < 0.22
 
 
-def test_blocks_are_of_neighbours_where_only_some_poses_place_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_are_of_neighbours_where_only_some_poses_place_them(monkeypatch):
     monkeypatch.setattr(split, "MOST_POSES", 200)
     whole = readings(grid(12))
     block = split.pose_blocks(whole, np.random.default_rng(0))
@@ -124,12 +118,3 @@ def test_blocks_are_of_neighbours_where_only_some_poses_place_them(monkeypatch: 
     nearest_m = np.linalg.norm(position_m[:, None] - centres, axis=2).min(axis=1)
     assert np.quantile(own_m - nearest_m, 0.9) < 0.02
     assert len(np.unique(block)) > 15
-
-
-@given(st.integers(1, 5), st.integers(0, 100))
-def test_different_poses_are_those_of_numpy(n_columns: int, seed: int) -> None:
-    poses = np.random.default_rng(seed).integers(-2, 3, (60, n_columns)) * -1.0
-    expected, expected_row = np.unique(poses, axis=0, return_inverse=True)
-    distinct, row = split._distinct(poses)
-    assert (distinct == expected).all()
-    assert (row == expected_row.ravel()).all()

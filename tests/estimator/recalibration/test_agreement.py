@@ -61,9 +61,7 @@ def quickly(
 
 
 @pytest.mark.slow
-def test_p_values_of_clean_sessions_are_uniform(
-    quickly: Callable[[Calibration], list[Agreement]], small_calibration: Calibration
-) -> None:
+def test_p_values_of_clean_sessions_are_uniform(quickly, small_calibration):
     agreements = quickly(small_calibration)
     joint = np.array([test.p_value for test in agreements])
     assert stats.kstest(joint, "uniform").pvalue > 0.01
@@ -73,9 +71,7 @@ def test_p_values_of_clean_sessions_are_uniform(
 
 
 @pytest.mark.slow
-def test_a_posterior_that_is_too_narrow_gives_false_alarms(
-    quickly: Callable[[Calibration], list[Agreement]], small_calibration: Calibration
-) -> None:
+def test_a_posterior_that_is_too_narrow_gives_false_alarms(quickly, small_calibration):
     narrow = {n: draws.mean() + 0.1 * (draws - draws.mean()) for n, draws in small_calibration.draws.items()}
     right, wrong = (
         [test.by_test["parameters"] for test in quickly(calibration)]
@@ -86,8 +82,8 @@ def test_a_posterior_that_is_too_narrow_gives_false_alarms(
 
 
 def test_a_cause_that_parameters_cannot_follow_is_seen_by_its_column(
-    small_calibration: Calibration, small_rig: Rig, small_plan: Plan, small_truth: dict[str, float]
-) -> None:
+    small_calibration, small_rig, small_plan, small_truth
+):
     hidden = {"background_field.x_T": 15e-6}
     readings = simulate(small_rig, small_plan, small_truth, seed=8, hidden=hidden)
     outcome = asked(small_calibration, small_rig, readings)
@@ -101,7 +97,7 @@ def test_a_cause_that_parameters_cannot_follow_is_seen_by_its_column(
 @pytest.mark.parametrize(
     ("p_value", "agrees"), [(0.5, True), (0.05, True), (0.002, True), (0.0009, False), (5e-5, False)]
 )
-def test_one_session_in_a_thousand_disagrees_by_chance(p_value: float, agrees: bool) -> None:
+def test_one_session_in_a_thousand_disagrees_by_chance(p_value, agrees):
     """One false alarm in twenty years of weekly sessions, as README and decision 14 promise."""
     assert Agreement(p_value, {}, 0.5, 1.0, None).holds is agrees
     assert Agreement(0.5, {}, p_value, 1.0, None).is_refit_enough is agrees

@@ -7,7 +7,6 @@ import re
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, HTTPServer
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -21,13 +20,13 @@ MESSAGE = {"conclusion": "drifted", "reason": "axis_gain (x 0.01)"}
 @pytest.mark.parametrize(
     "command", ["no-such-command", f"{sys.executable} -c 'raise SystemExit(3)'", "'", ""]
 )
-def test_a_command_that_fails_is_told_in_one_sentence(command: str) -> None:
+def test_a_command_that_fails_is_told_in_one_sentence(command):
     problem = run_command(command, MESSAGE)
     assert problem is not None
     assert problem.startswith("alert command ")
 
 
-def test_a_command_for_a_shell_is_told_how_to_get_one_and_that_works(tmp_path: Path) -> None:
+def test_a_command_for_a_shell_is_told_how_to_get_one_and_that_works(tmp_path):
     problem = run_command(f"cat >> {tmp_path}/alerts.log", MESSAGE)
     assert problem is not None
     hint = problem.partition("; it runs without a shell, so write ")[2]
@@ -37,14 +36,14 @@ def test_a_command_for_a_shell_is_told_how_to_get_one_and_that_works(tmp_path: P
 
 
 @pytest.mark.parametrize("command", ["cat >> alerts.log", "cat | mail root", "tee a 2> b", "true && date"])
-def test_a_command_that_needs_a_shell_is_refused_before_the_first_alert(command: str) -> None:
+def test_a_command_that_needs_a_shell_is_refused_before_the_first_alert(command):
     words = f"alert command must need no shell; received {command!r}; it runs without a shell, so write sh -c '{command}'"
     with pytest.raises(InvalidInput, match=re.escape(words)):
         senders(command, None)
     assert len(senders(f"sh -c '{command}'", None)) == 1
 
 
-def test_webhook_gets_the_message_and_a_dead_one_is_told() -> None:
+def test_webhook_gets_the_message_and_a_dead_one_is_told():
     received: list[Any] = []
 
     class Hook(BaseHTTPRequestHandler):
@@ -69,7 +68,7 @@ def test_webhook_gets_the_message_and_a_dead_one_is_told() -> None:
     assert problem.startswith(f"alert to {url} failed: ")
 
 
-def test_only_what_was_asked_for_is_sent_and_other_addresses_are_refused() -> None:
+def test_only_what_was_asked_for_is_sent_and_other_addresses_are_refused():
     assert senders(None, None) == []
     assert len(senders("true", "http://127.0.0.1/")) == 2
     with pytest.raises(

@@ -31,9 +31,7 @@ def week(rig: Rig, plan: Plan, truth: dict[str, float], sideways_T_per_A: float,
     return Session(rig, readings, f"week {seed}")
 
 
-def test_a_correction_that_grows_is_a_drift(
-    corrected_rig: Rig, small_plan: Plan, small_truth: dict[str, float], current: Calibration
-) -> None:
+def test_a_correction_that_grows_is_a_drift(corrected_rig, small_plan, small_truth, current):
     judged = judge(
         week(corrected_rig, small_plan, small_truth, 25e-6, 2),
         corrected_rig,
@@ -47,9 +45,7 @@ def test_a_correction_that_grows_is_a_drift(
     assert judged.calibration is not None
 
 
-def test_the_same_correction_agrees(
-    corrected_rig: Rig, small_plan: Plan, small_truth: dict[str, float], current: Calibration
-) -> None:
+def test_the_same_correction_agrees(corrected_rig, small_plan, small_truth, current):
     judged = judge(
         week(corrected_rig, small_plan, small_truth, 5e-6, 3),
         corrected_rig,
@@ -61,8 +57,8 @@ def test_the_same_correction_agrees(
 
 
 def test_what_one_session_alone_was_corrected_by_does_not_become_part_of_a_version(
-    corrected_rig: Rig, small_session: Session
-) -> None:
+    corrected_rig, small_session
+):
     """A current that wandered on one day wanders otherwise on the next; a field that goes with the coil stays."""
     wandering = with_effect(
         corrected_rig,

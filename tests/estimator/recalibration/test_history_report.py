@@ -47,9 +47,7 @@ def registry(small_calibration: Calibration, tmp_path: Path) -> Registry:
         (True, [UPDATED], False),
     ],
 )
-def test_a_drift_is_warned_of_while_it_holds(
-    registry: Registry, small_calibration: Calibration, is_extended: bool, later: list[Entry], is_warned: bool
-) -> None:
+def test_a_drift_is_warned_of_while_it_holds(registry, small_calibration, is_extended, later, is_warned):
     with registry.writing():
         registry.commit(DRIFT, small_calibration if is_extended else None)
         for entry in later:
@@ -58,18 +56,14 @@ def test_a_drift_is_warned_of_while_it_holds(
     assert [words.startswith("Drift since 2026-02-01") for words in warned] == [True] * is_warned
 
 
-def test_a_drift_is_not_warned_of_after_its_version_was_rolled_back(
-    registry: Registry, small_calibration: Calibration
-) -> None:
+def test_a_drift_is_not_warned_of_after_its_version_was_rolled_back(registry, small_calibration):
     with registry.writing():
         registry.commit(DRIFT, small_calibration)
         registry.roll_back(1)
     assert _warnings(registry, registry.entries()) == []
 
 
-def test_calibrations_that_did_not_converge_are_warned_of(
-    registry: Registry, small_calibration: Calibration
-) -> None:
+def test_calibrations_that_did_not_converge_are_warned_of(registry, small_calibration):
     with registry.writing():
         registry.commit(replace(AGREES, agrees=False, checks={"is_successor_converged": False}))
     assert _warnings(registry, registry.entries()) == [

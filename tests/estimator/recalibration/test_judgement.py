@@ -45,12 +45,8 @@ def is_sampled(monkeypatch: pytest.MonkeyPatch) -> list[bool]:
 
 
 def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
-    mounted_anew: Session,
-    small_rig: Rig,
-    small_calibration: Calibration,
-    monkeypatch: pytest.MonkeyPatch,
-    is_sampled: list[bool],
-) -> None:
+    mounted_anew, small_rig, small_calibration, monkeypatch, is_sampled
+):
     real = comparison.improvement_of
 
     def small_improvement(*arguments: object) -> Improvement:
@@ -66,8 +62,8 @@ def test_no_successor_is_made_of_a_fit_that_predicts_unseen_readings_no_better(
 
 
 def test_a_successor_that_did_not_converge_does_not_replace_and_it_is_said(
-    mounted_anew: Session, small_rig: Rig, small_calibration: Calibration
-) -> None:
+    mounted_anew, small_rig, small_calibration
+):
     judged = judge(mounted_anew, small_rig, small_calibration, seed=1, settings=TOO_FEW_STEPS)
     assert (judged.conclusion, judged.calibration) == ("unchanged", None)
     assert judged.checks["is_successor_converged"] is False
@@ -76,8 +72,8 @@ def test_a_successor_that_did_not_converge_does_not_replace_and_it_is_said(
 
 
 def test_a_first_calibration_that_did_not_converge_is_kept_for_there_is_no_other_and_it_is_said(
-    small_session: Session, small_rig: Rig
-) -> None:
+    small_session, small_rig
+):
     judged = judge(small_session, small_rig, None, seed=1, settings=TOO_FEW_STEPS)
     assert judged.calibration is not None
     assert judged.checks["is_successor_converged"] is False
@@ -86,12 +82,8 @@ def test_a_first_calibration_that_did_not_converge_is_kept_for_there_is_no_other
 
 
 def test_a_successor_whose_stored_draws_predict_worse_does_not_replace(
-    mounted_anew: Session,
-    small_rig: Rig,
-    small_calibration: Calibration,
-    small_settings: SamplerSettings,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    mounted_anew, small_rig, small_calibration, small_settings, monkeypatch
+):
     def gone_astray(*arguments: object) -> Calibration:
         del arguments
         draws = dict(small_calibration.draws)
@@ -105,8 +97,8 @@ def test_a_successor_whose_stored_draws_predict_worse_does_not_replace(
 
 
 def test_log_density_of_draws_is_that_of_the_readings_under_a_sharp_posterior(
-    small_calibration: Calibration, small_session: Session
-) -> None:
+    small_calibration, small_session
+):
     unseen = small_session.observations.validation
     best = small_calibration.best_values()
     draws = {name: torch.full((4, 5), float(best[name])).numpy() for name in small_calibration.draws}
@@ -119,8 +111,8 @@ def test_log_density_of_draws_is_that_of_the_readings_under_a_sharp_posterior(
 
 
 def test_a_fault_of_the_registry_is_no_verdict_on_the_session(
-    mounted_anew: Session, small_rig: Rig, small_calibration: Calibration, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    mounted_anew, small_rig, small_calibration, monkeypatch
+):
     def refuse(*_: object) -> Rig:
         raise InvalidInput("the rig of version 1 cannot be widened")
 
@@ -131,13 +123,8 @@ def test_a_fault_of_the_registry_is_no_verdict_on_the_session(
 
 @pytest.mark.slow  # a season with a drift is in test_recalibrate
 def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
-    small_session: Session,
-    small_rig: Rig,
-    small_plan: Plan,
-    small_truth: dict[str, float],
-    small_calibration: Calibration,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    small_session, small_rig, small_plan, small_truth, small_calibration, monkeypatch
+):
     asked: list[SamplerSettings] = []
 
     def calibrated(_: Session, rig: Rig, *, settings: SamplerSettings, **__: object) -> Calibration:
@@ -156,8 +143,8 @@ def test_walkers_that_are_too_few_for_a_rig_with_a_cause_are_made_enough(
 @pytest.mark.whole
 @pytest.mark.slow  # a season with a drift is in test_recalibrate
 def test_more_current_since_the_last_version_is_no_change_of_the_winding(
-    rig_text: str, small_plan: Plan, small_truth: dict[str, float], small_settings: SamplerSettings
-) -> None:
+    rig_text, small_plan, small_truth, small_settings
+):
     rig = rig_from_text(rig_text.replace("noise_uT: 5", "noise_uT: 1"))
     first, later = (
         Session(rig, simulate(rig, small_plan, small_truth, seed, hidden), "simulated")
@@ -173,9 +160,7 @@ def test_more_current_since_the_last_version_is_no_change_of_the_winding(
     assert not {"hidden_winding", "short_layer", "reversed_layer", "winding_misstated"} & asked
 
 
-def test_a_session_with_rows_that_were_not_measured_is_rejected(
-    small_rig: Rig, small_session: Session
-) -> None:
+def test_a_session_with_rows_that_were_not_measured_is_rejected(small_rig, small_session):
     """A block of rows holds the fields of earlier ones: no first calibration is made of it."""
     readings = small_session.observations
     field_T = readings.field_sensor_T.clone()

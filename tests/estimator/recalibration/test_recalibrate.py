@@ -79,12 +79,8 @@ def told(monkeypatch: pytest.MonkeyPatch, small_calibration: Calibration) -> Non
 
 
 def test_a_season_ends_with_the_drift_named_and_the_rig_extended(
-    inbox: Path,
-    small_rig: Rig,
-    small_settings: SamplerSettings,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    inbox, small_rig, small_settings, tmp_path, monkeypatch
+):
     monkeypatch.setattr(comparison, "held_back", lambda _: ["The prior holds it back."])
     registry = Registry(tmp_path / "registry")
     recalibrate(small_rig, inbox, registry.folder, seed=1, settings=small_settings)
@@ -120,9 +116,7 @@ def test_a_season_ends_with_the_drift_named_and_the_rig_extended(
 
 
 @pytest.mark.usefixtures("told")
-def test_the_same_call_again_does_nothing_and_the_inbox_is_as_it_was(
-    inbox: Path, small_rig: Rig, tmp_path: Path
-) -> None:
+def test_the_same_call_again_does_nothing_and_the_inbox_is_as_it_was(inbox, small_rig, tmp_path):
     before = {path: path.stat().st_mtime_ns for path in inbox.rglob("*")}
     assert len(recalibrate(small_rig, inbox, tmp_path / "registry")) == 4
     assert recalibrate(small_rig, inbox, tmp_path / "registry") == []
@@ -131,9 +125,7 @@ def test_the_same_call_again_does_nothing_and_the_inbox_is_as_it_was(
 
 
 @pytest.mark.usefixtures("told")
-def test_a_job_that_ended_before_it_could_tell_is_told_of_by_the_next_and_goes_on(
-    inbox: Path, small_rig: Rig, tmp_path: Path
-) -> None:
+def test_a_job_that_ended_before_it_could_tell_is_told_of_by_the_next_and_goes_on(inbox, small_rig, tmp_path):
     registry = Registry(tmp_path / "registry")
     heard: list[str] = []
 
@@ -152,18 +144,14 @@ def test_a_job_that_ended_before_it_could_tell_is_told_of_by_the_next_and_goes_o
 
 
 @pytest.mark.usefixtures("told")
-def test_lines_of_a_registry_that_did_not_count_them_are_not_told_again(
-    inbox: Path, small_rig: Rig, tmp_path: Path
-) -> None:
+def test_lines_of_a_registry_that_did_not_count_them_are_not_told_again(inbox, small_rig, tmp_path):
     recalibrate(small_rig, inbox, tmp_path / "registry")
     (tmp_path / "registry" / "told").unlink()
     assert recalibrate(small_rig, inbox, tmp_path / "registry") == []
 
 
 @pytest.mark.usefixtures("told")
-def test_a_session_is_judged_again_where_that_is_asked_for(
-    inbox: Path, small_rig: Rig, tmp_path: Path
-) -> None:
+def test_a_session_is_judged_again_where_that_is_asked_for(inbox, small_rig, tmp_path):
     recalibrate(small_rig, inbox, tmp_path / "registry")
     (again,) = recalibrate(small_rig, inbox, tmp_path / "registry", again=["y_same.zarr"])
     assert Path(again.session).name == "y_same.zarr"
@@ -172,9 +160,7 @@ def test_a_session_is_judged_again_where_that_is_asked_for(
 
 
 @pytest.mark.usefixtures("told")
-def test_provenance_says_with_what_a_version_was_made(
-    inbox: Path, small_rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_provenance_says_with_what_a_version_was_made(inbox, small_rig, tmp_path, monkeypatch):
     monkeypatch.setattr(recalibrate_module, "code_version", lambda: "abc-dirty")
     settings = SamplerSettings(target_ess=123.0)
     recalibrate(small_rig, inbox, tmp_path / "registry", seed=5, settings=settings)
@@ -186,8 +172,8 @@ def test_provenance_says_with_what_a_version_was_made(
 
 
 def test_a_session_that_is_measured_or_copied_is_left_for_the_next_time_and_it_is_said(
-    inbox: Path, small_rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, told: None
-) -> None:
+    inbox, small_rig, tmp_path, monkeypatch, told
+):
     del told
     monkeypatch.setattr(policy, "SETTLED_S", 60.0)
     shutil.rmtree(inbox / "w_drift.zarr")
@@ -207,8 +193,8 @@ def test_a_session_that_is_measured_or_copied_is_left_for_the_next_time_and_it_i
 
 @pytest.mark.usefixtures("told")
 def test_a_session_that_vanished_while_others_were_judged_is_left_for_the_next_time(
-    inbox: Path, small_rig: Rig, tmp_path: Path
-) -> None:
+    inbox, small_rig, tmp_path
+):
     def take_away(_: Entry) -> None:
         shutil.rmtree(inbox / "w_drift.zarr", ignore_errors=True)
 
@@ -223,7 +209,7 @@ def test_a_session_that_vanished_while_others_were_judged_is_left_for_the_next_t
     assert (len(told), waited) == (3, ["w_drift.zarr"])
 
 
-def test_two_things_without_anything_in_them_are_told_apart(tmp_path: Path) -> None:
+def test_two_things_without_anything_in_them_are_told_apart(tmp_path):
     for name in ("a.zarr", "b.zarr"):
         (tmp_path / name).write_bytes(b"")
         (tmp_path / f"folder_{name}").mkdir()
@@ -232,9 +218,7 @@ def test_two_things_without_anything_in_them_are_told_apart(tmp_path: Path) -> N
     assert not waiting
 
 
-def test_what_the_system_refuses_to_read_is_one_bad_session_and_what_is_gone_is_none(
-    inbox: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_the_system_refuses_to_read_is_one_bad_session_and_what_is_gone_is_none(inbox, monkeypatch):
     def load(path: Path) -> Session:
         if path.stem == "w_drift":
             raise PermissionError(13, "Permission denied", str(path))
@@ -260,14 +244,8 @@ def test_what_the_system_refuses_to_read_is_one_bad_session_and_what_is_gone_is_
 
 
 def test_an_older_session_that_comes_late_never_replaces_the_calibration_of_a_later_one(
-    inbox: Path,
-    small_session: Session,
-    small_rig: Rig,
-    small_plan: Plan,
-    small_truth: dict[str, float],
-    small_calibration: Calibration,
-    tmp_path: Path,
-) -> None:
+    inbox, small_session, small_rig, small_plan, small_truth, small_calibration, tmp_path
+):
     shutil.rmtree(inbox)
     registry = Registry(tmp_path / "registry")
     with registry.writing():
@@ -288,15 +266,15 @@ def test_an_older_session_that_comes_late_never_replaces_the_calibration_of_a_la
     ("taken", "current", "beside"),
     [("5", 3, 3), ("9", 3, 3), ("4", 3, 2), ("2", 3, 1), ("0", 3, 1), ("2", 1, 1)],
 )
-def test_readings_are_compared_with_the_version_of_their_time(taken: str, current: int, beside: int) -> None:
+def test_readings_are_compared_with_the_version_of_their_time(taken, current, beside):
     entries = [entry("1", None, made=1), entry("3", None, made=2), entry("5", None, made=3)]
     assert _in_use(entries, current, taken) == beside
 
 
 @pytest.mark.usefixtures("told")
 def test_rolling_back_is_on_the_page_and_log_lines_are_plain_json(
-    inbox: Path, small_rig: Rig, small_calibration: Calibration, tmp_path: Path
-) -> None:
+    inbox, small_rig, small_calibration, tmp_path
+):
     registry = Registry(tmp_path / "registry")
     recalibrate(small_rig, inbox, registry.folder)
     with registry.writing():
@@ -313,8 +291,8 @@ def test_rolling_back_is_on_the_page_and_log_lines_are_plain_json(
 
 @pytest.mark.usefixtures("told")
 def test_another_rig_and_a_missing_inbox_are_refused_before_anything_is_logged(
-    inbox: Path, small_rig: Rig, two_coils_text: str, tmp_path: Path
-) -> None:
+    inbox, small_rig, two_coils_text, tmp_path
+):
     registry = tmp_path / "registry"
     recalibrate(small_rig, inbox, registry)
     with pytest.raises(InvalidInput, match="must name the coils, sensors and movers of the registry"):
@@ -325,12 +303,8 @@ def test_another_rig_and_a_missing_inbox_are_refused_before_anything_is_logged(
 
 
 def test_a_coil_mounted_anew_updates_the_calibration(
-    small_calibration: Calibration,
-    small_rig: Rig,
-    small_plan: Plan,
-    small_truth: dict[str, float],
-    small_settings: SamplerSettings,
-) -> None:
+    small_calibration, small_rig, small_plan, small_truth, small_settings
+):
     truth = {**small_truth, "coil1.world_from_coil0.z_m": -0.0405}
     session = Session(small_rig, simulate(small_rig, small_plan, truth, seed=7), "simulated")
     judged = judge(session, small_rig, small_calibration, seed=1, settings=small_settings)
@@ -342,9 +316,7 @@ def test_a_coil_mounted_anew_updates_the_calibration(
 
 
 @pytest.mark.parametrize("factor", [pytest.param(-1.0, marks=pytest.mark.slow), 1000.0])
-def test_mistakes_of_the_record_are_rejected(
-    small_calibration: Calibration, small_rig: Rig, small_session: Session, factor: float
-) -> None:
+def test_mistakes_of_the_record_are_rejected(small_calibration, small_rig, small_session, factor):
     readings = small_session.observations
     wrong = replace(small_session, observations=readings.with_field(factor * readings.field_sensor_T))
     judged = judge(wrong, small_rig, small_calibration, seed=1)
@@ -373,7 +345,5 @@ LATE_ONE = replace(entry("0", False), checks={"compared_with_version": 1})
         ([entry("1", True), LATE_ONE, entry("3", False)], "3"),
     ],
 )
-def test_a_drift_began_with_the_first_session_in_a_row_that_disagreed(
-    entries: list[Entry], since: str
-) -> None:
+def test_a_drift_began_with_the_first_session_in_a_row_that_disagreed(entries, since):
     assert _since(entries, "9") == since

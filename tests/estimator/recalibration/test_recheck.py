@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,23 +14,21 @@ from estimator.acquisition.pace import default_pace
 from estimator.calibration.result import Calibration
 from estimator.effects.attach import with_effect
 from estimator.errors import InvalidInput
-from estimator.model.hide import with_hidden
 from estimator.model.measurement_model import MeasurementModel
 from estimator.planning.candidates import clear_candidates
 from estimator.planning.decision import Limits
 from estimator.readings.observations import Observations
 from estimator.readings.plan import Plan
-from estimator.recalibration.recheck import CHANGED, HOLDS, UNDECIDED, Finding, Recheck
+from estimator.recalibration.recheck import CHANGED, HOLDS, UNDECIDED, Recheck
 from estimator.recalibration.sequential import Rates
 from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Cause, Rig
-from estimator.store.growing import StopReadings
+from tests.estimator.planning.measured import World
 
 NOISE_T = 5e-6
 SHARE = 0.02
 MOST_STOPS = 40
 N_SESSIONS = 12
-Entries = list[dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
@@ -52,52 +49,21 @@ def recheck(
     return Recheck(calibration, stops, share, pace, Limits(most_stops), Rates())
 
 
-class World:
-    """What each candidate of a recheck really shows."""
-
-    def __init__(
-        self,
-        pilot: Recheck,
-        stops: Observations,
-        truth: Mapping[str, float],
-        hidden: Mapping[str, float] | None = None,
-    ) -> None:
-        real = with_hidden(pilot.rig.with_values(truth), stops, hidden or {})
-        self.pilot = pilot
-        with torch.no_grad():
-            self.field_T = MeasurementModel.build(real, stops).predict(nominal_tensors(real))
-        self.field_T = self.field_T.expand(len(stops), 3)
-
-    def entry(self, choice: Choice, number: int, seed: int) -> dict[str, Any]:
-        """What a stop adds to the journal."""
-        settings, noise = self.pilot.settings, np.random.default_rng((seed, number)).normal(size=3)
-        readings = StopReadings(
-            number + 0.5,
-            settings.current_A[choice.row].tolist(),
-            {"arm1": settings.motion["arm1"][choice.row].tolist()},
-            {"hall": (self.field_T[choice.row].numpy() + noise * NOISE_T).tolist()},
-            choice.is_validation,
-            choice.repeat,
-        )
-        return {**readings.entry(), **choice.record}
-
-    def run(self, seed: int) -> tuple[Entries, Finding]:
-        """A whole session, and how it ended."""
-        entries: Entries = []
-        while (choice := self.pilot.choose(entries)) is not None:
-            entries.append(self.entry(choice, len(entries), seed))
-        return entries, self.pilot.decide(entries)
+def world(
+    pilot: Recheck, stops: Observations, truth: Mapping[str, float], seed: int, **hidden: float
+) -> World:
+    return World.of(pilot.rig, pilot, truth, NOISE_T, seed, hidden, stops)
 
 
 @pytest.mark.whole
 def test_a_calibration_that_holds_is_called_changed_at_the_stated_rate_at_most(
-    asked: Recheck, small_calibration: Calibration, stops: Observations
-) -> None:
+    asked, small_calibration, stops
+):
     truths = small_calibration.draw_values(N_SESSIONS)
     ends, lengths = [], []
     for k in range(N_SESSIONS):
         truth = {name: float(truths[name][k]) for name in small_calibration.draws}
-        entries, end = World(asked, stops, truth).run(seed=k)
+        entries, end = world(asked, stops, truth, k).run()
         ends.append(end.outcome)
         lengths.append(len(entries))
     assert ends.count(CHANGED) <= 1  # two have a probability of 1 % at the stated rate of 1 %
@@ -114,26 +80,17 @@ def test_a_calibration_that_holds_is_called_changed_at_the_stated_rate_at_most(
         ({}, {"background_field[room].x_T": 80e-6}, "background_field[room].x_T"),
     ],
 )
-def test_what_changed_is_named_with_its_size(
-    asked: Recheck,
-    small_calibration: Calibration,
-    stops: Observations,
-    moved: Mapping[str, float],
-    hidden: Mapping[str, float],
-    name: str,
-) -> None:
+def test_what_changed_is_named_with_its_size(asked, small_calibration, stops, moved, hidden, name):
     names = list(small_calibration.draws)
     truth = {n: small_calibration.best[n] + moved.get(n, 0.0) for n in names}
-    entries, end = World(asked, stops, truth, hidden).run(seed=5)
+    entries, end = world(asked, stops, truth, 5, **hidden).run()
     assert end.outcome == CHANGED
     assert len(entries) < 15
     (size,) = [words.split(" by ")[1] for words in end.leading if words.startswith(f"{name} by ")]
     assert float(size.split()[0]) == pytest.approx({**moved, **hidden}[name], rel=0.5)
 
 
-def test_what_the_calibration_knows_of_the_currents_before_is_no_change(
-    small_rig: Rig, small_truth: dict[str, float], stops: Observations
-) -> None:
+def test_what_the_calibration_knows_of_the_currents_before_is_no_change(small_rig, small_truth, stops):
     """A core keeps 3 % of the last current, as the rig says."""
     memory, sizes = Cause("current_remanence", "coil1"), {"share": 0.03}
     rig = with_effect(small_rig.with_values(small_truth), memory, stops, sizes, is_free=False)
@@ -143,22 +100,19 @@ def test_what_the_calibration_knows_of_the_currents_before_is_no_change(
     pilot = recheck(Calibration(rig, stops, best, draws, np.zeros((1, 400)), {}), stops)
     rows = rng.permutation(len(stops))[:20]
     visited = replace(stops.rows(torch.from_numpy(rows)).alone, time_s=torch.arange(20.0).double())
-    world = World(pilot, stops, {})
-    world.field_T = torch.zeros(len(stops), 3, dtype=torch.float64)
-    world.field_T[rows] = MeasurementModel.build(rig, visited).predict(nominal_tensors(rig))
+    visits = world(pilot, stops, {}, 3)
+    visits.field_T[rows, 0] = MeasurementModel.build(rig, visited).predict(nominal_tensors(rig))
     entries = [
-        world.entry(Choice(row, False, 0, 0.0, 0.0, {"decision": {"row": row}}), number, 3)
+        visits.entry(Choice(row, False, 0, 0.0, 0.0, {"decision": {"row": row}}), number)
         for number, row in enumerate(rows.tolist())
     ]
     assert pilot.decide(entries).outcome != CHANGED
 
 
 @pytest.mark.whole
-def test_stops_are_the_same_after_a_restart(
-    asked: Recheck, small_calibration: Calibration, stops: Observations
-) -> None:
+def test_stops_are_the_same_after_a_restart(asked, small_calibration, stops):
     truth = {name: small_calibration.best[name] for name in small_calibration.draws}
-    entries, end = World(asked, stops, truth).run(seed=6)
+    entries, end = world(asked, stops, truth, 6).run()
     again = recheck(small_calibration, stops)
     assert again.decide(entries) == end
     for n in (0, len(entries) // 2):
@@ -171,17 +125,15 @@ def test_stops_are_the_same_after_a_restart(
 
 
 @pytest.mark.whole
-def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(
-    small_calibration: Calibration, stops: Observations
-) -> None:
+def test_it_is_undecided_at_its_limit_and_leaves_out_what_stops_do_not_show(small_calibration, stops):
     short = recheck(small_calibration, stops, most_stops=4)
     truth = {name: small_calibration.best[name] for name in small_calibration.draws}
-    entries, end = World(short, stops, truth).run(seed=7)
+    entries, end = world(short, stops, truth, 7).run()
     assert (len(entries), end.outcome) == (4, UNDECIDED)
     assert set(short.changes.left_out) > set(recheck(small_calibration, stops).changes.left_out)
 
 
 @pytest.mark.whole
-def test_changes_that_no_stop_shows_are_refused(small_calibration: Calibration, stops: Observations) -> None:
+def test_changes_that_no_stop_shows_are_refused(small_calibration, stops):
     with pytest.raises(InvalidInput, match="must be large enough to show at the candidate stops"):
         recheck(small_calibration, stops, share=1e-5)

@@ -87,9 +87,7 @@ def registry(kept: Path, tmp_path: Path) -> Registry:
     return Registry(shutil.copytree(kept, tmp_path / "kept", symlinks=True))
 
 
-def test_a_version_is_whole_with_its_rig_and_provenance(
-    registry: Registry, small_calibration: Calibration
-) -> None:
+def test_a_version_is_whole_with_its_rig_and_provenance(registry, small_calibration):
     folder = registry.folder / "current"
     assert folder.readlink() == Path("versions/0001")
     assert np.array_equal(
@@ -103,7 +101,7 @@ def test_a_version_is_whole_with_its_rig_and_provenance(
     assert "posterior" in registry.tree().children
 
 
-def test_a_conclusion_without_a_calibration_leaves_the_current_version(registry: Registry) -> None:
+def test_a_conclusion_without_a_calibration_leaves_the_current_version(registry):
     with registry.writing():
         entry = registry.commit(Entry("rejected", "bad", "b.zarr", "hash b"))
     assert (entry.version, entry.made) == (1, None)
@@ -111,9 +109,7 @@ def test_a_conclusion_without_a_calibration_leaves_the_current_version(registry:
     assert [one.hash for one in registry.entries()] == ["hash a", "hash b"]
 
 
-def test_rolling_back_keeps_later_versions_and_their_numbers(
-    registry: Registry, small_calibration: Calibration
-) -> None:
+def test_rolling_back_keeps_later_versions_and_their_numbers(registry, small_calibration):
     with registry.writing():
         registry.commit(Entry("updated", "second", "b.zarr", "hash b"), small_calibration)
         assert registry.current == 2
@@ -137,9 +133,7 @@ def test_rolling_back_keeps_later_versions_and_their_numbers(
         registry.roll_back(9)
 
 
-def test_history_is_a_dataset_of_versions_and_parameters(
-    registry: Registry, small_calibration: Calibration
-) -> None:
+def test_history_is_a_dataset_of_versions_and_parameters(registry, small_calibration):
     history = registry.history()
     own = small_calibration.summary()["parameters"]["coil1.radius_m"]
     radius = history.sel(version=1, parameter="coil1.radius_m")
@@ -149,7 +143,7 @@ def test_history_is_a_dataset_of_versions_and_parameters(
     assert not radius["is_derived"].item()
 
 
-def test_a_second_job_is_refused_while_one_is_at_work(registry: Registry) -> None:
+def test_a_second_job_is_refused_while_one_is_at_work(registry):
     with (
         registry.writing(),
         pytest.raises(InvalidInput, match="must be free; another recalibration"),
@@ -176,9 +170,7 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize(("name", "text", "message"), DAMAGE.values(), ids=DAMAGE)
-def test_a_damaged_file_is_refused_in_a_sentence(
-    registry: Registry, name: str, text: str, message: str
-) -> None:
+def test_a_damaged_file_is_refused_in_a_sentence(registry, name, text, message):
     (registry.folder / name).write_text(text, encoding="utf-8")
     if "provenance" in name:
         (registry.folder / "log.jsonl").write_text("", encoding="utf-8")
@@ -200,7 +192,7 @@ def with_log(registry: Registry, change: Callable[[bytes], bytes]) -> bytes:
     return log.read_bytes()
 
 
-def test_an_entry_whose_line_lacks_its_end_is_kept(registry: Registry) -> None:
+def test_an_entry_whose_line_lacks_its_end_is_kept(registry):
     """A kill between the entry and its line feed, or an editor: the next entry would have been written behind it."""
     with_log(registry, lambda log: log.removesuffix(b"\n"))
     assert [entry.reason for entry in registry.entries()] == LINES
@@ -210,7 +202,7 @@ def test_an_entry_whose_line_lacks_its_end_is_kept(registry: Registry) -> None:
 
 
 @pytest.mark.parametrize("n_left", [1, 10, 60])
-def test_a_torn_entry_is_cut_off(registry: Registry, n_left: int) -> None:
+def test_a_torn_entry_is_cut_off(registry, n_left):
     with_log(registry, lambda log: log + log.splitlines()[2][:n_left])
     assert [entry.reason for entry in registry.entries()] == LINES
     with registry.writing():
@@ -232,9 +224,7 @@ def test_a_torn_entry_is_cut_off(registry: Registry, n_left: int) -> None:
         lambda log: b"\xff" + log,
     ],
 )
-def test_a_damaged_log_is_refused_and_left_as_it_is(
-    registry: Registry, change: Callable[[bytes], bytes]
-) -> None:
+def test_a_damaged_log_is_refused_and_left_as_it_is(registry, change):
     """It was cut off behind its last line end before anybody looked at it."""
     damaged = with_log(registry, change)
     with pytest.raises(CorruptStore) as caught, registry.writing():
@@ -243,7 +233,7 @@ def test_a_damaged_log_is_refused_and_left_as_it_is(
     assert (registry.folder / "log.jsonl").read_bytes() == damaged
 
 
-def test_a_log_that_lost_what_was_told_is_refused(registry: Registry) -> None:
+def test_a_log_that_lost_what_was_told_is_refused(registry):
     with registry.writing():
         registry.commit(Entry("rejected", "bad", "b.zarr", "hash b"))
         registry.tell(lambda _: None)
@@ -253,7 +243,7 @@ def test_a_log_that_lost_what_was_told_is_refused(registry: Registry) -> None:
         pass
 
 
-def test_a_log_of_version_0_2_is_read(registry: Registry) -> None:
+def test_a_log_of_version_0_2_is_read(registry):
     old = [Entry("rejected", words).line() + "\n" for words in LINES]
     (registry.folder / "log.jsonl").write_text("".join(old))
     with registry.writing():
@@ -262,7 +252,7 @@ def test_a_log_of_version_0_2_is_read(registry: Registry) -> None:
 
 
 @pytest.mark.parametrize("name", ["log.jsonl", "told", "versions/0001/summary.json"])
-def test_a_pipe_in_the_registry_is_refused_at_once(registry: Registry, name: str) -> None:
+def test_a_pipe_in_the_registry_is_refused_at_once(registry, name):
     (registry.folder / name).unlink(missing_ok=True)
     os.mkfifo(registry.folder / name)
     with pytest.raises(CoilcalError, match="it is a named pipe"), registry.writing():
@@ -270,8 +260,8 @@ def test_a_pipe_in_the_registry_is_refused_at_once(registry: Registry, name: str
 
 
 def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
-    kept: Path, tmp_path: Path, small_calibration: Calibration
-) -> None:
+    kept, tmp_path, small_calibration
+):
     process = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", KILLS, kept, tmp_path / "work"],
         cwd=Path(__file__).parents[3],

@@ -50,7 +50,7 @@ class Rig:
 
 
 @pytest.mark.parametrize(("change", "scatter"), [(None, 0.0), (0, 0.0), (None, 1.0)])
-def test_error_rates_hold(change: int | None, scatter: float) -> None:
+def test_error_rates_hold(change, scatter):
     torch.manual_seed(0)
     ends = [Rig(seed).ended(change, scatter) for seed in range(N_SESSIONS)]
     share = {word: sum(end == word for end, _ in ends) / N_SESSIONS for word in ("holds", "changed")}
@@ -63,14 +63,14 @@ def test_error_rates_hold(change: int | None, scatter: float) -> None:
     assert np.mean([n for _, n in ends]) < 0.6 * MOST_STOPS
 
 
-def test_a_calibration_that_is_taken_as_exact_gives_false_alarms() -> None:
+def test_a_calibration_that_is_taken_as_exact_gives_false_alarms():
     exact = [Rig(seed) for seed in range(40)]
     for rig in exact:
         rig.covariance = rig.covariance * 1e-9  # while the truth is drawn from the wide one
     assert sum(rig.ended(None)[0] == "changed" for rig in exact) > 20
 
 
-def test_later_readings_leave_earlier_numbers_as_they_are() -> None:
+def test_later_readings_leave_earlier_numbers_as_they_are():
     rig = Rig(3)
     columns = rig.places[:6].flatten(0, 1)
     shown = torch.from_numpy(rig.rng.normal(size=18))
@@ -79,7 +79,7 @@ def test_later_readings_leave_earlier_numbers_as_they_are() -> None:
     assert torch.allclose(whole.columns[:9], first.columns, rtol=1e-12)
 
 
-def test_the_ratio_is_that_of_normal_densities() -> None:
+def test_the_ratio_is_that_of_normal_densities():
     rig = Rig(4)
     columns = rig.places[:4].flatten(0, 1)
     shown = torch.from_numpy(rig.rng.normal(size=12))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -53,8 +52,8 @@ def test_no_session_and_no_cause_name_nothing():
 
 
 def test_the_job_hands_on_the_evidence_of_sessions_in_a_row_that_disagreed(
-    monkeypatch: pytest.MonkeyPatch, small_session: Session, small_rig: Rig, small_calibration, tmp_path: Path
-) -> None:
+    monkeypatch, small_session, small_rig, small_calibration, tmp_path
+):
     agreed = iter([None, False, True, False, False, False])
     handed = []
 

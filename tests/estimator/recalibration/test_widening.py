@@ -31,9 +31,7 @@ def known(calibration: Calibration, rig: Rig, **mean_and_sd: tuple[float, float]
     return Calibration(rig, calibration.observations, best, draws, calibration.log_prob, {})
 
 
-def test_a_pose_may_be_another_one_and_a_winding_may_not(
-    small_calibration: Calibration, small_rig: Rig
-) -> None:
+def test_a_pose_may_be_another_one_and_a_winding_may_not(small_calibration, small_rig):
     widened = widened_rig(small_calibration, small_rig)
     draws, best = small_calibration.draws, small_calibration.best
     assert draws[LOOPS_OF_COIL].std() == 0.0  # known for sure here, so that they leave the radius as it is
@@ -51,9 +49,7 @@ def test_a_pose_may_be_another_one_and_a_winding_may_not(
         assert prior.sd == pytest.approx(sd, rel=1e-5)
 
 
-def test_what_two_numbers_determine_together_stays_known(
-    small_calibration: Calibration, small_rig: Rig
-) -> None:
+def test_what_two_numbers_determine_together_stays_known(small_calibration, small_rig):
     """A posterior that knows radius x loops to 1e-4, and each of them to 1 % only: the prior may not know the product to 1 % only."""
     rng = np.random.default_rng(2)
     relative, product = 0.01 * rng.normal(size=(50, 80)), 1e-4 * rng.normal(size=(50, 80))
@@ -72,9 +68,7 @@ def test_what_two_numbers_determine_together_stays_known(
     assert math.hypot(*relative_sd) < math.hypot(may_change, 2e-4)
 
 
-def test_nothing_else_of_the_rig_changes_and_its_text_says_all(
-    small_calibration: Calibration, small_rig: Rig
-) -> None:
+def test_nothing_else_of_the_rig_changes_and_its_text_says_all(small_calibration, small_rig):
     widened = widened_rig(small_calibration, small_rig)
     assert [p.name for p in widened.free] == [p.name for p in small_rig.free]
     fixed = {n: p for n, p in small_rig.parameters.items() if not p.is_free}
@@ -83,9 +77,7 @@ def test_nothing_else_of_the_rig_changes_and_its_text_says_all(
     assert rig_from_text(rig_text(widened)).hash == widened.hash
 
 
-def test_a_cause_that_began_may_go_on_and_noise_may_age(
-    small_calibration: Calibration, rig_text: str
-) -> None:
+def test_a_cause_that_began_may_go_on_and_noise_may_age(small_calibration, rig_text):
     text = rig_text.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}")
     text += "effects:\n  axis_gain[hall]: {x: {value: 0.01, prior: {normal: {mean: 0, sd: 0.02}}}, y: 0.0, z: 0.0}\n"
     rig = rig_from_text(text)
@@ -98,7 +90,7 @@ def test_a_cause_that_began_may_go_on_and_noise_may_age(
     assert noise.relative_sd == pytest.approx(math.hypot(0.05, policy.SHARE_OF_AGEING * 0.5), rel=1e-2)
 
 
-def test_what_anchors_share_becomes_each_sensor_s_own(small_calibration: Calibration, rig_text: str) -> None:
+def test_what_anchors_share_becomes_each_sensor_s_own(small_calibration, rig_text):
     shared = "hall: &probe {noise_uT: {prior: {log_normal: {median: 5, relative_sd: 0.5}}}}\n  other: *probe"
     rig = rig_from_text(rig_text.replace("hall:\n    noise_uT: 5", shared))
     calibration = known(small_calibration, rig)

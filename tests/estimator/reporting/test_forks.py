@@ -7,7 +7,6 @@ import os
 import signal
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 from matplotlib.figure import Figure
@@ -27,27 +26,21 @@ def _two_cores(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     assert not multiprocessing.active_children()
 
 
-def test_results_come_in_the_order_of_the_items_from_other_processes() -> None:
+def test_results_come_in_the_order_of_the_items_from_other_processes():
     results = in_forks(lambda n: (n, os.getpid()), range(7))
     assert [n for n, _ in results] == list(range(7))
     assert os.getpid() not in {pid for _, pid in results}
     assert len({pid for _, pid in results}) == 7
 
 
-def test_one_item_or_one_core_needs_no_fork(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert in_forks(lambda _: os.getpid(), [1]) == [os.getpid()]
-    monkeypatch.setattr(side_by_side, "MOST_CORES", 1)
-    assert in_forks(lambda _: os.getpid(), [1, 2]) == [os.getpid()] * 2
-
-
-def test_a_result_larger_than_a_pipe_arrives() -> None:
+def test_a_result_larger_than_a_pipe_arrives():
     assert [len(text) for text in in_forks(lambda n: "x" * n, [3_000_000, 2_000_000])] == [
         3_000_000,
         2_000_000,
     ]
 
 
-def test_what_is_killed_in_a_fork_is_done_here() -> None:
+def test_what_is_killed_in_a_fork_is_done_here():
     here = os.getpid()
 
     def work(n: int) -> int:
@@ -58,13 +51,13 @@ def test_what_is_killed_in_a_fork_is_done_here() -> None:
     assert in_forks(work, [0, 1, 2]) == [0, 10, 20]
 
 
-def test_a_fault_is_raised_here(capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_fault_is_raised_here(capfd):
     with pytest.raises(ZeroDivisionError):
         in_forks(lambda n: 1 / n, [1, 0, 2])
     assert capfd.readouterr().err == ""
 
 
-def test_ctrl_c_reaches_the_program_that_waits_and_not_its_forks() -> None:
+def test_ctrl_c_reaches_the_program_that_waits_and_not_its_forks():
     def work(n: int) -> int:
         os.kill(os.getpid(), signal.SIGINT)
         return n
@@ -73,9 +66,7 @@ def test_ctrl_c_reaches_the_program_that_waits_and_not_its_forks() -> None:
 
 
 @pytest.mark.usefixtures("every_picture_is_drawn")
-def test_a_page_drawn_in_forks_is_the_page_drawn_in_a_row(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_page_drawn_in_forks_is_the_page_drawn_in_a_row(monkeypatch, tmp_path):
     """Each plot leaves a file that names its process."""
 
     def plot(n: int) -> Figure:

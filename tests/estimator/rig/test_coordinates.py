@@ -197,21 +197,6 @@ def test_with_whole_counts_they_are_the_last_columns_as_they_are():
     assert draws.std(0).min() > 1.0
 
 
-def test_labels_name_every_coil_and_what_is_not_natural_keeps_its_name():
-    both = Coordinates(rig(RIGS["two coils, both natural"]))
-    labels = both.labels
-    assert {"coil1 turns", "coil2 turns", "coil1 rms radius", "coil2 winding length"} <= set(labels)
-    assert {"coil1.turns", "coil2.rms_radius_m", "coil1.thickness_m", "hall.noise_T"} <= set(both.quantities)
-    assert "coil1.axial_loops" not in both.quantities
-    assert len(set(labels)) == len(labels)
-    assert Coordinates(rig(RIGS["wire fixed, counts free"])).labels == (
-        "coil1 rms radius",
-        "coil1.axial_loops",
-        "coil1.radial_loops",
-        "hall.noise_T",
-    )
-
-
 def test_ties_follow_what_they_are_tied_to():
     coordinates = Coordinates(rig(RIGS["two coils, one tied to the other"]))
     values = coordinates.values(prior_vectors(coordinates, 5))

@@ -41,9 +41,7 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize(("text", "message", "line"), CASES, ids=[message for _, message, _ in CASES])
-def test_a_mistake_is_named_by_key_rule_value_and_line_and_has_no_followers(
-    text: str, message: str, line: int | None, path: Path
-) -> None:
+def test_a_mistake_is_named_by_key_rule_value_and_line_and_has_no_followers(text, message, line, path):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InvalidInput) as raised:
         load_rig(path)
@@ -56,7 +54,7 @@ def test_a_mistake_is_named_by_key_rule_value_and_line_and_has_no_followers(
         assert [(str(fault), fault.place) for fault in rig_and_faults(path)[1]] == [(said, place)]
 
 
-def test_mistakes_of_all_kinds_are_told_at_once_in_the_order_of_their_lines(path: Path) -> None:
+def test_mistakes_of_all_kinds_are_told_at_once_in_the_order_of_their_lines(path):
     text = TWO_COILS
     for old, new in (
         ("schema_version: 1", "schema_version: 3"),
@@ -99,7 +97,7 @@ def test_mistakes_of_all_kinds_are_told_at_once_in_the_order_of_their_lines(path
     assert "the closest is radial_lops" in told[2][2]
 
 
-def test_numbers_that_cannot_be_read_leave_the_names_of_a_rig(path: Path) -> None:
+def test_numbers_that_cannot_be_read_leave_the_names_of_a_rig(path):
     path.write_text(TWO_COILS.replace("wire_radius_mm: 0.49", "wire_radius_mm: 0,49"), encoding="utf-8")
     rig, faults = rig_and_faults(path)
     assert rig is not None
@@ -111,21 +109,19 @@ def test_numbers_that_cannot_be_read_leave_the_names_of_a_rig(path: Path) -> Non
     ("text", "line", "column"),
     [("name: [1, 2\nsensors: 3\n", 2, 8), ("name: small\n  coils: 3\n", 2, 8), ("a: &a [*a]\n", 1, 11)],
 )
-def test_what_is_not_yaml_is_one_fault_with_line_and_column(
-    path: Path, text: str, line: int, column: int
-) -> None:
+def test_what_is_not_yaml_is_one_fault_with_line_and_column(path, text, line, column):
     path.write_text(text, encoding="utf-8")
     rig, faults = rig_and_faults(path)
     assert rig is None
     assert [fault.place for fault in faults] == [Place(str(path), line, column)]
 
 
-def test_a_file_that_is_not_there_is_one_fault_without_a_place(path: Path) -> None:
+def test_a_file_that_is_not_there_is_one_fault_without_a_place(path):
     rig, (fault,) = rig_and_faults(path)
     assert (rig, fault.place) == (None, None)
     assert "must be readable as text" in str(fault)
 
 
-def test_a_rig_without_faults_is_the_one_that_is_loaded(path: Path) -> None:
+def test_a_rig_without_faults_is_the_one_that_is_loaded(path):
     path.write_text(TWO_COILS, encoding="utf-8")
     assert rig_and_faults(path) == (load_rig(path), [])

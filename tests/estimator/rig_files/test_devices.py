@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from estimator.errors import InvalidInput
-from estimator.rig.rig import Rig
 from estimator.rig_files.devices import load_devices, without_devices
 from estimator.rig_files.read import load_rig, rig_from_text
-from estimator.store.session import Session
 
 DEVICES = """\
 devices:
@@ -35,26 +32,26 @@ BAD = {
 }  # fmt: skip
 
 
-def test_devices_are_taken_as_they_stand(rig_text: str) -> None:
+def test_devices_are_taken_as_they_stand(rig_text):
     rig = rig_from_text(rig_text + DEVICES)
     assert list(rig.devices) == ["hall", "coil1", "arm1"]
     assert rig.devices["coil1"] == {"supply": "kepco_bop", "serial": "/dev/ttyUSB1", "highest_A": 5}
     assert rig.devices["arm1"]["workspace_low_mm"] == [0, -300, 0]
 
 
-def test_rig_without_devices_has_none(small_rig: Rig) -> None:
+def test_rig_without_devices_has_none(small_rig):
     assert small_rig.devices == {}
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_mistakes_are_refused_with_location_rule_and_value(rig_text: str, case: str) -> None:
+def test_mistakes_are_refused_with_location_rule_and_value(rig_text, case):
     text, message = BAD[case]
     with pytest.raises(InvalidInput, match=message) as caught:
         rig_from_text(rig_text + text, "rig.yaml")
     assert "(rig.yaml, line " in str(caught.value) or "(rig.yaml)" in str(caught.value)
 
 
-def test_arm_of_another_model_than_the_joints_is_refused(two_coils_text: str) -> None:
+def test_arm_of_another_model_than_the_joints_is_refused(two_coils_text):
     text = two_coils_text + "devices:\n  arm2: {arm: ur3, host: x}\n"
     with pytest.raises(
         InvalidInput, match="devices.arm2.arm must be ur3e, as the joints of arm2 say; received 'ur3'"
@@ -62,7 +59,7 @@ def test_arm_of_another_model_than_the_joints_is_refused(two_coils_text: str) ->
         rig_from_text(text)
 
 
-def test_devices_do_not_change_what_identifies_rig_and_session(rig_text: str, small_session: Session) -> None:
+def test_devices_do_not_change_what_identifies_rig_and_session(rig_text, small_session):
     plain = rig_from_text(rig_text)
     first, second = (
         rig_from_text(rig_text + text) for text in (DEVICES, DEVICES.replace("ttyUSB1", "ttyUSB7"))
@@ -74,12 +71,12 @@ def test_devices_do_not_change_what_identifies_rig_and_session(rig_text: str, sm
     assert replace(small_session, rig=thinner).hash not in hashes
 
 
-def test_devices_in_the_middle_of_a_file_are_cut_out_alone() -> None:
+def test_devices_in_the_middle_of_a_file_are_cut_out_alone():
     assert without_devices("a: 1\ndevices:\n  hall: {sensor: x}\nb: 2\n") == "a: 1\nb: 2\n"
     assert without_devices("a: devices\n") == "a: devices\n"
 
 
-def test_devices_in_a_file_of_their_own(tmp_path: Path, small_rig: Rig) -> None:
+def test_devices_in_a_file_of_their_own(tmp_path, small_rig):
     path = tmp_path / "devices.yaml"
     path.write_text(DEVICES, encoding="utf-8")
     assert load_devices(path, small_rig)["hall"]["range_mT"] == 350
@@ -88,7 +85,7 @@ def test_devices_in_a_file_of_their_own(tmp_path: Path, small_rig: Rig) -> None:
         load_devices(path, small_rig)
 
 
-def test_rig_file_with_devices_loads(tmp_path: Path, rig_text: str) -> None:
+def test_rig_file_with_devices_loads(tmp_path, rig_text):
     path = tmp_path / "rig.yaml"
     path.write_text(rig_text + DEVICES, encoding="utf-8")
     assert set(load_rig(path).devices) == {"hall", "coil1", "arm1"}

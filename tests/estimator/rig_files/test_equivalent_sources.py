@@ -29,7 +29,7 @@ sensors: {hall: {noise_uT: 1}}
 """
 
 
-def test_a_coil_has_a_box_and_charges_with_one_prior() -> None:
+def test_a_coil_has_a_box_and_charges_with_one_prior():
     rig = rig_from_text(TEXT)
     (coil,) = rig.coils
     assert coil == EquivalentSourceCoil("c1", "stage", (0.005, 0.005, 0.01), 0.004, 0.006)
@@ -49,7 +49,7 @@ def test_a_coil_has_a_box_and_charges_with_one_prior() -> None:
         ("{sd_T_per_A: 0.01, charge80_T_per_A: {tied_to: c1.charge1_T_per_A, factor: -1}}", "tied_to"),
     ],
 )
-def test_it_comes_back_to_the_last_digit(amplitudes: str, written: str) -> None:
+def test_it_comes_back_to_the_last_digit(amplitudes, written):
     rig = rig_from_text(
         TEXT.replace("{sd_T_per_A: 8e-3}", amplitudes).replace("spacing_mm: 6", "spacing_mm: 6.1")
     )
@@ -66,7 +66,7 @@ WITH_MULTIPOLES = TEXT.replace(
 HASH = "fb4df752b6bff2b7fe7694d12e7dd1c630715e6f06f360a8c749fc119b9f9bb7"
 
 
-def test_multipoles_have_eight_amplitudes_each_and_come_back() -> None:
+def test_multipoles_have_eight_amplitudes_each_and_come_back():
     rig = rig_from_text(WITH_MULTIPOLES)
     (coil,) = rig.coils
     assert isinstance(coil, EquivalentSourceCoil)
@@ -83,7 +83,7 @@ def test_multipoles_have_eight_amplitudes_each_and_come_back() -> None:
     check_same(rig)
 
 
-def test_the_places_of_multipoles_are_part_of_what_identifies_a_rig_and_none_leave_it_as_it_was() -> None:
+def test_the_places_of_multipoles_are_part_of_what_identifies_a_rig_and_none_leave_it_as_it_was():
     assert rig_from_text(TEXT).hash == HASH
     assert rig_from_text(WITH_MULTIPOLES).hash != rig_from_text(WITH_MULTIPOLES.replace("12]", "13]")).hash
     none = rig_from_text(WITH_MULTIPOLES.replace("[[0, 0, 12], [-6, 5.5, -3]]", "[]"))

@@ -31,7 +31,7 @@ sensors: {{hall: {{noise_uT: 1}}}}
 """
 
 
-def test_a_coil_has_a_region_a_degree_and_priors_that_fall_off() -> None:
+def test_a_coil_has_a_region_a_degree_and_priors_that_fall_off():
     rig = rig_from_text(TEXT)
     assert rig.coils == (HarmonicCoil("c1", "stage", Region.EXTERIOR, 3),)
     assert (rig.wound, rig.unwound) == ((), rig.coils)
@@ -58,13 +58,13 @@ def test_a_coil_has_a_region_a_degree_and_priors_that_fall_off() -> None:
         ),
     ],
 )
-def test_it_comes_back_to_the_last_digit(amplitudes: str, written: str) -> None:
+def test_it_comes_back_to_the_last_digit(amplitudes, written):
     rig = rig_from_text(TEXT.replace(AMPLITUDES, amplitudes))
     assert written in rig_text(rig)
     check_same(rig)
 
 
-def test_without_a_common_width_every_amplitude_is_written() -> None:
+def test_without_a_common_width_every_amplitude_is_written():
     rig = rig_from_text(TEXT)
     fixed = rig.with_fixed(p.name for p in rig.free).with_values({"c1.degree2_sin1_T_per_A": 1.5e-3})
     assert "sd_T_per_A" not in rig_text(fixed)
@@ -104,12 +104,12 @@ REFUSALS = {
 }  # fmt: skip
 
 
-def test_rigs_of_today_keep_their_hash() -> None:
+def test_rigs_of_today_keep_their_hash():
     """A coil with a winding is described as before, so that sessions, chains and registries still know it."""
     assert load_rig(CONFIGS / "paper_simulation.yaml").hash.startswith(HASH)
 
 
-def test_kinematics_of_one_arm_are_part_of_the_hash() -> None:
+def test_kinematics_of_one_arm_are_part_of_the_hash():
     rig = load_rig(CONFIGS / "paper_simulation.yaml")
     arm = replace(rig.movers[0], own_table=ARMS["UR5e"])
     assert replace(rig, movers=(arm,)).hash != rig.hash

@@ -44,7 +44,7 @@ def without(text: str) -> Rig:
 
 
 @BOTH
-def test_they_come_back_to_the_last_digit_and_tell_rigs_apart(text: str) -> None:
+def test_they_come_back_to_the_last_digit_and_tell_rigs_apart(text):
     rig = rig_from_text(text)
     assert rig.wound[0].leads == Leads(
         ((0.3, 0.005, -0.04), (0.06, 0.005, -0.002), (0.035, 0.0, -0.002)),
@@ -56,7 +56,7 @@ def test_they_come_back_to_the_last_digit_and_tell_rigs_apart(text: str) -> None
 
 
 @BOTH
-def test_their_field_is_that_of_wires_of_magpylib(text: str) -> None:
+def test_their_field_is_that_of_wires_of_magpylib(text):
     points_m = torch.from_numpy(np.random.default_rng(0).uniform(0.05, 0.12, (20, 3)))
     current_A = torch.tensor([2.0], dtype=torch.float64)
     fields = [
@@ -87,12 +87,12 @@ def test_their_field_is_that_of_wires_of_magpylib(text: str) -> None:
         ("lead_in_mm", "lead_in", "lead_in must carry its unit"),
     ],
 )
-def test_a_path_of_another_form_is_refused(old: str, new: str, message: str) -> None:
+def test_a_path_of_another_form_is_refused(old, new, message):
     with pytest.raises(InvalidInput, match=message):
         rig_from_text(ROUND.replace(old, new))
 
 
-def test_machine_code_for_round_windings_names_them() -> None:
+def test_machine_code_for_round_windings_names_them():
     rig = rig_from_text(ROUND)
     with pytest.raises(InvalidInput, match=r"no place for c1 \(leads\)"):
         plain_model(rig, nominal_tensors(rig), "machine code", only_round=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import pytest
 
@@ -24,7 +23,7 @@ def changed(text: str, old: str, new: str) -> str:
     return text.replace(old, new)
 
 
-def test_values_arrive_in_si(rig: Rig) -> None:
+def test_values_arrive_in_si(rig):
     values = rig.nominal_values()
     expected = {
         "coil1.radius_m": 0.048,
@@ -38,7 +37,7 @@ def test_values_arrive_in_si(rig: Rig) -> None:
     assert {name: values[name] for name in expected} == pytest.approx(expected, rel=1e-12)
 
 
-def test_priors_arrive_in_si_and_keep_relative_widths(rig: Rig) -> None:
+def test_priors_arrive_in_si_and_keep_relative_widths(rig):
     priors = {parameter.name: parameter.prior for parameter in rig.free}
     assert list(priors) == [
         "coil1.radius_m",
@@ -57,11 +56,11 @@ def test_priors_arrive_in_si_and_keep_relative_widths(rig: Rig) -> None:
     assert (noise.median, noise.relative_sd) == pytest.approx((2e-5, 0.5))
 
 
-def test_a_prior_alone_says_where_the_fit_starts(rig: Rig) -> None:
+def test_a_prior_alone_says_where_the_fit_starts(rig):
     assert rig.nominal_values()["coil1.axial_loops"] == 45.0
 
 
-def test_pitches_follow_the_wire_and_ties_their_factor(rig: Rig) -> None:
+def test_pitches_follow_the_wire_and_ties_their_factor(rig):
     values = rig.nominal_values()
     assert (
         values["coil1.axial_pitch_m"] == values["coil1.radial_pitch_m"] == 2 * values["coil1.wire_radius_m"]
@@ -71,7 +70,7 @@ def test_pitches_follow_the_wire_and_ties_their_factor(rig: Rig) -> None:
     assert "coil2.wire_radius_m" not in values
 
 
-def test_movers_and_bodies_hang_together_as_written(rig: Rig) -> None:
+def test_movers_and_bodies_hang_together_as_written(rig):
     assert [(mover.name, mover.motion) for mover in rig.movers] == [
         ("arm1", MotionKind.DISPLACEMENT),
         ("arm2", MotionKind.UR3E),
@@ -83,14 +82,14 @@ def test_movers_and_bodies_hang_together_as_written(rig: Rig) -> None:
     ]
 
 
-def test_anchors_share_what_is_written_once(two_coils_text: str) -> None:
+def test_anchors_share_what_is_written_once(two_coils_text):
     text = changed(two_coils_text, "radial_loops: 22", "radial_loops: &loops 22").replace(
         "radial_loops: 30", "radial_loops: *loops"
     )
     assert rig_from_text(text).nominal_values()["coil2.radial_loops"] == 22.0
 
 
-def test_displacements_in_the_base_frame_need_the_reference_rotation(two_coils_text: str) -> None:
+def test_displacements_in_the_base_frame_need_the_reference_rotation(two_coils_text):
     base = "{motion: displacement, displacement_frame: base"
     mover = rig_from_text(
         changed(two_coils_text, "{motion: displacement", f"{base}, base_from_flange0: {{rz_deg: 90}}")
@@ -99,7 +98,7 @@ def test_displacements_in_the_base_frame_need_the_reference_rotation(two_coils_t
     assert mover.reference_rotation_rad == (0.0, 0.0, pytest.approx(math.pi / 2))
 
 
-def test_a_positive_number_has_a_prior_without_negative_values(two_coils_text: str) -> None:
+def test_a_positive_number_has_a_prior_without_negative_values(two_coils_text):
     rig = rig_from_text(
         changed(
             two_coils_text,
@@ -115,7 +114,7 @@ def test_a_positive_number_has_a_prior_without_negative_values(two_coils_text: s
     assert offset.lower == -math.inf
 
 
-def test_a_file_reads_like_its_text(two_coils_text: str, tmp_path: Path) -> None:
+def test_a_file_reads_like_its_text(two_coils_text, tmp_path):
     (tmp_path / "rig.yaml").write_text(two_coils_text, encoding="utf-8")
     assert load_rig(tmp_path / "rig.yaml") == rig_from_text(two_coils_text)
     with pytest.raises(InvalidInput, match=r"no\.yaml must be readable"):
@@ -143,9 +142,9 @@ NUMBERS = [
 
 
 @pytest.mark.parametrize(("old", "new"), NUMBERS)
-def test_any_other_number_gives_another_hash(two_coils_text: str, old: str, new: str) -> None:
+def test_any_other_number_gives_another_hash(two_coils_text, old, new):
     assert rig_from_text(changed(two_coils_text, old, new)).hash != rig_from_text(two_coils_text).hash
 
 
-def test_comments_do_not_change_the_hash(two_coils_text: str) -> None:
+def test_comments_do_not_change_the_hash(two_coils_text):
     assert rig_from_text(two_coils_text + "# note\n").hash == rig_from_text(two_coils_text).hash

@@ -135,7 +135,7 @@ REFUSALS = {
 
 
 @pytest.mark.parametrize("kind", ["coils", "sensors"])
-def test_a_rig_has_coils_and_sensors(kind: str) -> None:
+def test_a_rig_has_coils_and_sensors(kind):
     text = f"schema_version: 1\nname: nothing\n{kind}: {{}}\n"
     other_kind = (
         "sensors: {hall: {noise_uT: 5}}"
@@ -147,7 +147,7 @@ def test_a_rig_has_coils_and_sensors(kind: str) -> None:
     assert str(caught.value) == f"{kind} must name at least one; received none (rig.yaml, line 3)"
 
 
-def test_a_carrier_is_refused_where_the_rig_has_no_movers() -> None:
+def test_a_carrier_is_refused_where_the_rig_has_no_movers():
     text = "schema_version: 1\nname: a\ncoils: {c: {carried_by: arm, radius_mm: 9, wire_radius_mm: 1, axial_loops: 1, radial_loops: 1}}"
     with pytest.raises(InvalidInput, match=r"must name a mover \(the rig has none\); received 'arm'"):
         rig_from_text(text)

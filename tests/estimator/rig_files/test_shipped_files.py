@@ -49,7 +49,7 @@ def solenoid_T(turns: float, current_A: float, length_m: float, radius_m: float)
 
 
 @pytest.mark.parametrize("name", RIG_FILES)
-def test_every_rig_file_loads_and_starts_inside_its_priors(name: str) -> None:
+def test_every_rig_file_loads_and_starts_inside_its_priors(name):
     rig = load_rig(CONFIGS / name)
     coordinates = Coordinates(rig)
     assert torch.isfinite(coordinates.log_prior(coordinates.vector({})))
@@ -81,8 +81,8 @@ def test_every_rig_file_loads_and_starts_inside_its_priors(name: str) -> None:
     ],
 )
 def test_a_coil_alone_gives_the_field_of_a_thin_solenoid_at_its_centre(
-    name: str, coil: str, centre_m: float, turns: float, length_m: float, radius_m: float
-) -> None:
+    name, coil, centre_m, turns, length_m, radius_m
+):
     rig = load_rig(CONFIGS / f"{name}.yaml")
     current_A = [float(c.name == coil) for c in rig.coils]
     mover = rig.movers[0].name
@@ -93,7 +93,7 @@ def test_a_coil_alone_gives_the_field_of_a_thin_solenoid_at_its_centre(
     assert after == pytest.approx(before, rel=2e-4)  # so this is the middle
 
 
-def test_equal_currents_of_the_maxwell_pair_oppose_each_other() -> None:
+def test_equal_currents_of_the_maxwell_pair_oppose_each_other():
     rig = load_rig(CONFIGS / "maxwell_pair.yaml")
     middle = {"stage": on_axis(0.0)}
     assert field_at(rig, [1.9, 1.9], middle)[2] == pytest.approx(0.0, abs=1e-9)
@@ -110,7 +110,7 @@ def on_axis_T(
 
 
 @pytest.mark.parametrize("coil", [0, 1])
-def test_each_of_two_arms_holds_its_coil_40_mm_from_the_sensor(coil: int) -> None:
+def test_each_of_two_arms_holds_its_coil_40_mm_from_the_sensor(coil):
     rig = load_rig(CONFIGS / "two_arms.yaml")
     current_A = [float(i == coil) for i in range(2)]
     field_T = field_at(rig, current_A, {"arm1": FACING, "arm2": FACING})
@@ -119,14 +119,14 @@ def test_each_of_two_arms_holds_its_coil_40_mm_from_the_sensor(coil: int) -> Non
     assert max(abs(b) for b in field_T[1:]) < 0.01 * abs(field_T[0])
 
 
-def test_the_coil_of_the_paper_looks_at_the_sensor_from_the_distance_of_table_8() -> None:
+def test_the_coil_of_the_paper_looks_at_the_sensor_from_the_distance_of_table_8():
     rig = load_rig(CONFIGS / "paper_experiment.yaml")
     field_T = field_at(rig, [3.0], {"arm1": FACING})
     expected_T = on_axis_T(115, 54, 0.0465, 0.30e-3, 0.0395, 3.0)
     assert field_T[0] == pytest.approx(expected_T, rel=0.01)
 
 
-def test_coils_in_series_share_their_current_gain() -> None:
+def test_coils_in_series_share_their_current_gain():
     rig = load_rig(CONFIGS / "mice_ssu_e1_cc_e2.yaml")
     raised = rig.with_values({"E1.current_gain": 1.01})
     at = {"mapper": on_axis(1.5)}

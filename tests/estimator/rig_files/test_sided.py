@@ -40,7 +40,7 @@ sensors: {hall: {noise_uT: 5}}
 """
 
 
-def test_numbers_and_ties_are_read_in_si() -> None:
+def test_numbers_and_ties_are_read_in_si():
     rig = rig_from_text(TEXT)
     assert rig.coils == (SidedCoil("c1", "arm", False), SidedCoil("c2", None, True))
     assert (rig.wound, rig.round, rig.unwound) == (rig.coils, (), ())
@@ -53,11 +53,11 @@ def test_numbers_and_ties_are_read_in_si() -> None:
 
 
 @pytest.mark.parametrize("text", [TEXT, CONFIG.read_text(encoding="utf-8")], ids=["shapes", "config"])
-def test_it_comes_back_to_the_last_digit(text: str) -> None:
+def test_it_comes_back_to_the_last_digit(text):
     check_same(rig_from_text(text))
 
 
-def test_sharp_and_round_corners_are_different_rigs() -> None:
+def test_sharp_and_round_corners_are_different_rigs():
     sharp = TEXT.replace("model: racetrack", "model: rectangular").replace(
         "    inner_corner_radius_mm: {tied_to: c2.inner_side_y_m, factor: 0.5}\n", ""
     )
@@ -81,7 +81,7 @@ REFUSALS = {
 }  # fmt: skip
 
 
-def test_check_says_what_it_understood() -> None:
+def test_check_says_what_it_understood():
     result = CliRunner().invoke(main, ["check", str(CONFIG)])
     assert result.exit_code == 0
     assert "winding about a bore of 160 mm x 120 mm with sharp corners, 10 x 8 loops" in result.output

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import astuple
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -78,7 +77,7 @@ def extracted(table: DenavitHartenberg) -> str:
 
 
 @pytest.mark.parametrize("robot", ["UR10e", "UR3"])
-def test_the_flange_is_where_the_controller_has_it(robot: str, tmp_path: Path) -> None:
+def test_the_flange_is_where_the_controller_has_it(robot, tmp_path):
     table = ARMS[robot].corrected(DELTAS)
     path = tmp_path / "calibration.yaml"
     path.write_text(extracted(table), encoding="utf-8")
@@ -91,7 +90,7 @@ def test_the_flange_is_where_the_controller_has_it(robot: str, tmp_path: Path) -
     assert float((nominal.translation_m - expected.translation_m).norm(dim=-1).max()) > 1e-3
 
 
-def test_a_rig_keeps_the_numbers_and_needs_the_file_no_more(tmp_path: Path) -> None:
+def test_a_rig_keeps_the_numbers_and_needs_the_file_no_more(tmp_path):
     calibration = tmp_path / "my_robot_calibration.yaml"
     calibration.write_text(extracted(ARMS["UR10e"].corrected(DELTAS)), encoding="utf-8")
     path = tmp_path / "rig.yaml"
@@ -117,7 +116,7 @@ def test_a_rig_keeps_the_numbers_and_needs_the_file_no_more(tmp_path: Path) -> N
         ("kinematics:", "kinematics: [", "must be YAML; "),
     ],
 )
-def test_a_file_of_another_form_is_refused(old: str, new: str, message: str, tmp_path: Path) -> None:
+def test_a_file_of_another_form_is_refused(old, new, message, tmp_path):
     (tmp_path / "rig.yaml").write_text(RIG, encoding="utf-8")
     text = extracted(ARMS["UR10e"].corrected(DELTAS)).replace(old, new)
     (tmp_path / "my_robot_calibration.yaml").write_text(text, encoding="utf-8")
@@ -125,7 +124,7 @@ def test_a_file_of_another_form_is_refused(old: str, new: str, message: str, tmp
         load_rig(tmp_path / "rig.yaml")
 
 
-def test_a_file_of_another_model_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_another_model_is_refused(tmp_path):
     path = tmp_path / "calibration.yaml"
     path.write_text(extracted(ARMS["UR5e"].corrected(DELTAS)), encoding="utf-8")
     with pytest.raises(
@@ -134,6 +133,6 @@ def test_a_file_of_another_model_is_refused(tmp_path: Path) -> None:
         corrections_from_ros(path, "UR10e")
 
 
-def test_a_rig_that_is_not_on_disk_cannot_name_a_file() -> None:
+def test_a_rig_that_is_not_on_disk_cannot_name_a_file():
     with pytest.raises(InvalidInput, match="must stand in a rig file on disk, beside its file of links"):
         rig_from_text(RIG)

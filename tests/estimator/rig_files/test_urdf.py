@@ -82,7 +82,7 @@ ARMS = {
 
 
 @pytest.mark.parametrize("rows", ARMS.values(), ids=ARMS)
-def test_flange_stands_where_the_library_has_it(rows: list[Row], tmp_path: Path):
+def test_flange_stands_where_the_library_has_it(rows, tmp_path):
     (tmp_path / "arm.urdf").write_text(urdf(rows))
     (tmp_path / "rig.yaml").write_text(RIG)
     rig = load_rig(tmp_path / "rig.yaml")
@@ -103,26 +103,26 @@ def rig(tmp_path: Path) -> Rig:
     return load_rig(tmp_path / "rig.yaml")
 
 
-def test_the_rig_holds_the_chain_and_needs_no_file(rig: Rig):
+def test_the_rig_holds_the_chain_and_needs_no_file(rig):
     assert "urdf" not in rig_text(rig)
     check_same(rig)
 
 
-def test_another_arm_is_another_rig(rig: Rig, tmp_path: Path):
+def test_another_arm_is_another_rig(rig, tmp_path):
     (tmp_path / "arm.urdf").write_text(
         urdf(ARMS["askew"]).replace('xyz="0.02 0.01 0.08"', 'xyz="0.02 0.01 0.09"')
     )
     assert load_rig(tmp_path / "rig.yaml").hash != rig.hash
 
 
-def test_joints_are_found_from_the_pose(rig: Rig):
+def test_joints_are_found_from_the_pose(rig):
     near_rad = torch.tensor([[0.3, -0.5, 0.8, 0.2, 0.9, -0.4]], dtype=torch.float64)
     pose = base_from_motion(rig.movers[0], near_rad + 0.02)
     found = motion_reached(rig.movers[0], pose, pose, near_rad)
     torch.testing.assert_close(found, near_rad + 0.02, rtol=0.0, atol=1e-7)  # Newton's method ends there
 
 
-def test_zeros_of_its_joints_move_it_as_their_readings_would(rig: Rig):
+def test_zeros_of_its_joints_move_it_as_their_readings_would(rig):
     motion = torch.from_numpy(np.random.default_rng(3).uniform(-1.0, 1.0, (4, 6)))
     none = torch.zeros(4, dtype=torch.int64)
     empty = torch.zeros(4, 3, dtype=torch.float64)
@@ -144,7 +144,7 @@ def test_zeros_of_its_joints_move_it_as_their_readings_would(rig: Rig):
     torch.testing.assert_close(moved.translation_m, expected.translation_m, rtol=0.0, atol=1e-12)
 
 
-def test_exports_hold_both_ends(rig: Rig):
+def test_exports_hold_both_ends(rig):
     model = plain_model(rig, nominal_tensors(rig), "json")
     joints_rad = torch.tensor([0.3, -0.5, 0.8, 0.2, 0.9, -0.4], dtype=torch.float64)
     coil = model.coils[0]
@@ -178,7 +178,7 @@ def test_exports_hold_both_ends(rig: Rig):
         (RIG.replace(", flange: tool", ""), urdf(askew(0)), "movers.arm.urdf.flange is missing"),
     ],
 )
-def test_what_is_no_such_arm_is_refused_with_its_line(change: str, text: str, message: str, tmp_path: Path):
+def test_what_is_no_such_arm_is_refused_with_its_line(change, text, message, tmp_path):
     (tmp_path / "arm.urdf").write_text(text)
     (tmp_path / "rig.yaml").write_text(change)
     with pytest.raises(InvalidInput) as caught:
@@ -192,7 +192,7 @@ def test_a_text_from_elsewhere_opens_no_file():
         rig_from_text(RIG)
 
 
-def test_without_the_library_a_sentence_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_without_the_library_a_sentence_says_what_to_install(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "yourdfpy", None)
     (tmp_path / "arm.urdf").write_text(urdf(askew(0)))
     (tmp_path / "rig.yaml").write_text(RIG)

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from starlette.testclient import TestClient
 
 from estimator.errors import InvalidInput
-from estimator.recalibration.alerts import calls_for_action
-from estimator.recalibration.conclusion import IS_CONVERGED
 from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import Registry
 from estimator.service import alerts, tasks
@@ -44,7 +40,7 @@ def command(heard: Path) -> str:
     return f"sh -c 'cat >> {heard}; echo >> {heard}'"
 
 
-def test_the_command_hears_of_what_waits_once_and_in_order(tmp_path: Path) -> None:
+def test_the_command_hears_of_what_waits_once_and_in_order(tmp_path):
     for entry in (LATER, DRIFT):
         leave_alert(tmp_path / ALERTS, "small", entry)
     run_alerts("", tmp_path / ALERTS)
@@ -57,9 +53,7 @@ def test_the_command_hears_of_what_waits_once_and_in_order(tmp_path: Path) -> No
     ]
 
 
-def test_what_is_damaged_is_logged_and_holds_up_no_other(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_what_is_damaged_is_logged_and_holds_up_no_other(tmp_path, caplog):
     for entry in (DRIFT, LATER):
         leave_alert(tmp_path / ALERTS, "small", entry)
     first, _ = sorted((tmp_path / ALERTS).iterdir())
@@ -71,9 +65,7 @@ def test_what_is_damaged_is_logged_and_holds_up_no_other(
     assert not any((tmp_path / ALERTS).iterdir())
 
 
-def test_a_command_that_is_interrupted_runs_again_and_one_that_fails_is_logged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_command_that_is_interrupted_runs_again_and_one_that_fails_is_logged(tmp_path, monkeypatch, caplog):
     class Killed(BaseException):
         pass
 
@@ -93,9 +85,7 @@ def test_a_command_that_is_interrupted_runs_again_and_one_that_fails_is_logged(
 
 
 @pytest.mark.parametrize("has_alerts", [True, False])
-def test_a_recalibration_leaves_a_conclusion_that_calls_for_action(
-    tmp_path: Path, small_session: Session, has_alerts: bool
-) -> None:
+def test_a_recalibration_leaves_a_conclusion_that_calls_for_action(tmp_path, small_session, has_alerts):
     """Fields in millitesla that say they are in tesla are rejected before any fit."""
     readings = small_session.observations
     wrong = replace(readings, field_sensor_T=1e3 * readings.field_sensor_T)
@@ -113,15 +103,7 @@ def test_a_recalibration_leaves_a_conclusion_that_calls_for_action(
     )
 
 
-def test_what_calls_for_action() -> None:
-    assert calls_for_action(DRIFT)
-    assert calls_for_action(LATER)
-    assert calls_for_action(Entry("updated", "x", checks={IS_CONVERGED: False}))
-    assert not calls_for_action(Entry("updated", "x", checks={IS_CONVERGED: True}))
-    assert not calls_for_action(Entry("unchanged", "x"))
-
-
-def test_a_command_comes_from_the_settings_only(idle: Callable[..., TestClient]) -> None:
+def test_a_command_comes_from_the_settings_only(idle):
     assert (
         load_settings(environment={"COILCAL_SERVE_ALERT_COMMAND": "mail -s coils"}).alert_command
         == "mail -s coils"

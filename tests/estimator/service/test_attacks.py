@@ -5,8 +5,7 @@ from __future__ import annotations
 import asyncio
 import shutil
 import zipfile
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 from starlette.testclient import TestClient
@@ -14,7 +13,6 @@ from starlette.testclient import TestClient
 from estimator.service import archives
 from estimator.service.concurrency import WaitingLimit
 from estimator.service.problems import Problem
-from estimator.store.session import Session
 from estimator.store.zipped import zipped
 from tests.estimator.service.conftest import (
     CSV,
@@ -77,22 +75,20 @@ def lives_on(client: TestClient) -> Iterator[None]:
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_a_rig_is_refused(client: TestClient, name: str) -> None:
+def test_a_rig_is_refused(client, name):
     for path in ("/v1/rigs", "/v1/rigs/validate"):
         refusal(sent(client, path, RIGS[name], YAML), 422)
 
 
 @pytest.mark.parametrize("path", PATHS)
-def test_a_path_leads_nowhere(client: TestClient, path: str) -> None:
+def test_a_path_leads_nowhere(client, path):
     answer = client.get(path)
     assert refusal(answer, answer.status_code)["status"] in (404, 422)
     assert b"root:" not in answer.content
     assert b"SQLite" not in answer.content
 
 
-def test_members_are_counted_before_a_list_of_them_is_made(
-    client: TestClient, rig_id: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_members_are_counted_before_a_list_of_them_is_made(client, rig_id, monkeypatch):
     """600,000 members of 50 bytes took half a gigabyte and seconds in which nothing else was answered."""
     flood = zip_of({f"{n}": b"" for n in range(archives.MOST_MEMBERS + 1)}, method=zipfile.ZIP_STORED)
     monkeypatch.setattr(archives.zipfile, "ZipFile", None)
@@ -101,13 +97,8 @@ def test_members_are_counted_before_a_list_of_them_is_made(
 
 
 def test_readings_that_an_archive_claims_and_does_not_hold_are_counted_before_they_are_made_up(
-    idle: Callable[..., TestClient],
-    rig_text: str,
-    small_session: Session,
-    readings_csv: bytes,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    idle, rig_text, small_session, readings_csv, tmp_path, monkeypatch
+):
     """Seven kilobytes without a chunk became a session of three million readings, in half a gigabyte."""
     client = idle(most_readings=len(small_session.observations) - 1)
     rig_id = upload_rig(client, rig_text)
@@ -122,7 +113,7 @@ def test_readings_that_an_archive_claims_and_does_not_hold_are_counted_before_th
     refusal(sent(client, f"/v1/sessions/import-csv?rig_id={rig_id}", readings_csv, CSV), 413)
 
 
-def test_few_sessions_are_imported_at_once_and_the_others_wait_without_a_thread() -> None:
+def test_few_sessions_are_imported_at_once_and_the_others_wait_without_a_thread():
     async def crowd() -> tuple[int, int, int]:
         room, at_work, is_over, refused = WaitingLimit("sessions", 2, 3), [0], asyncio.Event(), 0
         counts: list[int] = []
@@ -149,9 +140,7 @@ def test_few_sessions_are_imported_at_once_and_the_others_wait_without_a_thread(
     assert asyncio.run(crowd()) == (2, 5, 4)
 
 
-def test_imports_stand_in_that_line(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
-) -> None:
+def test_imports_stand_in_that_line(idle, rig_text, readings_csv):
     client = idle()
     rig_id = upload_rig(client, rig_text)
     client.app.state.core.importing = WaitingLimit("sessions to import", 1, 0)
@@ -161,7 +150,7 @@ def test_imports_stand_in_that_line(
         assert answer.headers["Retry-After"] == "10"
 
 
-def test_names_are_words_and_no_headers(client: TestClient, rig_id: str) -> None:
+def test_names_are_words_and_no_headers(client, rig_id):
     """What somebody calls a session comes back as text, and in no header."""
     words = "<script>alert(1)</script>\r\nSet-Cookie: a=b"
     session = client.post("/v1/sessions", json={"rig_id": rig_id, "source": words})
@@ -173,7 +162,7 @@ def test_names_are_words_and_no_headers(client: TestClient, rig_id: str) -> None
     assert answer.headers["x-content-type-options"] == "nosniff"
 
 
-def test_guesses_at_the_login_are_counted_as_guesses(idle: Callable[..., TestClient]) -> None:
+def test_guesses_at_the_login_are_counted_as_guesses(idle):
     guarded = idle(require_tokens=True, most_refused_per_minute=3)
     answers = [guarded.post("/v1/login", json={"token": f"guess {n}"}).status_code for n in range(5)]
     assert answers == [401, 401, 401, 429, 429]
@@ -181,7 +170,7 @@ def test_guesses_at_the_login_are_counted_as_guesses(idle: Callable[..., TestCli
     assert guarded.get("/v1/rigs", headers=headers).status_code == 429
 
 
-def test_no_user_takes_the_event_streams_of_all(idle: Callable[..., TestClient]) -> None:
+def test_no_user_takes_the_event_streams_of_all(idle):
     core = idle(most_streams=4, most_streams_per_user=2).app.state.core
     with core.streams.taken("anne"), core.streams.taken("anne"), core.streams.taken("bert"):
         with pytest.raises(Problem, match="event streams of anne must be at most 2"):

@@ -21,16 +21,13 @@ from starlette.testclient import TestClient
 
 from estimator.cli.main import main
 from estimator.errors import CoilcalError, CorruptStore, InvalidInput
-from estimator.rig.rig import Rig
 from estimator.service.app import create_app
 from estimator.service.backup import backup, restore
 from estimator.service.settings import Settings
 from estimator.store.files import unfinished_name
-from estimator.store.session import Session
 from tests.estimator.service.conftest import (
     LONG,
     STEPS,
-    Served,
     append,
     begin_session,
     files_of,
@@ -48,13 +45,8 @@ def serving(data: Path) -> Any:
 
 
 def test_a_backup_of_a_service_that_takes_readings_holds_those_that_were_acknowledged(
-    idle: Callable[..., TestClient],
-    rig_text: str,
-    readings_csv: bytes,
-    small_session: Session,
-    small_rig: Rig,
-    tmp_path: Path,
-) -> None:
+    idle, rig_text, readings_csv, small_session, small_rig, tmp_path
+):
     client = idle()
     rig_id = upload_rig(client, rig_text)
     imported = import_csv(client, rig_id, readings_csv)
@@ -118,7 +110,7 @@ def data(filled: Callable[..., tuple[TestClient, str]], tmp_path: Path) -> Path:
     return tmp_path / "data"
 
 
-def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, tmp_path: Path) -> None:
+def test_a_restored_folder_is_the_same_without_what_was_unfinished(data, tmp_path):
     told = backup(data, tmp_path / "b.tar")
     restored = restore(tmp_path / "b.tar", tmp_path / "restored")
     assert told["files"] == restored["files"]
@@ -140,9 +132,7 @@ def test_a_restored_folder_is_the_same_without_what_was_unfinished(data: Path, t
     }
 
 
-def test_a_job_of_a_restored_folder_works_in_that_folder(
-    filled: Callable[..., tuple[TestClient, str]], tmp_path: Path
-) -> None:
+def test_a_job_of_a_restored_folder_works_in_that_folder(filled, tmp_path):
     """It had begun before the backup, so its folder tells the paths of the old one."""
     client, session_id = filled()
     client.post("/v1/jobs/recalibrate", json={"session_id": session_id})
@@ -164,7 +154,7 @@ class Idle:
         return SimpleNamespace(status="pending")
 
 
-def test_nothing_is_overwritten(data: Path, tmp_path: Path) -> None:
+def test_nothing_is_overwritten(data, tmp_path):
     backup(data, tmp_path / "b.tar")
     with pytest.raises(InvalidInput, match="output must not exist yet"):
         backup(data, tmp_path / "b.tar")
@@ -189,7 +179,7 @@ def test_nothing_is_overwritten(data: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "other").exists()
 
 
-def test_names_that_look_like_temporary_ones_belong_to_their_owner(data: Path, tmp_path: Path) -> None:
+def test_names_that_look_like_temporary_ones_belong_to_their_owner(data, tmp_path):
     """A folder of this name was deleted, and a file of this name overwritten, through a link even."""
     mine, target = tmp_path / "restored.restoring", tmp_path / "target"
     mine.mkdir()
@@ -232,7 +222,7 @@ def foreign(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def test_backups_that_were_made_by_hand_are_refused_in_one_sentence(tmp_path: Path) -> None:
+def test_backups_that_were_made_by_hand_are_refused_in_one_sentence(tmp_path):
     other = foreign(tmp_path / "other.sqlite")
     torn = other[:5000] + b"\xff" * 3000
     late = tarfile.TarInfo("data/late")
@@ -268,7 +258,7 @@ def with_member(name: str, kind: bytes = tarfile.REGTYPE, link: str = "") -> byt
     return buffer.getvalue()[: -2 * tarfile.BLOCKSIZE].rstrip(b"\0").ljust(tarfile.BLOCKSIZE, b"\0")
 
 
-def test_damage_and_other_files_are_refused_and_leave_nothing(data: Path, tmp_path: Path) -> None:
+def test_damage_and_other_files_are_refused_and_leave_nothing(data, tmp_path):
     backup(data, tmp_path / "b.tar")
     good = (tmp_path / "b.tar").read_bytes()
     position = good.index(b"SQLite format 3") + 5000
@@ -299,7 +289,7 @@ def run(*words: object) -> Result:
     return CliRunner().invoke(main, ["serve", *map(str, words)])
 
 
-def test_the_commands_say_what_they_did(data: Path, tmp_path: Path) -> None:
+def test_the_commands_say_what_they_did(data, tmp_path):
     made = run("backup", tmp_path / "b.tar", "--data", data, "--json")
     assert made.exit_code == 0, made.stderr
     assert json.loads(made.stdout)["bytes"] == (tmp_path / "b.tar").stat().st_size
@@ -315,8 +305,8 @@ def test_the_commands_say_what_they_did(data: Path, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_job_that_ran_during_the_backup_ends_after_a_restore_with_the_same_bytes(
-    served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
-) -> None:
+    served, rig_text, readings_csv, tmp_path
+):
     service = served()
     session = import_csv(service.client, upload_rig(service.client, rig_text), readings_csv)
     body = {"session_id": session["id"], "seed": 5, "settings": LONG}

@@ -5,16 +5,11 @@ from __future__ import annotations
 import json
 import re
 import time
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
 import zarr
-from starlette.testclient import TestClient
 
-from estimator.rig.rig import Rig
-from estimator.store.session import Session
 from estimator.store.zipped import zipped
 from tests.estimator.service.conftest import (
     CSV,
@@ -86,7 +81,7 @@ def refused(answer: Any, begin_s: float) -> str:
 
 
 @pytest.mark.parametrize("route", ROUTES)
-def test_no_json_is_refused(idle: Callable[..., TestClient], route: str) -> None:
+def test_no_json_is_refused(idle, route):
     client = idle()
     for name, body in JSON_BODIES.items():
         begin_s = time.monotonic()
@@ -94,7 +89,7 @@ def test_no_json_is_refused(idle: Callable[..., TestClient], route: str) -> None
     assert client.get("/healthz").status_code == 200
 
 
-def test_no_route_takes_a_key_twice(idle: Callable[..., TestClient]) -> None:
+def test_no_route_takes_a_key_twice(idle):
     """Whatever it asks for: of two values one would be lost without a word."""
     client = idle()
     schema = client.get("/v1/openapi.json").json()
@@ -112,7 +107,7 @@ def test_no_route_takes_a_key_twice(idle: Callable[..., TestClient]) -> None:
         assert detail == "body must be JSON; key 'a_key' is given twice", (method, path, detail)
 
 
-def test_odd_queries_are_refused_or_find_nothing(idle: Callable[..., TestClient]) -> None:
+def test_odd_queries_are_refused_or_find_nothing(idle):
     client = idle()
     for query in QUERIES:
         begin_s = time.monotonic()
@@ -123,9 +118,7 @@ def test_odd_queries_are_refused_or_find_nothing(idle: Callable[..., TestClient]
             refused(answer, begin_s)
 
 
-def test_a_method_that_a_path_does_not_take_is_refused_with_those_that_it_takes(
-    idle: Callable[..., TestClient],
-) -> None:
+def test_a_method_that_a_path_does_not_take_is_refused_with_those_that_it_takes(idle):
     client = idle()
     for path, allowed in (
         ("/v1/sessions", "GET, POST"),
@@ -171,8 +164,8 @@ def reading_lines(good: bytes) -> dict[str, bytes]:
 
 
 def test_lines_that_are_no_readings_are_refused_and_leave_the_session_as_it_was(
-    idle: Callable[..., TestClient], rig_text: str, small_session: Session, small_rig: Rig
-) -> None:
+    idle, rig_text, small_session, small_rig
+):
     client = idle()
     session_id = begin_session(client, upload_rig(client, rig_text))
     good = lines_of(small_session, small_rig, 0, 1)
@@ -185,7 +178,7 @@ def test_lines_that_are_no_readings_are_refused_and_leave_the_session_as_it_was(
     assert refusal(wrong_kind, 415)["value"] == JSON
 
 
-def test_files_that_are_none_are_refused(idle: Callable[..., TestClient], rig_text: str) -> None:
+def test_files_that_are_none_are_refused(idle, rig_text):
     client = idle()
     rig_id = upload_rig(client, rig_text)
     files = [DEEP, NINES, b"\0" * 1000, b"\xff" * 1000, b",".join([b"t_s"] * 10_000), b"a\n" * 200_000, b""]
@@ -201,12 +194,8 @@ def test_files_that_are_none_are_refused(idle: Callable[..., TestClient], rig_te
 
 
 def test_an_archive_that_claims_more_numbers_than_it_may_unpack_is_not_opened(
-    idle: Callable[..., TestClient],
-    rig_text: str,
-    small_session: Session,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    idle, rig_text, small_session, tmp_path, monkeypatch
+):
     """A missing chunk of 10^7 numbers would be made of nothing but its metadata."""
     client = idle(most_unpacked_MB=50.0)
     rig_id = upload_rig(client, rig_text)
@@ -221,7 +210,7 @@ def test_an_archive_that_claims_more_numbers_than_it_may_unpack_is_not_opened(
     assert "must hold at most 6250000 numbers" in refused(answer, time.monotonic())
 
 
-def test_an_archive_with_a_name_twice_is_refused(idle: Callable[..., TestClient], rig_text: str) -> None:
+def test_an_archive_with_a_name_twice_is_refused(idle, rig_text):
     client = idle()
     archive = zip_of({"zarr.json": b"{}", "zarr.jso2": b"{}"}).replace(b"zarr.jso2", b"zarr.json")
     answer = send_zip(client, upload_rig(client, rig_text), archive)

@@ -12,7 +12,6 @@ import math
 import os
 import re
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -102,9 +101,7 @@ def downloaded(page: Any, button: Any) -> bytes:
     return Path(download.value.path()).read_bytes()
 
 
-def test_a_hidden_cause_is_diagnosed_read_and_accepted(
-    served: Callable[..., Served], page: Any, flawed: Session, rig_text: str, tmp_path: Path
-) -> None:
+def test_a_hidden_cause_is_diagnosed_read_and_accepted(served, page, flawed, rig_text, tmp_path):
     service = served()
     upload_rig(service.client, rig_text)
     flawed.save(tmp_path / "session.zarr")
@@ -153,8 +150,8 @@ def test_a_hidden_cause_is_diagnosed_read_and_accepted(
 
 
 def test_columns_of_another_table_are_shown_chosen_and_imported(
-    served: Callable[..., Served], page: Any, rig_text: str, readings_csv: bytes, tmp_path: Path
-) -> None:
+    served, page, rig_text, readings_csv, tmp_path
+):
     service = served()
     upload_rig(service.client, rig_text)
     header, *rows = readings_csv.decode().splitlines()
@@ -185,9 +182,7 @@ def test_columns_of_another_table_are_shown_chosen_and_imported(
     assert float(again[2].split(",")[0]) == pytest.approx(1e-3 * float(rows[1].split(",")[0]))
 
 
-def test_what_a_cause_would_do_follows_the_slider(
-    served: Callable[..., Served], page: Any, small_session: Session, rig_text: str, tmp_path: Path
-) -> None:
+def test_what_a_cause_would_do_follows_the_slider(served, page, small_session, rig_text, tmp_path):
     service = served()
     rig_id = upload_rig(service.client, rig_text)
     small_session.save(tmp_path / "session.zarr")
@@ -207,13 +202,8 @@ def test_what_a_cause_would_do_follows_the_slider(
 
 
 def test_an_open_session_is_watched_by_who_has_logged_in(
-    served: Callable[..., Served],
-    page: Any,
-    small_session: Session,
-    small_rig: Rig,
-    rig_text: str,
-    tmp_path: Path,
-) -> None:
+    served, page, small_session, small_rig, rig_text, tmp_path
+):
     config = tmp_path / "service.yaml"
     config.write_text("require_tokens: true\n", encoding="utf-8")
     call = ["serve", "token", "create", "--user", "anne", "--data", str(tmp_path / "data")]
@@ -299,8 +289,8 @@ def months_of(registry: Registry) -> None:
 
 
 def test_a_rig_is_followed_over_months_and_rolled_back_after_a_question(
-    served: Callable[..., Served], page: Any, small_session: Session, rig_text: str, tmp_path: Path
-) -> None:
+    served, page, small_session, rig_text, tmp_path
+):
     """A recalibration is asked for by its form; months that follow it are written as recalibrations write them."""
     service = served()
     rig_id = uploaded(service, small_session, rig_text, tmp_path)
@@ -342,9 +332,7 @@ def test_a_rig_is_followed_over_months_and_rolled_back_after_a_question(
     assert service.client.get(f"/v1/rigs/{rig_id}/registry").json()["current"] == 1
 
 
-def test_batches_and_designs_are_asked_for_by_forms(
-    served: Callable[..., Served], page: Any, small_session: Session, rig_text: str, tmp_path: Path
-) -> None:
+def test_batches_and_designs_are_asked_for_by_forms(served, page, small_session, rig_text, tmp_path):
     service = served()
     uploaded(service, small_session, rig_text, tmp_path)
     page.goto(f"{service.url}/#/new/batch")

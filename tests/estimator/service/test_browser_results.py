@@ -3,19 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 
-from estimator.rig.rig import Rig
-from estimator.store.session import Session
 from tests.estimator.service.conftest import (
     CHROMIUM,
     QUICK,
-    Served,
     append,
     begin_session,
     import_csv,
@@ -33,9 +27,7 @@ pytestmark = [
 ]
 
 
-def test_a_calibration_is_read_and_asked_for_a_point_and_a_plane(
-    served: Callable[..., Served], page: Any, rig_text: str, readings_csv: bytes
-) -> None:
+def test_a_calibration_is_read_and_asked_for_a_point_and_a_plane(served, page, rig_text, readings_csv):
     service = served()
     session = import_csv(service.client, upload_rig(service.client, rig_text), readings_csv)
     job = service.client.post(
@@ -65,8 +57,8 @@ def test_a_calibration_is_read_and_asked_for_a_point_and_a_plane(
 
 
 def test_alarms_are_one_line_and_a_time_line_and_silence_is_told(
-    served: Callable[..., Served], page: Any, small_session: Session, small_rig: Rig, rig_text: str
-) -> None:
+    served, page, small_session, small_rig, rig_text
+):
     service = served()
     session_id = begin_session(service.client, upload_rig(service.client, rig_text))
     page.goto(f"{service.url}/#/live/{session_id}")
@@ -91,8 +83,8 @@ def test_alarms_are_one_line_and_a_time_line_and_silence_is_told(
 
 
 def test_a_refused_upload_keeps_the_form_and_shows_each_mistake_with_its_line(
-    served: Callable[..., Served], page: Any, rig_text: str, readings_csv: bytes, tmp_path: Path
-) -> None:
+    served, page, rig_text, readings_csv, tmp_path
+):
     service = served()
     upload_rig(service.client, rig_text)
     header, *rows = readings_csv.decode().splitlines()

@@ -8,7 +8,7 @@ import inspect
 import json
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
 from queue import SimpleQueue
@@ -21,7 +21,6 @@ import torch
 from starlette.testclient import TestClient
 
 from estimator.calibration.calibrate import calibrate
-from estimator.calibration.result import Calibration
 from estimator.client import (
     AsyncClient,
     AsyncRemoteCalibration,
@@ -47,7 +46,7 @@ from estimator.rig.rig import Rig
 from estimator.service.core import Core
 from estimator.service.work import PROGRESS
 from estimator.store.session import Session
-from tests.estimator.service.conftest import QUICK, Served, lines_of, listening
+from tests.estimator.service.conftest import QUICK, lines_of, listening
 
 SETTINGS = SamplerSettings(**QUICK)
 
@@ -85,9 +84,7 @@ def unsent_session(small_rig: Rig, small_plan: Plan, small_truth: dict[str, floa
     return Session(small_rig, readings, "simulated", truth=small_truth)
 
 
-def test_a_calibration_there_is_read_as_one_here(
-    interrupted: str, unsent_session: Session, tmp_path: Path
-) -> None:
+def test_a_calibration_there_is_read_as_one_here(interrupted, unsent_session, tmp_path):
     """The script does not notice that the service was gone."""
     told: list[Any] = []
     with Client(interrupted) as client:
@@ -132,9 +129,7 @@ def test_a_calibration_there_is_read_as_one_here(
 
 
 @pytest.mark.slow
-def test_sessions_are_judged_designed_for_and_fitted_together_there(
-    served: Callable[..., Served], small_session: Session, small_rig: Rig
-) -> None:
+def test_sessions_are_judged_designed_for_and_fitted_together_there(served, small_session, small_rig):
     service = served()
     with Client(service.url) as client:
         entry = client.recalibrate(small_session, seed=2, settings=SETTINGS)
@@ -153,9 +148,7 @@ def test_sessions_are_judged_designed_for_and_fitted_together_there(
         assert len(list(client.pages("/v1/jobs", limit=1))) == 3
 
 
-def test_readings_are_streamed_and_a_job_that_fails_says_why(
-    api: TestClient, url: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_readings_are_streamed_and_a_job_that_fails_says_why(api, url, small_session, small_rig):
     readings = [json.loads(line) for line in lines_of(small_session, small_rig).splitlines()]
     with Client(url) as client:
         session = client.begin(small_rig, "a stream")
@@ -180,9 +173,7 @@ def test_readings_are_streamed_and_a_job_that_fails_says_why(
     asyncio.run(awaited())
 
 
-def test_a_service_that_is_not_there_is_said_in_words(
-    monkeypatch: pytest.MonkeyPatch, small_session: Session
-) -> None:
+def test_a_service_that_is_not_there_is_said_in_words(monkeypatch, small_session):
     monkeypatch.setattr(connection, "FIRST_PAUSE_S", 0.001)
     sentence = "service must answer; http://127.0.0.1:9"
     with Client("http://127.0.0.1:9") as client, pytest.raises(ServiceFault, match=sentence):
@@ -196,15 +187,7 @@ def test_a_service_that_is_not_there_is_said_in_words(
         asyncio.run(there())
 
 
-@pytest.mark.parametrize(
-    "name", ["field", "gradient", "field_interval", "gradient_interval", "coils_alone", "summary", "export"]
-)
-def test_reading_methods_have_the_parameters_of_the_python_api(name: str) -> None:
-    here, there = (inspect.signature(getattr(kind, name)) for kind in (Calibration, RemoteCalibration))
-    assert list(here.parameters) == list(there.parameters)
-
-
-def test_of_coils_alone_every_prediction_and_export_is_asked_so(tmp_path: Path) -> None:
+def test_of_coils_alone_every_prediction_and_export_is_asked_so(tmp_path):
     asked: list[dict[str, Any]] = []
 
     def answer(request: httpx.Request) -> httpx.Response:
@@ -234,7 +217,7 @@ MIRRORED = [
 
 
 @pytest.mark.parametrize(("waits", "awaits"), MIRRORED)
-def test_what_is_awaited_has_the_parameters_of_what_waits(waits: type, awaits: type) -> None:
+def test_what_is_awaited_has_the_parameters_of_what_waits(waits, awaits):
     """What is a property where it waits is a method where it is awaited, for attributes cannot be awaited well."""
     names, mirrored = ({name for name in dir(kind) if not name.startswith("_")} for kind in (waits, awaits))
     assert names == mirrored
@@ -248,9 +231,7 @@ def test_what_is_awaited_has_the_parameters_of_what_waits(waits: type, awaits: t
 
 
 @pytest.mark.slow
-def test_calls_that_are_awaited_go_on_together(
-    served: Callable[..., Served], small_session: Session, small_rig: Rig
-) -> None:
+def test_calls_that_are_awaited_go_on_together(served, small_session, small_rig):
     """Two calibrations are waited for at once while readings are appended; a service that is killed meanwhile is waited for."""
     service = served()
     port = int(service.url.rpartition(":")[2])
@@ -281,7 +262,7 @@ def test_calls_that_are_awaited_go_on_together(
     asyncio.run(there())
 
 
-def test_a_stream_that_breaks_goes_on_after_the_last_event(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_that_breaks_goes_on_after_the_last_event(monkeypatch):
     """Each answer ends inside an event, which is told once, when it comes whole."""
     monkeypatch.setattr(following, "LOOK_EVERY_S", 0.0)
     streams = [b"id: 1\ndata: 1\n\nid: 2\nevent: end\n", b"id: 2\ndata: 2\n\nevent: end\n\n"]
@@ -323,7 +304,7 @@ class Broken(httpx.SyncByteStream, httpx.AsyncByteStream):
         raise httpx.ReadError("broken")
 
 
-def test_a_service_that_is_busy_is_asked_again_when_it_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_service_that_is_busy_is_asked_again_when_it_says(monkeypatch):
     pauses_s: list[float] = []
     monkeypatch.setattr("time.sleep", pauses_s.append)
     busy = {"status_code": 429, "json": {"detail": "queue must have room"}}

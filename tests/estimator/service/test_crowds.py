@@ -93,7 +93,7 @@ def took_s(client: httpx.Client) -> float:
 @pytest.mark.flaky
 @pytest.mark.parametrize("address", ["127.0.0.1", "127.0.0.2"])
 @pytest.mark.parametrize("said", SAID.values(), ids=SAID)
-def test_a_client_is_answered_soon_beside_a_crowd(port: int, said: bytes, address: str) -> None:
+def test_a_client_is_answered_soon_beside_a_crowd(port, said, address):
     """From the crowd's own address too, as behind a proxy."""
     url = f"http://127.0.0.1:{port}"
     with crowd(port, said, address):
@@ -106,7 +106,7 @@ def test_a_client_is_answered_soon_beside_a_crowd(port: int, said: bytes, addres
         assert max(times_s) < SOON_S, times_s
 
 
-def test_a_crowd_costs_no_other_address_its_connection(port: int) -> None:
+def test_a_crowd_costs_no_other_address_its_connection(port):
     """The oldest of all connections, idle, stays: it is not of the address with most of them."""
     with socket.create_connection(("127.0.0.1", port), timeout=10) as early:
         early.sendall(HEAD)
@@ -117,9 +117,7 @@ def test_a_crowd_costs_no_other_address_its_connection(port: int) -> None:
 
 @pytest.mark.flaky
 @pytest.mark.parametrize("said", [b"", b"\x16\x03\x01"], ids=["nothing", "half a hello"])
-def test_handshakes_that_do_not_come_take_no_more_places_than_requests(
-    tls_port: int, certificate: tuple[str, str], said: bytes
-) -> None:
+def test_handshakes_that_do_not_come_take_no_more_places_than_requests(tls_port, certificate, said):
     url, trusted = f"https://127.0.0.1:{tls_port}", ssl.create_default_context(cafile=certificate[0])
     with crowd(tls_port, said, "127.0.0.1") as lines:
         times_s = []
@@ -134,9 +132,7 @@ def test_handshakes_that_do_not_come_take_no_more_places_than_requests(
     assert len(ended) >= CROWD - connections.MOST_CONNECTIONS
 
 
-def test_a_handshake_must_end_in_time_and_a_lost_one_leaves_nothing(
-    tls_port: int, certificate: tuple[str, str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_handshake_must_end_in_time_and_a_lost_one_leaves_nothing(tls_port, certificate, monkeypatch):
     monkeypatch.setattr(tls, "MOST_HEAD_S", 0.5)
     trusted = ssl.create_default_context(cafile=certificate[0])
     with socket.create_connection(("127.0.0.1", tls_port), timeout=10) as line:
@@ -147,9 +143,7 @@ def test_a_handshake_must_end_in_time_and_a_lost_one_leaves_nothing(
 
 
 @pytest.mark.parametrize("files", [("cert.pem", "missing.pem"), ("key.pem", "key.pem")])
-def test_a_certificate_that_cannot_be_used_is_one_sentence(
-    certificate: tuple[str, str], files: tuple[str, str], tmp_path: Path
-) -> None:
+def test_a_certificate_that_cannot_be_used_is_one_sentence(certificate, files, tmp_path):
     cert, key = (str(Path(certificate[0]).with_name(name)) for name in files)
     settings = Settings(data=tmp_path / "data", tls_certificate=cert, tls_key=key)
     with pytest.raises(
@@ -162,9 +156,7 @@ def test_a_certificate_that_cannot_be_used_is_one_sentence(
     ("said", "letter"),
     [("nothing", b""), ("half a head", b"a"), ("half a body that is refused already", b" ")],
 )
-def test_a_letter_now_and_then_keeps_no_connection(
-    port: int, said: str, letter: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_letter_now_and_then_keeps_no_connection(port, said, letter, monkeypatch):
     """Each started the clock anew, so that a connection stayed for as long as its client liked."""
     monkeypatch.setattr(connections, "MOST_HEAD_S", 0.5)
     begin_s = time.monotonic()
@@ -178,7 +170,7 @@ def test_a_letter_now_and_then_keeps_no_connection(
     assert time.monotonic() - begin_s < 5
 
 
-def test_a_body_may_take_longer_than_a_head(port: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_body_may_take_longer_than_a_head(port, monkeypatch):
     monkeypatch.setattr(connections, "MOST_HEAD_S", 0.3)
     of_others = "127.0.0.3", 0  # no guesses of the crowds count for it
     with socket.create_connection(("127.0.0.1", port), timeout=10, source_address=of_others) as line:

@@ -25,7 +25,7 @@ def database(tmp_path: Path) -> Iterator[Database]:
     database.close()
 
 
-def test_migrations_make_the_tables_that_the_code_uses(database: Database) -> None:
+def test_migrations_make_the_tables_that_the_code_uses(database):
     with database.engine.connect() as connection:
         assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
 
@@ -40,7 +40,7 @@ FIRST = {
 }  # fmt: skip
 
 
-def test_rows_of_the_first_schema_survive_every_migration_since(tmp_path: Path) -> None:
+def test_rows_of_the_first_schema_survive_every_migration_since(tmp_path):
     database = Database(tmp_path / "old.sqlite")
     database.migrate("0001")
     with database.writing() as db:
@@ -58,7 +58,7 @@ def test_rows_of_the_first_schema_survive_every_migration_since(tmp_path: Path) 
     database.close()
 
 
-def test_migrations_follow_each_other_one_by_one(tmp_path: Path) -> None:
+def test_migrations_follow_each_other_one_by_one(tmp_path):
     scripts = ScriptDirectory(str(MIGRATIONS))
     database = Database(tmp_path / "back.sqlite")
     revisions = [script.revision for script in reversed(list(scripts.walk_revisions()))]
@@ -70,7 +70,7 @@ def test_migrations_follow_each_other_one_by_one(tmp_path: Path) -> None:
     database.close()
 
 
-def test_a_second_migration_changes_nothing(database: Database) -> None:
+def test_a_second_migration_changes_nothing(database):
     with database.writing() as db:
         db.add(Audit(time=now(), user="u", request_id="r", action="a", target="t"))
     database.migrate()
@@ -78,7 +78,7 @@ def test_a_second_migration_changes_nothing(database: Database) -> None:
         assert len(db.scalars(select(Audit)).all()) == 1
 
 
-def test_wal_full_synchronisation_and_foreign_keys_are_on(database: Database) -> None:
+def test_wal_full_synchronisation_and_foreign_keys_are_on(database):
     with database.engine.connect() as connection:
         asked = [
             connection.execute(text(f"PRAGMA {name}")).scalar()
@@ -87,7 +87,7 @@ def test_wal_full_synchronisation_and_foreign_keys_are_on(database: Database) ->
     assert asked == ["wal", 2, 1]
 
 
-def test_a_session_needs_its_rig_and_a_failed_write_leaves_nothing(database: Database) -> None:
+def test_a_session_needs_its_rig_and_a_failed_write_leaves_nothing(database):
     def add() -> None:
         with database.writing() as db:
             db.add(Audit(time=now(), user="u", request_id="r", action="a", target="t"))
@@ -100,7 +100,7 @@ def test_a_session_needs_its_rig_and_a_failed_write_leaves_nothing(database: Dat
         assert db.scalars(select(Audit)).all() == []
 
 
-def test_writers_that_read_first_wait_for_each_other(database: Database) -> None:
+def test_writers_that_read_first_wait_for_each_other(database):
     """With a transaction that begins as a read, SQLite refuses the later one at once."""
 
     def count_and_add(_: int) -> int:

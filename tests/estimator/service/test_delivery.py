@@ -21,7 +21,7 @@ from estimator.service.tokens import Scope, create_token
 from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, load_session, seal
-from tests.estimator.service.conftest import Served, until
+from tests.estimator.service.conftest import until
 
 URL = "http://127.0.0.1:8765"
 PATIENCE_S = 60.0
@@ -96,9 +96,7 @@ def delivered(session: Path, client: Client, patience_s: float = PATIENCE_S) -> 
 
 
 @pytest.mark.parametrize("every", [3, 4, 5])
-def test_answers_that_are_lost_change_nothing(
-    idle: Callable[..., TestClient], small_rig: Rig, tmp_path: Path, every: int
-) -> None:
+def test_answers_that_are_lost_change_nothing(idle, small_rig, tmp_path, every):
     service = idle()
     session = measured(tmp_path / "s.zarr", small_rig, 40)
     transport = Through(service, lambda n: n % every == 0)
@@ -110,9 +108,7 @@ def test_answers_that_are_lost_change_nothing(
     assert Receipt.load(tmp_path / "s.zarr") == receipt
 
 
-def test_a_delivery_goes_on_where_another_process_has_left_it(
-    idle: Callable[..., TestClient], small_rig: Rig, tmp_path: Path
-) -> None:
+def test_a_delivery_goes_on_where_another_process_has_left_it(idle, small_rig, tmp_path):
     service = idle()
     path = tmp_path / "s.zarr"
     with begun(path, small_rig) as journal:
@@ -133,9 +129,7 @@ def test_a_delivery_goes_on_where_another_process_has_left_it(
     assert again == receipt  # nothing is asked of a service that has all
 
 
-def test_an_outage_is_told_once_and_its_end_too(
-    idle: Callable[..., TestClient], small_rig: Rig, tmp_path: Path
-) -> None:
+def test_an_outage_is_told_once_and_its_end_too(idle, small_rig, tmp_path):
     measured(tmp_path / "s.zarr", small_rig, 20)
     told: list[str] = []
     transport = Through(idle(), lambda n: 3 <= n < 9)
@@ -147,9 +141,7 @@ def test_an_outage_is_told_once_and_its_end_too(
     assert "answers again" in told[1]
 
 
-def test_a_session_goes_to_one_service(
-    idle: Callable[..., TestClient], small_rig: Rig, tmp_path: Path
-) -> None:
+def test_a_session_goes_to_one_service(idle, small_rig, tmp_path):
     client = Client(URL, transport=Through(idle()), attempts=1)
     path = tmp_path / "s.zarr"
     measured(path, small_rig, 8)
@@ -164,9 +156,7 @@ def test_a_session_goes_to_one_service(
         Delivery(path, client, URL, lambda _: None)
 
 
-def test_a_service_that_refuses_ends_the_delivery_and_nothing_else(
-    idle: Callable[..., TestClient], small_rig: Rig, tmp_path: Path
-) -> None:
+def test_a_service_that_refuses_ends_the_delivery_and_nothing_else(idle, small_rig, tmp_path):
     service = idle(most_readings=10)
     measured(tmp_path / "s.zarr", small_rig, 20)
     told: list[str] = []
@@ -181,9 +171,7 @@ def test_a_service_that_refuses_ends_the_delivery_and_nothing_else(
     assert "must have at most 10 readings" in task.fault
 
 
-def test_a_token_that_only_reads_is_refused_before_anything_is_measured(
-    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_token_that_only_reads_is_refused_before_anything_is_measured(idle, monkeypatch):
     service = idle(require_tokens=True)
     secret, _ = create_token(service.app.state.core.database, "anne", Scope.READ, 1.0)
     monkeypatch.setattr(
@@ -198,9 +186,7 @@ def test_a_token_that_only_reads_is_refused_before_anything_is_measured(
 
 
 @pytest.mark.slow
-def test_a_service_that_is_killed_and_comes_back_gets_every_reading_once(
-    served: Callable[..., Served], small_rig: Rig, tmp_path: Path
-) -> None:
+def test_a_service_that_is_killed_and_comes_back_gets_every_reading_once(served, small_rig, tmp_path):
     service = served()
     port = service.url.rpartition(":")[2]
     path = tmp_path / "s.zarr"

@@ -110,7 +110,7 @@ def serve(*words: object) -> Result:
 
 
 @pytest.mark.parametrize("name", FILES)
-def test_no_command_touches_it(tmp_path: Path, name: str) -> None:
+def test_no_command_touches_it(tmp_path, name):
     make, exit_code = FILES[name]
     data = tmp_path / "data"
     data.mkdir()
@@ -135,7 +135,7 @@ def test_no_command_touches_it(tmp_path: Path, name: str) -> None:
     assert not (tmp_path / "b.tar").exists()
 
 
-def test_one_that_another_program_uses_now_is_left_alone(tmp_path: Path) -> None:
+def test_one_that_another_program_uses_now_is_left_alone(tmp_path):
     path = tmp_path / DATABASE
     in_wal(path)
     with closing(sqlite3.connect(path, isolation_level=None)) as theirs:
@@ -147,9 +147,7 @@ def test_one_that_another_program_uses_now_is_left_alone(tmp_path: Path) -> None
         assert theirs.execute("SELECT count(*) FROM notes").fetchone() == (2,)
 
 
-def test_one_into_which_another_process_begins_to_write_is_read_again(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_one_into_which_another_process_begins_to_write_is_read_again(tmp_path, monkeypatch):
     path = tmp_path / DATABASE
     own(path)
     asked: list[str] = []
@@ -167,7 +165,7 @@ def test_one_into_which_another_process_begins_to_write_is_read_again(
     assert len(asked) == 2
 
 
-def test_those_of_the_service_are_taken_with_and_without_an_id_and_while_it_runs(tmp_path: Path) -> None:
+def test_those_of_the_service_are_taken_with_and_without_an_id_and_while_it_runs(tmp_path):
     path = tmp_path / DATABASE
     own(path)
     assert path.read_bytes()[68:72] == APPLICATION_ID.to_bytes(4, "big")
@@ -183,7 +181,7 @@ def test_those_of_the_service_are_taken_with_and_without_an_id_and_while_it_runs
 
 
 @pytest.mark.parametrize("content", [b"", None])
-def test_what_a_kill_at_the_first_start_leaves_is_gone_on_with(tmp_path: Path, content: bytes | None) -> None:
+def test_what_a_kill_at_the_first_start_leaves_is_gone_on_with(tmp_path, content):
     path = tmp_path / DATABASE
     if content is None:
         alter(path, "PRAGMA journal_mode=WAL")
@@ -192,9 +190,7 @@ def test_what_a_kill_at_the_first_start_leaves_is_gone_on_with(tmp_path: Path, c
     assert serve("token", "create", "--user", "anne", "--data", tmp_path).exit_code == 0
 
 
-def test_options_in_front_of_a_subcommand_count_or_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_options_in_front_of_a_subcommand_count_or_are_refused(tmp_path, monkeypatch):
     """`--data` was ignored there, so that a token was made in another folder."""
     monkeypatch.chdir(tmp_path)
     x, y = Path("x").absolute(), Path("y").absolute()
@@ -219,7 +215,7 @@ def test_options_in_front_of_a_subcommand_count_or_are_refused(
     assert sorted(path.name for path in Path().iterdir()) == ["b.tar", "service.yaml", "x", "y"]
 
 
-def test_only_a_new_token_makes_a_folder(tmp_path: Path) -> None:
+def test_only_a_new_token_makes_a_folder(tmp_path):
     for words in (("token", "list"), ("token", "revoke", "x"), ("backup", tmp_path / "b.tar")):
         result = serve(*words, "--data", tmp_path / "typo")
         assert (result.exit_code, "must be the folder of a service" in result.stderr) == (2, True)

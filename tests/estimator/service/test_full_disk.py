@@ -23,13 +23,12 @@ from estimator.cli import delivery
 from estimator.cli.delivery import Delivery
 from estimator.client import Client, ServiceFault
 from estimator.errors import InvalidInput
-from estimator.rig.rig import Rig
 from estimator.service import storage
 from estimator.service.core import Core
 from estimator.service.dispatcher import Dispatcher
 from estimator.service.storage import Storage, shortage
 from estimator.store.growing import observations_of
-from estimator.store.session import Session, load_session, seal
+from estimator.store.session import load_session, seal
 from tests.estimator.service.conftest import (
     CSV,
     append,
@@ -74,8 +73,8 @@ def ready(idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch) -> T
 
 
 def test_readings_wait_while_the_disk_of_the_service_is_full_and_all_arrive_once(
-    ready: TestClient, disk: Disk, small_rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    ready, disk, small_rig, tmp_path, monkeypatch
+):
     monkeypatch.setattr(delivery, "FIRST_PAUSE_S", 0.05)
     monkeypatch.setattr(delivery, "LONGEST_PAUSE_S", 0.1)
     monkeypatch.setattr(delivery, "MOST_AT_ONCE", 7)
@@ -112,15 +111,8 @@ def test_readings_wait_while_the_disk_of_the_service_is_full_and_all_arrive_once
     [(errno.ENOSPC, 507), (errno.EDQUOT, 507), (errno.EROFS, 503), (errno.EIO, 503), (errno.EMFILE, 503)],
 )
 def test_no_request_that_writes_is_blamed_for_the_disk(
-    ready: TestClient,
-    disk: Disk,
-    rig_text: str,
-    readings_csv: bytes,
-    small_session: Session,
-    small_rig: Rig,
-    code: int,
-    status: int,
-) -> None:
+    ready, disk, rig_text, readings_csv, small_session, small_rig, code, status
+):
     rig_id = upload_rig(ready, rig_text)
     session_id = begin_session(ready, rig_id)
     lines = lines_of(small_session, small_rig)
@@ -145,9 +137,7 @@ def test_no_request_that_writes_is_blamed_for_the_disk(
     assert not (disk.folder / storage.PROBE).exists()
 
 
-def test_an_archive_that_finds_no_room_is_not_called_damaged(
-    ready: TestClient, rig_text: str, readings_csv: bytes, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_archive_that_finds_no_room_is_not_called_damaged(ready, rig_text, readings_csv, monkeypatch):
     rig_id = upload_rig(ready, rig_text)
     session_id = import_csv(ready, rig_id, readings_csv)["id"]
     archive = ready.get(f"/v1/sessions/{session_id}/session.zip").content
@@ -159,9 +149,7 @@ def test_an_archive_that_finds_no_room_is_not_called_damaged(
     refusal(send_zip(ready, rig_id, archive), 507)
 
 
-def test_a_database_without_room_is_told_as_such_and_is_whole_afterwards(
-    ready: TestClient, rig_text: str
-) -> None:
+def test_a_database_without_room_is_told_as_such_and_is_whole_afterwards(ready, rig_text):
     """SQLite itself refuses here: its file may not have one page more."""
     core: Core = ready.app.state.core
     rig_id = upload_rig(ready, rig_text)
@@ -186,9 +174,7 @@ def test_a_database_without_room_is_told_as_such_and_is_whole_afterwards(
     assert ready.post("/v1/sessions", json=body).status_code == 201
 
 
-def test_a_job_that_finds_no_room_for_its_folder_waits_for_it(
-    filled: Callable[..., tuple[TestClient, str]], disk: Disk
-) -> None:
+def test_a_job_that_finds_no_room_for_its_folder_waits_for_it(filled, disk):
     client, session_id = filled()
     core: Core = client.app.state.core
     job_id = client.post("/v1/jobs/calibrate", json={"session_id": session_id}).json()["id"]
@@ -206,14 +192,14 @@ def test_a_job_that_finds_no_room_for_its_folder_waits_for_it(
     assert client.get(f"/v1/jobs/{job_id}").json()["fault"] is None
 
 
-def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_is_nearly_full_is_not_ready(tmp_path, monkeypatch):
     monkeypatch.setattr(storage, "LEAST_FREE_BYTES", 10**18)
     fault = Storage(tmp_path).fault
     assert fault is not None
     assert (fault.status, "MB are free" in str(fault)) == (507, True)
 
 
-def test_what_the_system_refuses_is_told_from_what_a_client_sent() -> None:
+def test_what_the_system_refuses_is_told_from_what_a_client_sent():
     full, wrong = OSError(errno.ENOSPC, "full"), OSError(errno.ENAMETOOLONG, "long")
     refused = InvalidInput("session must be writable; s.zarr is not: full")
     refused.__cause__ = full
@@ -227,7 +213,7 @@ def test_what_the_system_refuses_is_told_from_what_a_client_sent() -> None:
 
 
 @pytest.mark.parametrize("status", [408, 429, 500, 503, 507])
-def test_the_client_takes_no_such_answer_as_final(status: int) -> None:
+def test_the_client_takes_no_such_answer_as_final(status):
     answer = httpx.Response(status, content=json.dumps({"detail": "service must have room"}))
     with (
         Client("http://x", transport=httpx.MockTransport(lambda _: answer), attempts=1) as client,
@@ -237,8 +223,8 @@ def test_the_client_takes_no_such_answer_as_final(status: int) -> None:
 
 
 def test_a_full_disk_at_the_client_holds_up_the_receipt_and_nothing_else(
-    idle: Callable[..., TestClient], small_rig: Rig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    idle, small_rig, tmp_path, monkeypatch
+):
     monkeypatch.setattr(delivery, "FIRST_PAUSE_S", 0.05)
     own = Disk(tmp_path / "mine", monkeypatch)
     path = tmp_path / "mine" / "s.zarr"

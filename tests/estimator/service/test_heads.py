@@ -46,9 +46,7 @@ def answers(port: int, said: bytes) -> bytes:
         (b"transfer-encoding:CHUNKED\r\nCONTENT-LENGTH:5\r\n", b"must not stand beside Content-Length"),
     ],
 )
-def test_a_body_with_two_ends_is_refused_and_nothing_after_it_is_read(
-    port: int, framing: bytes, rule: bytes
-) -> None:
+def test_a_body_with_two_ends_is_refused_and_nothing_after_it_is_read(port, framing, rule):
     """A proxy that goes by the length takes for a body what this service would take for a second request."""
     answer = answers(port, RIGS + framing + b"\r\n0\r\n\r\n" + HIDDEN)
     assert answer.startswith(b"HTTP/1.1 400 ")
@@ -57,7 +55,7 @@ def test_a_body_with_two_ends_is_refused_and_nothing_after_it_is_read(
     assert answer.count(b"HTTP/1.1 ") == 1
 
 
-def test_a_chunked_body_in_http_1_0_is_refused(port: int) -> None:
+def test_a_chunked_body_in_http_1_0_is_refused(port):
     said = RIGS.replace(b"HTTP/1.1", b"HTTP/1.0") + b"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n"
     answer = answers(port, said + HIDDEN)
     assert b" 400 " in answer.splitlines()[0]
@@ -65,7 +63,7 @@ def test_a_chunked_body_in_http_1_0_is_refused(port: int) -> None:
     assert answer.count(b"HTTP/1.1 ") == 1
 
 
-def test_a_chunked_body_alone_is_read_and_the_next_request_answered(port: int) -> None:
+def test_a_chunked_body_alone_is_read_and_the_next_request_answered(port):
     said = RIGS + b"Content-Type: application/yaml\r\nTransfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n\r\n"
     answer = answers(port, said + HEALTH)
     assert answer.startswith(b"HTTP/1.1 422 ")
@@ -102,7 +100,7 @@ HEADS = {
 
 
 @pytest.mark.parametrize("said", HEADS.values(), ids=HEADS)
-def test_heads_that_are_none_are_answered_with_400_or_closed(port: int, said: bytes) -> None:
+def test_heads_that_are_none_are_answered_with_400_or_closed(port, said):
     answer = answers(port, said)
     assert not answer or answer.split(b" ")[1] in (b"400", b"431", b"501"), answer[:200]
     assert b" 200 " in answers(port, HEALTH).splitlines()[0]
@@ -113,9 +111,7 @@ LOOSE = [name for name in HEADS if "line feed" in name or "fold" in name]
 
 @pytest.mark.parametrize("pieces", [1, 7, 1000])
 @pytest.mark.parametrize("name", LOOSE)
-def test_loose_lines_are_refused_however_they_arrive_and_nothing_after_them_is_read(
-    port: int, name: str, pieces: int
-) -> None:
+def test_loose_lines_are_refused_however_they_arrive_and_nothing_after_them_is_read(port, name, pieces):
     said = HEADS[name] + HIDDEN
     size = -(-len(said) // pieces)
     received = b""
@@ -132,13 +128,13 @@ def test_loose_lines_are_refused_however_they_arrive_and_nothing_after_them_is_r
 
 
 @pytest.mark.parametrize("trailer", [b"X: a\n\r\n", b"X: a\r\n b\r\n\r\n", b"X: a\n\n"])
-def test_loose_lines_in_a_trailer_are_refused(port: int, trailer: bytes) -> None:
+def test_loose_lines_in_a_trailer_are_refused(port, trailer):
     said = RIGS + b"Content-Type: application/yaml\r\nTransfer-Encoding: chunked\r\n\r\n2\r\n{}\r\n0\r\n"
     assert b" 422 " in answers(port, said + b"X: a\r\n\r\n" + HEALTH)
     assert b" 200 " not in answers(port, said + trailer + HEALTH)
 
 
-def test_requests_that_follow_each_other_at_once_are_all_strict(port: int) -> None:
+def test_requests_that_follow_each_other_at_once_are_all_strict(port):
     first = HEALTH.replace(b"Connection: close\r\n", b"")
     answer = answers(port, first + first + HEALTH)
     assert answer.count(b"HTTP/1.1 200 ") == 3
@@ -149,21 +145,19 @@ def test_requests_that_follow_each_other_at_once_are_all_strict(port: int) -> No
 @pytest.mark.parametrize(
     "host", [b"[", b"[::1", b"a]b[", b"", b"evil.example", b"a@127.0.0.1", b"127.0.0.1:a", b"\xff"]
 )
-def test_a_host_that_is_none_is_refused_in_words(port: int, host: bytes) -> None:
+def test_a_host_that_is_none_is_refused_in_words(port, host):
     answer = answers(port, b"GET /v1/state HTTP/1.1\r\nHost: " + host + b"\r\nConnection: close\r\n\r\n")
     assert answer.startswith(b"HTTP/1.1 403 ")
     assert b"application/problem+json" in answer
 
 
 @pytest.mark.parametrize("host", [b"127.0.0.1", b"LOCALHOST:8765", b"[::1]:1", b"127.0.0.1:"])
-def test_names_of_this_computer_are_hosts_with_and_without_a_port(port: int, host: bytes) -> None:
+def test_names_of_this_computer_are_hosts_with_and_without_a_port(port, host):
     answer = answers(port, b"GET /v1/state HTTP/1.1\r\nHost: " + host + b"\r\nConnection: close\r\n\r\n")
     assert answer.startswith(b"HTTP/1.1 200 ")
 
 
-def test_a_client_that_leaves_in_its_body_is_no_fault_of_the_service(
-    port: int, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_client_that_leaves_in_its_body_is_no_fault_of_the_service(port, caplog):
     caplog.set_level(logging.INFO)
     with socket.create_connection(("127.0.0.1", port), timeout=10) as line:
         line.sendall(RIGS + b"Content-Type: application/yaml\r\nContent-Length: 100\r\n\r\n{")

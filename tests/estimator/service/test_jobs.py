@@ -62,9 +62,7 @@ def in_process(small_session: Session) -> Calibration:
     return calibrate(small_session, seed=3, settings=SamplerSettings(**QUICK))
 
 
-def test_a_calibration_has_the_numbers_of_the_python_api(
-    result: dict[str, Any], in_process: Calibration, api: TestClient
-) -> None:
+def test_a_calibration_has_the_numbers_of_the_python_api(result, in_process, api):
     assert result["result"]["parameters"] == json.loads(json.dumps(in_process.summary()["parameters"]))
     summary = api.get(f"/v1/calibrations/{result['calibration_id']}/summary")
     assert summary.json() == result["result"]
@@ -76,7 +74,7 @@ def test_a_calibration_has_the_numbers_of_the_python_api(
     assert summary.headers["content-encoding"] == "gzip"
 
 
-def test_the_report_runs_nothing(job: dict[str, Any], api: TestClient) -> None:
+def test_the_report_runs_nothing(job, api):
     page = api.get(f"/v1/jobs/{job['id']}/report")
     assert page.headers["content-type"].startswith("text/html")
     assert "Calibration of small" in page.text
@@ -84,7 +82,7 @@ def test_the_report_runs_nothing(job: dict[str, Any], api: TestClient) -> None:
     assert "default-src 'none'" in page.headers["content-security-policy"]
 
 
-def test_events_tell_the_progress_once_and_end_with_the_job(job: dict[str, Any], api: TestClient) -> None:
+def test_events_tell_the_progress_once_and_end_with_the_job(job, api):
     def events(**headers: str) -> list[dict[str, str]]:
         text = api.get(f"/v1/jobs/{job['id']}/events", headers=headers).text
         blocks = [block for block in text.strip().split("\n\n") if not block.startswith(":")]
@@ -100,7 +98,7 @@ def test_events_tell_the_progress_once_and_end_with_the_job(job: dict[str, Any],
     assert events(**{"Last-Event-ID": "2"}) == told[2:]
 
 
-def test_a_job_that_cannot_be_done_says_why(api: TestClient, rig_text: str, readings_csv: bytes) -> None:
+def test_a_job_that_cannot_be_done_says_why(api, rig_text, readings_csv):
     fixed = rig_text.replace("{prior: {normal: {mean: 51, sd: 1}}}", "51")
     fixed = fixed.replace("{prior: {normal: {mean: -40, sd: 3}}}", "-40")
     session = import_csv(api, upload_rig(api, fixed), readings_csv)
@@ -111,7 +109,7 @@ def test_a_job_that_cannot_be_done_says_why(api: TestClient, rig_text: str, read
     assert "done" in refusal(api.get(f"/v1/jobs/{job['id']}/result"), 409)["rule"]
 
 
-def test_a_running_job_is_cancelled_and_its_worker_takes_the_next(api: TestClient, session_id: str) -> None:
+def test_a_running_job_is_cancelled_and_its_worker_takes_the_next(api, session_id):
     endless = {"n_walkers": 16, "target_ess": 1e6, "max_steps": 1_000_000}
     first = api.post("/v1/jobs/calibrate", json={"session_id": session_id, "settings": endless}).json()
     while api.get(f"/v1/jobs/{first['id']}").json()["state"] == "queued":
@@ -125,7 +123,7 @@ def test_a_running_job_is_cancelled_and_its_worker_takes_the_next(api: TestClien
     assert api.get(f"/v1/jobs/{first['id']}").json()["state"] == "cancelled"
 
 
-def test_lists_come_in_pages(api: TestClient, session_id: str, job: dict[str, Any]) -> None:  # noqa: ARG001
+def test_lists_come_in_pages(api, session_id, job):  # noqa: ARG001
     whole = api.get("/v1/jobs", params={"limit": 100}).json()
     assert whole["next"] is None
     collected: list[dict[str, Any]] = []
@@ -139,7 +137,7 @@ def test_lists_come_in_pages(api: TestClient, session_id: str, job: dict[str, An
     assert refusal(api.get("/v1/jobs", params={"cursor": "what"}), 422)["thing"] == "cursor"
 
 
-def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api: TestClient, session_id: str) -> None:
+def test_a_diagnosis_gives_a_verdict_and_the_extended_rig(api, session_id):
     body = {"session_id": session_id, "most_causes": 0, "minutes": 1}
     answer = api.post("/v1/jobs/diagnose", json=body)
     job = wait_for(api, answer.json()["id"])
@@ -174,7 +172,7 @@ def add(client: TestClient, session_id: str, user: str) -> Job:
         return queue.add(db, {**job, "idempotency_key": None})[0]
 
 
-def test_a_full_queue_says_when_to_ask_again(queue: tuple[TestClient, str]) -> None:
+def test_a_full_queue_says_when_to_ask_again(queue):
     client, session_id = queue
     for _ in range(3):
         assert client.post("/v1/jobs/calibrate", json={"session_id": session_id}).status_code == 201
@@ -186,9 +184,7 @@ def test_a_full_queue_says_when_to_ask_again(queue: tuple[TestClient, str]) -> N
     assert refusal(answer, 429)["thing"] == "queue"
 
 
-def test_users_take_turns_and_none_has_more_than_its_share(
-    filled: Callable[..., tuple[TestClient, str]],
-) -> None:
+def test_users_take_turns_and_none_has_more_than_its_share(filled):
     client, session_id = filled(most_running_per_user=2)
     for user in ("anne", "anne", "anne", "bo"):
         add(client, session_id, user)
@@ -200,7 +196,7 @@ def test_users_take_turns_and_none_has_more_than_its_share(
     assert now() >= begun[0].created
 
 
-def test_what_ran_when_the_service_ended_goes_on_first(queue: tuple[TestClient, str]) -> None:
+def test_what_ran_when_the_service_ended_goes_on_first(queue):
     client, session_id = queue
     add(client, session_id, "anne"), add(client, session_id, "bo")
     jobs: JobQueue = client.app.state.core.queue
@@ -226,9 +222,7 @@ class Workers:
         future.status = "cancelled"
 
 
-def test_other_jobs_start_while_a_cancelled_one_ends(
-    filled: Callable[..., tuple[TestClient, str]], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_jobs_start_while_a_cancelled_one_ends(filled, monkeypatch):
     """A worker that does not look up has to be replaced, which takes seconds; its place is taken for so long."""
     monkeypatch.setattr(dispatcher_module, "GRACE_S", 0.0)
     (client, session_id), workers = filled(workers=3), Workers()
@@ -253,9 +247,7 @@ def test_other_jobs_start_while_a_cancelled_one_ends(
     assert states() == ["cancelled", "running", "running", "running"]
 
 
-def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(
-    filled: Callable[..., tuple[TestClient, str]],
-) -> None:
+def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(filled):
     (client, session_id), workers = filled(workers=1), Workers()
     jobs: Dispatcher = client.app.state.core.jobs
     job_id = add(client, session_id, "local").id
@@ -274,9 +266,7 @@ def test_a_job_that_ends_by_itself_when_cancelled_keeps_its_worker(
     ("result", "words"),
     [(b"", "result.json must be JSON"), (b"[", "result.json must be JSON"), (None, "it ended with")],
 )
-def test_a_job_without_a_whole_result_fails_and_others_go_on(
-    filled: Callable[..., tuple[TestClient, str]], result: bytes | None, words: str
-) -> None:
+def test_a_job_without_a_whole_result_fails_and_others_go_on(filled, result, words):
     (client, session_id), workers = filled(workers=2), Workers()
     jobs: Dispatcher = client.app.state.core.jobs
     damaged, other = (add(client, session_id, "local").id for _ in range(2))
@@ -298,13 +288,7 @@ def test_a_job_without_a_whole_result_fails_and_others_go_on(
         ("diagnose", {"has_corrections": False}, "--no-corrections"),
     ],
 )
-def test_a_job_does_as_the_command_does_with_the_same_option(
-    filled: Callable[..., tuple[TestClient, str]],
-    monkeypatch: pytest.MonkeyPatch,
-    kind: str,
-    options: dict[str, bool],
-    words: str,
-) -> None:
+def test_a_job_does_as_the_command_does_with_the_same_option(filled, monkeypatch, kind, options, words):
     (client, session_id), heard = filled(), dict[str, Any]()
 
     def listen(*_: object, **given: Any) -> None:

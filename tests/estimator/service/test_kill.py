@@ -6,15 +6,13 @@ import json
 import signal
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import httpx
 import pytest
 
-from estimator.rig.rig import Rig
-from estimator.store.session import Session, load_session
+from estimator.store.session import load_session
 from tests.estimator.service.conftest import (
     LONG,
     QUICK,
@@ -32,8 +30,8 @@ from tests.estimator.service.conftest import (
 
 
 def test_acknowledged_readings_are_there_once_after_a_kill_and_streams_end_with_the_service(
-    served: Callable[..., Served], rig_text: str, small_session: Session, small_rig: Rig, tmp_path: Path
-) -> None:
+    served, rig_text, small_session, small_rig, tmp_path
+):
     lines = numbered(small_session, small_rig, 5000)
     service = served()
     client = service.client
@@ -90,8 +88,8 @@ def event_streams_end_with(service: Served, session_id: str, folder: Path) -> No
 
 @pytest.mark.slow
 def test_jobs_end_after_kills_with_the_bytes_of_those_that_were_let_alone(
-    served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
-) -> None:
+    served, rig_text, readings_csv, tmp_path
+):
     service = served()
     client = service.client
     session = import_csv(client, upload_rig(client, rig_text), readings_csv)
@@ -122,9 +120,7 @@ def test_jobs_end_after_kills_with_the_bytes_of_those_that_were_let_alone(
 
 
 @pytest.mark.slow
-def test_recalibrations_and_batches_go_on_after_kills(
-    served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
-) -> None:
+def test_recalibrations_and_batches_go_on_after_kills(served, rig_text, readings_csv, tmp_path):
     """A recalibration leaves one entry however often it was begun; a batch does what is missing."""
     service = served()
     client = service.client
@@ -153,9 +149,7 @@ def test_recalibrations_and_batches_go_on_after_kills(
 
 
 @pytest.mark.slow
-def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(
-    served: Callable[..., Served], rig_text: str, readings_csv: bytes, tmp_path: Path
-) -> None:
+def test_a_service_that_is_told_to_end_hands_its_job_to_the_next(served, rig_text, readings_csv, tmp_path):
     service = served()
     client = service.client
     session = import_csv(client, upload_rig(client, rig_text), readings_csv)

@@ -5,16 +5,13 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 from starlette.testclient import TestClient
 
-from estimator.rig.rig import Rig
 from estimator.service import bodies, metrics, rate_limits
-from estimator.store.session import Session
 from tests.estimator.service.conftest import append, bearer, begin_session, lines_of, refusal, upload_rig
 
 
@@ -27,9 +24,7 @@ def still(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("still")
-def test_a_token_has_so_many_requests_a_minute_and_another_token_its_own(
-    idle: Callable[..., TestClient],
-) -> None:
+def test_a_token_has_so_many_requests_a_minute_and_another_token_its_own(idle):
     client = idle(require_tokens=True, most_requests_per_minute=5)
     anne, berta = bearer(client, "anne"), bearer(client, "berta")
     for _ in range(5):
@@ -41,9 +36,7 @@ def test_a_token_has_so_many_requests_a_minute_and_another_token_its_own(
 
 
 @pytest.mark.usefixtures("still")
-def test_tokens_that_are_guessed_are_no_longer_looked_up(
-    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_tokens_that_are_guessed_are_no_longer_looked_up(idle, monkeypatch):
     client = idle(require_tokens=True, most_refused_per_minute=3)
     valid = bearer(client, "anne")
     for guess in ("a", "b", "c"):
@@ -54,7 +47,7 @@ def test_tokens_that_are_guessed_are_no_longer_looked_up(
     refusal(client.get("/v1/state", headers=valid), 429)
 
 
-def test_loopback_without_tokens_has_no_rate(idle: Callable[..., TestClient]) -> None:
+def test_loopback_without_tokens_has_no_rate(idle):
     client = idle(most_requests_per_minute=1)
     assert [client.get("/v1/state").status_code for _ in range(5)] == [200] * 5
 
@@ -66,7 +59,7 @@ def posted(path: str) -> dict[str, Any]:
     return scope | {"query_string": b"", "headers": headers, "client": ("127.0.0.1", 5), "root_path": ""}
 
 
-def test_a_body_that_trickles_in_is_refused_when_its_time_is_over(idle: Callable[..., TestClient]) -> None:
+def test_a_body_that_trickles_in_is_refused_when_its_time_is_over(idle):
     client = idle(most_body_s=0.3)
     sent: list[dict[str, Any]] = []
 
@@ -84,7 +77,7 @@ def test_a_body_that_trickles_in_is_refused_when_its_time_is_over(idle: Callable
     assert json.loads(sent[1]["body"])["rule"] == "must arrive within 0.3 s"
 
 
-def test_who_has_not_said_who_it_is_sends_no_more_than_a_token(idle: Callable[..., TestClient]) -> None:
+def test_who_has_not_said_who_it_is_sends_no_more_than_a_token(idle):
     """A thousand connections with bodies of 32 MB each to the login would have taken 32 GB."""
     client = idle(require_tokens=True)
     problem = refusal(client.post("/v1/login", content=b" " * 10_001), 413)
@@ -93,9 +86,7 @@ def test_who_has_not_said_who_it_is_sends_no_more_than_a_token(idle: Callable[..
     refusal(client.post("/v1/login", content=b'{"token": "guess"}', headers=headers), 401)
 
 
-def test_bodies_of_all_requests_together_have_an_end_and_their_room_comes_back(
-    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_bodies_of_all_requests_together_have_an_end_and_their_room_comes_back(idle, monkeypatch):
     monkeypatch.setattr(bodies, "MOST_BODIES", 3)
     client = idle(most_body_MB=1e-3)
 
@@ -140,9 +131,7 @@ def samples(
     return found
 
 
-def test_requests_readings_sessions_and_jobs_are_counted(
-    idle: Callable[..., TestClient], rig_text: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_requests_readings_sessions_and_jobs_are_counted(idle, rig_text, small_session, small_rig):
     client = idle()
     rig_id = upload_rig(client, rig_text)
     session_id = begin_session(client, rig_id)
@@ -184,9 +173,7 @@ def test_requests_readings_sessions_and_jobs_are_counted(
     assert not any(session_id in str(key) for key in counted)
 
 
-def test_a_fault_of_the_service_is_counted_and_has_the_headers_of_every_answer(
-    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_fault_of_the_service_is_counted_and_has_the_headers_of_every_answer(idle, monkeypatch, caplog):
     def fails(*_: object, **__: object) -> None:
         raise RuntimeError("a secret")
 
@@ -202,9 +189,7 @@ def test_a_fault_of_the_service_is_counted_and_has_the_headers_of_every_answer(
     assert (fault.request_id, str(fault.exc_info[1])) == (told["request_id"], "a secret")
 
 
-def test_a_fault_before_the_routes_is_counted_and_told_in_words_too(
-    idle: Callable[..., TestClient], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_before_the_routes_is_counted_and_told_in_words_too(idle, monkeypatch):
     def fails(*_: object) -> None:
         raise OSError("a disk is full")
 

@@ -136,7 +136,7 @@ def panels() -> Panels:
     )
 
 
-def test_markup_is_shown_as_words_everywhere(marked: Marked, page: Any) -> None:
+def test_markup_is_shown_as_words_everywhere(marked, page):
     views = ["rigs", "sessions", "jobs", f"history/{marked.rig_id}", "new/batch", "new/design"]
     for view in [*views, *(f"jobs/{job_id}" for job_id in marked.jobs.values())]:
         page.goto(f"{marked.url}/#/{view}")
@@ -150,7 +150,7 @@ def test_markup_is_shown_as_words_everywhere(marked: Marked, page: Any) -> None:
     assert page.evaluate("window.ran") is None
 
 
-def test_what_a_refusal_repeats_is_words(marked: Marked, page: Any, rig_text: str, tmp_path: Path) -> None:
+def test_what_a_refusal_repeats_is_words(marked, page, rig_text, tmp_path):
     rig = tmp_path / "rig.yaml"
     rig.write_text(rig_text.replace("hall:", f"{json.dumps(MARK)}:"), encoding="utf-8")
     assert rig_from_text(rig_text).sensors[0].name == "hall"

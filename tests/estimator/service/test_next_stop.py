@@ -9,14 +9,11 @@ from typing import Any
 
 import pytest
 import torch
-from starlette.testclient import TestClient
 
 from estimator.client import AsyncClient, Client
 from estimator.planning.next_stop import next_stop
 from estimator.readings.plan import plan_from_text
-from estimator.rig.rig import Rig
 from estimator.service.next_stops import NextStops
-from estimator.store.session import Session
 from tests.estimator.conftest import PLAN
 from tests.estimator.service.conftest import append, begin_session, import_csv, lines_of, refusal, upload_rig
 
@@ -28,9 +25,7 @@ def readings_of(session_lines: bytes) -> list[dict[str, Any]]:
     return [json.loads(line) for line in session_lines.splitlines()]
 
 
-def test_a_stop_follows_from_what_is_on_disk_and_the_goals(
-    api: TestClient, rig_text: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_a_stop_follows_from_what_is_on_disk_and_the_goals(api, rig_text, small_session, small_rig):
     session_id = begin_session(api, upload_rig(api, rig_text))
     path, body = f"/v1/sessions/{session_id}/next", {"goals": [GOAL], "places": PLACES}
     places = plan_from_text(PLACES, small_rig)
@@ -51,7 +46,7 @@ def test_a_stop_follows_from_what_is_on_disk_and_the_goals(
     assert api.post(path, json=body).json() == again[0]  # after a restart, too
 
 
-def test_a_session_ends_where_its_goal_is_reached(url: str, small_session: Session, small_rig: Rig) -> None:
+def test_a_session_ends_where_its_goal_is_reached(url, small_session, small_rig):
     goal = "field 20 % in box x_mm=-20:20 y_mm=-20:20 z_mm=-10:10"
     readings = readings_of(lines_of(small_session, small_rig))
     with Client(url) as client:
@@ -69,7 +64,7 @@ def test_a_session_ends_where_its_goal_is_reached(url: str, small_session: Sessi
     assert asyncio.run(awaited()) == told
 
 
-def test_what_cannot_be_asked_is_refused(api: TestClient, rig_text: str, readings_csv: bytes) -> None:
+def test_what_cannot_be_asked_is_refused(api, rig_text, readings_csv):
     rig_id = upload_rig(api, rig_text)
     path = f"/v1/sessions/{begin_session(api, rig_id)}/next"
     for goals, places, words in (

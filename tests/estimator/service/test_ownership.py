@@ -163,11 +163,11 @@ def bench(
     return Bench(idle(require_tokens=True), rig_text, readings_csv, lines_of(small_session, small_rig))
 
 
-def test_every_route_that_changes_something_is_classified(bench: Bench) -> None:
+def test_every_route_that_changes_something_is_classified(bench):
     assert changing(bench.client) == set(RULES)
 
 
-def test_nobody_changes_what_another_user_has_made_and_who_tried_is_noted(bench: Bench) -> None:
+def test_nobody_changes_what_another_user_has_made_and_who_tried_is_noted(bench):
     before = bench.state()
     for (method, path), rule in RULES.items():
         if rule not in (OWN, ADMIN):
@@ -185,7 +185,7 @@ def test_nobody_changes_what_another_user_has_made_and_who_tried_is_noted(bench:
 
 
 @pytest.mark.parametrize("user", ["anne", "root"])
-def test_the_owner_and_an_admin_change_it_and_each_change_is_noted(bench: Bench, user: str) -> None:
+def test_the_owner_and_an_admin_change_it_and_each_change_is_noted(bench, user):
     order = sorted((key for key, rule in RULES.items() if rule == OWN), key=lambda key: key[0] == "DELETE")
     order.sort(key=lambda key: key[1].endswith("/close"))
     for method, path in order:
@@ -199,7 +199,7 @@ def test_the_owner_and_an_admin_change_it_and_each_change_is_noted(bench: Bench,
         assert (entry.user, entry.action != "refused") == (user, True), path
 
 
-def test_what_others_may_do_with_a_session_makes_something_of_their_own(bench: Bench) -> None:
+def test_what_others_may_do_with_a_session_makes_something_of_their_own(bench):
     before = bench.state()
     for path in ("calibrate", "diagnose", "batch", "design"):
         answer = bench.ask("POST", f"/v1/jobs/{path}", "bert")
@@ -208,7 +208,7 @@ def test_what_others_may_do_with_a_session_makes_something_of_their_own(bench: B
     assert {name for name in before | after if before.get(name) != after.get(name)} == {"jobs"}
 
 
-def test_all_tokens_of_a_user_go_on_with_a_session_and_a_renamed_rig_is_another_one(bench: Bench) -> None:
+def test_all_tokens_of_a_user_go_on_with_a_session_and_a_renamed_rig_is_another_one(bench):
     renewed = bearer(bench.client, "anne")
     headers = {**renewed, "Content-Type": "application/x-ndjson"}
     path = f"/v1/sessions/{bench.open_id}"
@@ -219,7 +219,7 @@ def test_all_tokens_of_a_user_go_on_with_a_session_and_a_renamed_rig_is_another_
     assert bench.client.post(f"{path}/close", headers=renewed).status_code == 200
 
 
-def test_another_version_of_a_rig_does_not_make_its_registry_ones_own(bench: Bench, rig_text: str) -> None:
+def test_another_version_of_a_rig_does_not_make_its_registry_ones_own(bench, rig_text):
     bench.client.headers.update(bench.users["bert"])
     theirs = upload_rig(bench.client, rig_text + "\n# as Bert has it\n")
     mine = upload_rig(bench.client, re.sub(r"(?m)^name: .*$", "name: bert's rig", rig_text))
@@ -234,9 +234,7 @@ def test_another_version_of_a_rig_does_not_make_its_registry_ones_own(bench: Ben
     assert bench.client.post("/v1/schedules", json={"rig_id": mine, "every_s": 60}).status_code == 201
 
 
-def test_no_user_takes_the_open_sessions_or_the_schedules_of_all(
-    idle: Callable[..., TestClient], rig_text: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_user_takes_the_open_sessions_or_the_schedules_of_all(idle, rig_text, monkeypatch):
     monkeypatch.setattr(schedules, "MOST_OF_USER", 2)
     client = idle(require_tokens=True, most_open_sessions=5, most_open_sessions_per_user=2)
     made = {}
@@ -252,9 +250,7 @@ def test_no_user_takes_the_open_sessions_or_the_schedules_of_all(
         assert made[user, "schedules"] == [201, 201, 409]
 
 
-def test_what_another_user_judges_elsewhere_keeps_no_session_from_being_judged(
-    bench: Bench, rig_text: str
-) -> None:
+def test_what_another_user_judges_elsewhere_keeps_no_session_from_being_judged(bench, rig_text):
     """A recalibration of Anne's sessions in Bert's registry hid them from Anne's schedule, and stood for hers in her registry."""
     bench.client.headers.update(bench.users["bert"])
     theirs = upload_rig(bench.client, re.sub(r"(?m)^name: .*$", "name: bert's rig", rig_text))
@@ -278,7 +274,7 @@ def test_what_another_user_judges_elsewhere_keeps_no_session_from_being_judged(
         assert registries._calibration_id(bench.core, rig_name, entry) == found.get(user)
 
 
-def test_a_roll_back_that_cannot_be_noted_is_not_made(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_roll_back_that_cannot_be_noted_is_not_made(bench, monkeypatch):
     made: list[object] = []
 
     def fails(*_: object) -> None:
@@ -291,7 +287,7 @@ def test_a_roll_back_that_cannot_be_noted_is_not_made(bench: Bench, monkeypatch:
     assert made == []
 
 
-def test_whatever_somebody_makes_is_noted_once(bench: Bench, rig_text: str, readings_csv: bytes) -> None:
+def test_whatever_somebody_makes_is_noted_once(bench, rig_text, readings_csv):
     archive = bench.client.get(
         f"/v1/sessions/{bench.closed_id}/session.zip", headers=bench.users["anne"]
     ).content
@@ -319,7 +315,7 @@ def test_whatever_somebody_makes_is_noted_once(bench: Bench, rig_text: str, read
         assert len(bench.audit()) == n + 1, path
 
 
-def test_refusals_do_not_fill_the_audit_log(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_refusals_do_not_fill_the_audit_log(bench, monkeypatch):
     begin_s = 60.0 * (time.time() // 60) + 20.0
     monkeypatch.setattr("limits.storage.memory.time.time", lambda: begin_s)
     n = len(bench.audit())
@@ -328,7 +324,7 @@ def test_refusals_do_not_fill_the_audit_log(bench: Bench, monkeypatch: pytest.Mo
     assert len(bench.audit()) == n + rate_limits.MOST_NOTED
 
 
-def test_a_refusal_is_told_though_it_cannot_be_noted(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_refusal_is_told_though_it_cannot_be_noted(bench, monkeypatch):
     def fails(*_: object, **__: object) -> None:
         raise OSError("no audit")
 
@@ -336,7 +332,7 @@ def test_a_refusal_is_told_though_it_cannot_be_noted(bench: Bench, monkeypatch: 
     refusal(bench.ask("DELETE", "/v1/sessions/{session_id}", "bert"), 403)
 
 
-def test_an_application_with_a_change_that_asks_for_no_owner_is_not_made(tmp_path: Path) -> None:
+def test_an_application_with_a_change_that_asks_for_no_owner_is_not_made(tmp_path):
     router = APIRouter()
 
     @router.put("/v1/sessions/{session_id}")
@@ -353,7 +349,7 @@ def test_an_application_with_a_change_that_asks_for_no_owner_is_not_made(tmp_pat
         routers.routes[:] = before
 
 
-def test_a_cookie_is_worth_nothing_after_the_logout_wherever_it_was_copied_to(bench: Bench) -> None:
+def test_a_cookie_is_worth_nothing_after_the_logout_wherever_it_was_copied_to(bench):
     core: Core = bench.core
     token, token_id = create_token(core.database, "anne", Scope.WRITE, 1.0)
     page = {"Origin": "http://127.0.0.1:8765", "Sec-Fetch-Site": "same-origin"}
@@ -372,7 +368,7 @@ def test_a_cookie_is_worth_nothing_after_the_logout_wherever_it_was_copied_to(be
     refusal(bench.client.get("/v1/state", headers=copies[1]), 401)
 
 
-def test_a_stream_ends_when_its_token_is_revoked(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_ends_when_its_token_is_revoked(bench, monkeypatch):
     monkeypatch.setattr(guard, "RECHECK_S", 0.05)
     token, token_id = create_token(bench.core.database, "anne", Scope.READ, 1.0)
     headers = {"Authorization": f"Bearer {token}"}

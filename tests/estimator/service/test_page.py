@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 from types import SimpleNamespace
@@ -50,7 +50,7 @@ def log_in(app: FastAPI, browser: TestClient, scope: Scope = Scope.WRITE) -> tup
     return token_id, answer.headers["set-cookie"]
 
 
-def test_every_file_of_the_folder_is_served_and_what_a_file_asks_for_is_there() -> None:
+def test_every_file_of_the_folder_is_served_and_what_a_file_asks_for_is_there():
     root = files("estimator.service") / "page"
     named = {f.name for folder in ("", "vendor") for f in (root / folder).iterdir() if f.is_file()}
     served = {path.rpartition("/")[2] or "index.html" for path in FILES}
@@ -62,7 +62,7 @@ def test_every_file_of_the_folder_is_served_and_what_a_file_asks_for_is_there() 
             assert (absolute or f"{folder}/{relative[2:]}") in FILES, (path, relative, absolute)
 
 
-def test_nothing_of_the_page_is_inline_or_comes_from_elsewhere() -> None:
+def test_nothing_of_the_page_is_inline_or_comes_from_elsewhere():
     for path, text in FILES.items():
         if "/vendor/" in path:
             continue
@@ -71,7 +71,7 @@ def test_nothing_of_the_page_is_inline_or_comes_from_elsewhere() -> None:
         assert not re.search(r"\beval\(|innerHTML|document\.write|unsafeHTML", text), path
 
 
-def test_the_page_needs_no_token_and_its_policy_allows_its_own_files_only(browser: TestClient) -> None:
+def test_the_page_needs_no_token_and_its_policy_allows_its_own_files_only(browser):
     for path in FILES:
         answer = browser.get(path)
         assert answer.status_code == 200, path
@@ -86,9 +86,7 @@ def test_the_page_needs_no_token_and_its_policy_allows_its_own_files_only(browse
     refusal(browser.get("/page/missing.js"), 401)
 
 
-def test_a_token_is_exchanged_for_a_cookie_that_scripts_cannot_read(
-    app: FastAPI, browser: TestClient
-) -> None:
+def test_a_token_is_exchanged_for_a_cookie_that_scripts_cannot_read(app, browser):
     refusal(browser.post("/v1/login", json={"token": "wrong"}, headers=FROM_PAGE), 401)
     _, cookie = log_in(app, browser)
     assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
@@ -102,7 +100,7 @@ def test_a_token_is_exchanged_for_a_cookie_that_scripts_cannot_read(
     assert "Secure" in answer.headers["set-cookie"].split("; ")
 
 
-def test_a_cookie_changes_things_for_its_own_page_only(app: FastAPI, browser: TestClient) -> None:
+def test_a_cookie_changes_things_for_its_own_page_only(app, browser):
     log_in(app, browser)
     change: dict[str, Any] = {"content": b"{}", "headers": {"Content-Type": "application/yaml"}}
     assert refusal(browser.post("/v1/rigs", **change), 403)["thing"] == "origin"
@@ -114,7 +112,7 @@ def test_a_cookie_changes_things_for_its_own_page_only(app: FastAPI, browser: Te
     assert refusal(browser.post("/v1/rigs", **change), 403)["thing"] == "site"
 
 
-def test_a_cookie_allows_what_its_token_allows_and_ends_with_it(app: FastAPI, browser: TestClient) -> None:
+def test_a_cookie_allows_what_its_token_allows_and_ends_with_it(app, browser):
     token_id, _ = log_in(app, browser, Scope.READ)
     body = {"content": b"{}", "headers": {"Content-Type": "application/yaml", **FROM_PAGE}}
     assert refusal(browser.post("/v1/rigs", **body), 403)["rule"] == "must have the scope write"
@@ -122,9 +120,7 @@ def test_a_cookie_allows_what_its_token_allows_and_ends_with_it(app: FastAPI, br
     assert refusal(browser.get("/v1/state"), 401)["thing"] == "login"
 
 
-def test_a_cookie_that_is_altered_or_a_month_old_is_refused(
-    app: FastAPI, browser: TestClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_cookie_that_is_altered_or_a_month_old_is_refused(app, browser, monkeypatch):
     log_in(app, browser)
     ((name, value),) = browser.cookies.items()
     plain = TestClient(app, base_url=ADDRESS)
@@ -137,7 +133,7 @@ def test_a_cookie_that_is_altered_or_a_month_old_is_refused(
     refusal(plain.get("/v1/state", headers={"Cookie": f"{name}={value}"}), 401)
 
 
-def test_logins_outlive_the_service_and_belong_to_one(app: FastAPI, tmp_path: Path) -> None:
+def test_logins_outlive_the_service_and_belong_to_one(app, tmp_path):
     cookies = app.state.core.cookies
     key = tmp_path / "data" / "page.key"
     assert key.stat().st_mode & 0o777 == 0o600
@@ -150,7 +146,7 @@ def test_logins_outlive_the_service_and_belong_to_one(app: FastAPI, tmp_path: Pa
     assert other.login_id(f"{other.name}={signed}") is None
 
 
-def test_a_link_of_another_site_opens_the_page_and_nothing_else(idle: Callable[..., TestClient]) -> None:
+def test_a_link_of_another_site_opens_the_page_and_nothing_else(idle):
     loopback = idle()
     link = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
     assert loopback.get(PAGE, headers=link).status_code == 200
@@ -164,9 +160,7 @@ def until_the_browser_is_open(_: object, sockets: list[socket.socket]) -> None:
         listener.close()
 
 
-def test_serve_shows_the_page_where_that_is_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_serve_shows_the_page_where_that_is_asked_for(tmp_path, monkeypatch):
     opened: list[str] = []
     told: list[str] = []
     monkeypatch.setattr("webbrowser.open", opened.append)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import threading
 import time
 
-import pytest
-
 from estimator.service.periodic import scheduler_of
 from tests.estimator.service.conftest import until
 
 
-def test_a_call_that_fails_is_logged_and_made_again_and_holds_up_no_other(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_call_that_fails_is_logged_and_made_again_and_holds_up_no_other(caplog):
     calls: dict[str, list[float]] = {"fails": [], "lasts": [], "works": []}
     may_end = threading.Event()
 

@@ -66,9 +66,7 @@ ID = "c" * 32
 PATH = f"/v1/calibrations/{ID}"
 
 
-def test_a_prediction_has_the_numbers_of_the_python_api(
-    client: TestClient, small_calibration: Calibration
-) -> None:
+def test_a_prediction_has_the_numbers_of_the_python_api(client, small_calibration):
     body = {"points_m": POINTS_M, "currents_A": CURRENTS_A, "level": 0.8, "has_gradient": True}
     received = client.post(f"{PATH}/predict", json=body).json()
     points_m = torch.tensor(POINTS_M, dtype=torch.float64)
@@ -92,9 +90,7 @@ def test_a_prediction_has_the_numbers_of_the_python_api(
 
 
 @pytest.mark.whole
-def test_a_correction_and_an_iron_core_are_in_predictions(
-    idle: Callable[..., TestClient], cored_calibration: Calibration, rig_text: str, readings_csv: bytes
-) -> None:
+def test_a_correction_and_an_iron_core_are_in_predictions(idle, cored_calibration, rig_text, readings_csv):
     client, points_m = idle(), POINTS_M[:2]
     keep(client, cored_calibration, rig_text, readings_csv)
     received = client.post(
@@ -119,7 +115,7 @@ def arrow(answer: Any) -> pa.Table:
     return pa.ipc.open_stream(answer.content).read_all()
 
 
-def test_two_calibrations_are_compared_as_numbers_and_as_a_page(client: TestClient) -> None:
+def test_two_calibrations_are_compared_as_numbers_and_as_a_page(client):
     """Here one with itself: the fields are the same, and both have the same readings."""
     told = client.get(f"{PATH}/compare/{ID}").json()
     (field,) = told["fields"]
@@ -133,9 +129,7 @@ def test_two_calibrations_are_compared_as_numbers_and_as_a_page(client: TestClie
     assert client.get(f"{PATH}/compare/{'d' * 32}").status_code == 404
 
 
-def test_a_grid_has_its_points_in_the_order_of_its_axes(
-    client: TestClient, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_grid_has_its_points_in_the_order_of_its_axes(client, monkeypatch):
     monkeypatch.setattr("estimator.service.routes.predictions.BLOCK", 4)  # 12 points in three blocks
     grid = {"x": {"first_m": -0.01, "last_m": 0.01, "n": 3}, "z": {"first_m": 0.0, "last_m": 0.03, "n": 4}}
     body = {**grid, "currents_A": CURRENTS_A}
@@ -155,7 +149,7 @@ def test_a_grid_has_its_points_in_the_order_of_its_axes(
     assert table.schema.metadata[b"calibration_id"].decode() == ID
 
 
-def test_what_the_rig_has_not_or_the_limits_forbid_is_refused(client: TestClient) -> None:
+def test_what_the_rig_has_not_or_the_limits_forbid_is_refused(client):
     one = {"points_m": [[0, 0, 0]]}
     for path in (f"{PATH}/predict", f"{PATH}/predict.arrow"):
         answer = client.post(path, json={**one, "currents_A": {"coil7": 1}})
@@ -172,9 +166,7 @@ def test_what_the_rig_has_not_or_the_limits_forbid_is_refused(client: TestClient
     refusal(client.post(f"/v1/calibrations/{'d' * 32}/grid", json={"currents_A": {}}), 404)
 
 
-def test_a_calibration_is_downloaded_as_it_lies_on_disk(
-    client: TestClient, small_calibration: Calibration, tmp_path: Path
-) -> None:
+def test_a_calibration_is_downloaded_as_it_lies_on_disk(client, small_calibration, tmp_path):
     """Its report stays behind; what is read again is sealed by its hashes."""
     core: Core = client.app.state.core
     (core.jobs.folder(ID) / CALIBRATION / "report.html").write_text("page", encoding="utf-8")
@@ -218,9 +210,7 @@ def ask(predictor: Predictor, coil: str = "coil1") -> Any:
     return asyncio.run(predictor.ask(Path("any"), question, Wanted(has_intervals=False)))
 
 
-def test_what_arrives_together_runs_as_one_batch_and_a_fault_stays_with_its_own(
-    slow: dict[str, Any], small_calibration: Calibration
-) -> None:
+def test_what_arrives_together_runs_as_one_batch_and_a_fault_stays_with_its_own(slow, small_calibration):
     with ThreadPoolExecutor(6) as pool:
         first = pool.submit(ask, slow["predictor"])
         slow["begun"].wait(30)
@@ -237,18 +227,7 @@ def test_what_arrives_together_runs_as_one_batch_and_a_fault_stays_with_its_own(
     assert slow["sizes"] == [1, 4, 1, 1, 1, 1]
 
 
-def test_batches_hold_one_calibration_one_wish_and_a_limited_number_of_points() -> None:
-    def waiting(folder: str, n: int, *, has_gradient: bool = False) -> Any:
-        wanted = Wanted(has_gradient=has_gradient)
-        points_m = torch.zeros(n, 3, dtype=torch.float64)
-        return module._Waiting(Path(folder), Question(points_m, {}, {}), wanted)
-
-    a, b, c = waiting("a", 900), waiting("b", 1), waiting("a", 900)
-    other, beyond = waiting("a", 1, has_gradient=True), waiting("a", 900)
-    assert module._batches([a, b, c, other, beyond]) == [[a, c], [b], [other], [beyond]]
-
-
-def test_a_full_queue_says_when_to_come_again(slow: dict[str, Any], client: TestClient) -> None:
+def test_a_full_queue_says_when_to_come_again(slow, client):
     slow["go"].set()
     small: Predictor = slow["predictor"]
     with (
@@ -270,9 +249,7 @@ def test_a_full_queue_says_when_to_come_again(slow: dict[str, Any], client: Test
             assert client.post(f"{PATH}/{path}", **call).status_code == 200
 
 
-def test_an_export_is_the_file_of_the_python_api(
-    client: TestClient, small_calibration: Calibration, tmp_path: Path
-) -> None:
+def test_an_export_is_the_file_of_the_python_api(client, small_calibration, tmp_path):
     axes_m = {"x_m": [-0.01, 0.01], "y_m": [0.0], "z_m": [0.0, 0.02, 0.03]}
     grid = Grid(*(np.array(coordinates_m) for coordinates_m in axes_m.values()))
     asked: dict[str, dict[str, Any]] = {"json": {}, "cpp": {}, "urdf": {}}
@@ -289,7 +266,7 @@ def test_an_export_is_the_file_of_the_python_api(
     assert [path.name for path in client.app.state.core.uploads.iterdir()] == []
 
 
-def test_an_export_that_cannot_be_is_refused(client: TestClient) -> None:
+def test_an_export_that_cannot_be_is_refused(client):
     def refused(code: int, **body: Any) -> dict[str, Any]:
         return refusal(client.post(f"{PATH}/export", json=body), code)
 

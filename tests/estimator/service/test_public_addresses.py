@@ -36,7 +36,7 @@ PRIVATE = ("127.0.0.1", "10.1.2.3", "169.254.169.254", "192.168.1.1")
 
 
 @pytest.mark.parametrize("network", SPECIAL)
-def test_no_address_of_a_special_range_is_public(network: str) -> None:
+def test_no_address_of_a_special_range_is_public(network):
     spanned = ipaddress.ip_network(network)
     for address in (spanned[0], spanned[-1], spanned[spanned.num_addresses // 2]):
         assert not may_reach(address, ())
@@ -47,12 +47,12 @@ def test_no_address_of_a_special_range_is_public(network: str) -> None:
 
 
 @pytest.mark.parametrize("address", PUBLIC)
-def test_addresses_beside_them_are_public(address: str) -> None:
+def test_addresses_beside_them_are_public(address):
     assert may_reach(ipaddress.ip_address(address), ())
 
 
 @pytest.mark.parametrize("private", PRIVATE)
-def test_no_form_of_a_private_address_is_public(private: str) -> None:
+def test_no_form_of_a_private_address_is_public(private):
     v4 = ipaddress.IPv4Address(private)
     n = int(v4)
     forms = [
@@ -71,7 +71,7 @@ def test_no_form_of_a_private_address_is_public(private: str) -> None:
 
 
 @pytest.mark.parametrize("address", ["192.0.0.192", "192.88.99.1", "64:ff9b::7f00:1"])
-def test_a_name_that_leads_to_one_is_not_followed(monkeypatch: pytest.MonkeyPatch, address: str) -> None:
+def test_a_name_that_leads_to_one_is_not_followed(monkeypatch, address):
     def looked_up(*_: Any, **__: Any) -> list[Any]:
         return [(socket.AF_INET, socket.SOCK_STREAM, 6, "", (address, 80))]
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -40,9 +38,7 @@ def first(api: TestClient, session_id: str) -> dict[str, Any]:
     return {"job": job, **api.get(f"/v1/jobs/{job['id']}/result").json()}
 
 
-def test_the_first_session_makes_the_first_version(
-    api: TestClient, rig_id: str, session_id: str, first: dict[str, Any]
-) -> None:
+def test_the_first_session_makes_the_first_version(api, rig_id, session_id, first):
     path = f"/v1/rigs/{rig_id}/registry"
     assert first["result"]["conclusion"] == "updated"
     assert first["result"]["session"] == session_id
@@ -58,9 +54,7 @@ def test_the_first_session_makes_the_first_version(
     assert str(api.app.state.core.data) not in page
 
 
-def test_a_session_that_was_judged_is_not_judged_again(
-    api: TestClient, rig_id: str, session_id: str, first: dict[str, Any]
-) -> None:
+def test_a_session_that_was_judged_is_not_judged_again(api, rig_id, session_id, first):
     body = {"session_id": session_id, "seed": 2, "settings": QUICK}
     job = wait_for(api, api.post("/v1/jobs/recalibrate", json=body).json()["id"])
     again = api.get(f"/v1/jobs/{job['id']}/result").json()
@@ -68,9 +62,7 @@ def test_a_session_that_was_judged_is_not_judged_again(
     assert api.get(f"/v1/rigs/{rig_id}/registry").json()["n_entries"] == 1
 
 
-def test_an_earlier_version_comes_back_and_the_log_has_pages(
-    api: TestClient, rig_id: str, first: dict[str, Any]
-) -> None:
+def test_an_earlier_version_comes_back_and_the_log_has_pages(api, rig_id, first):
     path = f"/v1/rigs/{rig_id}/registry"
     core: Core = api.app.state.core
     registry = Registry(core.registry_path("yearly"))
@@ -109,21 +101,7 @@ def test_an_earlier_version_comes_back_and_the_log_has_pages(
     assert (audit[0]["action"], audit[0]["target"]) == ("registry.roll_back", f"{rig_id} 1")
 
 
-def test_a_rig_without_sessions_has_an_empty_registry(idle: Callable[..., TestClient], rig_text: str) -> None:
-    client = idle()
-    path = f"/v1/rigs/{upload_rig(client, rig_text)}/registry"
-    assert client.get(path).json()["current"] is None
-    assert client.get(f"{path}/versions").json() == {"items": [], "next": None}
-    over_time = client.get(f"{path}/history").json()
-    assert (over_time["sessions"], over_time["periods"], over_time["current"]) == ([], [], None)
-    refused = refusal(client.post(f"{path}/roll-back", json={"version": 1}), 409)
-    assert refused["rule"] == "must have a version; it has none"
-    refusal(client.get(f"/v1/rigs/{'0' * 32}/registry"), 404)
-
-
-def test_a_batch_fits_every_session_under_every_hypothesis(
-    api: TestClient, rig_id: str, session_id: str, small_session: Session, tmp_path: Path
-) -> None:
+def test_a_batch_fits_every_session_under_every_hypothesis(api, rig_id, session_id, small_session, tmp_path):
     path = tmp_path / "fewer.csv"
     fewer = Session(small_session.rig, small_session.observations.rows(torch.arange(30)), "fewer")
     write_readings_csv(fewer, path)
@@ -142,7 +120,7 @@ def test_a_batch_fits_every_session_under_every_hypothesis(
     assert "Batch of 2 sessions" in api.get(f"/v1/jobs/{job['id']}/report").text
 
 
-def test_a_design_gives_a_plan(api: TestClient, session_id: str) -> None:
+def test_a_design_gives_a_plan(api, session_id):
     body = {"session_id": session_id, "shrink": "coil1.radius_m", "n_readings": 3}
     job = wait_for(api, api.post("/v1/jobs/design", json=body).json()["id"])
     found = api.get(f"/v1/jobs/{job['id']}/result").json()["result"]
@@ -156,9 +134,7 @@ def test_a_design_gives_a_plan(api: TestClient, session_id: str) -> None:
     assert job["fault"].startswith("a design must split two or more causes")
 
 
-def test_two_recalibrations_of_one_rig_take_turns(
-    tmp_path: Path, small_session: Session, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_two_recalibrations_of_one_rig_take_turns(tmp_path, small_session, monkeypatch):
     """The second waits in its worker, and says so."""
     session = tmp_path / "a.zarr"
     small_session.save(session)

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 
 from starlette.testclient import TestClient
 
-from estimator.rig.rig import Rig
 from estimator.service.cache import Cache
 from estimator.service.core import Core
 from estimator.service.job_queue import DONE
 from estimator.service.removal import remove_folders_without_row
 from estimator.service.schema import CalibrationRow, Job
-from estimator.store.session import Session
 from tests.estimator.service.conftest import (
     append,
     bearer,
@@ -47,9 +44,7 @@ def ended(core: Core, job_id: str, when: str) -> Path:
     return folder
 
 
-def test_a_job_goes_with_its_calibration_and_its_folder_then_its_session(
-    filled: Callable[..., tuple[TestClient, str]],
-) -> None:
+def test_a_job_goes_with_its_calibration_and_its_folder_then_its_session(filled):
     client, session_id = filled()
     core: Core = client.app.state.core
     job_id = asked(client, "calibrate", session_id)
@@ -73,9 +68,7 @@ def test_a_job_goes_with_its_calibration_and_its_folder_then_its_session(
     refusal(client.delete(f"/v1/sessions/{session_id}"), 404)
 
 
-def test_a_session_of_a_batch_stays_and_a_judgement_goes_with_its_session(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
-) -> None:
+def test_a_session_of_a_batch_stays_and_a_judgement_goes_with_its_session(idle, rig_text, readings_csv):
     client = idle()
     core: Core = client.app.state.core
     rig_id = upload_rig(client, rig_text)
@@ -92,8 +85,8 @@ def test_a_session_of_a_batch_stays_and_a_judgement_goes_with_its_session(
 
 
 def test_an_open_session_goes_without_a_trace_and_makes_room_for_another(
-    idle: Callable[..., TestClient], rig_text: str, small_session: Session, small_rig: Rig
-) -> None:
+    idle, rig_text, small_session, small_rig
+):
     client = idle(most_open_sessions=1)
     rig_id = upload_rig(client, rig_text)
     session_id = begin_session(client, rig_id)
@@ -105,9 +98,7 @@ def test_an_open_session_goes_without_a_trace_and_makes_room_for_another(
     begin_session(client, rig_id)
 
 
-def test_what_holds_a_session_is_told_with_its_user_and_what_ends_it(
-    idle: Callable[..., TestClient], rig_text: str, readings_csv: bytes
-) -> None:
+def test_what_holds_a_session_is_told_with_its_user_and_what_ends_it(idle, rig_text, readings_csv):
     client = idle(require_tokens=True)
     anne, bert = (bearer(client, user) for user in ("anne", "bert"))
     client.headers.update(anne)
@@ -135,9 +126,7 @@ def test_what_holds_a_session_is_told_with_its_user_and_what_ends_it(
     assert client.delete(path).status_code == 204
 
 
-def test_old_jobs_are_removed_by_themselves_where_the_settings_say_so(
-    filled: Callable[..., tuple[TestClient, str]],
-) -> None:
+def test_old_jobs_are_removed_by_themselves_where_the_settings_say_so(filled):
     client, session_id = filled(keep_jobs_days=30)
     core: Core = client.app.state.core
     old, fresh = (asked(client, "calibrate", session_id) for _ in range(2))

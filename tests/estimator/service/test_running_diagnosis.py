@@ -10,7 +10,6 @@ import pytest
 from starlette.testclient import TestClient
 
 from estimator.live.refresh import FEWEST_READINGS, GROWTH, Refreshed
-from estimator.rig.rig import Rig
 from estimator.service import running_diagnosis
 from estimator.service.core import Core
 from estimator.service.live_state import Seen
@@ -68,8 +67,8 @@ def verdict(session: Watched) -> Any:
 
 
 def test_sessions_take_turns_and_are_diagnosed_again_when_they_have_grown(
-    core: tuple[Core, TestClient], rig_text: str, small_session: Session, small_rig: Rig
-) -> None:
+    core, rig_text, small_session, small_rig
+):
     watching, client = core[0].watching, core[1]
     ids = [begin_session(client, upload_rig(client, rig_text)) for _ in range(2)]
 
@@ -98,9 +97,7 @@ def test_sessions_take_turns_and_are_diagnosed_again_when_they_have_grown(
     until(lambda: process.is_ended)
 
 
-def test_a_diagnosis_that_nobody_waits_for_any_more_is_ended(
-    core: tuple[Core, TestClient], rig_text: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_a_diagnosis_that_nobody_waits_for_any_more_is_ended(core, rig_text, small_session, small_rig):
     watching, client = core[0].watching, core[1]
     session_id = begin_session(client, upload_rig(client, rig_text))
     with watching.watched(session_id):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -16,9 +15,8 @@ from schemathesis.specs.openapi.checks import (
     response_schema_conformance,
     status_code_conformance,
 )
-from starlette.testclient import TestClient
 
-from tests.estimator.service.conftest import Served, import_csv, upload_rig
+from tests.estimator.service.conftest import import_csv, upload_rig
 
 CHECKS = [  # not those which want every body of the right type to be accepted: a rig is more than a text
     not_a_server_error,
@@ -29,9 +27,7 @@ CHECKS = [  # not those which want every body of the right type to be accepted: 
 EXAMPLES = int(os.environ.get("COILCAL_SCHEMA_EXAMPLES", "25"))  # of each route
 
 
-def test_the_schema_is_openapi_3_1_and_every_operation_documents_its_refusals(
-    idle: Callable[..., TestClient],
-) -> None:
+def test_the_schema_is_openapi_3_1_and_every_operation_documents_its_refusals(idle):
     schema = idle().get("/v1/openapi.json").json()
     assert schema["openapi"].startswith("3.1")
     for path, item in schema["paths"].items():
@@ -43,9 +39,7 @@ def test_the_schema_is_openapi_3_1_and_every_operation_documents_its_refusals(
 
 
 @pytest.mark.slow
-def test_no_request_made_from_the_schema_gives_a_fault(
-    served: Callable[..., Served], rig_text: str, readings_csv: bytes
-) -> None:
+def test_no_request_made_from_the_schema_gives_a_fault(served, rig_text, readings_csv):
     service = served()
     import_csv(service.client, upload_rig(service.client, rig_text), readings_csv)
     schema = schemathesis.openapi.from_url(f"{service.url}/v1/openapi.json")

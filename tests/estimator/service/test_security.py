@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -78,7 +78,7 @@ def ask(client: TestClient, method: str, path: str, token: str | None) -> Any:
     return client.request(method, concrete, headers=headers)
 
 
-def test_the_table_holds_every_path_of_the_schema(app: FastAPI) -> None:
+def test_the_table_holds_every_path_of_the_schema(app):
     documented = {(method.upper(), path) for path, item in app.openapi()["paths"].items() for method in item}
     hidden = {("GET", path) for path in ("/v1/openapi.json", *page_files())}
     assert documented | hidden == {(method, path) for method, path, _ in ROUTES}
@@ -87,8 +87,8 @@ def test_the_table_holds_every_path_of_the_schema(app: FastAPI) -> None:
 
 @pytest.mark.parametrize(("method", "path", "scope"), ROUTES, ids=str)
 def test_every_route_refuses_tokens_that_are_missing_wrong_expired_or_too_weak(
-    client: TestClient, tokens: dict[str, str], method: str, path: str, scope: Scope | None
-) -> None:
+    client, tokens, method, path, scope
+):
     if path in PUBLIC:
         assert scope is None
         return
@@ -105,7 +105,7 @@ def test_every_route_refuses_tokens_that_are_missing_wrong_expired_or_too_weak(
             assert refusal(answer, 403)["rule"] == f"must have the scope {scope}"
 
 
-def test_changes_need_more_than_read() -> None:
+def test_changes_need_more_than_read():
     predictions = {f"/v1/calibrations/{{calibration_id}}/{name}" for name in ("predict", "grid")}
     harmless = {"/v1/rigs/validate", *predictions, *(f"{path}.arrow" for path in predictions)}
     harmless |= {"/v1/login", "/v1/logout", "/v1/calibrations/{calibration_id}/export"}
@@ -116,7 +116,7 @@ def test_changes_need_more_than_read() -> None:
             assert scope.includes(Scope.WRITE), path
 
 
-def test_an_application_with_a_route_without_scope_is_not_made(tmp_path: Path) -> None:
+def test_an_application_with_a_route_without_scope_is_not_made(tmp_path):
     forgotten = operation.router
     before = list(forgotten.routes)
 
@@ -131,16 +131,14 @@ def test_an_application_with_a_route_without_scope_is_not_made(tmp_path: Path) -
         forgotten.routes[:] = before
 
 
-def test_paths_that_are_not_there_need_a_token_too(client: TestClient, tokens: dict[str, str]) -> None:
+def test_paths_that_are_not_there_need_a_token_too(client, tokens):
     refusal(ask(client, "GET", "/v1/nothing", None), 401)
     assert refusal(ask(client, "GET", "/v1/nothing", tokens["read"]), 404)["thing"] == "path"
     assert refusal(ask(client, "DELETE", "/v1/rigs", tokens["admin"]), 405)["value"] == "DELETE"
     refusal(ask(client, "GET", "/healthz/", None), 401)
 
 
-def test_tokens_are_kept_as_hashes_and_changes_are_audited(
-    app: FastAPI, client: TestClient, tokens: dict[str, str], rig_text: str
-) -> None:
+def test_tokens_are_kept_as_hashes_and_changes_are_audited(app, client, tokens, rig_text):
     stored = b"".join(path.read_bytes() for path in app.state.core.data.glob("coilcal.sqlite*"))
     assert not any(token.encode() in stored for token in tokens.values())
     client.headers["Authorization"] = f"Bearer {tokens['write']}"
@@ -166,9 +164,7 @@ def test_tokens_are_kept_as_hashes_and_changes_are_audited(
         ({"Sec-Fetch-Site": "cross-site"}, "site"),
     ],
 )
-def test_pages_of_other_sites_reach_nothing(
-    idle: Callable[..., TestClient], headers: dict[str, str], thing: str
-) -> None:
+def test_pages_of_other_sites_reach_nothing(idle, headers, thing):
     """At loopback there are no tokens, but browsers of this computer visit other sites."""
     loopback = idle()
     assert refusal(loopback.get("/v1/state", headers=headers), 403)["thing"] == thing
@@ -180,7 +176,7 @@ def test_pages_of_other_sites_reach_nothing(
     assert answer.headers["x-content-type-options"] == "nosniff"
 
 
-def test_bodies_are_limited_whatever_they_claim(client: TestClient, tokens: dict[str, str]) -> None:
+def test_bodies_are_limited_whatever_they_claim(client, tokens):
     headers = {"Authorization": f"Bearer {tokens['write']}", "Content-Type": YAML}
     in_pieces = [b"a" * 50_000] * 3
     for path, body, kind in (
@@ -195,7 +191,7 @@ def test_bodies_are_limited_whatever_they_claim(client: TestClient, tokens: dict
     refusal(client.post("/v1/rigs", content=b"a" * 100_001), 401)  # before the body is looked at
 
 
-def test_loopback_alone_needs_no_tokens() -> None:
+def test_loopback_alone_needs_no_tokens():
     assert not Settings().needs_tokens
     assert not Settings(host="::1").needs_tokens
     assert not Settings(host="localhost").needs_tokens
@@ -203,7 +199,7 @@ def test_loopback_alone_needs_no_tokens() -> None:
     assert Settings(require_tokens=True).needs_tokens
 
 
-def test_tokens_have_names_and_times(tmp_path: Path) -> None:
+def test_tokens_have_names_and_times(tmp_path):
     database = Database(tmp_path / "tokens.sqlite")
     database.migrate()
     for user, days in (
@@ -223,7 +219,7 @@ def test_tokens_have_names_and_times(tmp_path: Path) -> None:
     database.close()
 
 
-def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path: Path) -> None:
+def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path):
     path = tmp_path / "service.yaml"
     path.write_text("host: 0.0.0.0\nmost_job_hours: 3\nallowed_hosts: [lab.example]\n", encoding="utf-8")
     settings = load_settings(
@@ -254,7 +250,7 @@ def test_settings_come_from_file_and_environment_and_name_what_is_wrong(tmp_path
         load_settings(None, {}).with_options(keep_jobs_days=-1.0)
 
 
-def test_the_command_makes_lists_and_revokes_tokens_and_needs_one_beyond_loopback(tmp_path: Path) -> None:
+def test_the_command_makes_lists_and_revokes_tokens_and_needs_one_beyond_loopback(tmp_path):
     def run(*words: str) -> Any:
         return CliRunner().invoke(main, ["serve", *words, "--data", str(tmp_path / "data")])
 

@@ -6,8 +6,6 @@ import shlex
 import shutil
 import subprocess
 import tomllib
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -39,7 +37,7 @@ def pod() -> dict[str, Any]:
     return dict(deployment["spec"]["template"]["spec"])
 
 
-def test_the_settings_of_the_example_load_and_need_tokens() -> None:
+def test_the_settings_of_the_example_load_and_need_tokens():
     example = load_settings(CONFIGS / "service/service.yaml", {})
     assert example.needs_tokens
     assert example.is_loopback
@@ -47,7 +45,7 @@ def test_the_settings_of_the_example_load_and_need_tokens() -> None:
     assert str(example.data).startswith(f"/var/lib/{state[0]}/")
 
 
-def test_systemd_serves_with_those_settings_and_backs_up_the_same_folder() -> None:
+def test_systemd_serves_with_those_settings_and_backs_up_the_same_folder():
     words = shlex.split(settings(SERVE)["ExecStart"][0])
     assert words[1] == "serve"
     assert [word for word in words if word.startswith("--")] == ["--config"]
@@ -64,7 +62,7 @@ def test_systemd_serves_with_those_settings_and_backs_up_the_same_folder() -> No
 
 
 @pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="no systemd here")
-def test_systemd_finds_nothing_wrong_with_the_units(tmp_path: Path) -> None:
+def test_systemd_finds_nothing_wrong_with_the_units(tmp_path):
     for path in (SERVE, BACKUP, BACKUP.with_suffix(".timer")):
         text = path.read_text(encoding="utf-8").replace("/opt/coilcal/bin/coilcal", "/bin/true")
         (tmp_path / path.name).write_text(text.replace("User=coilcal", "User=root"), encoding="utf-8")
@@ -73,7 +71,7 @@ def test_systemd_finds_nothing_wrong_with_the_units(tmp_path: Path) -> None:
     assert (done.returncode, [line for line in done.stderr.splitlines() if str(tmp_path) in line]) == (0, [])
 
 
-def test_kubernetes_runs_the_same_command_of_the_same_image_with_settings_that_are_known() -> None:
+def test_kubernetes_runs_the_same_command_of_the_same_image_with_settings_that_are_known():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["version"]
     (container,) = pod()["containers"]
     (first,) = pod()["initContainers"]
@@ -94,7 +92,7 @@ def test_kubernetes_runs_the_same_command_of_the_same_image_with_settings_that_a
     assert f"EXPOSE {loaded.port}" in dockerfile
 
 
-def test_names_in_the_manifest_are_those_of_things_that_are_there() -> None:
+def test_names_in_the_manifest_are_those_of_things_that_are_there():
     deployment, service = yaml.safe_load_all(
         (CONFIGS / "kubernetes/coilcal-serve.yaml").read_text(encoding="utf-8")
     )
@@ -117,7 +115,7 @@ def test_names_in_the_manifest_are_those_of_things_that_are_there() -> None:
     assert words[words.index("--scope") + 1] in set(Scope)
 
 
-def test_the_image_is_made_of_files_that_are_there_and_runs_as_the_user_of_the_pod() -> None:
+def test_the_image_is_made_of_files_that_are_there_and_runs_as_the_user_of_the_pod():
     dockerfile = (CONFIGS / "kubernetes/Dockerfile").read_text(encoding="utf-8")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
     lines = [shlex.split(line, comments=True) for line in dockerfile.splitlines()]
@@ -134,7 +132,7 @@ def test_the_image_is_made_of_files_that_are_there_and_runs_as_the_user_of_the_p
     assert "--no-cache-dir --constraint constraints.txt" in dockerfile
 
 
-def test_only_named_proxies_are_believed(tmp_path: Path) -> None:
+def test_only_named_proxies_are_believed(tmp_path):
     app = create_app(
         Settings(
             data=tmp_path / "data",
@@ -167,7 +165,7 @@ def test_only_named_proxies_are_believed(tmp_path: Path) -> None:
         assert proxy.get("/v1/state", headers=elsewhere).status_code == 200
 
 
-def test_proxies_are_addresses_and_make_tokens_needed(idle: Callable[..., TestClient]) -> None:
+def test_proxies_are_addresses_and_make_tokens_needed(idle):
     assert Settings(proxies=("127.0.0.1",)).needs_tokens
     refusal(idle(proxies=("127.0.0.1",)).get("/v1/state"), 401)
     for wrong in ("*", "proxy.lab.example", "10.0.0.1/8", ""):

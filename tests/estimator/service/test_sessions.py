@@ -7,14 +7,12 @@ import stat
 import struct
 import zipfile
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
 from starlette.testclient import TestClient
 
-from estimator.rig.rig import Rig
-from estimator.store.session import Session, load_session
+from estimator.store.session import load_session
 from estimator.store.zipped import zipped
 from tests.estimator.service.conftest import (
     CSV,
@@ -57,7 +55,7 @@ def session_id(client: TestClient, rig_id: str) -> str:
     return begin_session(client, rig_id)
 
 
-def test_a_rig_is_one_version_by_its_text(client: TestClient, rig_text: str) -> None:
+def test_a_rig_is_one_version_by_its_text(client, rig_text):
     first, again, other = (
         sent(client, "/v1/rigs", text, YAML) for text in (rig_text, rig_text, rig_text + "\n")
     )
@@ -74,7 +72,7 @@ def test_a_rig_is_one_version_by_its_text(client: TestClient, rig_text: str) -> 
     assert len(client.get("/v1/rigs", params={"name": "small"}).json()["items"]) == 2
 
 
-def test_a_faulty_rig_is_refused_with_thing_rule_value_and_line(client: TestClient, rig_text: str) -> None:
+def test_a_faulty_rig_is_refused_with_thing_rule_value_and_line(client, rig_text):
     faulty = rig_text.replace("wire_radius_mm: 0.98", "wire_radius_mm: -0.98")
     problem = refusal(sent(client, "/v1/rigs", faulty, YAML), 422)
     assert problem["thing"] == "coils.coil1.wire_radius_mm"
@@ -83,9 +81,7 @@ def test_a_faulty_rig_is_refused_with_thing_rule_value_and_line(client: TestClie
     assert problem["value"] == "-0.98"
 
 
-def test_appended_readings_are_those_of_the_session(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_appended_readings_are_those_of_the_session(client, session_id, small_session, small_rig):
     body = lines_of(small_session, small_rig, 0, 30)
     lines = body.splitlines(keepends=True)
     assert append(client, session_id, b"".join(lines[:10])).json() == {"n_readings": 10, "n_new": 10}
@@ -104,12 +100,8 @@ def test_appended_readings_are_those_of_the_session(
 
 
 def test_readings_are_on_disk_before_the_answer_with_one_wait_for_all(
-    client: TestClient,
-    session_id: str,
-    small_session: Session,
-    small_rig: Rig,
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+    client, session_id, small_session, small_rig, monkeypatch
+):
     journal = client.app.state.core.sessions.path(session_id) / "journal.jsonl"
     sizes: list[int] = []
     monkeypatch.setattr("estimator.store.journal.os.fsync", lambda _: sizes.append(journal.stat().st_size))
@@ -117,9 +109,7 @@ def test_readings_are_on_disk_before_the_answer_with_one_wait_for_all(
     assert sizes == [journal.stat().st_size]
 
 
-def test_a_gap_another_reading_and_too_many_are_refused(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_a_gap_another_reading_and_too_many_are_refused(client, session_id, small_session, small_rig):
     lines = numbered(small_session, small_rig, 37)
     assert append(client, session_id, lines[0]).status_code == 200
     gap = refusal(append(client, session_id, lines[2]), 409)
@@ -151,12 +141,8 @@ def test_a_gap_another_reading_and_too_many_are_refused(
     ],
 )
 def test_a_reading_that_is_none_of_the_rig_is_refused_with_its_line(
-    refusing: tuple[TestClient, str, str],
-    small_session: Session,
-    small_rig: Rig,
-    change: dict[str, Any],
-    thing: str,
-) -> None:
+    refusing, small_session, small_rig, change, thing
+):
     client, _, session_id = refusing
     good, next_good = lines_of(small_session, small_rig, 0, 2).splitlines(keepends=True)
     bad = json.dumps({**json.loads(next_good), **change}).encode()
@@ -165,7 +151,7 @@ def test_a_reading_that_is_none_of_the_rig_is_refused_with_its_line(
     assert client.get(f"/v1/sessions/{session_id}").json()["n_readings"] == 0
 
 
-def test_open_sessions_are_limited_and_an_empty_one_is_not_closed(client: TestClient, rig_id: str) -> None:
+def test_open_sessions_are_limited_and_an_empty_one_is_not_closed(client, rig_id):
     first, *_ = [begin_session(client, rig_id) for _ in range(3)]
     answer = client.post("/v1/sessions", json={"rig_id": rig_id, "source": "a test"})
     assert refusal(answer, 429)["thing"] == "open sessions"
@@ -174,9 +160,7 @@ def test_open_sessions_are_limited_and_an_empty_one_is_not_closed(client: TestCl
     assert "closed first" in refusal(calibrate, 409)["rule"]
 
 
-def test_csv_and_zip_come_back_as_they_went(
-    client: TestClient, rig_id: str, readings_csv: bytes, small_session: Session, tmp_path: Path
-) -> None:
+def test_csv_and_zip_come_back_as_they_went(client, rig_id, readings_csv, small_session, tmp_path):
     session = import_csv(client, rig_id, readings_csv)
     assert client.get(f"/v1/sessions/{session['id']}/readings.csv").content == readings_csv
     archive = client.get(f"/v1/sessions/{session['id']}/session.zip")
@@ -196,16 +180,14 @@ def send_csv(client: TestClient, csv: bytes, **params: str) -> Any:
     return sent(client, "/v1/sessions/import-csv", csv, CSV, params=params)
 
 
-def test_a_faulty_csv_is_refused_with_its_line(client: TestClient, rig_id: str, readings_csv: bytes) -> None:
+def test_a_faulty_csv_is_refused_with_its_line(client, rig_id, readings_csv):
     faulty = readings_csv.replace(b"3.0", b"three", 1)
     problem = refusal(send_csv(client, faulty, rig_id=rig_id), 422)
     assert problem["place"].startswith("readings.csv, line 2")
     assert "/" not in problem["detail"]
 
 
-def test_sessions_are_labelled_and_found_by_their_labels(
-    client: TestClient, rig_id: str, readings_csv: bytes
-) -> None:
+def test_sessions_are_labelled_and_found_by_their_labels(client, rig_id, readings_csv):
     first, second = (import_csv(client, rig_id, readings_csv) for _ in range(2))
     assert (first["name"], first["note"], first["tags"]) == (None, None, [])
     path = f"/v1/sessions/{first['id']}"
@@ -237,9 +219,7 @@ def test_sessions_are_labelled_and_found_by_their_labels(
     assert client.get("/v1/jobs", params={"search": "old"}).json()["items"] == []
 
 
-def test_a_preview_says_what_each_column_is_taken_for_and_stores_nothing(
-    client: TestClient, rig_id: str, readings_csv: bytes
-) -> None:
+def test_a_preview_says_what_each_column_is_taken_for_and_stores_nothing(client, rig_id, readings_csv):
     def preview(content: bytes, **more: str) -> dict[str, Any]:
         call = {"content": content, "headers": {"Content-Type": "text/csv"}}
         answer = client.post("/v1/sessions/preview-csv", params={"rig_id": rig_id, **more}, **call)
@@ -266,9 +246,7 @@ def test_a_preview_says_what_each_column_is_taken_for_and_stores_nothing(
     assert client.get("/v1/sessions").json()["items"] == []
 
 
-def test_another_table_is_taken_where_what_was_understood_is_accepted(
-    client: TestClient, rig_id: str, readings_csv: bytes
-) -> None:
+def test_another_table_is_taken_where_what_was_understood_is_accepted(client, rig_id, readings_csv):
     other = readings_csv.replace(b"Bx_T", b"Hall Bx [T]", 1)
     problem = refusal(send_csv(client, other, rig_id=rig_id), 422)
     assert "must be accepted with accept=true" in problem["detail"]
@@ -313,9 +291,7 @@ def small_promise() -> bytes:
         (zip_of({"zarr.json": b"not json"}), 422, "zarr.json must be JSON"),
     ],
 )
-def test_an_archive_that_is_no_session_is_refused_and_leaves_nothing(
-    refusing: tuple[TestClient, str, str], body: bytes, status: int, words: str
-) -> None:
+def test_an_archive_that_is_no_session_is_refused_and_leaves_nothing(refusing, body, status, words):
     client, rig_id, session_id = refusing
     problem = refusal(send_zip(client, rig_id, body), status)
     assert words in problem["detail"]
@@ -326,9 +302,7 @@ def test_an_archive_that_is_no_session_is_refused_and_leaves_nothing(
     assert not (data.parent / "outside").exists()
 
 
-def test_a_session_with_an_altered_byte_is_refused(
-    client: TestClient, rig_id: str, small_session: Session, tmp_path: Path
-) -> None:
+def test_a_session_with_an_altered_byte_is_refused(client, rig_id, small_session, tmp_path):
     small_session.save(tmp_path / "small.zarr")
     chunk = next((tmp_path / "small.zarr" / "field_sensor_T").rglob("c/*/*"))
     content = bytearray(chunk.read_bytes())
@@ -337,17 +311,13 @@ def test_a_session_with_an_altered_byte_is_refused(
     assert "damaged" in refusal(send_zip(client, rig_id, zipped(tmp_path / "small.zarr")), 422)["detail"]
 
 
-def test_a_session_of_another_rig_is_refused(
-    client: TestClient, two_coils_text: str, small_session: Session, tmp_path: Path
-) -> None:
+def test_a_session_of_another_rig_is_refused(client, two_coils_text, small_session, tmp_path):
     small_session.save(tmp_path / "small.zarr")
     refused = send_zip(client, upload_rig(client, two_coils_text), zipped(tmp_path / "small.zarr"))
     assert "must be those of the session" in refusal(refused, 422)["detail"]
 
 
-def test_a_closed_session_is_asked_what_causes_would_do(
-    api: TestClient, rig_text: str, readings_csv: bytes
-) -> None:
+def test_a_closed_session_is_asked_what_causes_would_do(api, rig_text, readings_csv):
     session_id = import_csv(api, upload_rig(api, rig_text), readings_csv)["id"]
     causes = api.get(f"/v1/sessions/{session_id}/causes").json()
     assert ("axis_gain[hall]", "sensor") in {(cause["label"], cause["kind"]) for cause in causes}

@@ -16,13 +16,10 @@ import torch
 from starlette.testclient import TestClient
 
 from estimator.live.stream import Stream
-from estimator.rig.rig import Rig
-from estimator.rig_files.read import rig_from_text
 from estimator.service.core import Core
-from estimator.service.live_state import REDRAWN_AT, Device, LiveState, updated
+from estimator.service.live_state import REDRAWN_AT, Device, LiveState
 from estimator.service.watched import Watched
 from estimator.store.made import JOURNAL
-from estimator.store.session import Session
 from tests.estimator.service.conftest import append, begin_session, lines_of, refusal, until, upload_rig
 
 PATIENCE_S = 30.0
@@ -72,9 +69,7 @@ def watched(
         return asyncio.run(watch(session))
 
 
-def test_each_batch_gives_the_estimate_of_all_readings_so_far(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_each_batch_gives_the_estimate_of_all_readings_so_far(client, session_id, small_session, small_rig):
     n = len(small_session.observations)
     ends = [0, 12, 13, 14, n]
 
@@ -106,8 +101,8 @@ def test_each_batch_gives_the_estimate_of_all_readings_so_far(
 
 
 def test_states_say_how_often_readings_came_and_for_how_long_none_has(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+    client, session_id, small_session, small_rig
+):
     acts = {0: lambda: append(client, session_id, lines_of(small_session, small_rig, 0, 12))}
     told = watched(client, session_id, acts, 12)
     assert (told[0].silent_s, told[0].pace_s) == (None, None)
@@ -121,8 +116,8 @@ def test_states_say_how_often_readings_came_and_for_how_long_none_has(
 
 
 def test_without_new_readings_the_estimate_becomes_that_of_the_batch_fit(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+    client, session_id, small_session, small_rig
+):
     lines = lines_of(small_session, small_rig, 0, 20)
     told = watched(client, session_id, {0: lambda: append(client, session_id, lines)}, 20, is_polished=True)
     stream = Stream(small_rig)
@@ -134,8 +129,8 @@ def test_without_new_readings_the_estimate_becomes_that_of_the_batch_fit(
 
 
 def test_devices_are_those_of_the_readings_with_what_they_showed_last(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+    client, session_id, small_session, small_rig
+):
     lines = [json.loads(line) for line in lines_of(small_session, small_rig, 0, 12).splitlines()]
     for line in lines[:9]:
         line |= {"measured_A": {"coil1": 2.5}, "temperature_C": {"coil1": 20.0 + line["sequence"]}}
@@ -154,8 +149,8 @@ def test_devices_are_those_of_the_readings_with_what_they_showed_last(
 
 
 def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+    client, session_id, small_session, small_rig
+):
     n = len(small_session.observations)
     append(client, session_id, lines_of(small_session, small_rig, 0, n - 2))
     watching = core_of(client).watching
@@ -183,9 +178,7 @@ def test_who_comes_late_is_told_all_and_watchers_share_one_estimate(
     until(lambda: all(thread.name != "coilcal watching" for thread in threading.enumerate()))
 
 
-def test_the_stream_ends_with_the_session(
-    client: TestClient, session_id: str, small_session: Session, small_rig: Rig
-) -> None:
+def test_the_stream_ends_with_the_session(client, session_id, small_session, small_rig):
     append(client, session_id, lines_of(small_session, small_rig, 0, 12))
 
     def close() -> None:
@@ -205,9 +198,7 @@ def test_the_stream_ends_with_the_session(
     assert refusal(client.get(f"/v1/sessions/{session_id}/live"), 409)["rule"] == "must be open; it is closed"
 
 
-def test_watched_sessions_are_counted_and_need_free_parameters(
-    client: TestClient, session_id: str, rig_text: str
-) -> None:
+def test_watched_sessions_are_counted_and_need_free_parameters(client, session_id, rig_text):
     fixed = re.sub(r"\{prior: \{normal: \{mean: (-?\d+).*\}\}\}", r"\1", rig_text)
     none_free = begin_session(client, upload_rig(client, fixed))
     assert "free parameter" in refusal(client.get(f"/v1/sessions/{none_free}/live"), 422)["detail"]
@@ -217,15 +208,3 @@ def test_watched_sessions_are_counted_and_need_free_parameters(
         full = refusal(client.get(f"/v1/sessions/{others[1]}/live"), 429)
         assert full["detail"] == "watched sessions must be at most 2 at once"
     refusal(client.get(f"/v1/sessions/{'0' * 32}/live"), 404)
-
-
-def test_an_arm_that_reports_joints_is_shown_by_its_joints(two_coils_text: str) -> None:
-    rig = rig_from_text(two_coils_text)
-    joints = [0.1, -1.2, 1.3, 0.0, 0.5, 0.0]
-    motion = {mover.name: joints for mover in rig.movers}
-    entry = {"current_A": [0.0] * len(rig.coils), "field_T": {}, "motion": motion}
-    shown = {device.name: device for device in updated([], [entry], rig)}
-    for mover in rig.movers:
-        values, unit = (joints[:3], "m") if mover.table is None else (joints, "rad")
-        assert shown[mover.name] == Device("mover", mover.name, values, unit, n_readings=1)
-    assert {device.unit for device in shown.values()} == {"m", "rad"}

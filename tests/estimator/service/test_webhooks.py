@@ -10,11 +10,10 @@ import socket
 import threading
 import time
 from base64 import b64decode, b64encode
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
 from http.server import BaseHTTPRequestHandler, HTTPServer
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -102,15 +101,13 @@ def posted(url: str, networks: tuple[str, ...] = ()) -> int:
     return asyncio.run(post(url, "whsec_AAAA", "1", 1, b"{}", networks))
 
 
-def test_the_signature_is_that_of_the_specification() -> None:
+def test_the_signature_is_that_of_the_specification():
     secret, body = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw", b'{"test": 2432232314}'
     signed = signature(secret, "msg_p5jXN8AQM9LWM0D4loKWxJek", 1614265330, body)
     assert signed == "v1,g0hM9SsE+OTPJTGt/tmIKtSyZlE3uFJELVlNIOLJ1OE="
 
 
-def test_the_end_of_a_job_is_told_signed_once(
-    filled: Callable[..., tuple[TestClient, str]], receiver: Receiver
-) -> None:
+def test_the_end_of_a_job_is_told_signed_once(filled, receiver):
     client, session_id = filled(webhook_networks=LOOPBACK)
     webhook = made(client, f"{receiver.url}/hook?lab=1")
     job = client.post("/v1/jobs/calibrate", json={"session_id": session_id}).json()
@@ -135,9 +132,7 @@ def test_the_end_of_a_job_is_told_signed_once(
     assert "secret" not in client.get("/v1/webhooks").json()["items"][0]
 
 
-def test_jobs_that_are_done_and_that_fail_are_told_too(
-    filled: Callable[..., tuple[TestClient, str]], receiver: Receiver
-) -> None:
+def test_jobs_that_are_done_and_that_fail_are_told_too(filled, receiver):
     client, session_id = filled(webhook_networks=LOOPBACK)
     made(client, receiver.url)
     queue = client.app.state.core.queue
@@ -151,9 +146,7 @@ def test_jobs_that_are_done_and_that_fail_are_told_too(
     assert told[0]["result"]["verdict"] == "good"
 
 
-def test_what_is_not_taken_is_tried_again_later_and_later_and_then_given_up(
-    idle: Callable[..., TestClient], receiver: Receiver
-) -> None:
+def test_what_is_not_taken_is_tried_again_later_and_later_and_then_given_up(idle, receiver):
     client = idle(webhook_networks=LOOPBACK)
     webhook = made(client, receiver.url)
     receiver.answers = [500, 302, 404, 200]
@@ -182,9 +175,7 @@ def test_what_is_not_taken_is_tried_again_later_and_later_and_then_given_up(
     assert (failed["state"], failed["attempts"]) == ("failed", len(webhooks.PAUSES_S) + 1)
 
 
-def test_a_receiver_that_hangs_holds_up_no_other(
-    idle: Callable[..., TestClient], receiver: Receiver, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_receiver_that_hangs_holds_up_no_other(idle, receiver, monkeypatch):
     monkeypatch.setattr(post_module, "MOST_S", 3.0)
     slow = Receiver()
     try:
@@ -220,7 +211,7 @@ NO_URLS = ("ftp://example.com", "http://", "http:///x", "//example.com", "http:/
            "http://example.com\r\nX-Injected: 1/", "javascript:1", "http://[::1")  # fmt: skip
 
 
-def test_private_addresses_and_what_is_no_address_are_refused(idle: Callable[..., TestClient]) -> None:
+def test_private_addresses_and_what_is_no_address_are_refused(idle):
     client = idle()
     for host in PRIVATE:
         answer = client.post("/v1/webhooks", json={"url": f"http://{host}/hook"})
@@ -232,9 +223,7 @@ def test_private_addresses_and_what_is_no_address_are_refused(idle: Callable[...
 
 
 @pytest.mark.parametrize("addresses", [["127.0.0.1"], ["93.184.216.34", "127.0.0.1"], ["::ffff:127.0.0.1"]])
-def test_a_name_of_a_private_address_is_refused_when_it_is_looked_up(
-    idle: Callable[..., TestClient], receiver: Receiver, monkeypatch: pytest.MonkeyPatch, addresses: list[str]
-) -> None:
+def test_a_name_of_a_private_address_is_refused_when_it_is_looked_up(idle, receiver, monkeypatch, addresses):
     client = idle()
     port = receiver.url.rpartition(":")[2]
     webhook = made(client, f"http://rebound.example:{port}/hook")
@@ -246,9 +235,7 @@ def test_a_name_of_a_private_address_is_refused_when_it_is_looked_up(
     assert receiver.got == []
 
 
-def test_the_connection_goes_to_the_address_that_was_checked_and_names_the_host(
-    idle: Callable[..., TestClient], receiver: Receiver, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_connection_goes_to_the_address_that_was_checked_and_names_the_host(idle, receiver, monkeypatch):
     client = idle(webhook_networks=LOOPBACK)
     port = receiver.url.rpartition(":")[2]
     webhook = made(client, f"http://hooks.example:{port}/hook")
@@ -268,9 +255,7 @@ def test_the_connection_goes_to_the_address_that_was_checked_and_names_the_host(
     assert "hooks.example" not in asked[1:]
 
 
-def test_a_name_server_that_is_slow_takes_no_more_time_than_the_receiver_has(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_name_server_that_is_slow_takes_no_more_time_than_the_receiver_has(monkeypatch):
     monkeypatch.setattr(post_module, "MOST_S", 0.2)
     is_over = threading.Event()
     monkeypatch.setattr(socket, "getaddrinfo", lambda *_, **__: is_over.wait(30) and [])
@@ -308,7 +293,7 @@ ANSWERS = {  # first bytes, those that follow without an end, and what is said o
 
 
 @pytest.mark.parametrize("name", ANSWERS)
-def test_an_answer_without_an_end_ends(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_an_answer_without_an_end_ends(monkeypatch, name):
     monkeypatch.setattr(post_module, "MOST_S", 2.0)
     first, more, expected = ANSWERS[name]
     listener = socket.create_server(("127.0.0.1", 0))
@@ -333,9 +318,7 @@ def test_an_answer_without_an_end_ends(monkeypatch: pytest.MonkeyPatch, name: st
     assert not thread.is_alive()  # the connection was closed
 
 
-def test_deleted_webhooks_are_told_nothing_and_old_messages_are_forgotten(
-    idle: Callable[..., TestClient], receiver: Receiver
-) -> None:
+def test_deleted_webhooks_are_told_nothing_and_old_messages_are_forgotten(idle, receiver):
     client = idle(webhook_networks=LOOPBACK)
     webhook, other = made(client, receiver.url), made(client, receiver.url)
     for each in (webhook, other):
@@ -354,16 +337,14 @@ def test_deleted_webhooks_are_told_nothing_and_old_messages_are_forgotten(
     assert [entry["state"] for entry in log_of(client, other)] == ["waiting"]
 
 
-def test_the_number_of_webhooks_is_limited(idle: Callable[..., TestClient]) -> None:
+def test_the_number_of_webhooks_is_limited(idle):
     client = idle()
     for number in range(20):
         made(client, f"https://hooks.example/{number}")
     refusal(client.post("/v1/webhooks", json={"url": "https://hooks.example/more"}), 409)
 
 
-def test_a_service_that_runs_tells_by_itself(
-    receiver: Receiver, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_service_that_runs_tells_by_itself(receiver, tmp_path, monkeypatch):
     monkeypatch.setattr(webhooks, "LOOK_EVERY_S", 0.05)
     app = create_app(Settings(data=tmp_path / "data", webhook_networks=LOOPBACK), has_workers=False)
     with TestClient(app, base_url="http://127.0.0.1:8765") as client:

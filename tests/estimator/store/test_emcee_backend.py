@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 
@@ -87,7 +86,7 @@ def store(tmp_path: Path) -> Path:
     return path
 
 
-def test_continuing_after_any_number_of_steps_gives_the_uninterrupted_chain(tmp_path: Path) -> None:
+def test_continuing_after_any_number_of_steps_gives_the_uninterrupted_chain(tmp_path):
     expected = uninterrupted(11)
     for n_first in range(1, 11):
         path = tmp_path / f"{n_first}.zarr"
@@ -100,9 +99,7 @@ def test_continuing_after_any_number_of_steps_gives_the_uninterrupted_chain(tmp_
         assert_same(ZarrBackend.open(path), expected)
 
 
-def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(tmp_path, monkeypatch):
     """After a loss of power only what was synced is there; a commit may not come before its rows."""
     path = tmp_path / "chain.zarr"
     backend = create(path)
@@ -141,7 +138,7 @@ def test_every_row_is_synced_to_the_disk_before_the_commit_that_counts_it(
     assert committed_at_sync == [(path / "zarr.json").read_bytes()]
 
 
-def test_plain_xarray_opens_the_store(store: Path) -> None:
+def test_plain_xarray_opens_the_store(store):
     expected = uninterrupted(9)
     with xr.open_zarr(store, consolidated=False) as dataset:
         assert dataset.chain.dims == ("step", "walker", "coordinate")
@@ -154,13 +151,13 @@ def test_plain_xarray_opens_the_store(store: Path) -> None:
         assert dataset.attrs["coordinate_names"] == ["radius", "tilt"]
 
 
-def test_chunks_are_one_checkpoint_long_compressed_and_checksummed(store: Path) -> None:
+def test_chunks_are_one_checkpoint_long_compressed_and_checksummed(store):
     chain = zarr.open_array(store / "chain", mode="r")
     assert chain.chunks == (CHECKPOINT_STEPS, N_WALKERS, N_COORDINATES)
     assert [codec.to_dict()["name"] for codec in chain.compressors] == ["zstd", "crc32c"]
 
 
-def test_opening_writes_nothing(store: Path) -> None:
+def test_opening_writes_nothing(store):
     before = [(file, file.stat().st_mtime_ns) for file in files(store)]
     ZarrBackend.open(store)
     assert [(file, file.stat().st_mtime_ns) for file in files(store)] == before
@@ -178,9 +175,7 @@ test_emcee_backend.sample(backend, 100_000)
 """
 
 
-def test_kill_between_any_two_file_operations_keeps_the_last_commit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_kill_between_any_two_file_operations_keeps_the_last_commit(tmp_path, monkeypatch):
     path = tmp_path / "chain.zarr"
     create(path)
     n_committed = 0
@@ -217,7 +212,7 @@ def test_kill_between_any_two_file_operations_keeps_the_last_commit(
         assert_same(ZarrBackend.open(snapshot), expected[13])
 
 
-def test_torn_chunks_beyond_the_commit_are_overwritten(store: Path) -> None:
+def test_torn_chunks_beyond_the_commit_are_overwritten(store):
     # A loss of power can leave torn files, whereas a kill leaves whole ones.
     (store / "chain" / "c" / "3" / "0").mkdir(parents=True)
     (store / "chain" / "c" / "3" / "0" / "0").write_text("torn")
@@ -229,7 +224,7 @@ def test_torn_chunks_beyond_the_commit_are_overwritten(store: Path) -> None:
     assert_same(ZarrBackend.open(store), uninterrupted(14))
 
 
-def test_half_used_pair_of_gaussian_draws_is_kept(tmp_path: Path) -> None:
+def test_half_used_pair_of_gaussian_draws_is_kept(tmp_path):
     # The generator draws two at a time and keeps the second as part of its state.
     path = tmp_path / "chain.zarr"
     backend = create(path)
@@ -245,14 +240,14 @@ def test_half_used_pair_of_gaussian_draws_is_kept(tmp_path: Path) -> None:
     np.testing.assert_array_equal(restored.normal(size=3), random.normal(size=3))
 
 
-def test_interrupted_call_followed_by_a_shorter_one_continues(tmp_path: Path) -> None:
+def test_interrupted_call_followed_by_a_shorter_one_continues(tmp_path):
     backend = create(tmp_path / "chain.zarr")
     backend.grow(100, None)  # as a call for 100 steps does before its first step
     sample(backend, 3)
     assert_same(backend, uninterrupted(3))
 
 
-def test_flipped_bit_never_changes_a_chain_silently(store: Path) -> None:
+def test_flipped_bit_never_changes_a_chain_silently(store):
     expected = uninterrupted(9)
     for file in flipped(store, 15):
         if file.name == "zarr.json" and file.parent != store:
@@ -265,14 +260,14 @@ def test_flipped_bit_never_changes_a_chain_silently(store: Path) -> None:
     assert_same(ZarrBackend.open(store), expected)
 
 
-def test_missing_file_is_found(store: Path) -> None:
+def test_missing_file_is_found(store):
     assert len(files(store)) == 1 + 4 + 4 * 3  # group, arrays, three chunks each
     for _ in lost(store):
         with pytest.raises(CorruptStore, match=f"{store} .*missing"):
             ZarrBackend.open(store)
 
 
-def test_missing_chunk_is_found_when_nothing_was_ever_accepted(tmp_path: Path) -> None:
+def test_missing_chunk_is_found_when_nothing_was_ever_accepted(tmp_path):
     path = tmp_path / "chain.zarr"
     backend = create(path)
     backend.grow(CHECKPOINT_STEPS, None)
@@ -286,7 +281,7 @@ def test_missing_chunk_is_found_when_nothing_was_ever_accepted(tmp_path: Path) -
         ZarrBackend.open(path)
 
 
-def test_older_chunk_put_back_is_found(store: Path) -> None:
+def test_older_chunk_put_back_is_found(store):
     # Each chunk has a valid checksum; only the checksum of the whole array shows that this is the wrong chunk.
     shutil.copy(store / "chain" / "c" / "0" / "0" / "0", store / "chain" / "c" / "1" / "0" / "0")
     with pytest.raises(CorruptStore, match="'chain'"):
@@ -297,7 +292,7 @@ def test_older_chunk_put_back_is_found(store: Path) -> None:
     ("old", "new"),
     [('"walker"', '"walkes"'), ('"float64"', '"int64"'), ("4,\n        8,\n", "4,\n        9,\n")],
 )
-def test_altered_array_layout_is_found(store: Path, old: str, new: str) -> None:
+def test_altered_array_layout_is_found(store, old, new):
     file = store / "chain" / "zarr.json"
     assert old in file.read_text()
     file.write_text(file.read_text().replace(old, new))
@@ -305,14 +300,14 @@ def test_altered_array_layout_is_found(store: Path, old: str, new: str) -> None:
         ZarrBackend.open(store)
 
 
-def test_other_schema_version_is_refused(store: Path) -> None:
+def test_other_schema_version_is_refused(store):
     file = store / "zarr.json"
     file.write_text(file.read_text().replace('"schema_version": 1', '"schema_version": 2'))
     with pytest.raises(CorruptStore, match=r"schema version 1; received 2 .*chain\.zarr"):
         ZarrBackend.open(store)
 
 
-def test_other_fingerprint_is_refused(store: Path) -> None:
+def test_other_fingerprint_is_refused(store):
     with pytest.raises(InvalidInput, match=f"'seed 4'; received '{FINGERPRINT}' .*{store}"):
         ZarrBackend.open(store, fingerprint="seed 4")
 
@@ -321,7 +316,7 @@ def refuse(*_: object) -> None:
     raise OSError(28, "No space left on device")
 
 
-def test_full_disk_is_explained_and_loses_nothing(store: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_is_explained_and_loses_nothing(store, monkeypatch):
     backend = ZarrBackend.open(store)
     with monkeypatch.context() as patched:
         patched.setattr(os, "replace", refuse)
@@ -332,19 +327,19 @@ def test_full_disk_is_explained_and_loses_nothing(store: Path, monkeypatch: pyte
     assert_same(ZarrBackend.open(store), uninterrupted(12))
 
 
-def test_unwritable_path_is_refused(tmp_path: Path) -> None:
+def test_unwritable_path_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InvalidInput, match=r"writable; .*file/chain\.zarr"):
         create(tmp_path / "file" / "chain.zarr")
 
 
-def test_existing_store_is_not_overwritten(store: Path) -> None:
+def test_existing_store_is_not_overwritten(store):
     with pytest.raises(InvalidInput, match="must not exist yet"):
         create(store)
     assert_same(ZarrBackend.open(store), uninterrupted(9))
 
 
-def test_killed_at_any_file_operation_a_new_store_is_absent_or_whole(tmp_path: Path) -> None:
+def test_killed_at_any_file_operation_a_new_store_is_absent_or_whole(tmp_path):
     path = tmp_path / "chain.zarr"
     for _ in killed_at_each_operation(lambda: create(path), one_in=20):
         if path.exists():
@@ -355,7 +350,7 @@ def test_killed_at_any_file_operation_a_new_store_is_absent_or_whole(tmp_path: P
 
 
 @pytest.mark.parametrize("changed", [{"n_walkers": 0}, {"checkpoint_steps": 0}, {"coordinate_names": []}])
-def test_empty_ensemble_or_checkpoint_is_refused(tmp_path: Path, changed: dict[str, object]) -> None:
+def test_empty_ensemble_or_checkpoint_is_refused(tmp_path, changed):
     settings = {"coordinate_names": ["x"], "n_walkers": 4, "checkpoint_steps": 5, "fingerprint": ""}
     with pytest.raises(InvalidInput, match="must be >= 1"):
         ZarrBackend.create(tmp_path / "chain.zarr", **(settings | changed))
@@ -368,8 +363,6 @@ def test_empty_ensemble_or_checkpoint_is_refused(tmp_path: Path, changed: dict[s
         (lambda backend: backend.grow(1, np.zeros(N_WALKERS)), "no blobs"),
     ],
 )
-def test_what_the_store_cannot_hold_is_refused(
-    tmp_path: Path, act: Callable[[ZarrBackend], None], rule: str
-) -> None:
+def test_what_the_store_cannot_hold_is_refused(tmp_path, act, rule):
     with pytest.raises(InvalidInput, match=rule):
         act(create(tmp_path / "chain.zarr"))

@@ -23,7 +23,7 @@ def folder(tmp_path: Path, small_rig: Rig) -> Path:
     return path
 
 
-def test_every_entry_is_returned_once_while_another_thread_writes(folder: Path, small_rig: Rig) -> None:
+def test_every_entry_is_returned_once_while_another_thread_writes(folder, small_rig):
     follower = Follower(folder)
     assert (follower.rig.hash, follower.header["n_stops"]) == (small_rig.hash, 7)
 
@@ -46,7 +46,7 @@ def test_every_entry_is_returned_once_while_another_thread_writes(folder: Path, 
     assert Follower(folder).entries()[-1]["time_s"] == 99.0  # also of a complete session
 
 
-def test_half_a_line_waits_for_its_other_half(folder: Path) -> None:
+def test_half_a_line_waits_for_its_other_half(folder):
     follower = Follower(folder)
     with Journal.resume(folder) as journal:
         journal.append(stop(0).entry())
@@ -59,7 +59,7 @@ def test_half_a_line_waits_for_its_other_half(folder: Path) -> None:
     assert follower.entries() == []
 
 
-def test_damage_is_found_when_it_is_read(folder: Path) -> None:
+def test_damage_is_found_when_it_is_read(folder):
     follower = Follower(folder)
     with Journal.resume(folder) as journal:
         journal.append(stop(0).entry())
@@ -70,6 +70,6 @@ def test_damage_is_found_when_it_is_read(folder: Path) -> None:
         follower.entries()
 
 
-def test_what_has_no_journal_cannot_be_followed(tmp_path: Path) -> None:
+def test_what_has_no_journal_cannot_be_followed(tmp_path):
     with pytest.raises(InvalidInput, match="which has no journal"):
         Follower(tmp_path)

@@ -21,7 +21,7 @@ from estimator.rig.rig import Rig
 from estimator.store.growing import StopReadings, load_so_far, new_header
 from estimator.store.journal import Journal, read_journal
 from estimator.store.made import JOURNAL
-from estimator.store.session import Session, is_growing, load_session, remove_session, seal
+from estimator.store.session import is_growing, load_session, remove_session, seal
 from estimator.store.staging import staged
 
 ROOT = Path(__file__).parents[3]
@@ -41,7 +41,7 @@ def folder(tmp_path: Path, small_rig: Rig) -> Path:
     return path
 
 
-def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Path, small_rig: Rig) -> None:
+def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder, small_rig):
     assert is_growing(folder)
     growing = load_session(folder)
     assert (growing.rig.hash, growing.source, len(growing.observations)) == (small_rig.hash, "a test", 3)
@@ -57,7 +57,7 @@ def test_it_opens_while_it_grows_and_is_the_same_session_when_sealed(folder: Pat
     assert read_journal(folder)[1][0]["measured_A"] == {"coil1": 2.999}
 
 
-def test_the_history_of_the_currents_follows_from_the_journal() -> None:
+def test_the_history_of_the_currents_follows_from_the_journal():
     def between(begin_s: float, end_s: float, *current_A: float) -> StopReadings:
         return StopReadings(end_s - 0.5, current_A, {}, {}, False, 0, begin_s=begin_s, end_s=end_s)
 
@@ -72,12 +72,12 @@ def test_the_history_of_the_currents_follows_from_the_journal() -> None:
     assert load_so_far([], ["a"], 7.0) == {"a": [(7.0, 0.0)]}
 
 
-def test_the_load_of_a_journal_without_begin_and_end_of_stops_counts_from_reading_to_reading() -> None:
+def test_the_load_of_a_journal_without_begin_and_end_of_stops_counts_from_reading_to_reading():
     entries = [{"time_s": 2.0, "current_A": [1.0]}, {"time_s": 5.0, "current_A": [-2.0]}]
     assert load_so_far(entries, ["a"], 5.0) == {"a": [(2.0, 1.0), (3.0, 2.0)]}
 
 
-def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path) -> None:
+def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder):
     path = folder / JOURNAL
     whole = path.read_bytes()
     last = whole.rstrip(b"\n").rfind(b"\n") + 1
@@ -89,7 +89,7 @@ def test_a_torn_last_line_is_dropped_and_the_next_goes_in_its_place(folder: Path
     assert path.read_bytes() == whole
 
 
-def test_a_last_line_without_its_line_feed_is_whole(folder: Path) -> None:
+def test_a_last_line_without_its_line_feed_is_whole(folder):
     path = folder / JOURNAL
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
@@ -98,7 +98,7 @@ def test_a_last_line_without_its_line_feed_is_whole(folder: Path) -> None:
         assert path.read_bytes() == whole
 
 
-def test_a_flipped_bit_anywhere_is_found(folder: Path) -> None:
+def test_a_flipped_bit_anywhere_is_found(folder):
     path = folder / JOURNAL
     whole = path.read_bytes()
     draw = random.Random(1)
@@ -110,7 +110,7 @@ def test_a_flipped_bit_anywhere_is_found(folder: Path) -> None:
             load_session(folder)
 
 
-def test_a_line_that_is_missing_or_doubled_is_found(folder: Path) -> None:
+def test_a_line_that_is_missing_or_doubled_is_found(folder):
     path = folder / JOURNAL
     lines = path.read_bytes().splitlines(keepends=True)
     for changed in ([lines[0], *lines[2:]], [*lines, lines[-1]], lines[1:], []):
@@ -119,15 +119,13 @@ def test_a_line_that_is_missing_or_doubled_is_found(folder: Path) -> None:
             load_session(folder)
 
 
-def test_a_second_writer_is_refused_and_may_write_after_the_first(folder: Path) -> None:
+def test_a_second_writer_is_refused_and_may_write_after_the_first(folder):
     with Journal.resume(folder), pytest.raises(InvalidInput, match="one process at a time"):
         Journal.resume(folder)
     Journal.resume(folder).close()
 
 
-def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(folder, monkeypatch):
     whole = (folder / JOURNAL).read_bytes()
     write = os.pwrite
 
@@ -149,8 +147,8 @@ def test_a_full_disk_is_one_sentence_and_leaves_what_was_there(
 
 
 def test_a_disk_that_takes_nothing_and_gives_nothing_back_ends_the_writing_in_one_sentence(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    folder, monkeypatch
+):
     def refuse(*_: object) -> None:
         raise OSError(errno.EIO, "Input/output error")
 
@@ -172,9 +170,7 @@ def test_a_disk_that_takes_nothing_and_gives_nothing_back_ends_the_writing_in_on
 
 
 @pytest.mark.parametrize("n_writes", [0, 3, 12])
-def test_a_disk_that_fills_up_while_a_session_is_sealed_leaves_the_journal(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, n_writes: int
-) -> None:
+def test_a_disk_that_fills_up_while_a_session_is_sealed_leaves_the_journal(folder, monkeypatch, n_writes):
     n_left = n_writes
     opened = Path.open
 
@@ -199,14 +195,14 @@ def test_a_disk_that_fills_up_while_a_session_is_sealed_leaves_the_journal(
 @pytest.mark.parametrize(
     "key", ["time_s", "current_A", "motion", "field_T", "measured_A", "temperature_C", "sd_T"]
 )
-def test_a_number_that_would_not_open_again_is_no_entry(key: str, number: float) -> None:
+def test_a_number_that_would_not_open_again_is_no_entry(key, number):
     shapes = {"time_s": number, "current_A": [number], "motion": {"arm1": [number] * 6}}
     spoilt = shapes.get(key, {"hall": [number] * 3} if key.endswith("_T") else {"hall": number})
     with pytest.raises(InvalidInput, match=f"{key} of a reading must hold numbers between"):
         replace(stop(1), **{key: spoilt}).entry()
 
 
-def test_a_journal_that_cannot_begin_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_journal_that_cannot_begin_leaves_nothing(tmp_path, monkeypatch):
     """Neither on a full disk, which takes a part of the header, nor with a pose of an arm that is infinite."""
 
     def full(descriptor: int, data: bytes, offset: int) -> int:
@@ -236,7 +232,7 @@ def write_until_killed(folder: Path, acknowledge: int) -> None:
         os._exit(1)
 
 
-def test_killed_at_50_random_instants_nothing_acknowledged_is_lost_or_doubled(tmp_path: Path) -> None:
+def test_killed_at_50_random_instants_nothing_acknowledged_is_lost_or_doubled(tmp_path):
     folder = tmp_path / "session.zarr"
     Journal.create(folder, {"kind": "test"}).close()
     draw = random.Random(2)
@@ -257,9 +253,7 @@ def test_killed_at_50_random_instants_nothing_acknowledged_is_lost_or_doubled(tm
     assert len(values) > 50
 
 
-def test_killed_between_any_two_renames_a_session_being_sealed_is_a_journal_or_whole(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_killed_between_any_two_renames_a_session_being_sealed_is_a_journal_or_whole(folder, monkeypatch):
     class Killed(BaseException):
         pass
 
@@ -296,9 +290,7 @@ def test_killed_between_any_two_renames_a_session_being_sealed_is_a_journal_or_w
 
 
 @pytest.mark.parametrize("how", ["removed", "replaced"])
-def test_a_session_that_a_process_writes_is_not_removed(
-    folder: Path, small_session: Session, how: str
-) -> None:
+def test_a_session_that_a_process_writes_is_not_removed(folder, small_session, how):
     def remove() -> None:
         if how == "removed":
             remove_session(folder)
@@ -314,9 +306,7 @@ def test_a_session_that_a_process_writes_is_not_removed(
     assert not is_growing(folder)
 
 
-def test_a_writer_of_a_journal_that_was_removed_before_the_lock_is_refused(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_writer_of_a_journal_that_was_removed_before_the_lock_is_refused(folder, monkeypatch):
     flock = fcntl.flock
 
     def late(descriptor: int, how: int) -> None:
@@ -329,7 +319,7 @@ def test_a_writer_of_a_journal_that_was_removed_before_the_lock_is_refused(
         Journal.resume(folder)
 
 
-def test_a_session_that_another_process_begins_is_not_begun_again(tmp_path: Path) -> None:
+def test_a_session_that_another_process_begins_is_not_begun_again(tmp_path):
     path = tmp_path / "session.zarr"
     with (
         staged(path),

@@ -93,9 +93,7 @@ def read_and_saved(path: Path, out: Path) -> tuple[Session | None, str]:
 
 
 @pytest.mark.parametrize("name", ["time_s", "current_A", "field_sensor_T", "repeat", "sensor", "motion"])
-def test_readings_that_could_not_be_opened_are_not_written(
-    small_session: Session, tmp_path: Path, name: str
-) -> None:
+def test_readings_that_could_not_be_opened_are_not_written(small_session, tmp_path, name):
     """However they came about, and not only by a file that is read cell by cell."""
     readings = small_session.observations
     if name == "motion":
@@ -112,7 +110,7 @@ def test_readings_that_could_not_be_opened_are_not_written(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_truth_that_is_no_number_is_not_written(small_session: Session, tmp_path: Path) -> None:
+def test_a_truth_that_is_no_number_is_not_written(small_session, tmp_path):
     with pytest.raises(InvalidInput, match="must tell its truth in finite numbers"):
         replace(small_session, truth={"coil1.radius_m": math.inf}).save(tmp_path / "session.zarr")
     assert list(tmp_path.iterdir()) == []

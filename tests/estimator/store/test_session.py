@@ -86,12 +86,12 @@ def tensors(value: torch.Tensor | dict[str, torch.Tensor] | None) -> list[torch.
     return [value] if isinstance(value, torch.Tensor) else [value[key] for key in sorted(value)]
 
 
-def test_a_session_is_read_back_equal(session: Session, store: Path) -> None:
+def test_a_session_is_read_back_equal(session, store):
     assert_equal(load_session(store), session)
     assert load_session(str(store)).hash == session.hash
 
 
-def test_measured_currents_are_in_a_session_if_they_were_measured(session: Session, tmp_path: Path) -> None:
+def test_measured_currents_are_in_a_session_if_they_were_measured(session, tmp_path):
     without = replace(session, observations=replace(session.observations, current_measured_A=None))
     assert without.hash != session.hash
     without.save(tmp_path / "without.zarr")
@@ -103,7 +103,7 @@ def test_measured_currents_are_in_a_session_if_they_were_measured(session: Sessi
     assert parts[0].followed_by(session.observations).current_measured_A is None
 
 
-def test_segments_are_in_a_session_if_they_were_recorded(session: Session, tmp_path: Path) -> None:
+def test_segments_are_in_a_session_if_they_were_recorded(session, tmp_path):
     recorded = replace(session.observations, recorded_segment=torch.arange(N) // 13)
     divided = replace(session, observations=recorded)
     assert divided.hash != session.hash
@@ -111,7 +111,7 @@ def test_segments_are_in_a_session_if_they_were_recorded(session: Session, tmp_p
     assert_equal(load_session(tmp_path / "divided.zarr"), divided)
 
 
-def test_values_that_were_set_or_fixed_after_reading_the_rig_are_stored(tmp_path: Path) -> None:
+def test_values_that_were_set_or_fixed_after_reading_the_rig_are_stored(tmp_path):
     free = rig_from_text(
         RIG.replace("noise_uT: 20}, ", "noise_uT: {prior: {uniform: {lower: 1, upper: 50}}}}, ")
     )
@@ -126,7 +126,7 @@ def test_values_that_were_set_or_fixed_after_reading_the_rig_are_stored(tmp_path
     )
 
 
-def test_the_hash_depends_on_readings_and_rig_only(session: Session) -> None:
+def test_the_hash_depends_on_readings_and_rig_only(session):
     assert make_session().hash == session.hash
     assert replace(session, source="elsewhere", created="2025-01-01", truth={}).hash == session.hash
     o = session.observations
@@ -143,7 +143,7 @@ def test_the_hash_depends_on_readings_and_rig_only(session: Session) -> None:
     assert replace(session, rig=changed_rig).hash != session.hash
 
 
-def test_plain_xarray_opens_it_with_named_dimensions(session: Session, store: Path) -> None:
+def test_plain_xarray_opens_it_with_named_dimensions(session, store):
     with xr.open_zarr(store, consolidated=False) as dataset:
         dims = {name: array.dims for name, array in dataset.data_vars.items()}
         assert dims == {
@@ -164,13 +164,13 @@ def test_plain_xarray_opens_it_with_named_dimensions(session: Session, store: Pa
         assert dataset.attrs["schema_version"] == 1
 
 
-def test_every_chunk_is_checksummed(store: Path) -> None:
+def test_every_chunk_is_checksummed(store):
     for name in (path.parent for path in store.glob("*/zarr.json")):
         codecs = json.loads((name / "zarr.json").read_text(encoding="utf-8"))["codecs"]
         assert [codec["name"] for codec in codecs][-2:] == ["zstd", "crc32c"]
 
 
-def test_a_flipped_bit_is_found_or_changes_nothing(session: Session, store: Path) -> None:
+def test_a_flipped_bit_is_found_or_changes_nothing(session, store):
     n_detected = 0
     for path in flipped(store, 8):
         try:
@@ -183,7 +183,7 @@ def test_a_flipped_bit_is_found_or_changes_nothing(session: Session, store: Path
     assert_equal(load_session(store), session)
 
 
-def test_every_changed_letter_of_the_attributes_is_found(session: Session, store: Path) -> None:
+def test_every_changed_letter_of_the_attributes_is_found(session, store):
     """Including attributes on which no array depends: source, truth, the rig's text and values, the order of coils."""
     group = store / "zarr.json"
     content = group.read_text(encoding="utf-8")
@@ -206,20 +206,20 @@ def test_every_changed_letter_of_the_attributes_is_found(session: Session, store
             load_session(store)
 
 
-def test_any_lost_file_is_found(store: Path) -> None:
+def test_any_lost_file_is_found(store):
     for path in lost(store):
         with pytest.raises(InvalidInput if path == store / "zarr.json" else CorruptStore):
             load_session(store)
 
 
 @pytest.mark.filterwarnings("error")
-def test_a_truncated_file_is_found(store: Path) -> None:
+def test_a_truncated_file_is_found(store):
     for _ in cut(store):
         with pytest.raises(CorruptStore, match=r"session must .*session\.zarr|session\.zarr/.* must be JSON"):
             load_session(store)
 
 
-def test_notes_beside_the_arrays_are_tolerated(session: Session, store: Path) -> None:
+def test_notes_beside_the_arrays_are_tolerated(session, store):
     (store / "notes.txt").write_text("the coil was warm", encoding="utf-8")
     (store / "photos").mkdir()
     assert_equal(load_session(store), session)
@@ -231,7 +231,7 @@ def altered(store: Path, key: str, value: object) -> None:
     (store / "zarr.json").write_text(json.dumps(group), encoding="utf-8")
 
 
-def test_another_schema_version_is_refused(store: Path) -> None:
+def test_another_schema_version_is_refused(store):
     altered(store, "schema_version", 2)
     with pytest.raises(CorruptStore, match="session schema_version must be 1; received 2"):
         load_session(store)
@@ -258,9 +258,7 @@ def test_another_schema_version_is_refused(store: Path) -> None:
         ),
     ],
 )
-def test_a_rig_with_other_coils_sensors_or_movers_is_refused(
-    session: Session, old: str, new: str, message: str
-) -> None:
+def test_a_rig_with_other_coils_sensors_or_movers_is_refused(session, old, new, message):
     with pytest.raises(InvalidInput) as caught:
         session.check_rig(rig_from_text(RIG.replace(old, new)))
     assert str(caught.value) == f"{message} (rig 'two of each')"

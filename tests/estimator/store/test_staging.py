@@ -36,7 +36,7 @@ def write_notes(output: Path, overwrite: bool = False, words: str = "new") -> No
             write_text(new / f"note{n}.txt", words)
 
 
-def test_a_second_writer_is_refused_until_the_first_has_ended(tmp_path: Path) -> None:
+def test_a_second_writer_is_refused_until_the_first_has_ended(tmp_path):
     for first, second in ((staged, staged), (only_writer, only_writer)):
         with first(tmp_path / "result"), pytest.raises(OutputBusy, match=BUSY), second(tmp_path / "result"):
             pytest.fail("both write")
@@ -45,7 +45,7 @@ def test_a_second_writer_is_refused_until_the_first_has_ended(tmp_path: Path) ->
     assert names(tmp_path) == []
 
 
-def test_a_writer_that_waits_comes_after_the_other(tmp_path: Path) -> None:
+def test_a_writer_that_waits_comes_after_the_other(tmp_path):
     program = (
         "import sys, time\nfrom pathlib import Path\nfrom estimator.store.staging import staged\n"
         "with staged(sys.argv[1]) as new:\n    print('writes', flush=True)\n    time.sleep(0.5)\n    new.write_text('first')"
@@ -65,7 +65,7 @@ def test_a_writer_that_waits_comes_after_the_other(tmp_path: Path) -> None:
     assert (tmp_path / "result").read_text() == "first"
 
 
-def test_what_was_there_or_was_written_stays_and_an_empty_folder_does_not(tmp_path: Path) -> None:
+def test_what_was_there_or_was_written_stays_and_an_empty_folder_does_not(tmp_path):
     with only_writer(tmp_path / "in" / "new"):
         pass
     assert not (tmp_path / "in" / "new").exists()
@@ -81,7 +81,7 @@ def test_what_was_there_or_was_written_stays_and_an_empty_folder_does_not(tmp_pa
     assert names(tmp_path / "full") == ["file"]
 
 
-def test_a_file_is_no_folder(tmp_path: Path) -> None:
+def test_a_file_is_no_folder(tmp_path):
     (tmp_path / "file").touch()
     with (
         pytest.raises(InvalidInput, match=r"writable; .*/file/out is not: "),
@@ -90,7 +90,7 @@ def test_a_file_is_no_folder(tmp_path: Path) -> None:
         pytest.fail("written")
 
 
-def test_what_fails_leaves_nothing_and_what_was_there(tmp_path: Path) -> None:
+def test_what_fails_leaves_nothing_and_what_was_there(tmp_path):
     with pytest.raises(ZeroDivisionError), staged(tmp_path / "a" / "b" / "result") as new:
         new.write_text(str(1 / len([])))
     assert names(tmp_path) == []
@@ -102,7 +102,7 @@ def test_what_fails_leaves_nothing_and_what_was_there(tmp_path: Path) -> None:
     assert names(tmp_path) == ["notes"]
 
 
-def test_killed_at_any_file_operation_an_output_is_the_old_one_or_the_new_one(tmp_path: Path) -> None:
+def test_killed_at_any_file_operation_an_output_is_the_old_one_or_the_new_one(tmp_path):
     output = tmp_path / "notes"
     write_notes(output, words="old")
     met = set()
@@ -116,9 +116,7 @@ def test_killed_at_any_file_operation_an_output_is_the_old_one_or_the_new_one(tm
     assert met == {"old", "new"}
 
 
-def test_where_names_cannot_be_exchanged_a_killed_output_is_put_back(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_where_names_cannot_be_exchanged_a_killed_output_is_put_back(tmp_path, monkeypatch):
     monkeypatch.setattr("estimator.store.stage._renamed", lambda *_: False)
     output = tmp_path / "notes"
     write_notes(output, words="old")
@@ -139,7 +137,7 @@ def interrupted_after(part: Path) -> None:
     raise KeyboardInterrupt
 
 
-def test_what_was_interrupted_goes_on_after_a_kill_and_after_an_error(tmp_path: Path) -> None:
+def test_what_was_interrupted_goes_on_after_a_kill_and_after_an_error(tmp_path):
     output = tmp_path / "result"
     with pytest.raises(KeyboardInterrupt), staged(output, goes_on=True):
         raise KeyboardInterrupt
@@ -155,7 +153,7 @@ def test_what_was_interrupted_goes_on_after_a_kill_and_after_an_error(tmp_path: 
     assert names(output) == ["part", "rest"]
 
 
-def test_a_disk_that_is_full_is_one_sentence_and_leaves_what_was_there(tmp_path: Path) -> None:
+def test_a_disk_that_is_full_is_one_sentence_and_leaves_what_was_there(tmp_path):
     output = tmp_path / "notes"
     write_notes(output, words="old")
     for n in range(100):
@@ -197,7 +195,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", str(disk)], check=True)
 
 
-def test_a_real_disk_that_is_full_loses_nothing(small_disk: Path) -> None:
+def test_a_real_disk_that_is_full_loses_nothing(small_disk):
     write_output(small_disk / "small", "old")
     for content in ("x" * 200_000, "x" * 66_000):
         for output, overwrite in (("large", False), ("small", True)):
@@ -212,7 +210,7 @@ def test_a_real_disk_that_is_full_loses_nothing(small_disk: Path) -> None:
         assert names(small_disk) == ["small"]
 
 
-def test_nothing_of_others_is_followed_opened_or_replaced(tmp_path: Path) -> None:
+def test_nothing_of_others_is_followed_opened_or_replaced(tmp_path):
     (tmp_path / "precious").write_text("precious")
     (tmp_path / "notes.partial").symlink_to("precious")
     (tmp_path / "notes.old").mkdir()
@@ -235,7 +233,7 @@ def test_nothing_of_others_is_followed_opened_or_replaced(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("kind", ["link", "dangling link", "pipe", "folder", "other file"])
-def test_what_is_no_folder_of_its_kind_is_not_replaced(tmp_path: Path, kind: str) -> None:
+def test_what_is_no_folder_of_its_kind_is_not_replaced(tmp_path, kind):
     output = tmp_path / "notes"
     write_notes(tmp_path / "others")
     if kind == "link":
@@ -263,7 +261,7 @@ def test_what_is_no_folder_of_its_kind_is_not_replaced(tmp_path: Path, kind: str
     assert names(tmp_path) == ["notes", "others"]
 
 
-def test_a_device_is_not_replaced() -> None:
+def test_a_device_is_not_replaced():
     for write in (
         lambda: write_output("/dev/null", "text", True),
         lambda: write_text(Path("/dev/null"), "text"),
@@ -286,9 +284,7 @@ except Exception as error:
 """
 
 
-def test_a_writer_that_ends_while_another_looks_is_none(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_writer_that_ends_while_another_looks_is_none(tmp_path, monkeypatch):
     """Its folder is gone between the look at its kind and the look into it."""
     output = tmp_path / "result"
     folder = output.with_name(stage.unfinished_name(output.name))
@@ -304,7 +300,7 @@ def test_a_writer_that_ends_while_another_looks_is_none(
 
 
 @pytest.mark.parametrize("n_writers", [2, 4])
-def test_of_writers_that_race_each_writes_the_whole_or_says_why_not(tmp_path: Path, n_writers: int) -> None:
+def test_of_writers_that_race_each_writes_the_whole_or_says_why_not(tmp_path, n_writers):
     output = tmp_path / "result"
     n_refused = 0
     for _ in range(5):
@@ -338,7 +334,7 @@ def test_of_writers_that_race_each_writes_the_whole_or_says_why_not(tmp_path: Pa
         assert names(tmp_path) == ["result"]
 
 
-def test_a_dead_writer_leaves_a_folder_without_a_lock(tmp_path: Path) -> None:
+def test_a_dead_writer_leaves_a_folder_without_a_lock(tmp_path):
     output = tmp_path / "result"
     child = os.fork()
     if child == 0:
@@ -354,9 +350,7 @@ def test_a_dead_writer_leaves_a_folder_without_a_lock(tmp_path: Path) -> None:
     assert names(tmp_path) == ["result"]
 
 
-def test_an_append_that_fails_leaves_the_file_as_it_was(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_append_that_fails_leaves_the_file_as_it_was(tmp_path, monkeypatch):
     file = tmp_path / "lines"
     append_text(file, "first\n")
     write, n_written = os.write, 0

@@ -30,7 +30,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "tree.zarr"
 
 
-def test_groups_attributes_axes_and_numbers_are_those_of_xarray(path: Path) -> None:
+def test_groups_attributes_axes_and_numbers_are_those_of_xarray(path):
     found = read_tree(path)
     with xr.open_datatree(path, engine="zarr", consolidated=False, zarr_format=3) as tree:
         assert {node.path for node in tree.subtree} == set(found)
@@ -46,7 +46,7 @@ def test_groups_attributes_axes_and_numbers_are_those_of_xarray(path: Path) -> N
                 assert np.array_equal(array, variable.to_numpy(), equal_nan=array.dtype.kind == "f")
 
 
-def test_the_hash_covers_numbers_and_attributes(path: Path) -> None:
+def test_the_hash_covers_numbers_and_attributes(path):
     before = tree_hash(read_tree(path))
     assert tree_hash(read_tree(path)) == before
     other = read_tree(path)

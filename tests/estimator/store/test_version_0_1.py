@@ -32,18 +32,14 @@ def hashes(folder: Path) -> Mapping[str, str]:
 
 
 @pytest.mark.parametrize("name", ["session.zarr", "session_fixed.zarr", "growing.zarr"])
-def test_a_session_has_its_hash_and_keeps_it_when_it_is_saved_again(
-    folder: Path, hashes: Mapping[str, str], name: str, tmp_path: Path
-) -> None:
+def test_a_session_has_its_hash_and_keeps_it_when_it_is_saved_again(folder, hashes, name, tmp_path):
     session = load_session(folder / name)
     assert session.hash == hashes[name]
     session.save(tmp_path / "again.zarr")
     assert load_session(tmp_path / "again.zarr").hash == hashes[name]
 
 
-def test_values_that_were_set_and_parameters_that_were_fixed_stay_so(
-    folder: Path, hashes: Mapping[str, str]
-) -> None:
+def test_values_that_were_set_and_parameters_that_were_fixed_stay_so(folder, hashes):
     described, fixed = (load_session(folder / name).rig for name in ("session.zarr", "session_fixed.zarr"))
     assert (described.hash, fixed.hash) == (hashes["rig"], hashes["rig_fixed"])
     assert fixed.parameters["coil1.radius_m"].value == 0.0517
@@ -52,9 +48,7 @@ def test_values_that_were_set_and_parameters_that_were_fixed_stay_so(
     assert described.devices["hall"]["range_mT"] == 350
 
 
-def test_the_hash_of_a_session_is_that_of_its_own_rig_when_another_takes_its_place(
-    folder: Path, tmp_path: Path
-) -> None:
+def test_the_hash_of_a_session_is_that_of_its_own_rig_when_another_takes_its_place(folder, tmp_path):
     session = load_session(folder / "session.zarr")
     other = replace(session, rig=session.rig.with_values({"coil1.radius_m": 0.05}))
     assert other.hash != session.hash
@@ -63,7 +57,7 @@ def test_the_hash_of_a_session_is_that_of_its_own_rig_when_another_takes_its_pla
     assert (again.rig, again.hash) == (other.rig, other.hash)
 
 
-def test_a_calibration_opens_and_opens_again_when_it_is_saved(folder: Path, tmp_path: Path) -> None:
+def test_a_calibration_opens_and_opens_again_when_it_is_saved(folder, tmp_path):
     calibration = Calibration.load(folder / "calibration")
     assert calibration.rig == load_session(folder / "session.zarr").rig
     calibration.save(tmp_path / "again")
@@ -72,9 +66,7 @@ def test_a_calibration_opens_and_opens_again_when_it_is_saved(folder: Path, tmp_
     assert again.rig.hash == calibration.rig.hash == again.summary()["rig_hash"]
 
 
-def test_a_registry_knows_its_version_and_the_sessions_that_it_has_judged(
-    folder: Path, hashes: Mapping[str, str]
-) -> None:
+def test_a_registry_knows_its_version_and_the_sessions_that_it_has_judged(folder, hashes):
     registry = Registry(folder / "registry")
     assert (registry.current, registry.versions) == (1, (1,))
     assert registry.calibration().rig.hash == hashes["rig"]

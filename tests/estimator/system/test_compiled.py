@@ -23,7 +23,7 @@ def magnet() -> Calibration:
     return calibration_of(rig_from_text(MAGNET))
 
 
-def test_field_gradient_and_actuation_are_those_of_tensors(magnet: Calibration) -> None:
+def test_field_gradient_and_actuation_are_those_of_tensors(magnet):
     system = System.of(magnet)
     compiled = system.compiled()
     assert (compiled.coils, compiled.movers) == (system.coils, ("arm", "stage"))
@@ -38,7 +38,7 @@ def test_field_gradient_and_actuation_are_those_of_tensors(magnet: Calibration) 
     assert_close(matrix[:, 3:].reshape(-1, 15), here.actuation()[:, 3:])
 
 
-def test_each_point_may_have_poses_of_its_own(magnet: Calibration) -> None:
+def test_each_point_may_have_poses_of_its_own(magnet):
     compiled = System.of(magnet).compiled()
     motion = np.stack([MOTION[name].numpy() for name in compiled.movers])
     motions = motion + np.random.default_rng(2).normal(scale=0.1, size=(len(NEAR_M), 2, 6))
@@ -48,7 +48,7 @@ def test_each_point_may_have_poses_of_its_own(magnet: Calibration) -> None:
         np.testing.assert_array_equal(together_T[i], alone_T[0])
 
 
-def test_coils_of_several_calibrations_add_up(magnet: Calibration) -> None:
+def test_coils_of_several_calibrations_add_up(magnet):
     """One coil each; the background counts once, and a supply that takes its neighbour's current has none in another calibration."""
     other = calibration_of(rig_from_text(MAGNET.replace("x_mm: 90", "x_mm: 95")))
     system = System({"standing": other, "shifted": magnet})
@@ -58,7 +58,7 @@ def test_coils_of_several_calibrations_add_up(magnet: Calibration) -> None:
     assert_close(field_T, system.at(NEAR_M, MOTION).field_T(torch.from_numpy(CURRENT_A[:2])))
 
 
-def test_arrays_of_another_shape_are_refused(magnet: Calibration) -> None:
+def test_arrays_of_another_shape_are_refused(magnet):
     compiled = System.of(magnet).compiled()
     with pytest.raises(
         InvalidInput, match=r"motion \(2, 6\) or \(n, 2, 6\); received \(6, 3\) and \(3, 2, 6\)"

@@ -91,7 +91,7 @@ def coupled(rig: Rig, tmp_path_factory: pytest.TempPathFactory) -> Superposition
     return superposition(*visited(rig, tmp_path_factory.mktemp("coupled"), hidden), seed=1)
 
 
-def test_coils_that_add_up_are_not_said_to_couple_and_the_share_is_bounded(clean: Superposition) -> None:
+def test_coils_that_add_up_are_not_said_to_couple_and_the_share_is_bounded(clean):
     assert not clean.is_coupled
     assert clean.errors.vector_T == pytest.approx(5e-6 * 3**0.5, rel=0.15)
     for share in clean.shares.values():
@@ -101,9 +101,7 @@ def test_coils_that_add_up_are_not_said_to_couple_and_the_share_is_bounded(clean
     assert clean.words().startswith("no coupling found: coil1 carries ")
 
 
-def test_a_coil_that_carries_a_share_of_its_neighbour_is_named_and_the_share_is_found(
-    clean: Superposition, coupled: Superposition
-) -> None:
+def test_a_coil_that_carries_a_share_of_its_neighbour_is_named_and_the_share_is_found(clean, coupled):
     assert coupled.is_coupled
     assert [named.cause.label for named in coupled.diagnosis.causes] == ["neighbour_coil[coil2]"]
     assert abs(coupled.shares["coil2"].share - 0.02) < 3.5 * coupled.shares["coil2"].sd
@@ -112,14 +110,14 @@ def test_a_coil_that_carries_a_share_of_its_neighbour_is_named_and_the_share_is_
     assert coupled.words().startswith("coils couple")
 
 
-def test_the_plain_sum_predicts_what_perfect_sensors_read(rig: Rig, tmp_path) -> None:
+def test_the_plain_sum_predicts_what_perfect_sensors_read(rig, tmp_path):
     session = measured(rig.with_values({"hall.noise_T": 0.0}), tmp_path, "{coil1: 3, coil2: -2}", 4, {})
     alone = [measured(rig, tmp_path, f"{{coil{i}: 3}}", i, {}) for i in (1, 2)]
     predicted_T = predicted_readings_T(System.of(*map(calibrated, alone)), session, session.observations)
     torch.testing.assert_close(predicted_T, session.observations.field_sensor_T, rtol=1e-5, atol=1e-10)
 
 
-def test_the_zero_of_a_sensor_that_calibrations_know_is_no_error_of_the_sum(rig: Rig, tmp_path) -> None:
+def test_the_zero_of_a_sensor_that_calibrations_know_is_no_error_of_the_sum(rig, tmp_path):
     zero = {"sensor_offset[hall].x_T": 60e-6, "sensor_offset[hall].z_T": -40e-6}
     session = measured(rig.with_values({"hall.noise_T": 0.0}), tmp_path, "{coil1: 3, coil2: -2}", 4, zero)
     with_zero = with_effect(rig, Cause("sensor_offset", "hall"), session.observations, {}).with_values(zero)
@@ -128,7 +126,7 @@ def test_the_zero_of_a_sensor_that_calibrations_know_is_no_error_of_the_sum(rig:
     torch.testing.assert_close(predicted_T, session.observations.field_sensor_T, rtol=1e-5, atol=1e-10)
 
 
-def test_joined_sessions_follow_each_other_in_time(rig: Rig, tmp_path) -> None:
+def test_joined_sessions_follow_each_other_in_time(rig, tmp_path):
     first, second = (measured(rig, tmp_path, "{coil1: 3}", seed, {}).observations for seed in (1, 2))
     both = joined([first, second])
     assert len(both) == len(first) + len(second)
@@ -136,13 +134,13 @@ def test_joined_sessions_follow_each_other_in_time(rig: Rig, tmp_path) -> None:
     assert torch.equal(both.motion["arm2"][len(first) :], second.motion["arm2"])
 
 
-def test_readings_with_one_coil_on_cannot_test_superposition(rig: Rig, tmp_path) -> None:
+def test_readings_with_one_coil_on_cannot_test_superposition(rig, tmp_path):
     alone = measured(rig, tmp_path, "{coil1: 3}", 1, {})
     with pytest.raises(InvalidInput, match="two coils on at once"):
         superposition(System.of(calibrated(alone)), alone)
 
 
-def test_a_calibration_of_another_rig_is_refused(rig: Rig, tmp_path) -> None:
+def test_a_calibration_of_another_rig_is_refused(rig, tmp_path):
     renamed = rig_from_text(RIG.replace("hall", "probe"))
     both = measured(rig, tmp_path, "{coil1: 3, coil2: 3}", 1, {})
     with pytest.raises(InvalidInput, match="sensors of the rig must be those of the session"):

@@ -87,9 +87,7 @@ def magnet() -> System:
     return System.of(calibrated(fixed_coils()))
 
 
-def test_arms_calibrated_one_at_a_time_give_the_field_of_the_whole_rig(
-    arms: System, points_m: Tensor
-) -> None:
+def test_arms_calibrated_one_at_a_time_give_the_field_of_the_whole_rig(arms, points_m):
     both_arms = calibrated(rig_from_text(TWO_ARMS))
     here = arms.at(points_m, {"arm1": JOINTS})
     assert arms.coils == ("coil1", "coil2")
@@ -99,7 +97,7 @@ def test_arms_calibrated_one_at_a_time_give_the_field_of_the_whole_rig(
     torch.testing.assert_close(here.field_T(arms.currents(currents)), expected, rtol=2e-6, atol=1e-12)
 
 
-def test_the_model_of_each_coil_is_that_of_its_own_calibration(points_m: Tensor) -> None:
+def test_the_model_of_each_coil_is_that_of_its_own_calibration(points_m):
     rig = rig_from_text(TWO_ARMS)
     first, second = calibrated(rig), calibrated(rig.with_values({"coil2.radius_m": 0.06}))
     motion, on = {"arm1": JOINTS}, {"coil2": 1.0}
@@ -109,7 +107,7 @@ def test_the_model_of_each_coil_is_that_of_its_own_calibration(points_m: Tensor)
     assert (field_T - first.field(points_m, on, motion)).norm() > 0.01 * field_T.norm()
 
 
-def test_fields_add_up_and_follow_the_sign_of_the_currents(magnet: System, points_m: Tensor) -> None:
+def test_fields_add_up_and_follow_the_sign_of_the_currents(magnet, points_m):
     here, currents_A = magnet.at(points_m), tensor([1.0, -2.0, 0.5, 3.0])
     one_by_one = here.field_T(torch.diag(currents_A))
     torch.testing.assert_close(here.field_T(currents_A), one_by_one.sum(0), rtol=1e-12, atol=1e-18)
@@ -117,9 +115,7 @@ def test_fields_add_up_and_follow_the_sign_of_the_currents(magnet: System, point
     assert not here.field_T(tensor([0.0] * 4)).any()
 
 
-def test_the_gradient_is_the_slope_of_the_field_symmetric_and_traceless(
-    arms: System, points_m: Tensor
-) -> None:
+def test_the_gradient_is_the_slope_of_the_field_symmetric_and_traceless(arms, points_m):
     currents_A, motion, step_m = tensor([1.0, -2.0]), {"arm1": JOINTS}, 1e-5
     gradient = arms.at(points_m, motion).gradient_T_per_m(currents_A)
     columns = []
@@ -132,7 +128,7 @@ def test_the_gradient_is_the_slope_of_the_field_symmetric_and_traceless(
     assert gradient.diagonal(dim1=-2, dim2=-1).sum(-1).abs().max() < 1e-9 * largest
 
 
-def test_the_force_is_the_slope_of_the_moment_times_the_field(magnet: System, points_m: Tensor) -> None:
+def test_the_force_is_the_slope_of_the_moment_times_the_field(magnet, points_m):
     currents_A, step_m = tensor([1.0, -2.0, 0.5, 3.0]), 1e-5
     moment = tensor(np.random.default_rng(3).normal(size=(7, 3)))
     force_N = magnet.at(points_m).force_N(moment, currents_A)
@@ -146,7 +142,7 @@ def test_the_force_is_the_slope_of_the_moment_times_the_field(magnet: System, po
         torch.testing.assert_close(slope, force_N[:, axis], rtol=0.0, atol=1e-5 * force_N.abs().max().item())
 
 
-def test_two_coils_pull_each_other_with_opposite_forces() -> None:
+def test_two_coils_pull_each_other_with_opposite_forces():
     """Far apart each coil is a dipole in the other's field."""
     rig = fixed_coils(n=2).with_values({"coil1.world_from_coil.x_m": 1.5, "coil1.world_from_coil.y_m": 0.7})
     system = System.of(calibrated(rig))
@@ -160,9 +156,7 @@ def test_two_coils_pull_each_other_with_opposite_forces() -> None:
     assert (forces[0] + forces[1]).norm() < 0.03 * forces[0].norm()
 
 
-def test_the_actuation_matrix_times_the_currents_is_field_and_gradient(
-    arms: System, points_m: Tensor
-) -> None:
+def test_the_actuation_matrix_times_the_currents_is_field_and_gradient(arms, points_m):
     here, currents_A = arms.at(points_m, {"arm1": JOINTS}), tensor([1.5, -0.7])
     matrix = here.actuation()
     assert matrix.shape == (7, 8, 2)
@@ -174,7 +168,7 @@ def test_the_actuation_matrix_times_the_currents_is_field_and_gradient(
     assert torch.equal(here.actuation(has_gradient=False), matrix[:, :3])
 
 
-def test_currents_that_made_a_field_or_a_force_are_found_again(points_m: Tensor) -> None:
+def test_currents_that_made_a_field_or_a_force_are_found_again(points_m):
     system = System.of(calibrated(fixed_coils(n=3)))
     here = system.at(points_m)
     true_A = tensor([[1.0, -2.0, 0.5], [0.3, 0.0, -1.0]])
@@ -185,7 +179,7 @@ def test_currents_that_made_a_field_or_a_force_are_found_again(points_m: Tensor)
     torch.testing.assert_close(solved_A, true_A[:, None].expand(2, 7, 3), rtol=1e-5, atol=1e-7)
 
 
-def test_what_is_there_without_current_is_made_up_for(points_m: Tensor) -> None:
+def test_what_is_there_without_current_is_made_up_for(points_m):
     effects = "effects:\n  background_field[room]: {x_T: 40.0e-6, y_T: 0, z_T: -20.0e-6}\n  current_offset[coil1]: {offset_A: 0.02}\n"
     here = System.of(calibrated(fixed_coils(effects))).at(points_m)
     wanted_T = tensor([[1e-3, 0.0, 2e-3]]).expand(7, 3)
@@ -194,7 +188,7 @@ def test_what_is_there_without_current_is_made_up_for(points_m: Tensor) -> None:
     torch.testing.assert_close(made_T, wanted_T, rtol=1e-9, atol=1e-14)
 
 
-def test_bounded_currents_stay_within_and_come_closest(magnet: System, points_m: Tensor) -> None:
+def test_bounded_currents_stay_within_and_come_closest(magnet, points_m):
     here, wanted_T = magnet.at(points_m), tensor([[3e-3, 0.0, 2e-3]]).expand(7, 3)
     free_A = here.currents_for_field(wanted_T)
     most_A = 0.6 * float(free_A.abs().max())
@@ -210,8 +204,8 @@ def test_bounded_currents_stay_within_and_come_closest(magnet: System, points_m:
 
 
 def test_one_stand_for_each_point_equals_stand_by_stand_and_carries_the_derivative_of_the_joints(
-    arms: System, points_m: Tensor
-) -> None:
+    arms, points_m
+):
     joints = JOINTS + 0.05 * tensor(np.random.default_rng(1).normal(size=(7, 6)))
     currents_A = tensor([2.0, 1.0])
     together = arms.at(points_m, {"arm1": joints}).field_T(currents_A)
@@ -229,7 +223,7 @@ def test_one_stand_for_each_point_equals_stand_by_stand_and_carries_the_derivati
     torch.testing.assert_close(slope[:, 1], (ahead - behind) / 2e-5, rtol=1e-4, atol=1e-8)
 
 
-def test_currents_are_differentiable_in_the_place_and_the_target(magnet: System, points_m: Tensor) -> None:
+def test_currents_are_differentiable_in_the_place_and_the_target(magnet, points_m):
     def currents_A(points: Tensor, wanted_T: Tensor) -> Tensor:
         return magnet.at(points).currents_for_field(wanted_T)
 
@@ -242,9 +236,7 @@ def test_currents_are_differentiable_in_the_place_and_the_target(magnet: System,
     assert torch.isfinite(slopes[1]).all()
 
 
-def test_intervals_hold_the_field_of_the_draws_and_separate_calibrations_err_independently(
-    points_m: Tensor,
-) -> None:
+def test_intervals_hold_the_field_of_the_draws_and_separate_calibrations_err_independently(points_m):
     """Two calibrations with the same seed have the same draws; the variance of their sum is still that of independent ones."""
     rig = rig_from_text(TWO_ARMS)
     first, second = (calibrated(rig, 5, on, n_draws=400) for on in ([1.0, 0.0], [0.0, 1.0]))
@@ -273,7 +265,7 @@ def test_intervals_hold_the_field_of_the_draws_and_separate_calibrations_err_ind
     assert ((low < gradient) & (gradient < high))[gradient.abs() > 1e-3].all()
 
 
-def test_a_field_of_the_room_counts_once(points_m: Tensor) -> None:
+def test_a_field_of_the_room_counts_once(points_m):
     rig = rig_from_text(
         TWO_ARMS + "effects:\n  background_field[room]: {x_T: 40.0e-6, y_T: 0, z_T: -20.0e-6}\n"
     )
@@ -282,7 +274,7 @@ def test_a_field_of_the_room_counts_once(points_m: Tensor) -> None:
     torch.testing.assert_close(field_T, tensor([4e-5, 0.0, -2e-5]).expand(7, 3))
 
 
-def test_a_correction_goes_with_its_coil_and_one_of_the_room_counts_once(points_m: Tensor) -> None:
+def test_a_correction_goes_with_its_coil_and_one_of_the_room_counts_once(points_m):
     middle = "middle_x_m: 0, middle_y_m: 0, middle_z_m: 0, reach_m: 0.1"
     corrections = f"""
 corrections:
@@ -308,7 +300,7 @@ corrections:
     torch.testing.assert_close(alone_T[..., 0], torch.full_like(alone_T[..., 0], by_room_T))
 
 
-def test_inside_a_winding_nothing_is_known(magnet: System, points_m: Tensor) -> None:
+def test_inside_a_winding_nothing_is_known(magnet, points_m):
     inside = torch.cat((points_m[:2], tensor([[0.085, 0.045, 0.0]])))
     here, on = magnet.at(inside), tensor([1.0, 0.0, 0.0, 0.0])
     for result in (
@@ -322,7 +314,7 @@ def test_inside_a_winding_nothing_is_known(magnet: System, points_m: Tensor) -> 
         assert torch.isfinite(result[:2]).all()
 
 
-def test_coils_on_in_two_calibrations_or_in_none_are_refused() -> None:
+def test_coils_on_in_two_calibrations_or_in_none_are_refused():
     rig = rig_from_text(TWO_ARMS)
     with pytest.raises(InvalidInput, match="coil1 must be on in one calibration; received two"):
         System.of(calibrated(rig, on=[1.0, 0.0]), calibrated(rig))
@@ -334,7 +326,7 @@ def test_coils_on_in_two_calibrations_or_in_none_are_refused() -> None:
         System({"coil3": calibrated(rig)})
 
 
-def test_unknown_names_and_stands_that_are_not_said_are_refused(arms: System, points_m: Tensor) -> None:
+def test_unknown_names_and_stands_that_are_not_said_are_refused(arms, points_m):
     with pytest.raises(InvalidInput, match=r"coils of the system \(coil1, coil2\); received 'coil9'"):
         arms.currents({"coil9": 1.0})
     with pytest.raises(InvalidInput, match=r"movers of the system \(arm1, arm2\); received 'leg'"):
@@ -347,7 +339,7 @@ def test_unknown_names_and_stands_that_are_not_said_are_refused(arms: System, po
         arms.at(points_m, {"arm1": JOINTS}).field_interval_T(tensor([1.0, 1.0]), 90.0)
 
 
-def test_a_core_that_saturates_has_a_field_but_no_actuation_matrix(points_m: Tensor) -> None:
+def test_a_core_that_saturates_has_a_field_but_no_actuation_matrix(points_m):
     effects = "effects:\n  core_saturation[coil1]: {share: 0.5, loss_per_A2: 0.01}\n"
     here = System.of(calibrated(fixed_coils(effects))).at(points_m)
     assert torch.isfinite(here.field_T(tensor([0.0, 1.0, 0.0, 0.0]))).all()

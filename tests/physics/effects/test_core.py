@@ -183,7 +183,7 @@ def test_core_of_a_carried_coil_answers_where_it_is():
         np.testing.assert_allclose(predicted_T(one, None, carried + text)[0], all_T[i], rtol=1e-8, atol=1e-18)
 
 
-def test_a_body_without_a_solution_has_no_field_and_stops_no_fit() -> None:
+def test_a_body_without_a_solution_has_no_field_and_stops_no_fit():
     """Perfect iron that nothing demagnetises is no core; one of a batch like that leaves the others as they are."""
     applied_T = torch.full((2, 1), 0.1, dtype=torch.float64)
     demagnetisation = torch.tensor([[[0.0]], [[0.3]]], dtype=torch.float64)

@@ -289,7 +289,7 @@ CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
 
 
 @pytest.mark.parametrize("label", CASES)
-def test_a_corrected_reading_is_the_one_worked_out_by_hand(label: str):
+def test_a_corrected_reading_is_the_one_worked_out_by_hand(label):
     values, by_hand = CASES[label]
     name, _, place = label.removesuffix("]").partition("[")
     corrected_T, wanted_T = predicted_T((Cause(name, place), values)), by_hand()

@@ -123,24 +123,6 @@ def test_segment_is_that_of_the_session_and_not_of_chosen_readings():
     assert_same_field(reading_T, expected_T)
 
 
-@pytest.mark.parametrize(
-    ("segment", "is_concerned"),
-    [([OUTSIDE] * 7, False), ([3] * 7, False), ([3, 3, 3, 5, 5, OUTSIDE, 3], True)],
-)
-@pytest.mark.parametrize("cause", ["segment_zero[probe]", "segment_gain[probe]", "segment_misplaced[mapper]"])
-def test_several_segments_concern_it(cause, segment, is_concerned):
-    name, _, place = cause.rstrip("]").partition("[")
-    circumstances = Circumstances(rig_from_text(RIG), divided(AT_POSES, np.array(segment)))
-    assert EFFECTS[name].concerns(circumstances, place) is is_concerned
-
-
-def test_more_segments_than_can_be_asked_concern_nothing():
-    many = divided(readings(np.tile(POINTS_M, (2, 1)), (1.0, 0.0)), np.arange(14))
-    circumstances = Circumstances(rig_from_text(RIG), many)
-    assert not EFFECTS["segment_zero"].concerns(circumstances, "probe")
-    assert not EFFECTS["segment_misplaced"].concerns(circumstances, "mapper")
-
-
 def test_segments_in_which_a_sensor_was_not_read_keep_their_zero():
     two = RIG + "  second: {carried_by: mapper, noise_uT: 5}\n"
     session = replace(

@@ -29,7 +29,7 @@ POINTS_M = np.array([[0.0, 0.0, 0.02], [0.02, -0.015, 0.025], [0.06, 0.01, -0.00
     ("model", "corner", "by", "radius_m"),
     [("rectangular", "", 0.0, 0.0), ("racetrack", "inner_corner_radius_mm: 10,", 0.3, 0.013)],
 )
-def test_it_is_the_field_of_the_real_loops(model: str, corner: str, by: float, radius_m: float) -> None:
+def test_it_is_the_field_of_the_real_loops(model, corner, by, radius_m):
     rig = rig_from_text(RIG.format(model=model, corner=corner, by=by))
     points_m = torch.from_numpy(POINTS_M)
     room = RoomField(rig, nominal_tensors(rig), points_m, {}, tolerance=0.0)
@@ -49,7 +49,7 @@ def test_it_is_the_field_of_the_real_loops(model: str, corner: str, by: float, r
     np.testing.assert_allclose(found_T, expected_T, rtol=0.0, atol=bound * np.abs(expected_T).max())
 
 
-def test_its_place_is_a_coil_with_straight_sides_alone() -> None:
+def test_its_place_is_a_coil_with_straight_sides_alone():
     text = RIG.format(model="rectangular", corner="", by=0.0).partition("effects:")[0]
     round_one = "  coil2: {radius_mm: 30, wire_radius_mm: 0.5, axial_loops: 4, radial_loops: 2}\nsensors:"
     rig = rig_from_text(text.replace("sensors:", round_one))

@@ -63,7 +63,7 @@ def circumstances(observations: Observations) -> Circumstances:
     return Circumstances(rig_from_text(RIG), observations)
 
 
-def test_the_sensor_is_turned_by_waves_of_the_angle_of_its_stage() -> None:
+def test_the_sensor_is_turned_by_waves_of_the_angle_of_its_stage():
     (start,) = EFFECTS[CAUSE.name].starts(circumstances(ABOUT_ONE), "probe")
     assert [start[f"axis_{name}"] for name in "xyz"] == pytest.approx(AXIS)
     plain_T, turned_T = predicted_T(ABOUT_ONE, None), predicted_T(ABOUT_ONE, {**start, **SIZES})
@@ -76,7 +76,7 @@ def test_the_sensor_is_turned_by_waves_of_the_angle_of_its_stage() -> None:
     np.testing.assert_allclose(turned_T, by_hand_T, rtol=0.0, atol=1e-5 * np.abs(plain_T).max())
 
 
-def test_it_concerns_sensors_on_a_stage_that_turned_about_one_axis() -> None:
+def test_it_concerns_sensors_on_a_stage_that_turned_about_one_axis():
     effect = EFFECTS[CAUSE.name]
     assert effect.concerns(circumstances(ABOUT_ONE), "probe")
     assert not effect.concerns(circumstances(ABOUT_ONE), "beside")
@@ -85,7 +85,7 @@ def test_it_concerns_sensors_on_a_stage_that_turned_about_one_axis() -> None:
     assert not effect.concerns(circumstances(readings(about_two)), "probe")
 
 
-def test_angles_bound_the_degree() -> None:
+def test_angles_bound_the_degree():
     limit = EFFECTS[CAUSE.name].limit(circumstances(ABOUT_ONE), "probe")  # type: ignore[attr-defined]
     assert limit.degree == 3  # two waves for each axis and degree: 18 angles, three for each wave
     assert "18 different angles" in limit.words

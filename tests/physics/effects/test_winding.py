@@ -67,7 +67,7 @@ def test_coil_ovality_is_the_slope_of_wires_bent_to_r_a_1_plus_e_cos_2_phi(axis)
     assert_same_field(added_T(ONE_FAR, {"coil_ovality[coil]": {axis: e}}), slope, 1e-3)
 
 
-def test_oval_coil_is_summed_for_some_points_at_a_time(monkeypatch: pytest.MonkeyPatch):
+def test_oval_coil_is_summed_for_some_points_at_a_time(monkeypatch):
     oval = {"coil_ovality[coil]": {"cos2": 0.01, "sin2": 0.02}}
     together_T = added_T(ONE_FAR, oval)
     monkeypatch.setattr(causes_of_coil, "POINTS_AT_ONCE", 3)

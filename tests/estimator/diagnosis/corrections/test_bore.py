@@ -46,7 +46,7 @@ def test_cylinder_lies_about_the_places_along_their_widest_extent():
         (bore_m(90, radius_m=0.0), -1, "measure beside it"),
     ],
 )
-def test_places_limit_the_number_of_waves(places_m: Tensor, degree: int, words: str):
+def test_places_limit_the_number_of_waves(places_m, degree, words):
     limit = EFFECTS["room_bore"].limit_around(places_m)
     assert limit.degree == degree
     assert words in limit.words

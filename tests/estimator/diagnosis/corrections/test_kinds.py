@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-from torch import Tensor
 
 from estimator.diagnosis.corrections.kinds import kinds_of
 from estimator.diagnosis.fitting import fit_rig
@@ -19,10 +18,9 @@ from estimator.effects.use import is_in_field
 from estimator.errors import InvalidInput
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
-from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T
 from tests.estimator.diagnosis.unknown_source import NOISE_T, with_dipole
 
@@ -32,7 +30,7 @@ HARMONICS = Cause("coil_harmonics", "coil1")
 N_TERMS = {1: 3, 2: 8, 3: 15, 4: 24, 5: 35}
 
 
-def test_posterior_of_the_amplitudes_is_that_of_linear_least_squares(small_rig: Rig, small_session: Session):
+def test_posterior_of_the_amplitudes_is_that_of_linear_least_squares(small_rig, small_session):
     """With all else fixed: precision X^T X / sigma^2 + 1 / w^2, with columns by differences of predictions."""
     width, flawed = 2e-6, with_dipole(small_session)
     rig = small_rig.with_fixed(p.name for p in small_rig.free)
@@ -51,23 +49,7 @@ def test_posterior_of_the_amplitudes_is_that_of_linear_least_squares(small_rig: 
     torch.testing.assert_close(fit.covariance, torch.linalg.inv(precision), rtol=1e-6, atol=1e-12 * width**2)
 
 
-def test_columns_of_many_starts_are_those_of_each(small_rig: Rig, small_session: Session):
-    """Also in weak fields: a gain above some level depends on the field, not on the noise of what was read."""
-    readings = small_session.observations.calibration
-    noise_T = 0.3 * float(readings.field_sensor_T.square().mean().sqrt())
-    drawn = torch.randn(readings.field_sensor_T.shape, generator=torch.Generator().manual_seed(1)).double()
-    noisy = fit_of(small_rig, readings.with_field(readings.field_sensor_T + noise_T * drawn))
-    several = {kind.cause.name: kind for kind in kinds_of(noisy) if len(kind.starts) > 1}
-    assert several.keys() >= {"gain_steps", "axis_steps", "zero_steps", "current_steps"}
-    for name, kind in several.items():
-        some = kind.starts[:: max(1, len(kind.starts) // 5)]
-        together = kind.columns(noisy, some, kind.lowest)
-        for start, columns in zip(some, together, strict=True):
-            (alone,) = kind.columns(noisy, [start], kind.lowest)
-            assert (columns - alone).norm() <= 0.01 * alone.norm() + 1e-9, (name, start)
-
-
-def test_only_what_predictions_have_is_handed_out(small_rig: Rig, small_session: Session):
+def test_only_what_predictions_have_is_handed_out(small_rig, small_session):
     """Of a current that depends on what was before, its sign; nothing of time, of a sensor, or of where a probe was carried."""
     plain = fit_of(small_rig, small_session.observations.calibration)
     kinds = {kind.cause.name: kind for kind in kinds_of(plain)}
@@ -105,7 +87,7 @@ def test_only_what_predictions_have_is_handed_out(small_rig: Rig, small_session:
         ),
     ],
 )
-def test_places_limit_the_degree(places_m: Tensor, degree: int, words: str):
+def test_places_limit_the_degree(places_m, degree, words):
     limit = limit_of_places(places_m.double(), N_TERMS)
     assert limit.degree == degree
     assert words in limit.words

@@ -38,9 +38,7 @@ def readings_along_x(sensor: torch.Tensor) -> Observations:
 
 
 @pytest.mark.whole
-def test_hidden_contact_of_a_sensor_read_on_a_small_part_of_the_way_is_found(
-    rig_text: str, small_truth: dict[str, float]
-):
+def test_hidden_contact_of_a_sensor_read_on_a_small_part_of_the_way_is_found(rig_text, small_truth):
     rig = rig_from_text(rig_text + "  other: {noise_uT: 5, world_from_sensor: {y_mm: 10}}\n")
     truth = rig.with_values(small_truth)
     readings = readings_along_x((torch.arange(N) >= N_OWN).long())

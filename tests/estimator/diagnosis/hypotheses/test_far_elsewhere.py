@@ -11,7 +11,7 @@ from estimator.diagnosis.hypotheses import far_elsewhere as module
 from estimator.diagnosis.hypotheses.far_elsewhere import far_elsewhere, rules_and_refusal
 from estimator.effects import EFFECTS
 from estimator.errors import InvalidInput
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import Cause
 from estimator.rig_files.read import load_rig
 from estimator.store.importers.readings_csv import read_readings_csv
 from estimator.store.session import Session
@@ -27,7 +27,7 @@ def holder() -> Session:
     return read_readings_csv(CASES / "holder_50mm.csv", load_rig(CASES / "rig_pose.yaml"))
 
 
-def test_the_place_of_the_sensor_is_found_from_within_the_winding(holder: Session) -> None:
+def test_the_place_of_the_sensor_is_found_from_within_the_winding(holder):
     readings = holder.observations
     rules, refusal = rules_and_refusal(holder.rig, readings)
     assert refusal is not None
@@ -39,7 +39,7 @@ def test_the_place_of_the_sensor_is_found_from_within_the_winding(holder: Sessio
     assert all(best.log_evidence > fit.log_evidence + 20.0 for fit in others)
 
 
-def test_rules_need_no_mistake_of_the_record(holder: Session, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_rules_need_no_mistake_of_the_record(holder, monkeypatch):
     monkeypatch.setattr(module, "EFFECTS", {SENSOR.name: EFFECTS[SENSOR.name]})
     rules, refusal = rules_and_refusal(holder.rig, holder.observations)
     assert refusal is not None
@@ -49,5 +49,5 @@ def test_rules_need_no_mistake_of_the_record(holder: Session, monkeypatch: pytes
         rules_and_refusal(holder.rig, holder.observations)
 
 
-def test_no_body_sits_elsewhere_where_the_rig_is_right(small_rig: Rig, small_session: Session) -> None:
+def test_no_body_sits_elsewhere_where_the_rig_is_right(small_rig, small_session):
     assert far_elsewhere(fit_of(small_rig, small_session.observations.calibration), None) == []

@@ -16,15 +16,13 @@ from estimator.diagnosis.findings import Fits
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.hypotheses.instants import on_known_sides
-from estimator.diagnosis.mixture.items import Item
-from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, places_in, starts_of
+from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, starts_of
 from estimator.diagnosis.posterior import judged_as_handed_out
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.validation import improvement_of
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.weighed import weighed
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
@@ -39,7 +37,7 @@ SIZES = {
 
 @pytest.mark.parametrize("cause", SIZES, ids=lambda cause: cause.name)
 def test_instant_is_that_between_the_last_reading_before_and_the_first_after(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session, cause: Cause
+    small_rig, small_truth, small_session, cause
 ):
     readings = small_session.observations.calibration
     hours = (readings.time_s - readings.history.time_s.min()) / 3600.0
@@ -53,9 +51,7 @@ def test_instant_is_that_between_the_last_reading_before_and_the_first_after(
     assert float(hours[row]) < item.start["since_h"] < float(hours[row + 1])
 
 
-def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(
-    small_rig: Rig, small_session: Session
-):
+def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(small_rig, small_session):
     """It would gain by the number of its instants else."""
     fit = fit_of(small_rig, small_session.observations.calibration)
     (start, *_) = starts_of(fit, candidates(fit, [Cause("offset_step", "hall")]))
@@ -67,7 +63,7 @@ def test_a_cause_at_finer_instants_is_together_as_probable_before_as_at_one(
 
 
 def test_a_spell_is_found_between_the_readings_at_which_it_begins_and_ends(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+    small_rig, small_truth, small_session
 ):
     readings = small_session.observations.calibration
     hours = (readings.time_s - readings.history.time_s.min()) / 3600.0
@@ -80,21 +76,6 @@ def test_a_spell_is_found_between_the_readings_at_which_it_begins_and_ends(
     assert item.start == pytest.approx({"since_h": since_h, "until_h": until_h})
 
 
-def test_columns_of_a_spell_are_the_difference_of_those_of_what_stays(small_rig: Rig, small_session: Session):
-    """Made from the columns of steps that are known, or by predictions of its own."""
-    fit = fit_of(small_rig, small_session.observations.calibration)
-    for stays, spell in (
-        (Cause("current_step", "coil1"), Cause("current_spell", "coil1")),
-        (Cause("background_step", "room"), Cause("background_spell", "room")),
-    ):
-        known = [c for c in candidates(fit, [stays, spell]) if c.cause == spell]
-        alone = candidates(fit, [spell])
-        assert [c.shapes for c in known] == [c.shapes for c in alone]
-        for difference, predicted in zip(known, alone, strict=True):
-            scale = float(predicted.columns.abs().max())
-            torch.testing.assert_close(difference.columns, predicted.columns, rtol=0.0, atol=1e-8 * scale)
-
-
 @dataclass
 class Judged:
     """What `judged_as_handed_out` reads of a diagnosis."""
@@ -103,7 +84,7 @@ class Judged:
 
 
 def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
+    small_rig, small_truth, small_session
 ):
     """Where a block is kept out about the instant, the fitted readings beside it are all that says when it was.
 
@@ -139,22 +120,3 @@ def test_unseen_readings_over_which_an_instant_is_open_are_on_no_known_side(
     judged = judged_as_handed_out(cast(Diagnosis, Judged(fits)), cast(Calibration, posterior), unseen)
     assert judged.fits.improvement is not None
     assert len(judged.fits.improvement.after.log_density) == len(told)
-
-
-def test_an_instant_that_an_earlier_expansion_has_found_is_searched_again(
-    small_rig: Rig, small_session: Session
-):
-    """Finer instants share the prior of a coarse one. One that is taken over alone would have it whole, unlike a place."""
-    fit = fit_of(small_rig, small_session.observations.calibration)
-    causes = [Cause("offset_step", "hall"), Cause("gain_spell", "hall"), Cause("iron_body", "room")]
-    items = [
-        cast(Item, SimpleNamespace(cause=c.cause, start=c.shapes, is_listed=True))
-        for c in candidates(fit, causes)
-    ]
-    assert {item.cause for item in items} == set(causes)
-    assert set(places_in(fit, items)) == {causes[-1]}
-    coarse = starts_of(fit, candidates(fit, causes[:1]))
-    best = max(_weighed(fit, coarse)[causes[0]], key=lambda of_start: of_start.best)
-    finer = _at_finer_instants(fit, best)
-    total = sum(math.exp(start.log_prior) for start in finer)
-    assert total == pytest.approx(math.exp(best.start.log_prior))

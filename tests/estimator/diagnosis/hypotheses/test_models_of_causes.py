@@ -12,16 +12,13 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import nominal_tensors
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of
 
 pytestmark = pytest.mark.whole
 
 
-def test_model_with_the_effects_of_another_rig_predicts_as_one_made_anew(
-    small_rig: Rig, small_session: Session
-):
+def test_model_with_the_effects_of_another_rig_predicts_as_one_made_anew(small_rig, small_session):
     readings = small_session.observations
     current_A = readings.current_A.clone()
     current_A[::4] = 0.0  # so that poses without current matter, too
@@ -45,9 +42,7 @@ def test_model_with_the_effects_of_another_rig_predicts_as_one_made_anew(
         )
 
 
-def test_cause_that_makes_no_numbers_is_left_out_and_named(
-    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_cause_that_makes_no_numbers_is_left_out_and_named(small_rig, small_session, monkeypatch, caplog):
     """As one from outside may that divides by a field of nothing: a verdict without it must not look like one that asked it."""
     fit = fit_of(small_rig, small_session.observations)
     broken = staticmethod(lambda field_sensor_T, *_: field_sensor_T / torch.zeros_like(field_sensor_T))

@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 
-from estimator.diagnosis.asking import _are_doubtful
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses import record_mistakes
-from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake, without_record_mistakes
-from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import ask
-from estimator.diagnosis.mixture.comparison import Left
-from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistakes
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.use import shifts_rows
-from estimator.readings.observations import Observations
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
-from tests.estimator.diagnosis.mixture.hand_made import said
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 pytestmark = pytest.mark.whole
 
 
-def test_right_record_is_left_alone(small_rig: Rig, small_session: Session):
+def test_right_record_is_left_alone(small_rig, small_session):
     fit = fit_of(small_rig, small_session.observations.calibration)
     assert without_record_mistakes(fit) == (fit, [])
 
 
 def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session, monkeypatch: pytest.MonkeyPatch
+    small_rig, small_truth, small_session, monkeypatch
 ):
     """With one rotation only, for the whole search takes half a minute."""
     monkeypatch.setattr(record_mistakes, "EFFECTS", {"displacement_frame": EFFECTS["displacement_frame"]})
@@ -49,41 +39,7 @@ def test_zero_of_the_sensor_that_is_off_is_no_mistake_of_the_record(
     assert [mistake.cause.name for mistake in mistakes] == []
 
 
-@pytest.mark.parametrize(
-    ("gain", "left", "is_doubtful"), [(0.3, 10.0, True), (0.3, None, False), (0.02, 10.0, False)]
-)
-def test_mistake_is_doubtful_where_something_is_left_and_the_record_was_far_from_right(
-    small_rig: Rig, small_session: Session, gain: float, left: float | None, is_doubtful: bool
-):
-    """An axis that reads too much leaves a share of the field, beside a mistake of 300 in log evidence."""
-    wrong = with_wrong(small_rig, small_session.observations, Cause("axis_gain", "hall"), {"x": gain})
-    asked = ask(Expansion.of(fit_of(small_rig, wrong.calibration)), Limits(), 1, {})
-    departure = Cause("gain_steps", "hall")
-    found = said(asked, {(): 100} if left is None else {(departure,): 100})
-    found.__dict__["left"] = Left(left or 0.0, "", 1.0)
-    mistake = RecordMistake(Cause("axes_swapped", "hall"), 300.0, ())
-    assert _are_doubtful([mistake], found) is is_doubtful
-
-
-def test_mistake_is_doubtful_where_more_is_left_than_it_explained(of_nothing: Answer):
-    found = said(of_nothing.first, {(Cause("gain_steps", "hall"),): 100})
-    found.__dict__["left"] = Left(40.0, "", 1.0)
-    for log_bayes_factor, is_doubtful in ((50.0, False), (30.0, True)):
-        mistake = RecordMistake(Cause("axes_swapped", "hall"), log_bayes_factor, ())
-        assert _are_doubtful([mistake], found) is is_doubtful
-
-
-def turning(observations: Observations) -> Observations:
-    """The readings with the arm turned a little at each."""
-    motion = observations.motion["arm1"].clone()
-    generator = torch.Generator().manual_seed(4)
-    motion[:, 3:] = 0.3 * torch.randn(len(motion), 3, dtype=torch.float64, generator=generator)
-    return replace(observations.alone, motion={"arm1": motion})
-
-
-def test_fields_that_were_written_beside_their_rows_are_put_back(
-    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch
-):
+def test_fields_that_were_written_beside_their_rows_are_put_back(small_rig, small_session, monkeypatch):
     """The field that the first row was left with belongs to none, and may be anything. Beside one other mistake, for each takes seconds."""
     known = {name: EFFECTS[name] for name in ("rows_shifted", "left_handed")}
     monkeypatch.setattr(record_mistakes, "EFFECTS", known)
@@ -100,9 +56,7 @@ def test_fields_that_were_written_beside_their_rows_are_put_back(
 
 
 @pytest.mark.parametrize("taken", ["rows_shifted", "rows_shifted_since"])
-def test_rows_that_are_shifted_already_are_not_shifted_again(
-    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, taken: str
-):
+def test_rows_that_are_shifted_already_are_not_shifted_again(small_rig, small_session, monkeypatch, taken):
     """Readings that make no sense ask for a second shift, whichever of the two was taken first."""
     shifts = {name: effect for name, effect in EFFECTS.items() if shifts_rows(effect)}
     assert set(shifts) == {"rows_shifted", "rows_shifted_since"}
@@ -120,7 +74,7 @@ def test_rows_that_are_shifted_already_are_not_shifted_again(
 
 @pytest.mark.parametrize("begins_at", [8, 17])
 def test_an_axis_that_is_reversed_in_mid_session_is_found_to_the_reading(
-    small_rig: Rig, small_session: Session, monkeypatch: pytest.MonkeyPatch, begins_at: int
+    small_rig, small_session, monkeypatch, begins_at
 ):
     """Not at one of the instants that fits start from."""
     known = {name: EFFECTS[name] for name in ("axes_swapped_since", "current_sign_since", "axes_swapped")}
@@ -137,30 +91,3 @@ def test_an_axis_that_is_reversed_in_mid_session_is_found_to_the_reading(
     is_taken_wrongly = ((readings.time_s - readings.time_s[0]) / 3600.0 > since_h) != is_late
     assert not (field_T[is_taken_wrongly, 1].abs() > 4.0 * noise_T).any()  # others have no sign to be seen
     assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        name
-        for name, e in EFFECTS.items()
-        if e.is_record_mistake and "_exchanged" not in name and name != "field_frame"  # its sensor is carried
-    ],
-)
-def test_starts_of_a_mistake_are_compared_at_once_as_one_by_one(
-    small_rig: Rig, small_session: Session, name: str
-):
-    base = fit_of(small_rig, turning(small_session.observations.calibration))
-    circumstances = base.posterior.model.circumstances
-    (place,) = EFFECTS[name].places(small_rig)
-    starts = EFFECTS[name].starts(circumstances, place)[:20]
-    cause, few = Cause(name, place), base.observations
-    one_by_one = [
-        value
-        for start in starts
-        for value in record_mistakes._start_log_likelihoods(base, cause, [start], few)
-    ]
-    assert record_mistakes._start_log_likelihoods(base, cause, starts, few) == pytest.approx(
-        one_by_one, rel=1e-9
-    )
-    assert len({round(value, 3) for value in one_by_one}) > len(starts) // 2

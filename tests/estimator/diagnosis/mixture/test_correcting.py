@@ -23,8 +23,7 @@ from estimator.diagnosis.validation import improvement_of, validation_scores
 from estimator.diagnosis.widening import Widening
 from estimator.effects.use import is_in_field
 from estimator.model.room_field import RoomField
-from estimator.readings.observations import Observations
-from estimator.rig.rig import Cause, Rig
+from estimator.rig.rig import Cause
 from estimator.rig_files.read import rig_from_text
 from estimator.rig_files.write import rig_text
 from estimator.store.session import Session
@@ -52,7 +51,7 @@ def test_unknown_source_beside_the_coil_is_corrected_where_nothing_was_read(of_d
     assert {part.cause for part in correction.parts} == set(correction.final.rig.corrections)
 
 
-def test_evidence_of_a_departure_is_that_of_a_full_fit(of_dipole: Answer):
+def test_evidence_of_a_departure_is_that_of_a_full_fit(of_dipole):
     """Of a correction many times the noise; and it predicts as the full fit does."""
     asked, plain = of_dipole.first, of_dipole.plain
     items, beside = asked.dictionary.items, asked.slots.products.beside([], 1.0)
@@ -73,7 +72,7 @@ def test_evidence_of_a_departure_is_that_of_a_full_fit(of_dipole: Answer):
     assert float(left.norm()) < 0.03 * float(change.norm())
 
 
-def test_corrected_rig_survives_its_file_and_predicts_the_same(small_rig: Rig, of_dipole, correction):
+def test_corrected_rig_survives_its_file_and_predicts_the_same(small_rig, of_dipole, correction):
     fit = correction.final
     rig = extended_rig(small_rig, fit)
     again = rig_from_text(rig_text(rig))
@@ -90,7 +89,7 @@ def test_corrected_rig_survives_its_file_and_predicts_the_same(small_rig: Rig, o
     assert float((fields_T[1] - fields_T[0]).norm(dim=-1).min()) > NOISE_T
 
 
-def test_what_leads_at_one_coil_and_at_all_together_is_one_correction_of_that_coil(small_rig: Rig, of_dipole):
+def test_what_leads_at_one_coil_and_at_all_together_is_one_correction_of_that_coil(small_rig, of_dipole):
     """A rig has each amplitude once, or no file could hold it and no posterior be drawn."""
     twice = replace(of_dipole)
     twice.__dict__["beside"] = (*of_dipole.beside, *of_dipole.beside)
@@ -101,7 +100,7 @@ def test_what_leads_at_one_coil_and_at_all_together_is_one_correction_of_that_co
     assert rig_from_text(rig_text(rig)) == rig
 
 
-def test_nothing_is_corrected_where_stated_causes_explain_all(of_two_causes: Answer):
+def test_nothing_is_corrected_where_stated_causes_explain_all(of_two_causes):
     extended = fitted_with_stated(of_two_causes)
     assert len(extended.rig.effects) == 2
     correction = corrected(of_two_causes, extended, extended, Limits())
@@ -112,7 +111,7 @@ def test_nothing_is_corrected_where_stated_causes_explain_all(of_two_causes: Ans
 
 
 def test_causes_that_are_not_sure_enough_to_be_stated_correct_by_themselves(
-    of_two_causes: Answer, two_causes: Observations, monkeypatch: pytest.MonkeyPatch
+    of_two_causes, two_causes, monkeypatch
 ):
     """They have no name, but predictions with them are right where those of the bare rig are not."""
     monkeypatch.setattr(policy, "STATED", 1.1)
@@ -136,7 +135,7 @@ def test_causes_that_are_not_sure_enough_to_be_stated_correct_by_themselves(
 
 
 def test_a_current_that_swings_is_told_with_its_period_and_handed_out_to_no_prediction(
-    small_rig: Rig, small_session: Session
+    small_rig, small_session
 ):
     """Beside it the coil would have another strength than a prediction has."""
     observations = small_session.observations
@@ -156,7 +155,7 @@ def test_a_current_that_swings_is_told_with_its_period_and_handed_out_to_no_pred
 
 
 def test_a_zero_that_wanders_is_fitted_beside_the_coil_and_not_said_to_correct_predictions(
-    small_rig: Rig, small_session: Session
+    small_rig, small_session
 ):
     """It is no part of the field, yet makes the coil's numbers wrong where it is left out."""
     observations = small_session.observations
@@ -178,7 +177,7 @@ def test_a_zero_that_wanders_is_fitted_beside_the_coil_and_not_said_to_correct_p
     assert "Predictions are corrected" not in correction.words(str)
 
 
-def test_no_correction_is_asked_when_the_time_is_over(of_dipole: Answer, correction: Correction):
+def test_no_correction_is_asked_when_the_time_is_over(of_dipole, correction):
     plain = of_dipole.plain
     over = corrected(of_dipole, plain, plain, Limits(minutes=0.0))
     assert not over.is_taken
@@ -189,7 +188,7 @@ def test_no_correction_is_asked_when_the_time_is_over(of_dipole: Answer, correct
 
 
 def test_correction_that_predicts_unseen_readings_worse_is_dropped(
-    of_dipole: Answer, correction: Correction, dipole: Observations, small_session: Session
+    of_dipole, correction, dipole, small_session
 ):
     """Unseen readings with the opposite dipole refute it; they are the ones that count."""
     plain = of_dipole.plain

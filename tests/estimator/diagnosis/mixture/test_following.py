@@ -27,7 +27,7 @@ def made(small_rig: Rig, small_session: Session) -> Answer:
     return answer(fit_of(small_rig, clipped), Limits(), 1, n_pairs=1)
 
 
-def test_readings_at_a_limit_follow_nothing_and_the_cause_of_it_is_known(made: Answer) -> None:
+def test_readings_at_a_limit_follow_nothing_and_the_cause_of_it_is_known(made):
     fit = made.asked.expansion.fit
     is_at_limit = fit.predicted_T.abs() > (1.0 - 1e-9) * float(fit.values[f"{CLIPPING.label}.limit_T"])
     assert 0 < int(is_at_limit.sum()) < 0.2 * len(is_at_limit)
@@ -35,12 +35,12 @@ def test_readings_at_a_limit_follow_nothing_and_the_cause_of_it_is_known(made: A
     assert limiting(made.plain, fit) == {CLIPPING}
 
 
-def test_a_gain_keeps_readings_following(made: Answer, small_rig: Rig) -> None:
+def test_a_gain_keeps_readings_following(made, small_rig):
     gain = fit_of(small_rig, made.plain.observations, GAIN)
     assert not stalled(made.plain, gain).any()
     assert limiting(made.plain, gain) == frozenset()
 
 
-def test_a_limit_is_stated_beside_another_cause(made: Answer) -> None:
+def test_a_limit_is_stated_beside_another_cause(made):
     """About a fit with it, a gain that steps seemed to explain what readings would be without it."""
     assert CLIPPING in {entry.first_listed for entry in made.stated}

@@ -7,21 +7,11 @@ import pytest
 import torch
 
 from estimator.diagnosis.mixture.evidence import Products
-from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
+from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half
 from estimator.diagnosis.mixture.slots import NoisePrior, Slots
 from tests.estimator.diagnosis.mixture.dictionaries import N_NUMBERS, N, dictionary, item
 
 PRIOR_PRECISION = 0.3  # of the numbers of these dictionaries
-
-
-def test_halves_are_complementary_and_keep_blocks_together(small_session):
-    block = blocks_of(small_session.observations, small_session.rig, seed=1)
-    made = list(halves(block, 3, seed=2))
-    assert len(made) == 6
-    for first, second in zip(made[::2], made[1::2], strict=True):
-        assert (first ^ second).all()
-        assert all(len(set(first[block == one])) == 1 for one in np.unique(block))
-    assert len({tuple(one) for one in made}) == 6
 
 
 def test_a_block_is_nearer_together_than_all_readings(small_session):
@@ -37,13 +27,8 @@ def test_a_block_is_nearer_together_than_all_readings(small_session):
     assert inside < 0.5 * spread(np.ones(len(block), dtype=bool))
 
 
-def test_missing_components_have_no_weight():
-    is_measured = torch.tensor([[True, False, True], [True, True, True]])
-    assert weight_of(np.array([True, False]), is_measured).tolist() == [1.0, 1.0, 0.0, 0.0, 0.0]
-
-
 @pytest.mark.parametrize("size", [0.4, 0.9, 2.0])
-def test_what_a_half_is_expected_to_say_is_the_mean_of_what_halves_with_other_noise_say(size: float):
+def test_what_a_half_is_expected_to_say_is_the_mean_of_what_halves_with_other_noise_say(size):
     """One of two leading items, which the half shows hardly, in part, and clearly; over many draws of noise and of the rig's numbers."""
     items = [
         item("gain", [0]),

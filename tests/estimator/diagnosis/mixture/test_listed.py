@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 
 import pytest
 import torch
 
 from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import candidates, causes_of
+from estimator.diagnosis.hypotheses.candidates import candidates
 from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.expansion import Expansion
 from estimator.diagnosis.mixture.listed import _weighed, present_items, starts_of
-from estimator.rig.rig import Cause, Rig
-from estimator.store.session import Session
+from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.weighed import weighed
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
@@ -26,32 +23,7 @@ BODY = Cause("iron_body", "room")
 PLACE_M = {"x_m": 0.03, "y_m": -0.05, "z_m": 0.05}
 
 
-@pytest.fixture(scope="module")
-def plain(small_rig: Rig, small_session: Session) -> Fit:
-    return fit_of(small_rig, small_session.observations.calibration)
-
-
-def test_all_items_of_the_listed_causes_share_one_prior_by_names_then_places_then_starts(plain: Fit):
-    starts = starts_of(plain, candidates(plain, causes_of(plain.rig, plain)))
-    by_name: dict[str, float] = defaultdict(float)
-    for item in present_items(starts):
-        by_name[item.start.candidate.cause.name] += math.exp(item.log_prior)
-    assert sum(by_name.values()) == pytest.approx(1.0)
-    assert list(by_name.values()) == pytest.approx([1.0 / len(by_name)] * len(by_name))
-
-
-def test_half_of_a_cause_is_for_all_its_quantities_and_widths_are_as_probable_as_stated(plain: Fit):
-    (start,) = starts_of(plain, candidates(plain, [Cause("axis_gain", "hall")]))
-    items = present_items([start])
-    whole = [item for item in items if len(item.subset) == 3]
-    assert sum(math.exp(item.log_prior - start.log_prior) for item in whole) == pytest.approx(0.5)
-    shares = {item.width: 2.0 * math.exp(item.log_prior - start.log_prior) for item in whole}
-    assert shares == pytest.approx(dict(policy.WIDTHS))
-
-
-def test_a_place_between_starts_is_found(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
-):
+def test_a_place_between_starts_is_found(small_rig, small_truth, small_session):
     """A piece of iron, in the linear model about the rig without it."""
     truth = small_rig.with_values(small_truth)
     readings = small_session.observations.calibration
@@ -68,9 +40,7 @@ def test_a_place_between_starts_is_found(
     assert float((found_m - place_m).norm()) < 0.3 * nearest_m
 
 
-def test_a_place_that_explains_by_negative_iron_is_not_preferred(
-    small_rig: Rig, small_truth: dict[str, float], small_session: Session
-):
+def test_a_place_that_explains_by_negative_iron_is_not_preferred(small_rig, small_truth, small_session):
     """Readings that differ from the rig's as iron does, with the other sign, offer no iron that they would call sure."""
     truth = small_rig.with_values(small_truth)
     readings = small_session.observations.calibration

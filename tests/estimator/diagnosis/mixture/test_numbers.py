@@ -14,7 +14,6 @@ from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.mixture.numbers import Numbers
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots
-from estimator.store.session import Session
 from tests.estimator.diagnosis.mixture.dictionaries import N_NUMBERS, dictionary, item
 
 ITEMS = [item("one", [0]), item("two", [1, 2]), item("moved", [3, 4], shift=5)]
@@ -84,7 +83,7 @@ def test_several_sets_make_a_mixture_of_their_densities():
 
 
 @pytest.mark.whole
-def test_distance_from_a_fit_has_what_lies_between_them(of_nothing: Answer):
+def test_distance_from_a_fit_has_what_lies_between_them(of_nothing):
     numbers = Numbers.of(of_nothing)
     fit = of_nothing.plain
     assert numbers.names == tuple(p.name for p in fit.rig.free)
@@ -98,9 +97,7 @@ def test_distance_from_a_fit_has_what_lies_between_them(of_nothing: Answer):
 
 
 @pytest.mark.whole
-def test_truth_lies_within_them_where_an_unknown_source_moves_the_plain_fit(
-    of_dipole: Answer, small_session: Session
-):
+def test_truth_lies_within_them_where_an_unknown_source_moves_the_plain_fit(of_dipole, small_session):
     numbers, fit = Numbers.of(of_dipole), of_dipole.plain
     assert small_session.truth is not None
     known = {name: torch.tensor(value, dtype=torch.float64) for name, value in small_session.truth.items()}

@@ -43,14 +43,6 @@ def test_a_rival_takes_its_share_of_the_name_by_its_evidence(answer):
     assert shared.probability == entry.probability
 
 
-def test_a_rival_with_more_evidence_comes_first(answer):
-    alone = replace(answer, rivals={})
-    (entry,) = alone.stated
-    rival = Rival(SCALE, alone.item_of(SCALE), 3.0, {})
-    (shared,) = replace(answer, rivals={entry.first_listed: (rival,)}).stated
-    assert shared.first_listed == SCALE
-
-
 def test_contenders_have_half_of_the_evidence_and_are_not_in_the_set(answer):
     first = answer.stated[0].first_listed
     comparison = answer.beside_item(answer.item_of(first), [first])

@@ -59,9 +59,7 @@ def wild(readings: Observations, is_wild: Tensor) -> Observations:
     return readings.with_field(readings.field_sensor_T + is_wild * error_T)
 
 
-def test_wild_readings_here_and_there_are_outliers_beside_which_a_cause_keeps_its_name(
-    rig: Rig, readings: Observations
-) -> None:
+def test_wild_readings_here_and_there_are_outliers_beside_which_a_cause_keeps_its_name(rig, readings):
     is_wild = torch.rand(len(readings), 3, generator=torch.Generator().manual_seed(1)) < 0.06
     off = with_wrong(rig, readings, OFFSET, {"x_T": 40e-6, "y_T": -30e-6})
     said, outcome = said_of(rig, wild(off, is_wild))
@@ -78,9 +76,7 @@ def test_wild_readings_here_and_there_are_outliers_beside_which_a_cause_keeps_it
     assert not outcome.verdict.leaves_something
 
 
-def test_a_mover_that_does_not_stop_where_it_says_is_told_from_noise(
-    rig: Rig, readings: Observations, small_truth: dict[str, float]
-) -> None:
+def test_a_mover_that_does_not_stop_where_it_says_is_told_from_noise(rig, readings, small_truth):
     """Readings of a rig whose mover misses by 0.6 mm: the more, the steeper the field."""
     truth = rig.with_values(small_truth)
     motion = readings.motion["arm1"].clone()
@@ -100,7 +96,7 @@ def test_a_mover_that_does_not_stop_where_it_says_is_told_from_noise(
     )  # noise that grows with the field may be its twin
 
 
-def test_a_burst_is_unexplained(rig: Rig, readings: Observations) -> None:
+def test_a_burst_is_unexplained(rig, readings):
     """Outliers lie anywhere; these all in a tenth of the session."""
     n = len(readings)
     row = torch.argsort(torch.argsort(readings.time_s))
@@ -111,13 +107,13 @@ def test_a_burst_is_unexplained(rig: Rig, readings: Observations) -> None:
     assert outcome.verdict.leaves_something
 
 
-def test_even_noise_has_no_cause_of_scatter(rig: Rig, readings: Observations) -> None:
+def test_even_noise_has_no_cause_of_scatter(rig, readings):
     said, outcome = said_of(rig, readings)
     assert said.given == ()
     assert outcome.verdict is Verdict.NOTHING_FOUND
 
 
-def test_causes_of_scatter_that_explain_it_as_well_are_alternatives(rig: Rig, readings: Observations) -> None:
+def test_causes_of_scatter_that_explain_it_as_well_are_alternatives(rig, readings):
     """Shares of evidence among them, beside that nothing scatters."""
     fit = fit_of(rig, readings)
     named = _named([(OUTLIERS, 8.0, fit), (JITTER, 7.0, fit), (OFFSET, 2.0, fit)], -4.0)

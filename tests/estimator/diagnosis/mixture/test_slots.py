@@ -7,12 +7,11 @@ from itertools import product
 
 import numpy as np
 import pytest
-import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.items import Dictionary
-from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
+from estimator.diagnosis.mixture.slots import NoisePrior, Slots, Sweeps
 from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item, log_density
 
 KNOWN = NoisePrior(1.0, 0.0)
@@ -58,13 +57,6 @@ def test_draws_have_the_probabilities_of_a_sum_over_all_states():
     assert samples.present == pytest.approx(expected, abs=0.02)
 
 
-def test_draws_do_not_depend_on_where_they_begin():
-    slots = Slots(Products(noisy()), KNOWN, n_slots=3)
-    climbed = slots.sample(MANY, 2, begin=[1, 3]).present
-    empty = slots.drawn(MANY, 2, [None, None, None], noise=0).present
-    assert climbed == pytest.approx(empty, abs=0.02)
-
-
 def test_items_that_a_climb_found_negligible_are_left_out_and_the_others_are_as_probable_as_among_all():
     made = dictionary(
         [item("clear", [0], width=20.0), *(item(f"faint{i}", [3], width=1e-6) for i in range(3))]
@@ -76,17 +68,6 @@ def test_items_that_a_climb_found_negligible_are_left_out_and_the_others_are_as_
     assert few.beside([1], 1.0)[0] == pytest.approx(float(Products(made).beside([0], 1.0)[2]), rel=1e-9)
 
 
-def test_the_same_seed_gives_the_same_draws():
-    first, second = (Slots(Products(noisy()), KNOWN).sample(Sweeps(30, 5), seed=3) for _ in range(2))
-    assert first.models == second.models
-    assert first.present.tolist() == second.present.tolist()
-
-
-def test_items_of_one_name_never_stand_beside_each_other():
-    samples = Slots(Products(noisy()), KNOWN, n_slots=4).sample(Sweeps(300, 10), seed=4)
-    assert not [model for model in samples.models if {0, 1} <= set(model)]
-
-
 def test_the_noise_is_found_where_it_is_free():
     made = dictionary([item("absent", [3])])
     quiet = dictionary(made.items, residual=0.5 * made.residual)
@@ -94,23 +75,6 @@ def test_the_noise_is_found_where_it_is_free():
     samples = slots.sample(Sweeps(200, 10), seed=5)
     mean = sum(float(slots.grid[k]) * n for k, n in samples.noises.items()) / sum(samples.noises.values())
     assert mean == pytest.approx(0.5 * float(made.residual.std()), rel=0.15)
-
-
-def test_joined_draws_count_as_much_as_the_first_and_keep_their_numbers():
-    first, other = Samples(3), Samples(2)
-    first.add([0], np.array([0.0, 0.5, 0.0]), 1)
-    first.models[0, 1] += 1.0
-    for _ in range(4):
-        other.add([], np.array([0.2, 0.1]), None)
-        other.models[()] += 1.0
-    both = first.joined([other.renumbered([0, 2], 3)])
-    assert both.present.tolist() == pytest.approx([0.6, 0.25, 0.05])
-    assert both.holding([1]) == pytest.approx(0.5)
-
-
-def test_a_known_noise_is_one():
-    assert KNOWN.grid().tolist() == [1.0]
-    assert torch.equal(KNOWN.log_density(KNOWN.grid()), torch.zeros(1, dtype=torch.float64))
 
 
 @pytest.mark.parametrize(("factor", "least", "most"), [(1.0, 1.0, 1.0), (2.0, 1.6, 2.4)])

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import json
-from pathlib import Path
 
 import pytest
 import torch
@@ -13,7 +12,7 @@ OFFSET = (("sensor_offset.z_T", 60e-6), ("sensor_offset.x_T", 50e-6))
 TWINS = ("background_field", "sensor_offset")
 
 
-def test_a_turned_sensor_tells_a_field_of_the_room_from_an_offset_and_nothing_else_does() -> None:
+def test_a_turned_sensor_tells_a_field_of_the_room_from_an_offset_and_nothing_else_does():
     proposed = design(session_with(OFFSET, (3.0,), 1), split=TWINS, n_readings=5)
     assert proposed.so_far == pytest.approx(0.0, abs=0.1)
     told = json.loads(json.dumps(proposed.to_json(), allow_nan=False))
@@ -27,7 +26,7 @@ def test_a_turned_sensor_tells_a_field_of_the_room_from_an_offset_and_nothing_el
     assert max(proposed.reached) < 0.1
 
 
-def test_every_stop_adds_evidence_and_the_first_choices_add_most() -> None:
+def test_every_stop_adds_evidence_and_the_first_choices_add_most():
     proposed = design(session_with((), (3.0,), 1), split=("axis_gain", "cross_axis"), n_readings=8)
     reached = torch.tensor([proposed.so_far, *proposed.reached])
     gains = torch.diff(reached)
@@ -39,14 +38,14 @@ def test_every_stop_adds_evidence_and_the_first_choices_add_most() -> None:
     assert dark.expected_log_evidence == pytest.approx(0.0, abs=0.1)
 
 
-def test_a_second_current_is_asked_for_to_see_whether_iron_saturates() -> None:
+def test_a_second_current_is_asked_for_to_see_whether_iron_saturates():
     hidden = (("core_saturation.share", 0.1), ("core_saturation.loss_per_A2", 5e-3))
     proposed = design(session_with(hidden, (3.0,), 1), split=("iron_core", "core_saturation"), n_readings=6)
     strengths = proposed.readings.current_A.abs().squeeze(1)
     assert bool((strengths < 2.0).any())
 
 
-def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path: Path) -> None:
+def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path):
     from estimator import Session, simulate
     from estimator.diagnosis.fitting import fit_rig
     from estimator.model.measurement_model import MeasurementModel
@@ -79,6 +78,6 @@ def test_the_standard_deviation_foretold_is_that_of_a_fit_to_the_stops(tmp_path:
         ({"shrink": "hall.world_from_sensor.x_m"}, "must name a parameter that the fit may change"),
     ],
 )
-def test_goals_that_make_no_sense_are_refused(goals: dict[str, object], words: str) -> None:
+def test_goals_that_make_no_sense_are_refused(goals, words):
     with pytest.raises(InvalidInput, match=words.replace("[", r"\[")):
         design(session_with((), (3.0,), 1), **goals)  # type: ignore[arg-type]

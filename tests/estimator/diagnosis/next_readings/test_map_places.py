@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 import torch
 
@@ -31,7 +29,7 @@ def proposed(flat: Session) -> Design:
     return design(flat, correction=HARMONICS, degree=2, n_readings=N)
 
 
-def test_a_map_leaves_the_plane_and_stays_in_the_ball(flat: Session, proposed: Design) -> None:
+def test_a_map_leaves_the_plane_and_stays_in_the_ball(flat, proposed):
     before_m, after_m = flat.observations.motion["arm1"][:, :3], proposed.readings.motion["arm1"][:, :3]
     middle_m = 0.5 * (before_m.amax(0) + before_m.amin(0))
     radius_m = 0.5 * float((before_m.amax(0) - before_m.amin(0)).max())
@@ -40,7 +38,7 @@ def test_a_map_leaves_the_plane_and_stays_in_the_ball(flat: Session, proposed: D
     assert bool((torch.diff(torch.tensor([proposed.so_far, *proposed.reached])) <= 0.0).all())
 
 
-def test_the_plane_again_would_not_do(flat: Session, proposed: Design) -> None:
+def test_the_plane_again_would_not_do(flat, proposed):
     fit = fit_rig(RIG, flat.observations, TRUTH, MeasurementModel.build(RIG, flat.observations).rules)
     rms = [
         rms_sd(*with_correction(base, HARMONICS, 2)) for base in (fit, with_readings(flat, flat.observations))
@@ -49,9 +47,7 @@ def test_the_plane_again_would_not_do(flat: Session, proposed: Design) -> None:
     assert proposed.reached[-1] < 0.85 * rms[1]
 
 
-def test_what_is_foretold_is_what_a_fit_to_the_places_gives(
-    flat: Session, proposed: Design, tmp_path: Path
-) -> None:
+def test_what_is_foretold_is_what_a_fit_to_the_places_gives(flat, proposed, tmp_path):
     path = tmp_path / "plan.yaml"
     path.write_text(proposed.plan)
     more = simulate(RIG, load_plan(path, RIG), TRUTH, 5)
@@ -66,7 +62,7 @@ def test_what_is_foretold_is_what_a_fit_to_the_places_gives(
     assert rms_sd(fit, names) == pytest.approx(proposed.reached[-1], rel=0.15)
 
 
-def test_no_place_is_nearer_to_the_winding_than_a_reading_was(flat: Session, proposed: Design) -> None:
+def test_no_place_is_nearer_to_the_winding_than_a_reading_was(flat, proposed):
     def nearest_m(readings: Observations) -> float:
         return float(clearance_m(MeasurementModel.unruled(RIG, readings)).min())
 
@@ -81,7 +77,7 @@ def test_no_place_is_nearer_to_the_winding_than_a_reading_was(flat: Session, pro
         (HARMONICS, 9, "degree of coil_harmonics must lie between 1 and 5; received 9"),
     ],
 )
-def test_maps_that_make_no_sense_are_refused(flat: Session, correction: str, degree: int, words: str) -> None:
+def test_maps_that_make_no_sense_are_refused(flat, correction, degree, words):
     with pytest.raises(InvalidInput, match=words):
         design(flat, correction=correction, degree=degree)
 

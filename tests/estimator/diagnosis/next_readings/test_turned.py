@@ -34,7 +34,7 @@ def world_from_sensor(rig: Rig, readings: Observations) -> Transform:
 
 
 @pytest.mark.parametrize("frame", ["", "displacement_frame: base, base_from_flange0: {ry_deg: 20}"])
-def test_a_sensor_on_a_stage_is_turned_where_it_stands(frame: str) -> None:
+def test_a_sensor_on_a_stage_is_turned_where_it_stands(frame):
     rig = rig_from_text(RIG.replace(", FRAME", frame and f", {frame}"))
     no_field = torch.zeros(2, 3, dtype=torch.float64)
     none, calibration = torch.zeros(2, dtype=torch.int64), torch.zeros(2, dtype=torch.bool)

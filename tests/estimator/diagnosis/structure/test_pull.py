@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -32,19 +31,19 @@ def with_place(off_sd: float, widened: float = 1.0) -> Fit:
     return fit_rig(rig, base.observations, base.values, base.posterior.model.rules)
 
 
-def test_right_priors_leave_nothing() -> None:
+def test_right_priors_leave_nothing():
     assert not pull_of(plain_fit()).is_probable
     assert not pull_of(with_place(1.0)).is_probable
 
 
-def test_a_number_outside_its_prior_is_told_with_the_number() -> None:
+def test_a_number_outside_its_prior_is_told_with_the_number():
     pull = pull_of(with_place(7.0))
     assert pull.is_probable
     assert pull.name == PLACE
     assert pull.widths == pytest.approx(7.0, abs=0.5)  # though the fit has gone only a part of that way
 
 
-def test_numbers_that_weak_fields_hardly_tell_are_not_pulled(tmp_path: Path) -> None:
+def test_numbers_that_weak_fields_hardly_tell_are_not_pulled(tmp_path):
     """Fields near the noise tell of a product of numbers: along the bend of what they leave open each number lies off a little."""
     draw_reported("recorded_frame", 565_008, 12.0, 12.0).right.write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
@@ -52,7 +51,7 @@ def test_numbers_that_weak_fields_hardly_tell_are_not_pulled(tmp_path: Path) -> 
     assert not pull_of(fit_of(session.rig, readings)).is_probable
 
 
-def test_an_amplitude_of_a_correction_is_no_number_of_the_rig_file() -> None:
+def test_an_amplitude_of_a_correction_is_no_number_of_the_rig_file():
     """Though it lies farthest of all from the middle of its prior, which is the width that was tried."""
     base, swings = plain_fit(), Cause("room_wanders", "room")
     narrow = {f"degree{i}_{axis}_T": 0.0 for i in (1, 2) for axis in "xyz"}
@@ -64,9 +63,7 @@ def test_an_amplitude_of_a_correction_is_no_number_of_the_rig_file() -> None:
 
 
 @pytest.mark.parametrize("wider", [4.0, 16.0])
-def test_the_evidence_is_that_of_fits_with_a_wider_prior(
-    monkeypatch: pytest.MonkeyPatch, wider: float
-) -> None:
+def test_the_evidence_is_that_of_fits_with_a_wider_prior(monkeypatch, wider):
     monkeypatch.setattr(policy, "WIDER_PRIORS", (wider,))
     stated, wide = with_place(7.0), with_place(7.0, wider)
     by_fits = wide.log_evidence - stated.log_evidence - math.log(wider)

@@ -8,9 +8,7 @@ import torch
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.structure.residual_tests import lack_of_fit, structure
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
-from estimator.store.session import Session
 from tests.estimator.conftest import RIG
 from tests.estimator.diagnosis.sessions import plain_fit
 from tests.estimator.diagnosis.small_fits import fit_of, predicted_T
@@ -31,7 +29,7 @@ def with_noise(fit: Fit, seed: int) -> Fit:
     return copy
 
 
-def test_a_session_without_flaw_shows_no_structure_and_no_lack_of_fit() -> None:
+def test_a_session_without_flaw_shows_no_structure_and_no_lack_of_fit():
     fit = plain_fit()
     assert min(test.p_value for test in structure(fit)) > 0.01
     assert lack_of_fit(fit).p_value > 0.05
@@ -46,9 +44,7 @@ def test_a_session_without_flaw_shows_no_structure_and_no_lack_of_fit() -> None:
         ((("axis_gain.x", 0.02),), "field in the sensor frame, x"),
     ],
 )
-def test_the_residual_of_a_cause_has_structure_along_what_the_cause_depends_on(
-    hidden: tuple[tuple[str, float], ...], along: str
-) -> None:
+def test_the_residual_of_a_cause_has_structure_along_what_the_cause_depends_on(hidden, along):
     tests = structure(plain_fit(hidden))
     by_name = {test.covariate.name: test for test in tests}
     assert by_name[along].p_value < 0.001
@@ -56,7 +52,7 @@ def test_the_residual_of_a_cause_has_structure_along_what_the_cause_depends_on(
     assert along in [test.covariate.name for test in tests[:2]]
 
 
-def test_noise_is_taken_from_repeats_where_there_are_any() -> None:
+def test_noise_is_taken_from_repeats_where_there_are_any():
     once = plain_fit()
     assert lack_of_fit(once).noise_from == "specification"
     twice = plain_fit(currents_A=(3.0, 3.0, -3.0))
@@ -65,7 +61,7 @@ def test_noise_is_taken_from_repeats_where_there_are_any() -> None:
     assert size.noise_T == pytest.approx(20e-6, rel=0.2)
 
 
-def test_lack_of_fit_is_seen_against_repeats() -> None:
+def test_lack_of_fit_is_seen_against_repeats():
     hidden = (("sensor_offset.z_T", 60e-6),)
     assert lack_of_fit(plain_fit(hidden, (3.0, 3.0, -3.0))).p_value < 1e-6
 
@@ -86,7 +82,7 @@ def two_probes(n_repeats: int) -> Fit:
 
 
 @pytest.mark.parametrize(("n_repeats", "noise_from"), [(1, "specification"), (10, "repeats")])
-def test_each_sensor_is_held_against_its_own_noise(n_repeats: int, noise_from: str) -> None:
+def test_each_sensor_is_held_against_its_own_noise(n_repeats, noise_from):
     """Repeats of a quiet sensor do not say that a loud one misses; nor does its noise hide what the quiet one does."""
     size = lack_of_fit(fit := two_probes(n_repeats))
     assert size.noise_from == noise_from
@@ -96,7 +92,7 @@ def test_each_sensor_is_held_against_its_own_noise(n_repeats: int, noise_from: s
     assert lack_of_fit(wrong).p_value < 1e-4
 
 
-def test_numbers_that_priors_hold_cost_no_degree_of_freedom(small_rig: Rig, small_session: Session) -> None:
+def test_numbers_that_priors_hold_cost_no_degree_of_freedom(small_rig, small_session):
     """One reading of a rig with as many free numbers as it has components."""
     readings = small_session.observations
     one = readings.rows(torch.tensor([3]))
@@ -105,7 +101,7 @@ def test_numbers_that_priors_hold_cost_no_degree_of_freedom(small_rig: Rig, smal
     assert 0.001 < lack_of_fit(fit).p_value < 1.0
 
 
-def test_probabilities_do_not_depend_on_the_size_of_the_noise() -> None:
+def test_probabilities_do_not_depend_on_the_size_of_the_noise():
     fit = with_noise(plain_fit(), 3)
     louder = Fit(fit.posterior, fit.optimum)
     louder.__dict__["residual"] = 7.0 * fit.residual
@@ -113,7 +109,7 @@ def test_probabilities_do_not_depend_on_the_size_of_the_noise() -> None:
 
 
 @pytest.mark.slow
-def test_structure_is_seen_in_pure_noise_as_often_as_it_says() -> None:
+def test_structure_is_seen_in_pure_noise_as_often_as_it_says():
     n = 200
     least = torch.tensor(
         [min(test.p_value for test in structure(with_noise(plain_fit(), s))) for s in range(n)]
@@ -123,6 +119,6 @@ def test_structure_is_seen_in_pure_noise_as_often_as_it_says() -> None:
         assert abs(float((least <= level).double().mean()) - expected) < 3.0 * sd
 
 
-def test_a_probability_over_all_covariates_is_larger_than_each_by_itself() -> None:
+def test_a_probability_over_all_covariates_is_larger_than_each_by_itself():
     for test in structure(with_noise(plain_fit(), 5)):
         assert test.p_value >= min(test.by_component)

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.whole
 Hidden = tuple[tuple[str, float], ...]
 
 
-def test_pure_noise_has_no_signature() -> None:
+def test_pure_noise_has_no_signature():
     signature = signatures(plain_fit())
     assert [
         leading(evidence) for evidence in (signature.stays_with, signature.current, signature.field_equations)
@@ -26,7 +26,7 @@ def test_pure_noise_has_no_signature() -> None:
         ((("core_saturation.share", 0.1), ("core_saturation.loss_per_A2", 5e-3)), "cubic"),
     ],
 )
-def test_parity_in_the_current_is_that_of_the_cause(hidden: Hidden, current: str) -> None:
+def test_parity_in_the_current_is_that_of_the_cause(hidden, current):
     assert leading(signatures(plain_fit(hidden)).current) == [current]
 
 
@@ -39,7 +39,7 @@ def test_parity_in_the_current_is_that_of_the_cause(hidden: Hidden, current: str
         ((("cross_axis.xy", 0.02),), "no magnetic field"),
     ],
 )
-def test_only_sources_obey_the_field_equations(hidden: Hidden, answer: str) -> None:
+def test_only_sources_obey_the_field_equations(hidden, answer):
     assert leading(signatures(plain_fit(hidden)).field_equations) == [answer]
 
 
@@ -52,16 +52,16 @@ def test_only_sources_obey_the_field_equations(hidden: Hidden, answer: str) -> N
         ((("iron_core.share", 0.1),), "coil1"),
     ],
 )
-def test_the_residual_stays_with_what_is_wrong(hidden: Hidden, answer: str) -> None:
+def test_the_residual_stays_with_what_is_wrong(hidden, answer):
     assert answer in leading(signatures(plain_fit(hidden)).stays_with)
     assert "path" not in leading(signatures(plain_fit(hidden)).stays_with)
 
 
-def test_with_one_current_parity_is_not_asked() -> None:
+def test_with_one_current_parity_is_not_asked():
     assert signatures(plain_fit(currents_A=(3.0,))).current is None
 
 
-def test_every_answer_has_words() -> None:
+def test_every_answer_has_words():
     signature = signatures(plain_fit())
     for evidence in (signature.stays_with, signature.current, signature.field_equations):
         assert evidence

@@ -1,12 +1,8 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import torch
-from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from estimator.field.winding import Winding
@@ -14,7 +10,7 @@ from estimator.reporting.plots import field_plane
 from estimator.reporting.plots.style import WINDING
 
 
-def test_field_plane_shows_field_width_readings_and_winding(words: Callable[[Axes | Figure], str]) -> None:
+def test_field_plane_shows_field_width_readings_and_winding(words):
     radius_m, loops, pitch_m = (torch.tensor(v, dtype=torch.float64) for v in (0.05, 20.0, 1e-3))
     x_m, z_m = np.linspace(-0.08, 0.08, 21), np.linspace(-0.04, 0.1, 17)
     across, along = np.meshgrid(x_m, z_m)

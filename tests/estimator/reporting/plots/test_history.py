@@ -13,7 +13,7 @@ def day(number: int) -> datetime:
     return datetime(2026, 1, number, tzinfo=UTC)
 
 
-def test_sessions_versions_and_causes_are_drawn() -> None:
+def test_sessions_versions_and_causes_are_drawn():
     radius = {"coil1.radius_m": (0.051, 1e-4)}
     sessions = [
         SessionSummary(day(1), "updated", "", radius),
@@ -39,7 +39,7 @@ def test_sessions_versions_and_causes_are_drawn() -> None:
     assert len(gain_panel.containers) == 1
 
 
-def test_labels_of_close_sessions_and_versions_do_not_lie_on_each_other() -> None:
+def test_labels_of_close_sessions_and_versions_do_not_lie_on_each_other():
     sessions = [SessionSummary(day(1), "updated", "", {})]
     close = [2, 2, 3, 3, 4, 4, 5, 20]
     sessions += [SessionSummary(day(n), "drifted", f"axis gain of sensor {n}", {}) for n in close]
@@ -62,12 +62,3 @@ def test_labels_of_close_sessions_and_versions_do_not_lie_on_each_other() -> Non
         if i < j and boxes[i].overlaps(boxes[j])
     ]
     assert overlaps == []
-
-
-def test_what_drifted_is_drawn_before_a_version_has_it() -> None:
-    drift = {"axis_gain[hall].x": (0.033, 4e-3)}
-    sessions = [SessionSummary(day(n), "drifted", "axis gain", drift) for n in (2, 3)]
-    fig = history(sessions, [VersionInUse(day(1), day(4), 1, {"coil1.radius_m": (0.0508, 0.051, 0.0512)})])
-    _, gain_panel, _ = fig.axes
-    assert gain_panel.get_ylabel() == "axis gain x"
-    assert len(gain_panel.containers) == 2

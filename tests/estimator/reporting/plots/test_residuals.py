@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
@@ -13,7 +11,6 @@ from estimator.reporting.plots import (
     residual_by_sensor,
     residual_histogram,
 )
-from estimator.reporting.plots.residuals import _means, _neighbours
 
 SIGMA_T = 20e-6
 TITLE = "rig $a$, 2026-01-01"
@@ -36,9 +33,7 @@ def noise_band(ax: Axes, upright: bool = False) -> tuple[float, float]:
     return (box.x0, box.x1) if upright else (box.y0, box.y1)
 
 
-def test_predicted_against_measured_shows_equality_and_residuals_with_zero_and_sigma(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_predicted_against_measured_shows_equality_and_residuals_with_zero_and_sigma(residual_T, words):
     measured_T = np.linspace(-5e-3, 5e-3, 600).reshape(200, 3) + residual_T
     ax = predicted_against_measured(measured_T, measured_T - residual_T, SIGMA_T, title=TITLE)
     text = words(ax)
@@ -51,9 +46,7 @@ def test_predicted_against_measured_shows_equality_and_residuals_with_zero_and_s
     assert np.allclose(lower.lines[1].get_ydata(), residual_T[:, 0] * 1e6, equal_nan=True)
 
 
-def test_residual_against_draws_into_given_axes_with_zero_sigma_and_units(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_residual_against_draws_into_given_axes_with_zero_sigma_and_units(residual_T, words):
     given = Figure(layout="constrained").add_subplot()
     ax = residual_against(np.arange(200.0), residual_T, SIGMA_T, "time (s)", ax=given, title=TITLE)
     assert ax is given
@@ -65,30 +58,14 @@ def test_residual_against_draws_into_given_axes_with_zero_sigma_and_units(
     assert noise_band(ax) == pytest.approx((-20.0, 20.0))
 
 
-def test_residual_against_counts_in_sigmas_where_sensors_differ(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_residual_against_counts_in_sigmas_where_sensors_differ(residual_T, words):
     sigma_T = np.where(np.arange(200)[:, None] < 100, 1e-5, 2e-5) * np.ones((1, 3))
     ax = residual_against(np.arange(200.0), residual_T, sigma_T, "time (s)")
     assert "residual (sigma)" in words(ax)
     assert noise_band(ax) == pytest.approx((-1.0, 1.0))
 
 
-def test_means_of_neighbours_reveal_a_drift_below_the_noise() -> None:
-    time_s = np.linspace(0.0, 1.0, 1600)
-    drift = 0.5 * (time_s - 0.5) + np.random.default_rng(0).normal(0.0, 1.0, 1600)
-    centre, mean, error = _means(time_s, drift, _neighbours(time_s))
-    assert np.corrcoef(centre, mean)[0, 1] > 0.7
-    assert np.median(error) == pytest.approx(0.1, rel=0.2)
-
-
-def test_few_distinct_values_are_their_own_groups() -> None:
-    assert _neighbours(np.array([-1.0, 1.0, -1.0, 3.0])).tolist() == [0, 1, 0, 2]
-
-
-def test_histogram_is_whitened_and_shows_the_unit_normal(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_histogram_is_whitened_and_shows_the_unit_normal(residual_T, words):
     ax = residual_histogram(residual_T, SIGMA_T, title=TITLE)
     text = words(ax)
     assert "residual / sigma" in text
@@ -98,16 +75,7 @@ def test_histogram_is_whitened_and_shows_the_unit_normal(
     assert ax.lines[1].get_ydata().max() == pytest.approx(0.3989, rel=1e-3)
 
 
-def test_histogram_survives_a_component_never_measured(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
-    residual_T[:, 2] = np.nan
-    assert "Bz" not in words(residual_histogram(residual_T, SIGMA_T))
-
-
-def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(
-    residual_T: np.ndarray, words: Callable[[Axes | Figure], str]
-) -> None:
+def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(residual_T, words):
     sensor = np.arange(200) % 2
     residual_T[sensor == 1] *= 2.0
     residual_T[sensor == 1, 2] *= 2.0
@@ -121,19 +89,3 @@ def test_every_component_of_a_sensor_is_held_against_the_sensors_own_noise(
     assert [row for row, _ in marks] == [0, 0, 1, 1, 1]
     assert [rms for _, rms in marks] == pytest.approx([1.0, 1.0, 2.0, 2.0, 4.0], rel=0.15)
     assert [label.get_text() for label in ax.get_legend().get_texts()] == ["Bx", "By", "Bz"]
-
-
-def test_legend_stays_above_the_line_wherever_points_lie(residual_T: np.ndarray) -> None:
-    """Nothing is searched for its place: among the points of a large session that takes seconds."""
-    far_off_T = 0.1 + np.abs(residual_T)
-    upper, _ = predicted_against_measured(-far_off_T, far_off_T, SIGMA_T).child_axes
-    upper.figure.canvas.draw()
-    legend, panel = upper.get_legend().get_window_extent(), upper.get_window_extent()
-    assert legend.x0 - panel.x0 < 0.05 * panel.width
-    assert panel.y1 - legend.y1 < 0.05 * panel.height
-
-
-def test_legend_names_only_components_that_were_measured(residual_T: np.ndarray) -> None:
-    residual_T[:, :2] = np.nan
-    upper, _ = predicted_against_measured(residual_T, residual_T, SIGMA_T).child_axes
-    assert [label.get_text() for label in upper.get_legend().get_texts()] == ["Bz", "equal"]

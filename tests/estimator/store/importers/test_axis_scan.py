@@ -28,7 +28,7 @@ def written(folder: Path, text: str) -> Path:
     return folder / "scan.dat"
 
 
-def test_positions_become_z_and_the_field_the_axial_component(tmp_path: Path, rig: Rig) -> None:
+def test_positions_become_z_and_the_field_the_axial_component(tmp_path, rig):
     o = read_axis_scan(written(tmp_path, "-1 13.5 0.1\n\n20 8.7 0.1\n"), rig, CURRENT_A).observations
     assert o.motion["stage"][:, 2].tolist() == [-0.01, 0.2]
     torch.testing.assert_close(o.field_sensor_T[:, 2], torch.tensor([13.5e-4, 8.7e-4]).double())
@@ -36,7 +36,7 @@ def test_positions_become_z_and_the_field_the_axial_component(tmp_path: Path, ri
     assert o.current_A.tolist() == [[0.5], [0.5]]
 
 
-def test_other_units_two_columns_and_comments_are_read(tmp_path: Path, rig: Rig) -> None:
+def test_other_units_two_columns_and_comments_are_read(tmp_path, rig):
     path = written(tmp_path, "# x B\n  # mm mT\n9 2.295\n")
     o = read_axis_scan(path, rig, CURRENT_A, position_unit="mm", field_unit="mT").observations
     assert o.motion["stage"][:, 2].tolist() == pytest.approx([0.009])
@@ -53,12 +53,12 @@ def test_other_units_two_columns_and_comments_are_read(tmp_path: Path, rig: Rig)
         ("0 1\n1 2,5\n", r"cell 2 must be a finite number; received '2,5' \(.*line 2\)"),
     ],
 )
-def test_a_table_of_another_kind_is_refused(tmp_path: Path, rig: Rig, text: str, message: str) -> None:
+def test_a_table_of_another_kind_is_refused(tmp_path, rig, text, message):
     with pytest.raises(InvalidInput, match=message):
         read_axis_scan(written(tmp_path, text), rig, CURRENT_A)
 
 
-def test_unknown_units_and_missing_currents_are_refused(tmp_path: Path, rig: Rig) -> None:
+def test_unknown_units_and_missing_currents_are_refused(tmp_path, rig):
     path = written(tmp_path, "0 1\n")
     with pytest.raises(InvalidInput, match="unit of length must be one of m, cm, mm, um; received 'G'"):
         read_axis_scan(path, rig, CURRENT_A, position_unit="G")
@@ -83,9 +83,7 @@ def data() -> Path:
         ("helmholtz", "HallHelm", 34, {"coil1": 0.25, "coil2": 0.25}),
     ],
 )
-def test_goettingen_scans_have_the_shape_of_their_coil(
-    data: Path, name: str, file: str, n: int, currents_A: dict[str, float]
-) -> None:
+def test_goettingen_scans_have_the_shape_of_their_coil(data, name, file, n, currents_A):
     rig = load_rig(CONFIGS / f"goettingen_{name}.yaml")
     o = read_axis_scan(data / "goettingen-axis-scans" / f"{file}.dat", rig, currents_A).observations
     assert len(o) == n
@@ -96,7 +94,7 @@ def test_goettingen_scans_have_the_shape_of_their_coil(
     assert torch.corrcoef(pair)[0, 1] > 0.99
 
 
-def test_dortmund_scans_are_read_in_millitesla(data: Path, rig: Rig) -> None:
+def test_dortmund_scans_are_read_in_millitesla(data, rig):
     paths = sorted((data / "dortmund-v308-axis-scans").glob("Spule?_*.txt"))
     paths += sorted((data / "dortmund-v308-axis-scans").glob("hh_*.txt"))
     assert len(paths) == 14

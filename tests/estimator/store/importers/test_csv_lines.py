@@ -28,7 +28,7 @@ def test_cells_are_those_that_were_written(cells: list[str]) -> None:
     ("line", "cell"),
     [('1,2,"day', 3), ('1,2"', 2), ('"1"2,3', 1), ('"', 1), ('1,"a""', 2), ('1, "a"', 2)],
 )
-def test_a_quote_that_encloses_no_cell_is_refused(line: str, cell: int) -> None:
+def test_a_quote_that_encloses_no_cell_is_refused(line, cell):
     with pytest.raises(
         InvalidInput, match=rf"cell {cell} has one too many or too few \(readings.csv, line 7\)"
     ) as caught:
@@ -40,9 +40,7 @@ def test_a_quote_that_encloses_no_cell_is_refused(line: str, cell: int) -> None:
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
 @pytest.mark.parametrize("last", [True, False])
 @pytest.mark.parametrize("size", [1, 7, 100_000])
-def test_no_row_is_lost_between_blocks(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: str, last: bool, size: int
-) -> None:
+def test_no_row_is_lost_between_blocks(tmp_path, monkeypatch, end, last, size):
     monkeypatch.setattr(csv_lines, "BLOCK_BYTES", size)
     lines = [f"{i},µ{i}" for i in range(500)]
     lines[17] = ""
@@ -57,7 +55,7 @@ def test_no_row_is_lost_between_blocks(
     assert numbers == [i for i in range(1, 501) if i != 18]
 
 
-def test_two_lines_that_make_up_for_each_other_are_told_both(tmp_path: Path) -> None:
+def test_two_lines_that_make_up_for_each_other_are_told_both(tmp_path):
     (tmp_path / "a.csv").write_text("1,2\n3\n4,5,6\n7,8\n")
     bad_lines: list[BadLine] = []
     (block,) = csv_blocks(tmp_path / "a.csv")
@@ -74,7 +72,7 @@ def test_two_lines_that_make_up_for_each_other_are_told_both(tmp_path: Path) -> 
         ("t_s\n1\n".encode("utf-16"), "it is in UTF-16; save it in UTF-8"),
     ],
 )
-def test_another_encoding_is_told_with_its_line(tmp_path: Path, content: bytes, words: str) -> None:
+def test_another_encoding_is_told_with_its_line(tmp_path, content, words):
     (tmp_path / "a.csv").write_bytes(content)
     with pytest.raises(InvalidInput, match=words):
         list(csv_blocks(tmp_path / "a.csv"))

@@ -34,7 +34,7 @@ def written(folder: Path, text: str = TEXT, name: str = "vfield_02.txt") -> Path
     return folder / name
 
 
-def test_each_file_is_one_coil_at_one_ampere(tmp_path: Path, rig: Rig) -> None:
+def test_each_file_is_one_coil_at_one_ampere(tmp_path, rig):
     session = read_grid_maps([written(tmp_path), written(tmp_path, name="vfield_07.txt")], rig)
     o = session.observations
     assert o.motion["stage"][:, 0].tolist() == [-0.005, 0.005] * 2
@@ -44,7 +44,7 @@ def test_each_file_is_one_coil_at_one_ampere(tmp_path: Path, rig: Rig) -> None:
     assert "the source does not say which" in session.source
 
 
-def test_maps_may_stand_for_another_current(tmp_path: Path, rig: Rig) -> None:
+def test_maps_may_stand_for_another_current(tmp_path, rig):
     assert read_grid_maps([written(tmp_path)], rig, {"c3": 2.5}).observations.current_A[0, 2] == 2.5
     with pytest.raises(InvalidInput, match="must name coils of the rig .*; received 'c9'"):
         read_grid_maps([written(tmp_path)], rig, {"c9": 1.0})
@@ -60,19 +60,19 @@ def test_maps_may_stand_for_another_current(tmp_path: Path, rig: Rig) -> None:
         (TEXT.replace("4e-3", "4,1"), "must be a finite number; received '4,1'"),
     ],
 )
-def test_a_file_of_another_kind_is_refused(tmp_path: Path, rig: Rig, text: str, message: str) -> None:
+def test_a_file_of_another_kind_is_refused(tmp_path, rig, text, message):
     with pytest.raises(InvalidInput, match=message):
         read_grid_maps([written(tmp_path, text)], rig)
 
 
 @pytest.mark.parametrize("name", ["vfield_08.txt", "field_02.txt"])
-def test_a_file_that_tells_no_coil_is_refused(tmp_path: Path, rig: Rig, name: str) -> None:
+def test_a_file_that_tells_no_coil_is_refused(tmp_path, rig, name):
     with pytest.raises(InvalidInput, match=r"with a number below 8 for the coils of rig .*received"):
         read_grid_maps([written(tmp_path, name=name)], rig)
 
 
 @pytest.mark.skipif("COILCAL_DATA" not in os.environ, reason="needs the maps below COILCAL_DATA")
-def test_the_maps_of_the_repository_are_read(rig: Rig) -> None:
+def test_the_maps_of_the_repository_are_read(rig):
     folder = Path(os.environ["COILCAL_DATA"]) / "mfg-8coil-ironcore-maps"
     o = read_grid_maps(sorted(folder.glob("vfield_*.txt")), rig).observations
     assert (len(o), o.motion["stage"].abs().max()) == (8 * 1331, 0.005)

@@ -15,7 +15,7 @@ from estimator.units import UNITS
 CONFIGS = Path(__file__).parents[4] / "configs"
 
 
-def test_every_format_is_called_with_files_rig_and_currents(tmp_path: Path) -> None:
+def test_every_format_is_called_with_files_rig_and_currents(tmp_path):
     rig = load_rig(CONFIGS / "goettingen_long.yaml")
     path = tmp_path / "scan.dat"
     path.write_text("0 1\n")
@@ -25,10 +25,3 @@ def test_every_format_is_called_with_files_rig_and_currents(tmp_path: Path) -> N
     for importer in IMPORTERS.values():
         with pytest.raises(InvalidInput, match=r"must be readable|name"):
             importer([tmp_path / "none"], rig, {"coil1": 0.5})
-
-
-@pytest.mark.parametrize("name", ["mice", "axis_scan"])
-def test_formats_of_one_file_refuse_several(name: str) -> None:
-    rig = load_rig(CONFIGS / "goettingen_long.yaml")
-    with pytest.raises(InvalidInput, match="takes one file; received 2"):
-        IMPORTERS[name]([Path("a"), Path("b")], rig, {})

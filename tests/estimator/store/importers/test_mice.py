@@ -58,7 +58,7 @@ def values_of(rig: Rig) -> dict[str, torch.Tensor]:
     return {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
 
 
-def test_a_map_of_a_tilted_coil_is_predicted_exactly(tmp_path: Path, rig: Rig) -> None:
+def test_a_map_of_a_tilted_coil_is_predicted_exactly(tmp_path, rig):
     tilted = rig.with_values({"M1.world_from_coil.tilt_x_rad": 0.02, "M1.world_from_coil.x_m": 0.01})
     n = 6 * len(INSTANTS)
     pose = torch.zeros(n, 6, dtype=torch.float64)
@@ -79,7 +79,7 @@ def test_a_map_of_a_tilted_coil_is_predicted_exactly(tmp_path: Path, rig: Rig) -
     assert predicted[read.sensor == 0, :2].abs().max() > 1e-4
 
 
-def test_rows_are_sorted_by_a_time_without_leading_zeros(tmp_path: Path, rig: Rig) -> None:
+def test_rows_are_sorted_by_a_time_without_leading_zeros(tmp_path, rig):
     o = read_mice(written(tmp_path, rows()[::-1]), rig).observations
     assert o.time_s[::6].tolist() == [0.0, 17_921.0, 43_120.0]  # 00:01:20, 05:00:01, 12:00:00
     assert o.sensor.tolist() == list(range(6)) * 3
@@ -88,7 +88,7 @@ def test_rows_are_sorted_by_a_time_without_leading_zeros(tmp_path: Path, rig: Ri
     )
 
 
-def test_every_coil_carries_30_ampere_unless_given(tmp_path: Path, rig: Rig) -> None:
+def test_every_coil_carries_30_ampere_unless_given(tmp_path, rig):
     path = written(tmp_path, rows())
     assert read_mice(path, rig).observations.current_A.unique().tolist() == [30.0]
     assert read_mice(path, rig, {"M1": 0.0}).observations.current_A.unique().tolist() == [0.0]
@@ -96,7 +96,7 @@ def test_every_coil_carries_30_ampere_unless_given(tmp_path: Path, rig: Rig) -> 
         read_mice(path, rig, {"M2": 30.0})
 
 
-def test_on_the_axis_alone_only_the_axial_component_is_known(tmp_path: Path, rig: Rig) -> None:
+def test_on_the_axis_alone_only_the_axial_component_is_known(tmp_path, rig):
     o = read_mice(written(tmp_path, [row(0, 3.0, 20.0, 120000, (1e-3, 2e-3, 0.3))]), rig).observations
     assert o.is_measured.tolist() == [[False, False, True]]
     assert o.motion["mapper"].tolist() == [[0.0, 0.0, 3.0, 0.0, 0.0, 0.0]]
@@ -114,9 +114,7 @@ def test_on_the_axis_alone_only_the_axial_component_is_known(tmp_path: Path, rig
         ("0.3000000000\t", "", "must have 10 columns; it has 9"),
     ],
 )
-def test_a_file_that_does_not_fit_the_rig_is_refused(
-    tmp_path: Path, rig: Rig, find: str, replace: str, message: str
-) -> None:
+def test_a_file_that_does_not_fit_the_rig_is_refused(tmp_path, rig, find, replace, message):
     path = written(tmp_path, rows())
     assert find in path.read_text()
     path.write_text(path.read_text().replace(find, replace))
@@ -131,7 +129,7 @@ def run07() -> Path:
     return Path(os.environ["COILCAL_DATA"]) / "mice-ssu-solenoids" / "run07_polarCoordinates.dat"
 
 
-def test_the_winding_as_built_predicts_run_07_within_1_06_mT(run07: Path, rig: Rig) -> None:
+def test_the_winding_as_built_predicts_run_07_within_1_06_mT(run07, rig):
     o = read_mice(run07, rig).observations
     with torch.no_grad():
         residual_T = o.field_sensor_T - MeasurementModel.build(rig, o).predict(values_of(rig))
@@ -141,9 +139,7 @@ def test_the_winding_as_built_predicts_run_07_within_1_06_mT(run07: Path, rig: R
     assert vector_rms_T == pytest.approx(1.056e-3, abs=2e-6)
 
 
-def test_far_from_the_coil_the_probe_on_the_axis_shows_an_offset_fixed_to_the_disc(
-    run07: Path, rig: Rig
-) -> None:
+def test_far_from_the_coil_the_probe_on_the_axis_shows_an_offset_fixed_to_the_disc(run07, rig):
     o = read_mice(run07, rig).observations
     far = (o.sensor == 0) & (o.motion["mapper"][:, 2] < 2.0)
     transverse_T = o.field_sensor_T[far, :2]

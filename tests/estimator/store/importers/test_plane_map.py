@@ -30,7 +30,7 @@ def written(folder: Path, name: str, rows: int = 14) -> Path:
     return folder / name
 
 
-def test_rows_are_transverse_and_columns_axial_in_gauss(tmp_path: Path, rig: Rig) -> None:
+def test_rows_are_transverse_and_columns_axial_in_gauss(tmp_path, rig):
     o = read_plane_maps([written(tmp_path, "u1_1_9_u2_0_r1.csv")], rig).observations
     assert len(o) == 154
     for i, j in ((0, 0), (0, 10), (13, 0), (6, 5)):
@@ -40,7 +40,7 @@ def test_rows_are_transverse_and_columns_axial_in_gauss(tmp_path: Path, rig: Rig
     assert o.is_measured.any(0).tolist() == [False, False, True]
 
 
-def test_currents_and_repeats_come_from_the_names(tmp_path: Path, rig: Rig) -> None:
+def test_currents_and_repeats_come_from_the_names(tmp_path, rig):
     paths = [written(tmp_path, name) for name in ("u1_1_9_u2_0_r2.csv", "u1_0_5_u2_-1_9_r3.csv")]
     o = read_plane_maps(paths, rig).observations
     assert o.current_A[[0, 153, 154, 307]].tolist() == [[1.9, 0.0], [1.9, 0.0], [0.5, -1.9], [0.5, -1.9]]
@@ -51,7 +51,7 @@ def test_currents_and_repeats_come_from_the_names(tmp_path: Path, rig: Rig) -> N
     assert given.current_A.unique(dim=0).tolist() == [[1.0, 2.0]]
 
 
-def test_files_that_do_not_fit_are_refused(tmp_path: Path, rig: Rig) -> None:
+def test_files_that_do_not_fit_are_refused(tmp_path, rig):
     with pytest.raises(InvalidInput, match="at least one file"):
         read_plane_maps([], rig)
     with pytest.raises(InvalidInput, match="14 rows of 12 cells; it holds"):
@@ -71,7 +71,7 @@ def maps() -> Path:
     return Path(os.environ["COILCAL_DATA"]) / "maxwell-pair-plane-maps"
 
 
-def test_measured_maps_follow_the_sign_convention_of_the_rig(maps: Path, rig: Rig) -> None:
+def test_measured_maps_follow_the_sign_convention_of_the_rig(maps, rig):
     values = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     for u2, n_maps in (("0", 5), ("1_9", 4), ("-1_9", 4)):
         o = read_plane_maps(sorted(maps.glob(f"u1_1_9_u2_{u2}_r*.csv")), rig).observations

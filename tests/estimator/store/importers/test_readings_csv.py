@@ -50,7 +50,7 @@ def written(path: Path, *lines: str) -> Path:
     return path / "readings.csv"
 
 
-def test_a_written_session_is_read_back_bit_by_bit(tmp_path: Path) -> None:
+def test_a_written_session_is_read_back_bit_by_bit(tmp_path):
     rig = rig_from_text(TWO_SENSORS)
     n, random = 50, torch.Generator().manual_seed(1)
 
@@ -75,7 +75,7 @@ def test_a_written_session_is_read_back_bit_by_bit(tmp_path: Path) -> None:
     assert read_readings_csv(tmp_path / "readings.csv", rig).hash == session.hash
 
 
-def test_columns_may_come_in_any_order_and_any_unit(tmp_path: Path, rig: Rig) -> None:
+def test_columns_may_come_in_any_order_and_any_unit(tmp_path, rig):
     path = written(
         tmp_path,
         "Bx_mT,By_G,Bz_uT,arm1_rx_deg,arm1_ry_mrad,arm1_rz_rad,arm1_x_mm,arm1_y_cm,arm1_z_um,coil1_current_mA,t_s",
@@ -90,9 +90,7 @@ def test_columns_may_come_in_any_order_and_any_unit(tmp_path: Path, rig: Rig) ->
     assert o.time_s.tolist() == [11.0]
 
 
-def test_without_optional_columns_nothing_is_rotated_or_repeated_or_kept_out(
-    tmp_path: Path, rig: Rig
-) -> None:
+def test_without_optional_columns_nothing_is_rotated_or_repeated_or_kept_out(tmp_path, rig):
     o = read_readings_csv(written(tmp_path, HEADER, ROW), rig).observations
     assert o.motion["arm1"].tolist() == [[0.01, 0.02, 0.03, 0.0, 0.0, 0.0]]
     assert (o.sensor.tolist(), o.repeat.tolist(), o.is_validation.tolist()) == ([0], [0], [False])
@@ -108,27 +106,25 @@ def test_without_optional_columns_nothing_is_rotated_or_repeated_or_kept_out(
         (("2", "-1", "2"), [0, 1, 0], "; segment 0 is 2; segment 1 is -1"),
     ],
 )
-def test_segments_have_numbers_or_labels(
-    tmp_path: Path, rig: Rig, cells: tuple[str, ...], expected: list[int], told: str
-) -> None:
+def test_segments_have_numbers_or_labels(tmp_path, rig, cells, expected, told):
     rows = [f"{i}{ROW[1:]},{cell}" for i, cell in enumerate(cells)]
     session = read_readings_csv(written(tmp_path, HEADER + ",segment", *rows), rig)
     assert session.observations.segment.tolist() == expected
     assert session.source == f"readings CSV readings.csv{told}"
 
 
-def test_an_empty_field_cell_is_a_component_that_was_not_measured(tmp_path: Path, rig: Rig) -> None:
+def test_an_empty_field_cell_is_a_component_that_was_not_measured(tmp_path, rig):
     o = read_readings_csv(written(tmp_path, HEADER, "0,3,0,0,0,,2e-3,  "), rig).observations
     assert o.is_measured.tolist() == [[False, True, False]]
 
 
-def test_byte_order_mark_windows_line_ends_and_blank_lines_are_tolerated(tmp_path: Path, rig: Rig) -> None:
+def test_byte_order_mark_windows_line_ends_and_blank_lines_are_tolerated(tmp_path, rig):
     path = tmp_path / "readings.csv"
     path.write_bytes(b"\xef\xbb\xbf" + "\r\n".join([HEADER, ROW, "", NEXT, "", ""]).encode())
     assert len(read_readings_csv(path, rig).observations) == 2
 
 
-def test_the_earliest_date_is_that_of_the_session(tmp_path: Path, rig: Rig) -> None:
+def test_the_earliest_date_is_that_of_the_session(tmp_path, rig):
     """A backlog then spreads over its true dates in history."""
     dates = (",2025-03-02T10:00:00+01:00", ",2025-03-02T08:59:00+00:00")
     rows = (ROW + dates[0], NEXT + dates[1])
@@ -172,9 +168,7 @@ def test_the_earliest_date_is_that_of_the_session(tmp_path: Path, rig: Rig) -> N
         ),
     ],
 )
-def test_a_fault_is_one_sentence_that_names_the_file(
-    tmp_path: Path, rig: Rig, lines: tuple[str, ...], message: str
-) -> None:
+def test_a_fault_is_one_sentence_that_names_the_file(tmp_path, rig, lines, message):
     with pytest.raises(InvalidInput) as caught:
         read_readings_csv(written(tmp_path, *lines), rig)
     sentence = str(caught.value)
@@ -185,7 +179,7 @@ def test_a_fault_is_one_sentence_that_names_the_file(
         assert "line 3" in sentence
 
 
-def test_the_line_number_counts_blank_lines(tmp_path: Path, rig: Rig) -> None:
+def test_the_line_number_counts_blank_lines(tmp_path, rig):
     with pytest.raises(InvalidInput, match="line 5"):
         read_readings_csv(written(tmp_path, HEADER, "", ROW, "", NEXT.replace("1e-3", "x")), rig)
 
@@ -209,7 +203,7 @@ def test_the_line_number_counts_blank_lines(tmp_path: Path, rig: Rig) -> None:
         HEADER.replace("Bz_T", '"Bz_T'),
     ],
 )
-def test_another_header_is_none_of_a_readings_csv(tmp_path: Path, rig: Rig, header: str) -> None:
+def test_another_header_is_none_of_a_readings_csv(tmp_path, rig, header):
     assert is_readings_csv(written(tmp_path, HEADER, ROW), rig)
     assert not is_readings_csv(written(tmp_path, header, ROW), rig)
     with pytest.raises(
@@ -218,25 +212,25 @@ def test_another_header_is_none_of_a_readings_csv(tmp_path: Path, rig: Rig, head
         read_readings_csv(written(tmp_path, header, ROW), rig)
 
 
-def test_several_sensors_need_their_column(tmp_path: Path) -> None:
+def test_several_sensors_need_their_column(tmp_path):
     rig = rig_from_text(ONE_SENSOR.replace("{hall:", "{squid: {noise_uT: 20}, hall:"))
     assert not is_readings_csv(written(tmp_path, HEADER, ROW), rig)
     header, rows = HEADER + ",sensor", (ROW + ",hall", ROW + ",squid")
     assert read_readings_csv(written(tmp_path, header, *rows), rig).observations.sensor.tolist() == [1, 0]
 
 
-def test_joint_angles_must_not_be_left_out(tmp_path: Path) -> None:
+def test_joint_angles_must_not_be_left_out(tmp_path):
     rig = rig_from_text(ONE_SENSOR.replace("displacement", "UR3"))
     assert not is_readings_csv(written(tmp_path, "t_s,coil1_current_A,Bx_T,By_T,Bz_T", "0,1,1,1,1"), rig)
 
 
-def test_unreadable_files_are_refused(tmp_path: Path, rig: Rig) -> None:
+def test_unreadable_files_are_refused(tmp_path, rig):
     for name in ("missing.csv", "."):
         with pytest.raises(InvalidInput, match="must be readable"):
             understood(tmp_path / name, rig)
 
 
-def test_an_unwritable_folder_is_refused(tmp_path: Path, rig: Rig) -> None:
+def test_an_unwritable_folder_is_refused(tmp_path, rig):
     session = read_readings_csv(written(tmp_path, HEADER, ROW), rig)
     (tmp_path / "file").write_text("")
     with pytest.raises(InvalidInput, match="must be writable"):
@@ -251,7 +245,7 @@ def faults_of(path: Path, rig: Rig) -> list[InvalidInput]:
     return faults.noted
 
 
-def test_one_stray_quote_loses_no_rows(tmp_path: Path, rig: Rig) -> None:
+def test_one_stray_quote_loses_no_rows(tmp_path, rig):
     """To a reader that takes line ends into cells, rows 151 to 279 are the label of a segment."""
     rows = [f"{i}{ROW[1:]},day 1" for i in range(280)]
     rows[150] = rows[150].replace("day 1", '"day 1')
@@ -263,7 +257,7 @@ def test_one_stray_quote_loses_no_rows(tmp_path: Path, rig: Rig) -> None:
     assert len(faults_of(path, rig)) == 1
 
 
-def test_a_cell_of_5000_digits_is_not_quoted_whole(tmp_path: Path, rig: Rig) -> None:
+def test_a_cell_of_5000_digits_is_not_quoted_whole(tmp_path, rig):
     for cell in ("9" * 5000, "x" * 5000):
         for line in range(len(HEADER.split(","))):
             cells = NEXT.split(",")
@@ -276,7 +270,7 @@ def test_a_cell_of_5000_digits_is_not_quoted_whole(tmp_path: Path, rig: Rig) -> 
     assert len(str(caught.value)) < 700
 
 
-def test_a_hundred_thousand_columns_are_refused_at_once(tmp_path: Path, rig: Rig) -> None:
+def test_a_hundred_thousand_columns_are_refused_at_once(tmp_path, rig):
     names, cells = (",".join(f"{name}{i}" for i in range(100_000)) for name in ("x", ""))
     path = written(tmp_path, f"{HEADER},{names}", f"{ROW},{cells}")
     begin_s = time.process_time()
@@ -285,7 +279,7 @@ def test_a_hundred_thousand_columns_are_refused_at_once(tmp_path: Path, rig: Rig
     assert time.process_time() - begin_s < 5.0
 
 
-def test_one_cause_of_three_thousand_rows_is_one_sentence(tmp_path: Path, rig: Rig) -> None:
+def test_one_cause_of_three_thousand_rows_is_one_sentence(tmp_path, rig):
     rows = [f"{i}{ROW[1:]}".replace("1e-3", "high") for i in range(3000)]
     (fault,) = faults_of(written(tmp_path, HEADER, *rows), rig)
     places = "received 'high' in line 2, 'high' in line 3, 'high' in line 4 and 2997 more"
@@ -296,7 +290,7 @@ def test_one_cause_of_three_thousand_rows_is_one_sentence(tmp_path: Path, rig: R
     )
 
 
-def test_words_for_no_reading_are_components_that_were_not_measured(tmp_path: Path, rig: Rig) -> None:
+def test_words_for_no_reading_are_components_that_were_not_measured(tmp_path, rig):
     rows = (ROW, NEXT.replace("1e-3", "OVLD"), "2,3,0,0,0,nan,9.9E37,1e-3", "3,3,0,0,0,--,,NaN")
     read = understood(written(tmp_path, HEADER, *rows), rig)
     is_measured = read.readings.observations.is_measured
@@ -307,7 +301,7 @@ def test_words_for_no_reading_are_components_that_were_not_measured(tmp_path: Pa
     ]
 
 
-def test_what_a_log_repeats_or_never_wrote_is_no_row(tmp_path: Path, rig: Rig) -> None:
+def test_what_a_log_repeats_or_never_wrote_is_no_row(tmp_path, rig):
     path = written(tmp_path, HEADER, ROW, HEADER, NEXT)
     with path.open("ab") as file:
         file.write(b"\0" * 300)
@@ -324,9 +318,7 @@ def test_what_a_log_repeats_or_never_wrote_is_no_row(tmp_path: Path, rig: Rig) -
         (ROW, "1 row left out (line 3): a cell has a fault."),
     ],
 )
-def test_bad_lines_are_left_out_where_that_is_asked_for(
-    tmp_path: Path, rig: Rig, bad: str, words: str
-) -> None:
+def test_bad_lines_are_left_out_where_that_is_asked_for(tmp_path, rig, bad, words):
     path = written(tmp_path, HEADER, ROW, bad, "2" + ROW[1:])
     with pytest.raises(InvalidInput, match="--skip-bad-lines|--clock spread"):
         read_readings_csv(path, rig)
@@ -334,7 +326,7 @@ def test_bad_lines_are_left_out_where_that_is_asked_for(
     assert (read.readings.observations.time_s.tolist(), read.table.notes) == ([0.0, 2.0], [words])
 
 
-def test_stamps_that_are_shared_and_clocks_set_back_have_a_cure(tmp_path: Path, rig: Rig) -> None:
+def test_stamps_that_are_shared_and_clocks_set_back_have_a_cure(tmp_path, rig):
     shared = written(tmp_path, HEADER, *[f"{stamp}{ROW[1:]}" for stamp in (0, 0, 1, 1, 2, 2)])
     with pytest.raises(InvalidInput, match="t_s = 0 is in lines 2 and 3, t_s = 1 is in .* --clock spread"):
         read_readings_csv(shared, rig)

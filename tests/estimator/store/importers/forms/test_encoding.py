@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import pytest
 
 from estimator.store.importers.forms.encoding import encoding_of
@@ -20,7 +18,7 @@ from estimator.store.importers.forms.encoding import encoding_of
         "1;2;Tür auf",
     ],
 )
-def test_units_of_western_files_are_read(tmp_path: Path, words: str) -> None:
+def test_units_of_western_files_are_read(tmp_path, words):
     (tmp_path / "a.csv").write_bytes(words.encode("latin-1"))
     read = (tmp_path / "a.csv").read_text(encoding=encoding_of(tmp_path / "a.csv"))
     assert read == words
@@ -35,7 +33,7 @@ def test_units_of_western_files_are_read(tmp_path: Path, words: str) -> None:
         ("t,µ", "utf-16-le"),
     ],
 )
-def test_other_letters_and_unicode_are_read(tmp_path: Path, words: str, encoding: str) -> None:
+def test_other_letters_and_unicode_are_read(tmp_path, words, encoding):
     text = "\n".join([words, *["1,2,3"] * 20])
     (tmp_path / "a.csv").write_bytes(text.encode(encoding))
     assert (tmp_path / "a.csv").read_text(encoding=encoding_of(tmp_path / "a.csv")) == text

@@ -115,16 +115,16 @@ ALL_TEXTS = [*TEXTS, *FRESH]
 
 
 @pytest.mark.parametrize("form", ALL_TEXTS, ids=lambda form: form.name)
-def test_a_text_is_read_or_refused_with_a_cure_that_works(form: Form, tmp_path: Path) -> None:
+def test_a_text_is_read_or_refused_with_a_cure_that_works(form, tmp_path):
     check(form, tmp_path)
 
 
-def test_files_of_libraries_are_read_or_refused_with_a_cure_that_works(tmp_path: Path) -> None:
+def test_files_of_libraries_are_read_or_refused_with_a_cure_that_works(tmp_path):
     for form in of_libraries(tmp_path):
         check(form, tmp_path)
 
 
-def test_three_decimals_after_a_zero_are_no_thousands() -> None:
+def test_three_decimals_after_a_zero_are_no_thousands():
     rows = ["z [mm];B [mT]", "-200;0,448", "-190;0,504", "-180;1,047"]
     layout = layout_of([Line(i, row) for i, row in enumerate(rows, 1)])
     assert layout is not None
@@ -132,7 +132,7 @@ def test_three_decimals_after_a_zero_are_no_thousands() -> None:
     assert plain_numbers(layout.decimal)(["0,448", "1,047"]) == ["0.448", "1.047"]
 
 
-def test_there_are_sixty_forms(tmp_path: Path) -> None:
+def test_there_are_sixty_forms(tmp_path):
     assert len(ALL_TEXTS) + len(of_libraries(tmp_path)) >= 60
     assert len({form.name for form in ALL_TEXTS}) == len(ALL_TEXTS)
     assert sum(form.name.startswith("real_") for form in ALL_TEXTS) >= 10
@@ -142,7 +142,7 @@ def test_there_are_sixty_forms(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "content", [";".join(["9"] * 100_000), "t [s];" + "x" * 3_000_000, "[" * 300_000, "1,2;" * 500_000]
 )
-def test_endless_lines_are_refused_at_once(content: str, tmp_path: Path) -> None:
+def test_endless_lines_are_refused_at_once(content, tmp_path):
     (tmp_path / "a.csv").write_text(f"{content}\n{content}\n", encoding="utf-8")
     begin_s = time.process_time()
     with pytest.raises(InvalidInput, match="a.csv"):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.forms.preview import previewed
 from estimator.store.importers.forms.recipe import Recipe
 from tests.estimator.store.importers.forms.written import HEADER, RIG, TWO_COILS, text
 
 
-def test_all_faults_of_a_table_are_told_with_their_lines(tmp_path: Path) -> None:
+def test_all_faults_of_a_table_are_told_with_their_lines(tmp_path):
     rows = text().splitlines()
     rows[5] = ",".join(["x", *rows[5].split(",")[1:]])
     rows[9] += ",1"
@@ -25,7 +23,7 @@ def test_all_faults_of_a_table_are_told_with_their_lines(tmp_path: Path) -> None
     assert len(preview.columns) == 8
 
 
-def test_one_current_of_two_coils_is_offered_to_both_whichever_is_missed(tmp_path: Path) -> None:
+def test_one_current_of_two_coils_is_offered_to_both_whichever_is_missed(tmp_path):
     (tmp_path / "a.csv").write_text(text([*HEADER[:1], "I [A]", *HEADER[2:]]), encoding="utf-8")
     preview = previewed(tmp_path / "a.csv", rig_from_text(TWO_COILS), Recipe())
     first, second = preview.fault.splitlines()
