@@ -70,6 +70,8 @@ def test_commands_exist_with_their_options():
 def command_of(words: list[str], page: Path) -> tuple[click.Command, list[str]]:
     """The command that a call names, and its arguments."""
     command: click.Command = main
+    if words[:2] == ["--via", "local"]:
+        words = words[2:]
     while isinstance(command, click.Group) and words and not words[0].startswith("-"):
         assert words[0] in command.commands, f"coilcal {' '.join(words)} in {page}"
         command, words = command.commands[words[0]], words[1:]

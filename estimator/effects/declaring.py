@@ -50,7 +50,7 @@ def made(
             f"{name} must have a docstring with words in its first line and a last paragraph 'Source: ...'; received {explanation!r}"
         )
     attributes = {key: _attribute(stage, key, value, name) for key, value in declared.items()}
-    if method is not None and not function.__module__.startswith("estimator."):
+    if method is not None and not str(function.__module__).startswith("estimator."):
         attributes[method] = _of_shape(attributes[method], name)
     attributes |= {"name": name, "__module__": function.__module__, "__doc__": explanation}
     attributes["__reduce__"] = _reduced

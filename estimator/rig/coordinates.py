@@ -287,6 +287,7 @@ def _whole(draw: np.ndarray, prior: Prior) -> np.ndarray:
     """Draws of a loop count, at least 1, rounded to whole numbers inside the bounds of its prior; as drawn where there is none.
 
     Examples:
+        >>> from estimator.rig.parameters import Uniform
         >>> _whole(np.array([3.4, 4.4]), Uniform(3.2, 4.5)), _whole(np.array([3.4]), Uniform(3.2, 3.8))
         (array([4., 4.]), array([3.4]))
     """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -144,3 +145,11 @@ def test_overwriting_refuses_a_folder_that_is_no_diagnosis_before_it_searches(
     result = run("diagnose", workspace / "session.zarr", "--out", tmp_path, "--overwrite")
     assert refused(result) != "searched"
     assert (tmp_path / "thesis.tex").exists()
+
+
+def test_gain_is_measured_on_readings_kept_out(record: dict[str, Any]):
+    before, after = record["gain"]["before"], record["gain"]["after"]
+    assert after["vector_T"] < before["vector_T"]
+    assert record["elpd_difference"] == pytest.approx(after["elpd"] - before["elpd"])
+    assert record["elpd_difference"] > 2.0 * record["elpd_se"] > 0.0
+    assert math.isfinite(after["elpd"])

@@ -64,3 +64,14 @@ def test_evidence_at_a_bound_is_that_of_the_side_where_the_prior_is(small_rig, s
     missed_by_laplace = held.log_evidence - without.log_evidence - exact
     assert missed_by_laplace == pytest.approx(0.0, abs=0.1)
     assert bool((rises.diff() < 0.0).all())  # the density falls from the bound on
+
+
+def test_a_fit_has_nothing_of_a_cause_that_is_not_there(small_rig, small_session):
+    zero = Cause("sensor_offset", "hall")
+    readings = small_session.observations.calibration
+    without = fit_of(small_rig, readings, zero)
+    off = without.vector[without.at_null(zero)[0]]
+    assert without.has_nothing_of(zero), off
+    shift_T = 5.0 * without.posterior.sigma_T(without.vector)[0]
+    moved = fit_of(small_rig, readings.with_field(readings.field_sensor_T + shift_T), zero)
+    assert not moved.has_nothing_of(zero)

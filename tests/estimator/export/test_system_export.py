@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import runpy
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -140,3 +142,14 @@ def test_what_holds_one_calibration_is_refused_and_so_is_an_unknown_name(system,
         system.export("csv", tmp_path / "both.csv", grid=grid, currents_A={"unused": 1.0}, motion=MOTION)
     with pytest.raises(InvalidInput, match=r"motion must name movers of the rig .*; received 'leg'"):
         system.export("magpylib", tmp_path / "both.py", motion={"leg": torch.zeros(6).double()})
+
+
+def test_magpylib_makes_the_same_field(system: System, tmp_path: Path) -> None:
+    """It sums every loop; `coilcal predict` sums them to 1e-6 of the field."""
+    path = system.export("magpylib", tmp_path / "both.py", motion=MOTION)
+    field_T = runpy.run_path(str(path))["magnet"]([CURRENTS_A[name] for name in system.coils]).getB(
+        POINTS_M.numpy()
+    )
+    expected_T = system.at(POINTS_M, MOTION).field_T(system.currents(CURRENTS_A)).numpy()
+    size_T = np.linalg.norm(expected_T, axis=1)
+    assert (np.linalg.norm(field_T - expected_T, axis=1) < 3e-6 * size_T).all()

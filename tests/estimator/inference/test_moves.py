@@ -274,3 +274,12 @@ def test_good_proposal_is_accepted_more_often_than_a_bad_one():
         moved[name] = (np.diff(chain[..., 0], axis=0) != 0.0).mean()
     assert moved["right"] > 0.85
     assert moved["wrong"] < 0.6
+
+
+def test_no_pair_of_counts_starves_in_the_proposal():
+    draws = MixtureProposal(mixture(np.array([1.0, 0.0, 0.0]), MEAN, COVARIANCE)).draw(
+        20_000, np.random.RandomState(2)
+    )
+    for counts in COUNTS[1:]:
+        share = (draws[:, 2:] == counts).all(axis=1).mean()
+        assert share == pytest.approx(FLOOR / 3.0, rel=0.2)

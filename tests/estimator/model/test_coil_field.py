@@ -66,9 +66,9 @@ def test_sensor_is_refused_where_a_coil_has_no_field(kind):
     with pytest.raises(
         InvalidInput, match=r"1 of 2 poses do not, the first at reading 2: correct where .* \(rig 'one'\)"
     ):
-        refuse(rules, rows, pose_row, None, "one")
+        refuse(rules, rows, pose_row, None, "one", True)
     with pytest.raises(InvalidInput, match="1 of 2 poses do not, the first in line 13: "):
-        refuse(rules, rows, pose_row, line, "one")
+        refuse(rules, rows, pose_row, line, "one", True)
 
 
 @pytest.mark.parametrize("kind", ["interior", "exterior", "charges"])

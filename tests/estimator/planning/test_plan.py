@@ -156,3 +156,7 @@ def test_what_is_no_goal_is_refused_with_examples(text, rule, small_rig):
 def test_a_workspace_in_a_winding_is_refused(small_rig, both_signs):
     with pytest.raises(InvalidInput, match="workspace must lie outside the windings; 72 of its 72 points"):
         plan(small_rig, both_signs, ["field 1 % in box y_mm=48 z_mm=-45"], n_stops=10)
+
+
+def test_a_seed_repeats_the_plan(planned: Planned, small_rig: Rig, both_signs: Plan) -> None:
+    assert plan(small_rig, both_signs, [GOAL], n_stops=40).text == planned.text

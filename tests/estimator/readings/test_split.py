@@ -118,3 +118,9 @@ def test_blocks_are_of_neighbours_where_only_some_poses_place_them(monkeypatch):
     nearest_m = np.linalg.norm(position_m[:, None] - centres, axis=2).min(axis=1)
     assert np.quantile(own_m - nearest_m, 0.9) < 0.02
     assert len(np.unique(block)) > 15
+
+
+def test_the_seed_decides() -> None:
+    observations = readings(grid(5))
+    assert torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 3))
+    assert not torch.equal(block_split(observations, 0.2, 3), block_split(observations, 0.2, 4))

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from estimator.diagnosis.mixture.evidence import Products
-from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half
+from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves
 from estimator.diagnosis.mixture.slots import NoisePrior, Slots
 from tests.estimator.diagnosis.mixture.dictionaries import N_NUMBERS, N, dictionary, item
 
@@ -52,3 +52,13 @@ def test_what_a_half_is_expected_to_say_is_the_mean_of_what_halves_with_other_no
         probability.append(of_slot[0] + of_slot[1])
     assert expected[0] == pytest.approx(np.mean(probability), abs=0.08)
     assert expected[2] > 0.9
+
+
+def test_halves_are_complementary_and_keep_blocks_together(small_session):
+    block = blocks_of(small_session.observations, small_session.rig, seed=1)
+    made = list(halves(block, 3, seed=2))
+    assert len(made) == 6
+    for first, second in zip(made[::2], made[1::2], strict=True):
+        assert (first ^ second).all()
+        assert all(len(set(first[block == one])) == 1 for one in np.unique(block))
+    assert len({tuple(one) for one in made}) == 6

@@ -93,3 +93,14 @@ def test_excluded_items_are_in_no_draw_and_others_are_as_if_there_were_none():
     assert not [model for model in samples.models if {0, 1} & set(model)]
     assert samples.present[[0, 1]].tolist() == [0.0, 0.0]
     assert samples.present[2:] == pytest.approx(exact(made.restricted([2, 3, 4]), 3), abs=0.02)
+
+
+def test_the_same_seed_gives_the_same_draws():
+    first, second = (Slots(Products(noisy()), KNOWN).sample(Sweeps(30, 5), seed=3) for _ in range(2))
+    assert first.models == second.models
+    assert first.present.tolist() == second.present.tolist()
+
+
+def test_items_of_one_name_never_stand_beside_each_other():
+    samples = Slots(Products(noisy()), KNOWN, n_slots=4).sample(Sweeps(300, 10), seed=4)
+    assert not [model for model in samples.models if {0, 1} <= set(model)]
