@@ -125,7 +125,7 @@ def test_readings_that_come_between_two_parts_do_not_wait_and_are_in_the_result(
     small_rig, readings, monkeypatch
 ):
     monkeypatch.setattr(sweep, "GRADIENT_READINGS", 9)
-    monkeypatch.setattr(running_fits, "LINEARISED_PREDICTIONS", 50)
+    monkeypatch.setattr(sweep, "LINEARISED_PREDICTIONS", 50)
     sizes = []
     gradient = LogPosterior.gradient
     monkeypatch.setattr(
