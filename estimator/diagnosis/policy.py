@@ -140,8 +140,9 @@ Study of 1 case: no change."""
 
 MOST_TAKEN = 1.1
 """Factor by which the predicted field may miss unseen readings more with corrections than without. By judgement: a tenth shows in a few
-hundred readings, and a magnet of known field was predicted 13 uT off with corrections that missed a third more, 5 uT off without. Study of
-1 case: numbers change in 1."""
+hundred readings. One magnet of known field, which missed a third more, was predicted 13 uT off with corrections and 5 without; in 16 mixed
+sessions the factor did not tell whether they helped, and the only one above 1.1 was better with them. Study of 1 case: numbers change in
+1."""
 
 MOST_BESIDE_A_NAME = 0.2
 """Probability that a cause is something else, which no list holds, up to which its name may be stated alone; beyond, that belongs to its
