@@ -143,7 +143,9 @@ class Calibration(Shown, Exportable):
 
         def at_some(which: Int[np.ndarray, " some"], draws: Mapping[str, Tensor]) -> np.ndarray:
             rows = {name: numbers[which] if numbers.dim() > 1 else numbers for name, numbers in moved.items()}
-            values: np.ndarray = numpy_of(of_draws(self.room(points_m[which], rows), draws))
+            n_draws = max(len(value) for value in draws.values() if value.dim())
+            said = of_draws(self.room(points_m[which], rows), draws)
+            values: np.ndarray = numpy_of(said.expand(n_draws, len(which), *[3] * n_axes))
             return values
 
         many = ends_at_many(at_some, draws, numpy_of(room.is_near), level)
