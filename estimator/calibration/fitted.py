@@ -42,7 +42,7 @@ class Fitted(NamedTuple):
 def fitted(calibration: Calibration) -> Fitted:
     """The readings of a calibration beside its model."""
     observations, best = calibration.observations.calibration, calibration.best_values()
-    model = MeasurementModel.build(calibration.rig, observations)
+    model = MeasurementModel.for_values(calibration.rig, observations, best)
     each_T = noise_of_readings_T(calibration.rig, observations, calibration.best).numpy()
     is_one = len(calibration.rig.sensors) == 1 and bool((each_T == each_T[:1, :1]).all())
     sigma_T = float(each_T[0, 0]) if is_one else each_T

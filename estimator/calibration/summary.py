@@ -166,12 +166,12 @@ def _errors(calibration: Calibration) -> dict[str, Any]:
         if not len(observations):
             result["rmse"][role] = result["rmse_nominal"][role] = result["coverage90"][role] = None
             continue
-        model = MeasurementModel.build(calibration.rig, observations)
+        model = MeasurementModel.for_values(calibration.rig, observations, best)
         measured, is_on = observations.field_sensor_T.numpy(), (observations.current_A != 0.0).any(-1).numpy()
         predicted = model.predict(best).expand(len(observations), 3).numpy()
         result["rmse"][role] = _error_sizes(error_metrics(measured, predicted, is_on))
         result["rmse_nominal"][role] = _error_sizes(
-            error_metrics(measured, model.predict(nominal).numpy(), is_on)
+            error_metrics(measured, model.choose_rules(nominal).predict(nominal).numpy(), is_on)
         )
         result["rmse_by_sensor"][role] = {
             sensor.name: _error_sizes(error_metrics(measured[is_own], predicted[is_own], is_on[is_own]))

@@ -165,7 +165,7 @@ def validation_scores(
         draws: From the posterior, where it was sampled; predictions scatter as theirs do.
     """
     unseen = as_meant(fit.rig, unseen)
-    model = fit.model_of(unseen)
+    model = fit.model_of(unseen).choose_rules(fit.values, is_refusing=False)
     posterior = LogPosterior(fit.posterior.coordinates, model, unseen)
     covariance = fit.covariance if widened is None else widened
     with torch.no_grad():

@@ -62,6 +62,14 @@ class MeasurementModel:
         )
 
     @classmethod
+    def for_values(cls, rig: Rig, observations: Observations, values: Values) -> MeasurementModel:
+        """Set the model up with quadrature rules for given values, such as fitted ones.
+
+        A fit may move a winding nearer to a sensor than the nominal values have it, even around it; nothing is refused then.
+        """
+        return cls.unruled(rig, observations).choose_rules(values, is_refusing=False)
+
+    @classmethod
     def unruled(cls, rig: Rig, observations: Observations) -> MeasurementModel:
         """The model before quadrature rules are chosen: `choose_rules`, or `with_rules` of a similar model, completes it."""
         observations = as_meant(rig, observations)
@@ -175,8 +183,10 @@ class MeasurementModel:
         at = self.at_sensors.part(readings)
         return replace(self, sources=at.sources, sensor=at.sensor)
 
-    def choose_rules(self, values: Values, tolerance: float = DEFAULT_TOLERANCE) -> MeasurementModel:
-        """This model with quadrature rules chosen at these values (no batch)."""
+    def choose_rules(
+        self, values: Values, tolerance: float = DEFAULT_TOLERANCE, is_refusing: bool = True
+    ) -> MeasurementModel:
+        """This model with quadrature rules chosen at these values (no batch); `is_refusing` refuses sensors inside a winding."""
         values, rules = self.alike(values), {}
         is_nominal = all(torch.equal(value, self.nominal[name]) for name, value in values.items())
         for coil in self.rig.coils:
@@ -185,7 +195,7 @@ class MeasurementModel:
             rows = self.every_row if is_idle else rows
             points_m = self.in_coil(coil, rows, values).translation_m
             field = coil_field(self.rig, coil, values)
-            if not is_idle:
+            if is_refusing and not is_idle:
                 line = self.circumstances.observations.line
                 refuse(field.rules(points_m), rows, self.pose_row, line, self.rig.name, is_nominal)
             if field.winding is None:

@@ -98,7 +98,7 @@ def at_stored_draws(
     """Density of some readings, and draws from the posterior of a calibration of the same rig in its coordinates."""
     coordinates = Coordinates(calibration.rig, integer_counts=True)
     values = calibration.draw_values(policy.N_DRAWS)
-    model = MeasurementModel.unruled(calibration.rig, observations).choose_rules(calibration.best_values())
+    model = MeasurementModel.for_values(calibration.rig, observations, calibration.best_values())
     vectors = coordinates.vector({name: values[name] for name in coordinates.names})
     return LogPosterior(coordinates, model, observations), vectors
 

@@ -349,3 +349,13 @@ def test_a_validation_sensor_inside_the_winding_is_refused_before_the_work(small
     ):
         calibrate(session, out=tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_errors_are_of_the_calibrated_winding_however_far_the_rig_file_has_it(
+    small_session, small_calibration
+):
+    """The quadrature is as fine as the place of the fit asks: chosen for a coil 1 m away, it would miss by 1 uT."""
+    away = small_calibration.rig.with_values({"coil1.world_from_coil0.z_m": -1.0})
+    moved = summary.summary(small_session, replace(small_calibration, rig=away))["rmse"]
+    for role, errors in small_calibration.summary()["rmse"].items():
+        assert moved[role]["max_T"] == pytest.approx(errors["max_T"], rel=1e-3)
