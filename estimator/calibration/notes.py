@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from estimator.effects import EFFECTS
@@ -15,6 +15,7 @@ from estimator.rig.rig import Cause
 
 POSE = "_from_"  # part of the names of a pose
 ROOM_AND_ZERO = ("background_field[", "sensor_offset[")  # beginnings of their names
+MOST_TOLD = 3  # combinations that are not determined, in words; summary.json has all
 ONLY_THE_SUM = "Where no sensor turns, only the sum of the room's field and of a sensor's zero is known"
 
 
@@ -65,6 +66,17 @@ def notes(described: WithEverywhere, observations: Observations) -> list[str]:
         for i, step_T in coarse_steps_T(observations, noise_T).items()
     ]
     return sentences
+
+
+def undetermined_lines(
+    undetermined: Sequence[Mapping[str, Any]], fitted_besides: Iterable[str] = ()
+) -> list[str]:
+    """What the data do not determine, least determined first: the first combinations in words, the others counted."""
+    told = told_by_data(undetermined, fitted_besides)
+    lines = [f"not determined by the data: {direction['words']}" for direction in told[:MOST_TOLD]]
+    if len(told) > MOST_TOLD:
+        lines.append(f"not determined by the data: {len(told) - MOST_TOLD} more, which summary.json lists")
+    return lines
 
 
 def told_by_data(

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from estimator.calibration.notes import told_by_data
+from estimator.calibration.notes import MOST_TOLD, told_by_data
 from estimator.calibration.quality import condition, noise_rms_T
 from estimator.calibration.result import Calibration
 from estimator.reporting.numbers import microtesla, percent, probability
@@ -97,8 +97,13 @@ def warning_sentences(summary: Mapping[str, Any]) -> list[str]:
             )
     elif has_real_counts:
         warnings.append("Loop counts are hardly determined by the data and were sampled as real numbers.")
-    for direction in told_by_data(summary["undetermined"], summary.get("fitted_besides", ())):
+    undetermined = told_by_data(summary["undetermined"], summary.get("fitted_besides", ()))
+    for direction in undetermined[:MOST_TOLD]:
         warnings.append(undetermined_sentence(direction["words"], direction["data_over_prior_sd"]))
+    if len(undetermined) > MOST_TOLD:
+        warnings.append(
+            f"Nor do they determine {len(undetermined) - MOST_TOLD} more combinations, which summary.json lists."
+        )
     for name, distance in summary["prior_tension"].items():
         warnings.append(
             f"{split_quotient(name)[0]} lies {abs(distance):.1f} standard deviations of its prior {'above' if distance > 0 else 'below'} "

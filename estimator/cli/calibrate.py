@@ -128,7 +128,7 @@ def _write_report(calibration: Calibration, path: Path) -> None:
 
 
 def _text(summary: Any) -> str:
-    from estimator.calibration.notes import told_by_data
+    from estimator.calibration.notes import undetermined_lines
     from estimator.calibration.quality import condition
     from estimator.reporting.numbers import percent, probability
 
@@ -163,10 +163,7 @@ def _text(summary: Any) -> str:
         + (", which summary.json lists" if unlisted else "")
         for coil, told in summary.get("amplitudes", {}).items()
     ]
-    lines += [
-        f"not determined by the data: {direction['words']}"
-        for direction in told_by_data(summary["undetermined"], summary.get("fitted_besides", ()))
-    ]
+    lines += undetermined_lines(summary["undetermined"], summary.get("fitted_besides", ()))
     return "\n".join(lines)
 
 

@@ -105,10 +105,10 @@ class Reporter:
             self._what = stage.name
             self.say(stage.name)
         if stage.open_directions:
-            from estimator.calibration.notes import told_by_data
+            from estimator.calibration.notes import undetermined_lines
 
-            for direction in told_by_data(map(vars, stage.open_directions), ()):
-                self.say(f"  not determined by the data: {direction['words']}")
+            for line in undetermined_lines([vars(direction) for direction in stage.open_directions]):
+                self.say(f"  {line}")
         sampling = stage.sampling
         if sampling is None:
             self.show(stage.name)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from estimator.calibration.notes import notes, told_by_data
+from estimator.calibration.notes import notes, told_by_data, undetermined_lines
 from estimator.effects.everywhere import WithEverywhere
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
@@ -91,3 +91,13 @@ def test_room_against_zero_is_one_note_and_no_warning_for_each_axis():
     beside = direction("sensor_offset[hall].x_T", "background_field[room].x_T", "coil1.radius_m")
     assert told_by_data([together, alone, beside], ()) == [alone, beside]
     assert told_by_data([alone, beside], ("sensor_offset[hall]",)) == [beside]
+
+
+def test_three_open_combinations_are_told_and_the_others_counted():
+    told = [{"words": f"coil{i} turns", "shares": {f"coil{i}.turns": 1.0}} for i in range(5)]
+    first = [f"not determined by the data: coil{i} turns" for i in range(3)]
+    assert undetermined_lines(told[:3]) == first
+    assert undetermined_lines(told) == [
+        *first,
+        "not determined by the data: 2 more, which summary.json lists",
+    ]
