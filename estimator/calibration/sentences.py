@@ -8,6 +8,7 @@ from typing import Any
 from estimator.calibration.notes import MOST_TOLD, told_by_data
 from estimator.calibration.quality import condition, noise_rms_T
 from estimator.calibration.result import Calibration
+from estimator.inference.laplace import TOGETHER
 from estimator.reporting.numbers import microtesla, percent, probability
 from estimator.units import split_quotient
 
@@ -64,12 +65,18 @@ def _noise_share(calibration: Calibration, role: str) -> str:
 
 
 def undetermined_sentence(words: str, data_over_prior_sd: float) -> str:
-    """What readings say of a combination of parameters that the prior knows better.
+    """What readings say of a parameter, or of a combination of some, that the prior knows better.
 
     Examples:
         >>> undetermined_sentence("the wire radius", 28.0)
         "These readings say almost nothing about the wire radius: its interval is the prior's."
+        >>> undetermined_sentence("the length up together with the thickness up", 28.0)
+        'These readings hardly show a change of the length up together with the thickness up: such a change is known mostly from the prior.'
     """
+    if TOGETHER in words:
+        return (
+            f"These readings hardly show a change of {words}: such a change is known mostly from the prior."
+        )
     if data_over_prior_sd > HARDLY_NARROWED:
         return f"These readings say almost nothing about {words}: its interval is the prior's."
     return f"These readings say less about {words} than the prior does: its interval is mostly the prior's."

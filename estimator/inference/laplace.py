@@ -15,6 +15,7 @@ from estimator.rig.coordinates import Coordinates
 
 UNDETERMINED_RATIO = 1.0  # of data to prior standard deviation
 SMALLEST_SHARE = 0.15  # of the largest component; smaller ones are not named
+TOGETHER = " up together with "  # between the names of a combination
 MOST_NAMED = 3  # components beside the largest; the shares have all
 
 
@@ -75,4 +76,4 @@ def _in_words(shares: dict[str, float]) -> str:
     parts = [f"{name} {'up' if shares[name] > 0.0 else 'down'}" for name in rest[:MOST_NAMED]]
     if len(rest) > MOST_NAMED:
         parts.append(f"and {len(rest) - MOST_NAMED} more")
-    return f"{first} up together with {', '.join(parts)}"
+    return f"{first}{TOGETHER}{', '.join(parts)}"

@@ -1,4 +1,4 @@
-"""Iron in the room that answers the coils: a plate, a plate with an opening, a small piece."""
+"""Iron in the room that the coils magnetise: a plate, a plate with an opening, a small piece."""
 
 from __future__ import annotations
 
@@ -91,9 +91,9 @@ def _has_all_on_one_side(theta: Theta, circumstances: Circumstances) -> bool:
     is_itself=_has_all_on_one_side,
 )
 def iron_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """A plate of iron mirrors the coils.
+    """A plate of iron is magnetised by the coils.
 
-    A large plate of iron mirrors the coils and shields what is behind it.
+    A large plate of iron adds the field of the coils' images and shields what is behind it.
 
     Source: strength (mu - 1) / (mu + 1) is below 1; a thin or far plate gives less.
     """
@@ -164,7 +164,7 @@ def pierced_plate(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fiel
 
     A large plate of iron with a round opening, through which sensors reached both of its sides.
 
-    It answers the coils, and the room's own field across it may differ from one side to the other.
+    The coils magnetise it, and the room's own field across it may differ from one side to the other.
 
     Source: 1 is a perfect sheet; the end plate of a measured solenoid has 1.05, and steps of 0.3 to 0.4 mT.
     """
@@ -263,9 +263,9 @@ IRON = (
 
 @RoomEffect.cause("response", source=IRON, quantities=_somewhere_near, starts=_around)
 def iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """A piece of iron in the room answers the coils.
+    """A piece of iron in the room is magnetised by the coils.
 
-    One small piece of iron in the room. Its `volume_m3` is the cubed radius of a ball of iron that answers likewise, whose own
+    One small piece of iron in the room. Its `volume_m3` is the cubed radius of a ball of iron with the same moment, whose own
     volume is 4 pi / 3 times that.
     """
     return _dipole_of_body(per_ampere, points_m, theta)
@@ -286,9 +286,9 @@ def _dipole_of_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fi
     concerns=lambda circumstances, place: Cause(iron_body.name, place) in circumstances.rig.effects,
 )
 def second_iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
-    """A second piece of iron in the room answers the coils.
+    """A second piece of iron in the room is magnetised by the coils.
 
-    Another piece beside the one that the rig has; they do not answer each other.
+    Another piece beside the one that the rig has; they do not magnetise each other.
 
     It is asked once a first piece is there, for before that both would be the same cause twice. It is no second picture of the first, as a
     plate would be.

@@ -58,9 +58,9 @@ def gain_spell() -> None:
     quantities=lambda extent: triple("xyz", "_per_T2", "1/T2", 0.01 / extent.largest_field_T**2)
 )
 def cubic_response(field_sensor_T: Components, theta: Theta) -> Components:
-    """The sensor's response bends with the field.
+    """The sensor's response is not linear in the field.
 
-    The response bends: a relative error that grows with the square of the component.
+    A relative error that grows with the square of the component.
 
     Source: linearity of Hall sensors, 0.1 to 1 % of range.
     """
@@ -131,7 +131,9 @@ def thermal_lag(
 
 @ReadingEffect.cause(quantities=triple("xyz", "_T", "T", 50e-6), is_everywhere=True)
 def sensor_offset(field_sensor_T: Components, theta: Theta) -> Components:
-    """The sensor shows a constant in no field.
+    """The sensor has a zero offset.
+
+    It shows a constant where there is no field.
 
     Source: zero errors of Hall sensors, 10 to 100 uT.
     """
@@ -155,7 +157,7 @@ def offset_drift(field_sensor_T: Components, theta: Theta, circumstances: Circum
     starts=instants_within,  # elsewhere the step is nothing, or an offset of all its readings
 )
 def offset_step() -> None:
-    """From one instant on the sensor shows another constant in no field.
+    """From one instant on the sensor has another zero offset.
 
     From one instant on the zero of the sensor is another: it was plugged in again, or its amplifier changed range.
 
@@ -165,7 +167,7 @@ def offset_step() -> None:
 
 @spell(offset_step)
 def offset_spell() -> None:
-    """For a while the sensor shows another constant in no field.
+    """For a while the sensor has another zero offset.
 
     For a while the zero of the sensor is another.
 

@@ -138,7 +138,7 @@ def segment_gain(field_sensor_T: Components, theta: Theta, circumstances: Circum
 
 @ReadingEffect.cause(**_in_segments(triple("xyz", "_T", "T", 50e-6)))
 def segment_zero(field_sensor_T: Components, theta: Theta, circumstances: Circumstances) -> Components:
-    """In each segment of the session the sensor shows another constant in no field.
+    """In each segment of the session the sensor has another zero offset.
 
     The sensor was zeroed anew before each segment.
 

@@ -97,7 +97,7 @@ def current_asymmetry(current_A: Current, theta: Theta) -> Current:
     never_negative=("loss_per_A2",),
 )
 def current_compression(current_A: Current, theta: Theta) -> Current:
-    """The supply lacks the more of a current, the larger it is.
+    """The supply delivers too little, and a larger share is missing the larger the current is.
 
     The larger the current, the more of it the supply lacks: it nears the limit of its voltage, or its shunt warms up at once.
 

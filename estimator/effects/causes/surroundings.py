@@ -19,7 +19,7 @@ SLOPES = ("xx", "yy", "xy", "xz", "yz")
     "steady_T", quantities=triple("xyz", "_T", "T", 50e-6), is_background=True, is_everywhere=True
 )
 def background_field(points_m: Points, theta: Theta) -> Field:
-    """A constant field of the room adds to that of the coils.
+    """A constant field of the room, such as the Earth's, adds to that of the coils.
 
     A uniform field of the room, such as the Earth's.
 
@@ -61,9 +61,9 @@ def background_drift(theta: Theta, circumstances: Circumstances) -> Components:
 
 @during(background_field)
 def background_step() -> None:
-    """From one instant on the field of the room is another.
+    """From one instant on the field of the room is different.
 
-    From one instant on the field of the room is another, everywhere alike.
+    From one instant on the field of the room is different, by the same everywhere.
 
     Source: a steel door or a chair that was moved, a magnet that was put down: 1 to 50 uT.
     """
@@ -71,9 +71,9 @@ def background_step() -> None:
 
 @spell(background_step)
 def background_spell() -> None:
-    """For a while the field of the room is another.
+    """For a while the field of the room is different.
 
-    For a while the field of the room is another, everywhere alike.
+    For a while the field of the room is different, by the same everywhere.
 
     Source: a door, a lift or a trolley that came and went, another coil that was on: 1 to 50 uT.
     """

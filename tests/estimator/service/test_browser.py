@@ -190,7 +190,7 @@ def test_what_a_cause_would_do_follows_the_slider(served, page, small_session, r
     answer = service.client.post("/v1/sessions/import-zip", params={"rig_id": rig_id}, **call)
     page.goto(f"{service.url}/#/what-if/{answer.json()['id']}")
     page.get_by_label("Cause").select_option("sensor_offset[hall]")
-    page.get_by_text("the sensor shows a constant in no field").wait_for()
+    page.get_by_text("the sensor has a zero offset").wait_for()
     slider = page.get_by_label("Size of sensor_offset[hall]")
     said = page.locator("section[aria-live] strong")
     small = float(said.inner_text().split()[0])
