@@ -22,7 +22,7 @@ from estimator.effects.declaring import made
 from estimator.errors import InvalidInput
 from estimator.rig.bodies import Body, Mover
 from estimator.rig.parameters import LogNormal, Normal, Prior, Uniform
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.tensors import Tensor, torch
 
 Theta = Mapping[str, Tensor]  # quantities by key, each with the batch of the hypothesis
@@ -194,6 +194,7 @@ class Effect(ABC):
             the first reading on: beside a calibration of the same coil it explains no change.
         needs_winding: It says something of a round winding, or has a place beside one; other coils cannot have it.
         stays: The cause that is the same from one instant on, where this one ends at another: the difference of two of these.
+        repeats: The cause of which this is one more, such as a second piece of iron; it is asked where that one is there.
         never_negative: Keys of quantities that are not negative where the cause is what its words say: a current that grows as a coil warms
             up is none of its losses. A fit with a negative one is something else.
         depends_on: What of a session its quantities depend on, so that the field of a single moment cannot show them; None where it can.
@@ -213,6 +214,7 @@ class Effect(ABC):
     can_begin: ClassVar[bool] = True
     needs_winding: ClassVar[bool] = False
     stays: ClassVar[Effect | None] = None
+    repeats: ClassVar[Effect | None] = None
     never_negative: ClassVar[tuple[str, ...]] = ()
     depends_on: ClassVar[str | None] = None
     is_everywhere: ClassVar[bool] = False
@@ -293,7 +295,7 @@ class Effect(ABC):
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
         """Whether the session could show it; a cause that needs a temperature does not concern one without a thermometer."""
-        return True
+        return self.repeats is None or Cause(self.repeats.name, place) in circumstances.rig.effects
 
     def unseen(self, circumstances: Circumstances, place: str) -> frozenset[str]:
         """Keys of quantities that the session cannot show, or not beside the others: they keep their value."""

@@ -21,7 +21,6 @@ from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Rival
 from estimator.diagnosis.mixture.slots import Samples
 from estimator.effects import EFFECTS
-from estimator.effects.circumstances import Extent
 from estimator.rig.rig import Cause
 
 ASKED = 0.2  # probability of a cause from which on a set is made about it
@@ -109,12 +108,11 @@ class Answer:
         return result
 
     def _first_of(self, cause: Cause, alternatives: Collection[Cause] = ()) -> Cause:
-        """The cause of the expansion with the same quantities that is an alternative or does not lead; without one, the cause itself."""
-        if cause not in self.only_beside:
-            return cause
-        leading, keys = self.asked.causes_of(self.asked.leading), _keys(cause)
-        able = [c for c in self.asked.expansion.causes if c in alternatives or c not in leading]
-        return next((other for other in able if _keys(other) == keys), cause)
+        """The cause of which this is one more, where that one is an alternative or does not lead; without one, the cause itself."""
+        repeats = EFFECTS[cause.name].repeats if cause.name in EFFECTS else None
+        first = Cause(repeats.name, cause.place) if repeats else cause
+        is_free = first in alternatives or first not in self.asked.causes_of(self.asked.leading)
+        return first if first in self.asked.expansion.causes and is_free else cause
 
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items
@@ -325,8 +323,3 @@ class Answer:
             "found": [entry.to_json() for entry in self.found],
             "unlisted": {link.value: probability for link, probability in self.unlisted.items()},
         }
-
-
-def _keys(cause: Cause) -> list[str]:
-    """Quantities of a cause."""
-    return [quantity.key for quantity in EFFECTS[cause.name].quantities(Extent())]

@@ -24,7 +24,6 @@ from estimator.effects.stages import Field, PerAmpere, Points, RoomEffect
 from estimator.field.dipole import dipole_field
 from estimator.field.opening import RING, through_opening
 from estimator.rig.parameters import Normal
-from estimator.rig.rig import Cause
 from estimator.tensors import Tensor, torch
 
 GAPS = (0.3, 1.0)  # of the reach, between the positions and a plane behind them
@@ -283,7 +282,7 @@ def _dipole_of_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Fi
     source=IRON,
     quantities=_somewhere_near,
     starts=_around,
-    concerns=lambda circumstances, place: Cause(iron_body.name, place) in circumstances.rig.effects,
+    repeats=iron_body,
 )
 def second_iron_body(per_ampere: PerAmpere, points_m: Points, theta: Theta) -> Field:
     """A second piece of iron in the room is magnetised by the coils.

@@ -92,9 +92,10 @@ ALONE = {**BOTH, TWIN: {TWIN: 100.0}}
 )
 def test_a_second_piece_where_the_first_may_be_is_the_first(models, shares, monkeypatch):
     """It is asked beside the first alone, which has been fitted; also where it has taken the place of that."""
-    monkeypatch.setattr(answers, "_keys", lambda cause: ["volume_m3"])
-    made = answered(samples(models, shares))
     first = ITEMS[GAIN].cause
+    one_more = SimpleNamespace(repeats=SimpleNamespace(name=first.name))
+    monkeypatch.setattr(answers, "EFFECTS", {TWIN_CAUSE.name: one_more})
+    made = answered(samples(models, shares))
     made.asked.__dict__["expansion"] = SimpleNamespace(causes=(first,))
     second = replace(made, first=asked_about(made.asked, (first, ITEMS[FAINT].cause)))
     (gain,) = (one for one in second.found if one.first.is_listed)
