@@ -16,7 +16,7 @@ SEED = 61_001
 PLACE_TOLERANCE_M = 6e-3
 
 
-@pytest.mark.slow
+@pytest.mark.whole
 def test_both_pieces_are_named_where_they_are(tmp_path):
     hidden = draw_case("outside", SEED)
     hidden.write(tmp_path)

@@ -20,7 +20,6 @@ from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Rival
 from estimator.diagnosis.mixture.slots import Samples
-from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
 ASKED = 0.2  # probability of a cause from which on a set is made about it
@@ -99,28 +98,13 @@ class Answer:
         listed = frozenset(item.cause for item in self.asked.dictionary.items if item.is_listed)
         return listed.difference(candidate.cause for candidate in self.first.pool)
 
-    def _as_first(self, shares: Mapping[Cause, float]) -> dict[Cause, float]:
-        """Shares in which causes that are asked beside others alone are those where these lack: a second piece of iron is the first."""
-        result = dict[Cause, float]()
-        for cause, share in shares.items():
-            first = self._first_of(cause, shares)
-            result[first] = result.get(first, 0.0) + share
-        return result
-
-    def _first_of(self, cause: Cause, alternatives: Collection[Cause] = ()) -> Cause:
-        """The cause of which this is one more, where that one is an alternative or does not lead; without one, the cause itself."""
-        repeats = EFFECTS[cause.name].repeats if cause.name in EFFECTS else None
-        first = Cause(repeats.name, cause.place) if repeats else cause
-        is_free = first in alternatives or first not in self.asked.causes_of(self.asked.leading)
-        return first if first in self.asked.expansion.causes and is_free else cause
-
     def _found(self, shares: dict[Cause, float]) -> Found:
         items = self.asked.dictionary.items
         first = {item.cause: item for item in reversed(items)}
         own = [i for i, item in enumerate(items) if item.cause in shares]
         with_all = self.asked.samples.one_of(own)
         in_halves = self._in_halves(own)
-        alternatives, shares = tuple(shares), self._as_first(shares)
+        alternatives = tuple(shares)
         listed, whole = [cause for cause in shares if first[cause].is_listed], sum(shares.values())
         likeliest = max(listed, key=shares.__getitem__, default=None)
         real = 1.0 if likeliest is None else 1.0 - self.standing(likeliest, alternatives).p_imitation
@@ -256,7 +240,6 @@ class Answer:
             for possibility in entry.possibilities
             if not possibility.is_listed
         }
-        own |= {c: self.item_of(f) for c in self.only_beside if (f := self._first_of(c)) != c}
         return tuple(dict.fromkeys(own.get(items[i].cause, i) for i in self.asked.leading))
 
     def item_of(self, cause: Cause) -> int:

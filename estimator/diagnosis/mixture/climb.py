@@ -23,9 +23,12 @@ from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
 from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
+from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
+from estimator.side_by_side import each
 
 MOST_EXPANSIONS = 6
+MOST_STARTS = 4  # of fits with a second piece
 CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
 
 
@@ -157,8 +160,7 @@ def climbed(
         for causes, chosen in {last.causes_of(i): i for i in (some, one_more(last, some))}.items():
             if (causes, is_beside) in seen or limits.is_over:
                 continue
-            sizes, _ = last.slots.products.sizes(chosen, last.noise)
-            moved = last.expansion.moved(last.dictionary, chosen, sizes)
+            moved = _moved(last, chosen)
             there = ask(moved, limits, seed, shapes, last).without(excluded, seed)
             new = causes.difference(last.expansion.causes)
             if not (new and there.is_worse_than(last, {last.dictionary.items[i].cause for i in chosen})):
@@ -173,7 +175,44 @@ def climbed(
         best, last = [replace(_likeliest([*best, last]), changes=None)], there
         shapes |= {start.candidate.cause: start.candidate.shapes for start in moved.present}
     there = _likeliest([*best, last])
+    there = _likeliest([there, *with_one_more(there, limits, seed, shapes)])
     return first, replace(there, samples=there.slots.sample(SAMPLING, seed, there.leading))
+
+
+def with_one_more(
+    there: Asked, limits: Limits, seed: int, shapes: Mapping[Cause, dict[str, float]]
+) -> list[Asked]:
+    """The readings asked about the best fit with a second piece of what leads, in place of all departures that lead.
+
+    The first piece then stands between the two, so that departures follow in one step what only a fit that moves both can explain.
+    """
+    items = there.dictionary.items
+    listed = [i for i in there.leading if items[i].is_listed]
+    if len(listed) == len(there.leading) or limits.is_over or not there.causes_of(listed) & _repeated(there):
+        return []
+    alone = ask(_moved(there, listed), limits, seed, shapes, there)
+    items, present = alone.dictionary.items, _present(alone.dictionary.items, alone.expansion, ())
+    evidence = alone.slots.products.beside(present, alone.noise) + alone.slots.log_prior
+    clearest = dict[str, int]()
+    for i in evidence.argsort(descending=True).tolist():
+        if items[i].repeated and items[i].cause not in alone.expansion.causes and len(clearest) < MOST_STARTS:
+            clearest.setdefault(str(items[i].start), i)
+    fits = list(each(lambda i: _moved(alone, [*present, i]), clearest.values()))
+    if not fits:
+        return []
+    likeliest = max(fits, key=lambda at: at.fit.log_evidence)
+    return [ask(likeliest, limits, seed, shapes, alone)]
+
+
+def _repeated(asked: Asked) -> set[Cause]:
+    """Causes that may be there twice."""
+    names = {effect.repeats.name for effect in EFFECTS.values() if effect.repeats}
+    return {item.cause for item in asked.dictionary.items if item.cause.name in names}
+
+
+def _moved(asked: Asked, chosen: Sequence[int]) -> Expansion:
+    """The expansion about a fit with some items."""
+    return asked.expansion.moved(asked.dictionary, chosen, asked.slots.products.sizes(chosen, asked.noise)[0])
 
 
 def _likeliest(asked: Sequence[Asked]) -> Asked:
@@ -215,8 +254,19 @@ def ask(
     others = list({id(item.start.candidate): item.start.candidate for item in listed}.values())
     entries = dictionary(expansion, listed, departures(here, alone, others))
     slots = Slots(Products(entries), noise_prior(fit), limits.n_slots(fit.rig))
-    samples = slots.sample(CLIMBING, seed, _alike(entries.items, led))
+    samples = slots.sample(
+        CLIMBING, seed, [*_present(entries.items, expansion, led), *_alike(entries.items, led)]
+    )
     return Asked(expansion, here.pool, entries, changes, slots, samples)
+
+
+def _present(items: Sequence[Item], expansion: Expansion, led: Sequence[Item]) -> list[int]:
+    """Numbers of the items of causes that a fit has and that did not lead before, each with as many quantities as there are."""
+    result = list[int]()
+    for cause in set(expansion.causes).difference(item.cause for item in led):
+        own = [i for i, item in enumerate(items) if item.cause == cause]
+        result.append(max(own, key=lambda i: len(items[i].columns)))
+    return result
 
 
 def _alike(items: Sequence[Item], led: Sequence[Item]) -> list[int]:

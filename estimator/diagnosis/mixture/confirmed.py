@@ -76,7 +76,9 @@ def confirmed(
         pace.tell(i, 2 * n_pairs)
         products = Products(few, weight_of(is_in, readings.is_measured))
         slots = Slots(products, asked.slots.noise, asked.slots.n_slots)
-        samples = slots.sample(IN_HALVES, seed + i).renumbered(numbers, len(asked.dictionary.items))
+        samples = slots.sample(IN_HALVES, seed + i, (), few_leading).renumbered(
+            numbers, len(asked.dictionary.items)
+        )
         return samples, expected_in_half(slots, few_leading, sizes, asked.noise_number)
 
     in_halves = [of_half for of_half in each(asked_in, enumerate(halves(block, n_pairs, seed))) if of_half]

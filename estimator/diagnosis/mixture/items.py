@@ -10,6 +10,7 @@ from torch import Tensor
 
 from estimator.diagnosis.linear import Projector
 from estimator.diagnosis.mixture.links import Link
+from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
 
 
@@ -51,6 +52,12 @@ class Item:
         if self.is_listed or not self.start:
             return self.cause.label
         return f"{self.cause.label} {sorted(self.start.items())}"
+
+    @property
+    def repeated(self) -> str:
+        """Name of the items beside which alone this one stands, such as those of a first piece of iron; empty for most."""
+        repeats = EFFECTS[self.cause.name].repeats if self.cause.name in EFFECTS else None
+        return Cause(repeats.name, self.cause.place).label if repeats else ""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from estimator.diagnosis import policy
@@ -180,6 +180,7 @@ class Slots:
         self.log_prior[list(excluded)] = -math.inf
         names = {name: i for i, name in enumerate(dict.fromkeys(item.name for item in items))}
         self.name = np.array([names[item.name] for item in items], dtype=int)
+        self.repeated = np.array([names.get(item.repeated, -1) for item in items], dtype=int)
         self._known: dict[tuple[tuple[int, ...], int], np.ndarray] = {}
         self._densities: dict[tuple[int, ...], Tensor] = {}
         self._last: tuple[tuple[tuple[int, ...], int], Beside] | None = None
@@ -195,11 +196,18 @@ class Slots:
         rest = tuple(sorted(i for i in chosen if i != without))
         if (rest, noise) not in self._known:
             evidence = self._beside(chosen, noise).evidence(without) + self.log_prior
-            is_there = np.isin(self.name, self.name[list(rest)])
-            evidence[torch.from_numpy(is_there)] = -math.inf
             both = torch.cat((evidence, evidence.new_tensor([math.log(policy.p_empty())])))
+            both[torch.from_numpy(self._cannot_stand_beside(rest))] = -math.inf
             self._known[rest, noise] = torch.softmax(both, 0).numpy()
         return self._known[rest, noise]
+
+    def _cannot_stand_beside(self, rest: Sequence[int]) -> Bool[np.ndarray, " item_or_none"]:
+        """Which items, and last none, no slot holds beside others: a second one of a name, or what repeats something that is not there."""
+        there, repeated = self.name[list(rest)], self.repeated[list(rest)]
+        lacks = (self.repeated >= 0) & ~np.isin(self.repeated, there)
+        wanted = np.setdiff1d(repeated[repeated >= 0], there)
+        others = ~np.isin(self.name, wanted) if len(wanted) else np.zeros(len(self.name), dtype=bool)
+        return np.append(np.isin(self.name, there) | lacks | others, len(wanted) > 0)
 
     def _beside(self, chosen: Sequence[int], noise: int) -> Beside:
         """Some items together; the last ones are remembered, for slots are asked one after another."""
@@ -274,26 +282,30 @@ class Slots:
         without._known = {}
         return without
 
-    def sample(self, sweeps: Sweeps, seed: int, begin: Sequence[int] = ()) -> Samples:
+    def sample(self, sweeps: Sweeps, seed: int, *begin: Sequence[int]) -> Samples:
         """Draw items slot by slot, of those alone that were probable at some point of a climb.
 
         Args:
             sweeps: Over all slots.
             seed: Of the draws.
-            begin: Items where the climb begins.
+            begin: Items where climbs begin, of which the highest counts; without any, one begins with nothing.
         """
-        climbed, noise = self.highest(begin)
+        climbs = [self.highest(items) for items in begin or [()]]
+        climbed, noise = max(
+            climbs, key=lambda climb: self.log_density([i for i in climb[0] if i is not None])
+        )
         numbers = self._probable(climbed)
         few = self.among(numbers)
         slots = [None if i is None else numbers.index(i) for i in climbed]
         return few.drawn(sweeps, seed, slots, noise).renumbered(numbers, len(self.log_prior))
 
     def _probable(self, climbed: Sequence[int | None]) -> list[int]:
-        """Items that had more than `NEGLIGIBLE` beside some others."""
+        """Items that had more than `NEGLIGIBLE` beside some others, and what repeats such an item."""
         none = np.zeros(len(self.log_prior) + 1)
         largest = np.max([none, *self._known.values()], axis=0)[:-1]
         largest[[i for i in climbed if i is not None]] = 1.0
-        return np.flatnonzero(largest > NEGLIGIBLE).tolist()
+        is_probable = largest > NEGLIGIBLE
+        return np.flatnonzero(is_probable | np.isin(self.repeated, self.name[is_probable])).tolist()
 
     def among(self, numbers: Sequence[int]) -> Slots:
         """These slots, which can hold some of the items alone."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +14,6 @@ from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.imitation import AT_ITS_LINK
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples
-from estimator.rig.rig import Cause
 from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item
 
 GAIN, TWIN, WANDERS, FAINT = range(4)
@@ -80,35 +78,6 @@ def test_what_takes_the_same_slot_is_one_set_and_as_sure_as_both_together():
     ]
     assert (first.probability, second.probability) == pytest.approx((1.0, 0.98))
     assert second.first.link is Link.RESPONSE
-
-
-ALONE = {**BOTH, TWIN: {TWIN: 100.0}}
-
-
-@pytest.mark.parametrize(
-    ("models", "shares"),
-    [(MODELS, BOTH), ({(TWIN, WANDERS): 98, (TWIN,): 2}, ALONE)],
-    ids=["beside", "alone"],
-)
-def test_a_second_piece_where_the_first_may_be_is_the_first(models, shares, monkeypatch):
-    """It is asked beside the first alone, which has been fitted; also where it has taken the place of that."""
-    first = ITEMS[GAIN].cause
-    one_more = SimpleNamespace(repeats=SimpleNamespace(name=first.name))
-    monkeypatch.setattr(answers, "EFFECTS", {TWIN_CAUSE.name: one_more})
-    made = answered(samples(models, shares))
-    made.asked.__dict__["expansion"] = SimpleNamespace(causes=(first,))
-    second = replace(made, first=asked_about(made.asked, (first, ITEMS[FAINT].cause)))
-    (gain,) = (one for one in second.found if one.first.is_listed)
-    assert [one.cause for one in gain.possibilities] == [first]
-    assert gain.probability == pytest.approx(1.0)
-    assert second.leading_as_stated[0] == GAIN
-
-
-def asked_about(asked: Asked, causes: tuple[Cause, ...]) -> Asked:
-    """The same readings, asked about other causes."""
-    made = object.__new__(Asked)
-    made.__dict__.update(asked.__dict__, pool=[SimpleNamespace(cause=cause) for cause in causes])
-    return made
 
 
 def test_what_halves_have_less_than_half_as_often_as_expected_is_not_stated():

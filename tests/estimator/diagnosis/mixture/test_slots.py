@@ -37,7 +37,8 @@ def exact(made: Dictionary, n_slots: int) -> np.ndarray:
     n, weights = len(made.items), {}
     for state in product(range(n + 1), repeat=n_slots):
         chosen = tuple(sorted(i for i in state if i < n))
-        if len({names[i] for i in chosen}) < len(chosen):
+        there = {names[i] for i in chosen}
+        if len(there) < len(chosen) or {made.items[i].repeated for i in chosen} - there - {""}:
             continue
         prior = sum(math.log(policy.p_empty()) if i == n else made.items[i].log_prior for i in state)
         weights[state] = prior + log_density(made, chosen)
@@ -104,3 +105,25 @@ def test_the_same_seed_gives_the_same_draws():
 def test_items_of_one_name_never_stand_beside_each_other():
     samples = Slots(Products(noisy()), KNOWN, n_slots=4).sample(Sweeps(300, 10), seed=4)
     assert not [model for model in samples.models if {0, 1} <= set(model)]
+
+
+def test_a_second_piece_of_iron_stands_beside_a_first_alone():
+    """Also where it alone would explain more."""
+    items = [item("iron_body", [0]), item("second_iron_body", [1]), item("gain", [3])]
+    made = dictionary(items)
+    made = dictionary(items, residual=made.residual + 0.8 * made.columns[:, 0] + 2.0 * made.columns[:, 1])
+    samples = Slots(Products(made), KNOWN, n_slots=3).sample(MANY, seed=1)
+    expected = exact(made, 3)
+    assert 0.1 < expected[1] < expected[0] < 0.9, "else the case says little"
+    assert samples.present == pytest.approx(expected, abs=0.02)
+    assert not [model for model in samples.models if 1 in model and 0 not in model]
+
+
+def test_the_highest_of_several_climbs_counts():
+    """One that begins with nothing takes no first piece, so that it never sees the second."""
+    items = [item("iron_body", [0]), item("second_iron_body", [1])]
+    made = dictionary(items)
+    made = dictionary(items, residual=made.residual + 6.0 * made.columns[:, 1])
+    slots = Slots(Products(made), KNOWN, n_slots=3)
+    assert max(slots.sample(Sweeps(1, 0), 1).models) == ()
+    assert max(slots.sample(Sweeps(1, 0), 1, (), (0, 1)).models) == (0, 1)
