@@ -8,7 +8,7 @@ import click
 
 from estimator.cli.grid import grid_axes
 from estimator.cli.named import named_motions, named_number
-from estimator.cli.options import PATH, OutputPath, option, result_options
+from estimator.cli.options import PATH, OutputPath, flag, option, result_options
 from estimator.cli.output import CoilcalCommand, show
 from estimator.export.formats import FORMATS
 
@@ -41,6 +41,7 @@ TABLE = "\n".join(f"{name:10} {chosen.words}" for name, chosen in FORMATS.items(
     multiple=True,
     metavar="MOVER=V1,..,V6",
 )
+@flag("--coils-alone", "Leave out what is there without current, such as the Earth's field.")
 @result_options
 def export_command(
     folders: tuple[Path, ...],
@@ -49,6 +50,7 @@ def export_command(
     axes: tuple[str, ...],
     currents: tuple[str, ...],
     motions: tuple[str, ...],
+    coils_alone: bool,
     overwrite: bool,
     as_json: bool,
 ) -> None:
@@ -59,6 +61,8 @@ def export_command(
     from estimator.store.staging import check_output
 
     loaded = [Calibration.load(folder) for folder in folders]
+    if coils_alone:
+        loaded = [calibration.coils_alone() for calibration in loaded]
     calibrated: Calibration | System = loaded[0]
     if len(loaded) > 1:
         from estimator.system.system import System

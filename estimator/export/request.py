@@ -155,7 +155,7 @@ class Request:
             if (error_T > PROPORTIONAL * together_T.norm(dim=-1)).any():
                 raise InvalidInput(
                     f"export to {self.to} must have a field proportional to the currents; that of rig {part.rig.name!r} is not, "
-                    "or is there without current"
+                    "or is there without current, which --coils-alone leaves out"
                 )
             fields |= dict(zip((coil.name for coil in part.rig.coils), per_ampere, strict=True))
         return torch.stack([fields[name] for name in self.magnet.coils])

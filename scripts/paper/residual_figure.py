@@ -42,7 +42,7 @@ def drawn(twins: Sequence[Twin], ratio: float, relative: float, relative_to_rms:
         relative: Printed RMSE after over its divisor.
         relative_to_rms: The same over the rms field, if the divisor is the norm of all readings.
     """
-    fig = figure(11.0, 4.2, "What each mistake leaves, one mark a twin; black: the paper")
+    fig = figure(11.0, 4.2, "What each mistake leaves, one mark a simulated experiment; black: the paper")
     largest, norm, winding = fig.subplots(1, 3)
     for first_words, (colour, marker, words) in LOOKS.items():
         some = [t for t in twins if next(w for w in LOOKS if t.cause.startswith(w)) == first_words]

@@ -36,6 +36,15 @@ def test_file_is_named_after_the_rig_and_not_replaced(workspace, tmp_path, monke
     assert "--overwrite" in refused(run("export", workspace / "calibration", "--to", "cpp"))
 
 
+def test_coils_alone_exports_the_calibration_without_the_room(workspace, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    whole: list[Calibration] = []
+    monkeypatch.setattr(Calibration, "coils_alone", lambda self: whole.append(self) or self)
+    for options, n_alone in (((), 0), (("--coils-alone",), 1)):
+        run("export", workspace / "calibration", "--to", "json", "--overwrite", *options)
+        assert len(whole) == n_alone
+
+
 def block(language: str) -> str:
     """The first example of a language on the page that explains exports."""
     text = PAGE.read_text(encoding="utf-8")
