@@ -1,7 +1,4 @@
-"""Statements of `coilcal diagnose` about what no name explains: that something is wrong, where it acts, and what was fitted instead of it.
-
-Links and true causes come from the generator's own tables (`tests/hidden/links.py`).
-"""
+"""Statements of `coilcal diagnose` about what no name explains: that something is wrong, where it acts, and what was fitted for it."""
 
 from __future__ import annotations
 
@@ -114,8 +111,12 @@ def _share_of(case: Case, sensor: str, axis: int) -> tuple[float, str]:
     names = [each.name for each in case.plain.rig.sensors]
     readings = case.fitted
     off_T = readings.field_sensor_T.numpy() - case.plain.readings_T(readings).numpy()
-    noise_T = np.array([float(case.plain.rig.nominal_values()[f"{name}.noise_T"]) for name in names])
-    excess = np.square(off_T) - np.square(noise_T[readings.sensor.numpy()])[:, None]
+    if case.truth is not None and case.truth.noise_T is not None:
+        noise_T = case.truth.noise_T[~case.without_flagged.is_validation.numpy()]
+    else:
+        nominal = case.plain.rig.nominal_values()
+        noise_T = np.array([nominal[f"{name}.noise_T"] for name in names])[readings.sensor.numpy()]
+    excess = np.square(off_T) - np.square(noise_T)[:, None]
     sums = np.stack([np.nansum(excess[readings.sensor.numpy() == i], axis=0) for i in range(len(names))])
     share = sums.clip(min=0.0) / max(sums.clip(min=0.0).sum(), 1e-300)
     return float(share[names.index(sensor), axis]), f"shares by sensor and axis {np.round(share, 2).tolist()}"
