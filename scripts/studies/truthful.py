@@ -21,7 +21,7 @@ from scripts.studies.judge import of_calibration, of_diagnosis
 from scripts.studies.judge.case import Case
 from scripts.studies.judge.intervals import missed_90
 from scripts.studies.judge.sessions import KINDS, MAP, MAPS, prepared
-from scripts.studies.judge.statements import Statement
+from scripts.studies.judge.statements import CONDITION, Statement
 
 FIRST_SEED = 470_000
 IN_A_THOUSAND = 1000
@@ -94,9 +94,14 @@ def line(row: Row) -> str:
     """One session in a line."""
     if "error" in row:
         return f"{row['kind']} {row['seed']}: {row['error']}"
-    false = [each for each in row["statements"] if not each["is_true"]]
+    false = [each for each in row["statements"] if is_false(each)]
     verdicts = ", ".join(row.get("verdicts", ["not judged"]))
     return f"{row['kind']} {row['name']}: {row['hidden']} -> {verdicts}: {len(false)} of {len(row['statements'])} false"
+
+
+def is_false(statement: Row) -> bool:
+    """Whether a statement that is judged by itself is not so."""
+    return not statement["is_true"] and "aside" not in statement
 
 
 def show(rows: list[Row]) -> None:
@@ -105,33 +110,54 @@ def show(rows: list[Row]) -> None:
             print(f"not judged: {line(row)}")
     rows = [row for row in rows if "error" not in row]
     pairs = [(row, each) for row in rows for each in row["statements"]]
-    false = [(row, each) for row, each in pairs if not each["is_true"]]
-    print(f"{len(rows)} sessions, {len(pairs)} statements judged, {len(false)} false")
-    if pairs:
-        print(f"in a thousand: {IN_A_THOUSAND * len(false) / len(pairs):.1f}; target: none")
-    total = Counter(each["kind"] for _, each in pairs)
+    judged_alone = [(row, each) for row, each in pairs if "aside" not in each]
+    false = [(row, each) for row, each in judged_alone if not each["is_true"]]
+    print(f"{len(rows)} sessions, {len(judged_alone)} statements judged, {len(false)} false")
+    if judged_alone:
+        print(f"in a thousand: {IN_A_THOUSAND * len(false) / len(judged_alone):.1f}; target: none")
+    total = Counter(each["kind"] for _, each in judged_alone)
     by_kind = Counter(each["kind"] for _, each in false)
     in_digits = Counter(each["kind"] for _, each in false if each.get("off", 1.0) < LAST_DIGITS)
     for kind, number in sorted(total.items(), key=lambda item: (-by_kind[item[0]], item[0])):
         last = f", {in_digits[kind]} of these in the last digits" if in_digits[kind] else ""
         print(f"  {kind:20} {by_kind[kind]:5} of {number} false{last}")
-    stated = [each["stated"] for _, each in pairs if "stated" in each]
-    print(
-        f"  false by the probabilities that {len(stated)} of them are stated with: {sum(1.0 - p for p in stated):.1f}"
-    )
+    show_probabilities(rows)
     show_intervals(rows)
-    for kind, _ in by_kind.most_common():
-        print(f"\n{kind}:")
-        for row, each in false:
-            if each["kind"] == kind:
-                print(
-                    f"  {row['kind']} {row['name']}, {each['source']}: {each['text'][:WIDTH]}\n    truth: {each['why'][:WIDTH]}"
-                )
+    show_statements(false)
+    conditional = [(row, each) for row, each in pairs if each.get("aside") == CONDITION]
+    if conditional:
+        not_so = [(row, each) for row, each in conditional if not each["is_true"]]
+        print(
+            f"\nunder conditions that do not hold: {len(conditional)} statements, {len(not_so)} would be false without them"
+        )
+        show_statements(not_so)
     unread = Counter(shape for row in rows for shape in row["unread"])
     if unread:
         print(f"\nlines that nobody judges: {sum(unread.values())}, of {len(unread)} shapes")
         for shape, number in unread.most_common(30):
             print(f"  {number:4} {shape[:WIDTH]}")
+
+
+def show_statements(pairs: list[tuple[Row, Row]]) -> None:
+    """Statements with the truth, by kind, the most frequent kind first."""
+    for kind, _ in Counter(each["kind"] for _, each in pairs).most_common():
+        print(f"\n{kind}:")
+        for row, each in pairs:
+            if each["kind"] == kind:
+                print(
+                    f"  {row['kind']} {row['name']}, {each['source']}: {each['text'][:WIDTH]}\n    truth: {each['why'][:WIDTH]}"
+                )
+
+
+def show_probabilities(rows: list[Row]) -> None:
+    """How many statements that are made with a probability are true, beside the number that these probabilities promise."""
+    stated = [each for row in rows for each in row["statements"] if "stated" in each]
+    for kind in sorted({each["kind"] for each in stated}):
+        own = [each for each in stated if each["kind"] == kind]
+        expected = sum(each["stated"] for each in own)
+        print(
+            f"  {kind}: {sum(each['is_true'] for each in own)} of {len(own)} stated with a probability are true, {expected:.1f} expected"
+        )
 
 
 def show_intervals(rows: list[Row]) -> None:

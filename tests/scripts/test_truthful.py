@@ -2,117 +2,57 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from estimator import Calibration, Session
-from estimator.cli.calibrate import _text
 from estimator.effects import EFFECTS
 from estimator.readings.observations import Observations
-from estimator.reporting.page import ReportPage, Table, render_report
-from estimator.rig_files.write import rig_text
 from scripts.studies.judge import sessions
-from scripts.studies.judge.case import CALIBRATE_TEXT, DIAGNOSE_TEXT, Case
+from scripts.studies.judge.case import Case
 from scripts.studies.judge.handed_out import HandedOut
 from scripts.studies.judge.intervals import false_intervals, missed_90
 from scripts.studies.judge.sessions import KINDS, ended, hidden_case
 from scripts.studies.judge.statements import Statement
 from scripts.studies.judge.truth import TrueCause, Truth
 from scripts.studies.truthful import judged, line, run_case, show
-from tests.estimator.conftest import TRUTH, small_calibration, small_plan, small_rig, small_session
+from tests.estimator.conftest import TRUTH
+from tests.scripts.judged import (
+    FLAG,
+    GAIN,
+    NAMED,
+    ONLY_GAIN,
+    OUTLIER,
+    OUTSIDE,
+    SMALL_GAIN,
+    WITH_OUTSIDE,
+    are_true,
+    folder,
+    hidden,
+    printed,
+    small_calibration,
+    small_plan,
+    small_rig,
+    small_session,
+    told,
+    unseen_uT,
+    wrong_truth,
+)
 
-__all__ = ["small_calibration", "small_plan", "small_rig", "small_session"]  # fixtures
+__all__ = [
+    "folder",
+    "printed",
+    "small_calibration",
+    "small_plan",
+    "small_rig",
+    "small_session",
+    "told",
+    "unseen_uT",
+]  # fixtures
 
 pytestmark = pytest.mark.whole
-GAIN = TrueCause("axis_gain", "hall", True, 9.0, {"x": 0.01})
-OUTSIDE = TrueCause("chair_moved", "room", False, 9.0, {})
-NAMED = {
-    "name": "axis_gain",
-    "probability": 0.97,
-    "p_not_in_library": 0.03,
-    "alternatives": [],
-    "parameters": {"x": {"median": 0.0101, "sd": 0.001, "ci90": [0.0085, 0.0117]}},
-}
-FLAG = {
-    "reason": "otherwise",
-    "words": "fits another sign",
-    "sensor": "hall",
-    "component": None,
-    "readings": [3, 4],
-}
-OUTLIER = {"reading": 3, "component": "x", "sensor": "hall", "probability": 0.999}
-DIAGNOSED: dict[str, Any] = {"verdict": "named", "causes": [], "flagged": [], "outliers": []}
-MOVED = ["parameter", "before", "after", "unit", "moved (sd)"]
-Told = Callable[..., dict[str, list[Statement]]]
-
-
-@pytest.fixture(scope="module")
-def folder(
-    small_session: Session, small_calibration: Calibration, tmp_path_factory: pytest.TempPathFactory
-) -> Path:
-    """What `calibrate` and `diagnose` would have written, but for what a test adds."""
-    made = tmp_path_factory.mktemp("judged")
-    small_session.save(made / "session.zarr")
-    small_calibration.save(made / "calibration")
-    small_calibration.save(made / "diagnosis" / "calibration")
-    rig = small_calibration.rig.with_values(
-        {p.name: small_calibration.best[p.name] for p in small_calibration.rig.free}
-    )
-    (made / "diagnosis" / "rig_extended.yaml").write_text(rig_text(rig, ""), encoding="utf-8")
-    return made
-
-
-@pytest.fixture
-def told(folder: Path, small_session: Session) -> Told:
-    """Statements by kind of what was printed, each judged beside a truth."""
-    n = len(small_session.observations)
-    clean = Truth(dict(TRUTH), (), np.zeros((n, 3), dtype=bool))
-
-    def judge(
-        calibrate: str = "",
-        diagnose: str = "",
-        truth: Truth = clean,
-        moved: list[str] | None = None,
-        **diagnosed: Any,
-    ) -> dict[str, list[Statement]]:
-        (folder / CALIBRATE_TEXT).write_text(calibrate, encoding="utf-8")
-        (folder / DIAGNOSE_TEXT).write_text(diagnose, encoding="utf-8")
-        (folder / "diagnosis" / "diagnosis.json").write_text(
-            json.dumps(DIAGNOSED | diagnosed), encoding="utf-8"
-        )
-        tables = [Table("Parameters biased in the plain model", MOVED, [moved])] if moved else []
-        page = ReportPage("", "", [], [], [], tables, [], [], {})
-        (folder / "diagnosis" / "report.html").write_text(render_report(page), encoding="utf-8")
-        statements, _ = judged(Case(folder, truth))
-        return {
-            kind: [one for one in statements if one.kind == kind] for kind in {one.kind for one in statements}
-        }
-
-    return judge
-
-
-def are_true(statements: dict[str, list[Statement]], kind: str) -> list[bool]:
-    return [statement.is_true for statement in statements[kind]]
-
-
-@pytest.fixture
-def printed(small_calibration: Calibration) -> str:
-    """What `coilcal calibrate` prints of it."""
-    return _text(small_calibration.summary())
-
-
-def wrong_truth(calibration: Calibration) -> Truth:
-    """A truth that the intervals exclude."""
-    sd = float(calibration.draws["coil1.radius_m"].std())
-    return Truth(
-        {**TRUTH, "coil1.radius_m": TRUTH["coil1.radius_m"] + 12.0 * sd}, (), np.zeros((36, 3), dtype=bool)
-    )
 
 
 def test_what_is_printed_of_a_right_calibration_is_true_and_every_line_is_read(told, printed, folder):
@@ -219,21 +159,10 @@ def test_a_distance_from_a_prior_is_computed_anew(told, small_calibration):
     assert are_true(told(words.format(distance + 1.0)), "tension") == [False]
 
 
-def hidden(*causes: TrueCause, wrong: tuple[int, ...] = ()) -> Truth:
-    """The small session with causes, and rows recorded otherwise than they were measured."""
-    rows = np.zeros((36, 3), dtype=bool)
-    rows[list(wrong)] = True
-    return Truth(dict(TRUTH), causes, rows)
-
-
 NOTHING = "These readings show nothing wrong"
 DOUBTS = "Nothing is sure enough to be named, but it is only < 1 % probable that nothing is wrong."
-UNKNOWN = "Something is wrong that no known cause explains: what it misses depends on time."
-BESIDE = "Something else is left that no listed cause explains, and the readings do not tell where it sits."
-LEFT = "odds 400 to 1 that something is left, 0.5 of the noise rms, which depends on time"
 MAYBE = "  {} (97 %), or something not in the library (3 %)"
 PLATE = NAMED | {"name": "iron_plate"}
-ONLY_GAIN, SMALL_GAIN, WITH_OUTSIDE = hidden(GAIN), hidden(replace(GAIN, sigma=3.0)), hidden(GAIN, OUTSIDE)
 
 
 def maybe(name: str, unknown: float) -> dict[str, Any]:
@@ -281,14 +210,6 @@ def sized(median: float) -> dict[str, Any]:
         ("would_have_shown", f"{NOTHING}; they would have shown, for example, axis_gain x from 0.5 %.", [], SMALL_GAIN, False),
         ("doubts", DOUBTS, [], hidden(), False),
         ("doubts", DOUBTS, [], ONLY_GAIN, True),
-        ("no_known_cause", UNKNOWN, [], hidden(), False),
-        ("no_known_cause", UNKNOWN, [], ONLY_GAIN, False),
-        ("no_known_cause", UNKNOWN, [], hidden(OUTSIDE), True),
-        ("no_known_cause", UNKNOWN, [], hidden(wrong=(4,)), True),
-        ("no_known_cause", BESIDE, [], ONLY_GAIN, False),
-        ("no_known_cause", BESIDE, [], WITH_OUTSIDE, True),
-        ("something_left", LEFT, [NAMED], ONLY_GAIN, False),
-        ("something_left", LEFT, [NAMED], WITH_OUTSIDE, True),
     ],
 )  # fmt: skip
 def test_a_statement_is_judged_by_what_is_hidden(told, kind, words, causes, truth, is_true):
@@ -319,12 +240,6 @@ def test_an_outlier_is_far_from_what_is_true(told, small_session, off_sigma, is_
 def test_a_parameter_that_was_right_is_not_biased(told, before, is_true):
     row = ["radius", before, "51.80 ± 0.90", "mm", "−20.0"]
     assert are_true(told("", "", hidden(GAIN), moved=row), "biased") == [is_true]
-
-
-@pytest.fixture
-def unseen_uT(small_calibration: Calibration) -> float:
-    """What the calibration that was handed out misses unseen readings by."""
-    return float(1e6 * small_calibration.summary()["rmse"]["validation"]["vector_T"])
 
 
 def test_the_error_on_unseen_readings_is_that_of_what_was_handed_out(told, unseen_uT):
@@ -438,6 +353,8 @@ def test_a_session_is_judged_from_its_readings_on(tmp_path):
 def test_false_statements_are_counted_by_kind(capsys):
     said = [Statement("good", "calibrate", "good: ...", False, "radius is 12 sd off")]
     said += [Statement("error", "calibrate", "error 3 uT", True, "")] * 3
+    said += [Statement("loop_counts", "calibrate", "if nothing is wrong", False, "", aside="condition")]
+    said += [Statement("unlisted_at", "diagnose", "odds 4 to 1", False, "", None, 0.8, "probability")] * 5
     row = {"kind": "single", "seed": 7, "name": "7", "hidden": "axis_gain of hall", "unread": ["# cheeses"]}
     row |= {
         "verdicts": ["good", "named"],
@@ -448,7 +365,9 @@ def test_false_statements_are_counted_by_kind(capsys):
     printed = capsys.readouterr().out
     assert "1 sessions, 4 statements judged, 1 false" in printed
     assert "in a thousand: 250.0" in printed
+    assert "under conditions that do not hold: 1 statements, 1 would be false" in printed
+    assert "unlisted_at: 0 of 5 stated with a probability are true, 4.0 expected" in printed
     assert "radius is 12 sd off" in printed
     assert "not judged: clean 8: KeyError: 1" in printed
     assert "1 # cheeses" in printed
-    assert "1 of 4 false" in line(row)
+    assert "1 of 10 false" in line(row)

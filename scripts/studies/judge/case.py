@@ -14,6 +14,7 @@ import numpy as np
 
 from estimator.effects.circumstances import SINCE, UNTIL
 from estimator.readings.observations import Observations
+from estimator.rig.rig import Rig
 from estimator.rig_files.read import load_rig
 from estimator.store.session import load_session
 from scripts.studies.judge.handed_out import HandedOut
@@ -75,6 +76,12 @@ class Case:
         if not set(rig.rig.acting) <= set(self.plain.rig.acting):
             return []
         return [] if self.flagged.any() else [self.plain]
+
+    @cached_property
+    def as_described(self) -> Rig:
+        """The rig of the rig file; where there is none, that of the calibration."""
+        path = self.folder / "rig.yaml"
+        return load_rig(path) if path.exists() else self.plain.rig
 
     def lines(self, name: str) -> list[str]:
         """Lines of a printed text."""

@@ -4,22 +4,33 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
+from torch import Tensor
 
 from estimator.calibration.quality import noise_rms_T
 from estimator.reporting.numbers import displays
+from scripts.studies.judge.advice import OF_CALIBRATE
 from scripts.studies.judge.case import CALIBRATE_TEXT, Case
 from scripts.studies.judge.handed_out import HandedOut
+from scripts.studies.judge.independent import missed_T
 from scripts.studies.judge.intervals import false_intervals
-from scripts.studies.judge.reading import Readers, nothing
-from scripts.studies.judge.statements import LAST_DIGIT, Statement, agrees, number_statement, size_of
+from scripts.studies.judge.of_nominal import sentence as of_nominal
+from scripts.studies.judge.reading import Readers
+from scripts.studies.judge.statements import (
+    CONDITION,
+    LAST_DIGIT,
+    SURE,
+    Statement,
+    agrees,
+    number_statement,
+    size_of,
+)
 
 CALIBRATE = "calibrate"
-SURE = 0.99  # a probability beyond which a loop count is stated as a fact
 MOST_MISSED = 1.5  # of the noise: what held-out readings of a good model may miss by
 COVERAGE_SLACK = 0.01
 # Share of components that the random numbers of two hundred draws put on the other side of an end
@@ -28,7 +39,7 @@ LUCKY_SD = 4.0
 LAST_OF_A_DISTANCE = 0.1
 TOLD_APART = 0.01  # of a constant's square: with more beside the currents, readings tell it from the coils
 NEAR_NOISE = 0.25  # of the true noise: what its estimate from few repeats may be off
-sentence = Readers()
+sentence = Readers(of_nominal, advice=OF_CALIBRATE)
 
 
 def judged(case: Case) -> tuple[list[Statement], list[str]]:
@@ -61,12 +72,18 @@ def goodness(
 def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """What the model misses, and what noise of the rig file leaves."""
     is_seen = not bool(case.observations.is_validation.any())
-    role = "calibration" if is_seen else "validation"
     readings = case.observations.rows(case.observations.is_validation != is_seen)
     error_T = case.plain.errors(readings).vector_T
-    noise_T = noise_rms_T(case.observations, case.plain.rig, case.plain.rig.nominal_values(), role)
     yield number_statement("error", CALIBRATE, text, size_of(match["size"]), [error_T], 3)
-    stated = number_statement("expected_noise", CALIBRATE, text, size_of(match["noise"]), [noise_T], 3)
+    yield from expected_noise(case, CALIBRATE, text, size_of(match["noise"]), 3)
+
+
+def expected_noise(case: Case, source: str, text: str, printed_T: float, digits: int) -> Iterator[Statement]:
+    """Noise of unseen readings, or of all where none are: that of the rig file, or by repeats, which is near the true one."""
+    is_seen = not bool(case.observations.is_validation.any())
+    role = "calibration" if is_seen else "validation"
+    noise_T = noise_rms_T(case.observations, case.plain.rig, case.plain.rig.nominal_values(), role)
+    stated = number_statement("expected_noise", source, text, printed_T, [noise_T], digits)
     if case.truth is not None and case.truth.noise_T is not None and not stated.is_true:
         # Of a sensor that read often at one place the scatter tells the noise, of others the rig file does.
         is_judged = (case.observations.is_validation != is_seen).numpy()
@@ -79,7 +96,7 @@ def misses(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
             for n in range(1, len(rig_T) + 1)
             for told in combinations(range(len(rig_T)), n)
         ]
-        is_near = any(abs(size_of(match["noise"]) / each_T - 1.0) < NEAR_NOISE for each_T in possible_T)
+        is_near = any(abs(printed_T / each_T - 1.0) < NEAR_NOISE for each_T in possible_T)
         why = f"{stated.why}, true {', '.join(f'{each_T:.4g}' for each_T in possible_T)}"
         stated = replace(stated, is_true=is_near, why=why)
     yield stated
@@ -95,9 +112,24 @@ def errors(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     errors = case.plain.errors(readings)
     yield number_statement("error", CALIBRATE, text, size_of(match["error"]), [errors.vector_T], 4)
     yield number_statement("error", CALIBRATE, text, size_of(match["share"]), [errors.relative], 3)
+    if match["role"] == "validation":
+        best, is_asked = case.summary["best"], case.observations.is_validation
+        yield from by_other_code(case, best, is_asked, CALIBRATE, text, size_of(match["error"]))
     coverage = case.plain.coverage90(readings)
     if coverage is not None:
         yield coverage_statement(CALIBRATE, text, size_of(match["coverage"]), coverage, errors.n_components)
+
+
+def by_other_code(
+    case: Case, best: Mapping[str, float], is_asked: Tensor, source: str, text: str, printed_T: float
+) -> Iterator[Statement]:
+    """Whether a printed error is the one by a sum of loops of another library; nothing where that has not all that acts."""
+    measured_T, rows = case.without_flagged.field_sensor_T.numpy(), is_asked.numpy()
+    if source == CALIBRATE:
+        measured_T = case.observations.field_sensor_T.numpy()
+    error_T = missed_T(case.folder, best, measured_T, rows & ~np.isnan(measured_T).all(axis=1))
+    if error_T is not None:
+        yield number_statement("error_by_loops", source, text, printed_T, [error_T], 4)
 
 
 def coverage_statement(source: str, text: str, printed: float, coverage: float, n: int) -> Statement:
@@ -121,12 +153,31 @@ def row(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
 
 
 @sentence(
-    r"^(?P<coil>\w+): (?P<axial>\d+) x (?P<radial>\d+) loops with probability (?P<probability>[<>\d ]+ %)$"
+    r"^(?P<coil>\w+): (?P<axial>\d+) x (?P<radial>\d+) loops with probability (?P<probability>[<>\d ]+ %)"
+    r"(?P<condition> if nothing is wrong)?$"
 )
 def counts(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
-    """Whole loop counts that are stated as a fact."""
+    """Whole loop counts that are stated as a fact, perhaps under the condition that nothing is wrong."""
     entry = (match["coil"], int(match["axial"]), int(match["radial"]))
-    yield from counts_of(case, case.summary["loop_counts"], CALIBRATE, text, entry)
+    for statement in counts_of(case, case.summary["loop_counts"], CALIBRATE, text, entry):
+        yield if_nothing_is_wrong(case, statement) if match["condition"] else statement
+
+
+@sentence(r"numbers, intervals and probabilities hold only if nothing is\.")
+def suspect(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
+    """Intervals that are handed out under the condition that nothing is wrong."""
+    if case.truth is not None:
+        excluded = false_intervals(case.plain, case.truth)
+        why = (
+            f"{'; '.join(excluded.values()) or 'no interval excludes the truth'} (hidden: {case.truth.words})"
+        )
+        yield if_nothing_is_wrong(case, Statement("intervals_if", CALIBRATE, text, not excluded, why))
+
+
+def if_nothing_is_wrong(case: Case, statement: Statement) -> Statement:
+    """A statement under this condition: it is judged as any other where nothing is, and counted apart elsewhere."""
+    is_met = case.truth is not None and case.truth.is_clean
+    return statement if is_met else replace(statement, aside=CONDITION)
 
 
 def counts_of(
@@ -169,13 +220,3 @@ def too_little_change(case: Case, text: str, _: re.Match[str]) -> Iterator[State
     share = float(np.mean(rest**2))
     why = f"beside the currents {share:.3g} of a constant is left"
     yield Statement("too_little_change", CALIBRATE, text, share <= TOLD_APART, why)
-
-
-sentence(r"loops with probability .+ if nothing is wrong$")(nothing)  # which is said to be in doubt
-sentence(r"^Fitted besides, |^The rig file (takes the gains|describes no iron)")(nothing)
-sentence(
-    r"^(suspect|unusable): |^Run coilcal diagnose|^Do not use it|^Something in the rig file|^With the causes|^Raise `degree`"
-)(nothing)
-sentence(
-    r"^parameter +median|^report: |^written: |^not determined by the data|^\S+: readings determine \d+ of"
-)(nothing)

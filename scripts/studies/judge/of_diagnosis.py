@@ -11,35 +11,32 @@ import numpy as np
 
 from estimator.diagnosis import effort
 from estimator.diagnosis.statements.causes import LEAST_DOUBT
-from estimator.model.measurement_model import nominal_tensors
 from estimator.reporting.numbers import displays, quantity_words
-from estimator.rig_files.read import load_rig
+from scripts.studies.judge.advice import OF_DIAGNOSE
 from scripts.studies.judge.case import DIAGNOSE_TEXT, Case, axes_of, rows_of
-from scripts.studies.judge.handed_out import HandedOut
 from scripts.studies.judge.intervals import FALSE_SD, false_intervals, miss_sd
 from scripts.studies.judge.of_calibration import (
-    SURE,
+    by_other_code,
     counts_of,
     coverage_statement,
     goodness,
     tension_statement,
 )
-from scripts.studies.judge.reading import Readers, nothing
-from scripts.studies.judge.statements import Statement, number_statement, size_of
+from scripts.studies.judge.of_left import DIAGNOSE, ROUGHLY, mistakes_left, plain_name
+from scripts.studies.judge.of_left import sentence as of_left
+from scripts.studies.judge.of_shown import CLEARLY_VISIBLE
+from scripts.studies.judge.of_shown import sentence as of_shown
+from scripts.studies.judge.reading import Readers
+from scripts.studies.judge.statements import CONDITION, SURE, Statement, number_statement, size_of
 from tests.hidden.links import links_of
 
-DIAGNOSE = "diagnose"
 SURE_OF_NOTHING = 0.9  # probability from which it counts as said that nothing is wrong
-CLEARLY_VISIBLE = 8.0  # sigma of a flaw that a session shows beyond doubt
 RIGHT_SIGMA = 3.5  # of the noise: an outlier is farther from what was true
-CLEARLY_WRONG = 5.0  # sigma of the noise by which a row is off that a diagnosis has to flag
 CLEARLY_OFF = 3.0  # sd of the plain fit by which a claimed bias is not the true one
-# Of an error of a fit, at its mode with real loop counts, beside that of a calibration of the same rig
-ROUGHLY = 0.05
 ALMOST_ALL = 0.98  # an error that falls to more than this does not fall
 WORSE = 1.5  # held-out over fitted error, beyond which a fitted one says nothing of predictions
 FEWEST_COMPONENTS = 20  # from which on an rms says anything
-sentence = Readers()
+sentence = Readers(of_left, of_shown, advice=OF_DIAGNOSE)
 
 
 def judged(case: Case) -> tuple[list[Statement], list[str]]:
@@ -78,25 +75,6 @@ def nothing_wrong(case: Case, text: str, match: re.Match[str]) -> Iterator[State
     is_true = not (visible or wrong or excluded)
     why = "; ".join([f"hidden: {case.truth.words}", f"wrong rows left: {wrong}", *excluded.values()])
     yield Statement("nothing_wrong", DIAGNOSE, text, is_true, why)
-
-
-def mistakes_left(case: Case) -> int:
-    """Rows with mistakes of no cause that are clearly off and were neither flagged nor told as outliers.
-
-    What a cause does to rows counts as that cause.
-    """
-    truth, told = case.truth, case.flagged.copy()
-    told[[outlier["reading"] - 1 for outlier in case.diagnosis["outliers"]]] = True
-    if truth is None or truth.causes:
-        return 0
-    if truth.noise_T is None:
-        return int((truth.wrong & ~told).any(axis=1).sum())
-    rig = load_rig(case.folder / "rig.yaml")
-    true = rig.with_values({name: value for name, value in truth.values.items() if name in rig.parameters})
-    expected_T = HandedOut(true, nominal_tensors(true)).readings_T(case.observations).numpy()
-    off_T = np.abs(case.observations.field_sensor_T.numpy() - expected_T)
-    is_clear = truth.wrong & (off_T > CLEARLY_WRONG * truth.noise_T[:, None])
-    return int((is_clear & ~told).any(axis=1).sum())
 
 
 @sentence(r"would have shown, for example, (?P<what>.+)\.$")
@@ -140,27 +118,6 @@ def partly_named(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]
         why = f"one of {', '.join(names)}; hidden: {case.truth.words}"
         stated = sum(each["probability"] for each in (cause, *cause["alternatives"]))
         yield Statement("name", DIAGNOSE, f"{text}: {cause['name']}", is_true, why, stated=stated)
-
-
-@sentence(r"Something is wrong that no known cause explains|no listed cause explains, and")
-def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
-    """False where nothing is wrong, or only what the library has a name for."""
-    if case.truth is not None:
-        causes = case.truth.causes
-        is_known = bool(causes) and all(cause.is_known for cause in causes)
-        is_true = not (case.truth.is_clean or is_known)
-        yield Statement("no_known_cause", DIAGNOSE, text, is_true, f"hidden: {case.truth.words}")
-
-
-@sentence(r"^(?P<odds>odds .+ to 1) that something is left")
-def something_left(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
-    """That structure is left beside what was named; false where nothing else is there."""
-    if case.truth is not None:
-        found = {plain_name(cause["name"]) for cause in case.diagnosis["causes"]}
-        left = [cause.name for cause in case.truth.causes if cause.name not in found]
-        wrong = bool(mistakes_left(case))
-        why = f"hidden: {case.truth.words}; named: {', '.join(sorted(found)) or 'nothing'}"
-        yield Statement("something_left", DIAGNOSE, text, bool(left) or wrong, why)
 
 
 # ---------------------------------------------------------------------------------------------------------------- names and their sizes
@@ -251,7 +208,11 @@ def unseen(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     values = [one.vector_T for one in errors]
     if not values or case.has_open_instant:
         return
-    yield _error_statement(case, text, 1e-6 * float(match["after"]), values, 4)
+    after_T = 1e-6 * float(match["after"])
+    yield _error_statement(case, text, after_T, values, 4)
+    if case.extended is not None:
+        best = case.extended_summary["best"]
+        yield from by_other_code(case, best, case.observations.is_validation, DIAGNOSE, text, after_T)
     if case.extended is not None and (coverage := case.extended.coverage90(case.held_out)) is not None:
         yield coverage_statement(DIAGNOSE, text, size_of(match["ca"]), coverage, errors[-1].n_components)
 
@@ -359,31 +320,14 @@ def handed_out(case: Case) -> Iterator[Statement]:
     excluded = false_intervals(model, case.truth, ambiguous)
     why = "; ".join(excluded.values()) or "no interval excludes the truth"
     text = f"calibration of rig_extended.yaml ({case.diagnosis['verdict']}): 90 % credible intervals"
-    yield Statement("extended_intervals", DIAGNOSE, text, not excluded, f"{why} (hidden: {case.truth.words})")
+    statement = Statement(
+        "extended_intervals", DIAGNOSE, text, not excluded, f"{why} (hidden: {case.truth.words})"
+    )
+    condition = re.search(r"[Ii]t holds only if (\S+) is what is wrong", " ".join(quality["reasons"]))
+    if condition is not None and not case.truth.is_right(plain_name(condition[1])):
+        statement = replace(statement, aside=CONDITION)
+    yield statement
     for entry in summary["loop_counts"][:1] if quality["verdict"] == "good" else []:
         text = f"calibration/report.html {entry['coil']}: {entry['axial']} x {entry['radial']} loops"
         stated = (entry["coil"], entry["axial"], entry["radial"])
         yield from counts_of(case, summary["loop_counts"], DIAGNOSE, text, stated)
-
-
-def plain_name(label: str) -> str:
-    """Name of a cause without its place."""
-    return label.partition("[")[0]
-
-
-# What is told beside, and states nothing of the session that can be judged; or what is judged by diagnosis.json.
-for pattern in (
-    r"^verdict: ",
-    r"^written: ",
-    r"^Readings .*are not as they were measured",
-    r"components? (is|are) probably (an )?outlier",
-    r"^Size, with 90 %|known best:|\(.+ to .+\)$|^[\w −]+ {2,}[−\d]\S*( \S+)?$",
-    r"\([a-z]\w*(\[[\w, ]+\])?, [<>\d ]+ %\)",
-    r"^this session cannot tell apart|^To tell them apart, measure|The readings leave room",
-    r"^The prior of .* holds back|^Check .* in the rig file",
-    r"rig_extended.yaml also has|^Use rig_extended|^Put the record|^Measure again",
-    r"^Predictions are corrected|^Nothing is corrected|^What is left looks like|^Intervals are widened",
-    r"^The model of the source itself|^Look first at what depends on|that how far readings miss depends on",
-    r"^The diagnosis ended early",
-):
-    sentence(pattern)(nothing)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from scripts.studies.judge.case import Case
@@ -22,10 +22,16 @@ class Reader:
 
 
 class Readers:
-    """Readers of one command, in the order in which they were declared; a line may have several."""
+    """Readers of one command, in the order in which they were declared; a line may have several.
 
-    def __init__(self) -> None:
-        self._readers: list[Reader] = []
+    Args:
+        others: Readers that it has besides.
+        advice: Patterns of lines that state nothing which can be judged, each with the reason.
+    """
+
+    def __init__(self, *others: Readers, advice: Mapping[str, str] | None = None) -> None:
+        self._readers = [reader for other in others for reader in other._readers]
+        self._readers += [Reader(re.compile(pattern), nothing) for pattern in advice or {}]
 
     def __call__(self, pattern: str) -> Callable[[Judge], Judge]:
         """Declare a reader of lines that hold this pattern."""

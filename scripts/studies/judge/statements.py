@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 MICRO = ("u", "µ", "μ")
@@ -14,6 +14,9 @@ UNITS = "T|rad|A|m|s"
 SIZE = re.compile(
     rf"(?P<number>[-−+]?\d[\d.,]*(?:e[-+]?\d+)?)\s*(?:(?P<prefix>[munµμ]?)(?P<unit>{UNITS})\b|(?P<percent>%))?"
 )
+SURE = 0.99  # a probability beyond which something is stated as a fact
+HALF = 0.5  # of what is left of a probability that is told to be beyond 99 %, or below 1 %
+CONDITION, PROBABILITY = "condition", "probability"
 LAST_DIGIT = 0.5 + 1e-6  # of the last printed digit: what rounding explains
 # Share of an error: it is a difference of fields a hundred times as large, which quadrature has to a millionth
 SUMMED = 3e-4
@@ -31,6 +34,8 @@ class Statement:
         why: The truth, beside which it can be checked.
         off: By how much a printed number is off, as a share of the true one; None where it is no number.
         stated: Probability with which it is stated; None where it is stated as a fact.
+        aside: Why it is counted apart and is never false alone: `condition` where the text makes it depend on what is not so,
+            `probability` where it is less sure than `SURE`; None else.
     """
 
     kind: str
@@ -40,6 +45,7 @@ class Statement:
     why: str
     off: float | None = None
     stated: float | None = None
+    aside: str | None = None
 
     def to_json(self) -> dict[str, Any]:
         """In the form of JSON, without what does not apply."""
@@ -59,6 +65,29 @@ def size_of(text: str) -> float:
     number = float(match["number"].replace(",", "").replace("−", "-"))
     factor = 0.01 if match["percent"] else FACTORS[match["prefix"] or ""]
     return float(f"{number * factor:.12g}")
+
+
+def probability_of(text: str) -> float:
+    """A printed probability, or odds.
+
+    Examples:
+        >>> probability_of("94 %"), probability_of("> 99 %"), probability_of("< 1 %"), probability_of("odds 4 to 1")
+        (0.94, 0.995, 0.005, 0.8)
+        >>> probability_of("odds 1 to 4"), probability_of("even odds"), probability_of("odds beyond a billion to 1") > 0.999
+        (0.2, 0.5, True)
+    """
+    if odds := re.search(r"odds (\S+|beyond a billion) to (\S+|beyond a billion)$", text):
+        given, against = (1e9 if "billion" in part else size_of(part) for part in odds.groups())
+        return given / (given + against)
+    if "odds" in text:
+        return 0.5
+    p = size_of(text)
+    return 1.0 - HALF * (1.0 - p) if text.startswith(">") else HALF * p if text.startswith("<") else p
+
+
+def with_probability(statement: Statement, stated: float) -> Statement:
+    """A statement with its probability, counted apart where that is not nearly one."""
+    return replace(statement, stated=stated, aside=None if stated > SURE else PROBABILITY)
 
 
 def agrees(printed: float, value: float, digits: int) -> bool:
