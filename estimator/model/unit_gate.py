@@ -162,7 +162,7 @@ def _warnings(
         far = [str(int(numbers[reading])) for reading in given.far]
         units = unit if len(far) == 1 else f"{unit}s"
         told.append(
-            f"{units} {listed(far[:3], len(far))}: far from all others beside the rig's nominal model ({where})."
+            f"{units} {listed(far[:3], len(far))}: much farther from the rig's nominal model than the others ({where})."
         )
     if not given.is_plausible:
         told.append(

@@ -15,7 +15,7 @@ from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.mixture.climb import Asked
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.found import Found, Possibility
-from estimator.diagnosis.mixture.imitation import Standing
+from estimator.diagnosis.mixture.imitation import AT_OWN_LINK, Standing
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.relatives import evidence_of_relatives
 from estimator.diagnosis.mixture.rivals import Rival
@@ -118,7 +118,7 @@ class Answer:
                 cause,
                 at.is_listed,
                 at.link,
-                share / whole * (real * of_listed / with_rivals if at.is_listed else 1.0),
+                share / whole * (real * of_listed / with_rivals if at.is_listed else AT_OWN_LINK),
             )
             for cause, share in shares.items()
             for at in [first[cause]]
@@ -215,7 +215,7 @@ class Answer:
         for link in dict.fromkeys(item.link for item in items):
             own = [i for i, item in enumerate(items) if item.link is link and not item.is_listed]
             if own:
-                result[link] = self.both.holding(own)
+                result[link] = AT_OWN_LINK * self.both.holding(own)
         return result
 
     @cached_property

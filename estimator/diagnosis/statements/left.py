@@ -38,7 +38,7 @@ def unexplained(diagnosis: Diagnosis) -> str:
     is_probable = any(entry.first.is_listed for entry in findings.answer.beside) or bool(
         _withdrawn(diagnosis)
     )
-    unknown = "no cause is sure enough to be stated" if is_probable else "no known cause explains it"
+    unknown = "no cause is sure enough to be stated" if is_probable else "no known cause is probable"
     sure = _how_sure(diagnosis)
     words = "Something is wrong" if sure > SURELY else f"Something is probably wrong ({probability(sure)})"
     return f"{words}, and {unknown}: {why}."
@@ -131,9 +131,9 @@ def _beside_names(diagnosis: Diagnosis) -> str:
     """Says what else is probable; empty where nothing is."""
     answer = diagnosis.findings.answer
     listed = [entry for entry in answer.beside if entry.first.is_listed]
-    links = [link.words for link, p in answer.unlisted.items() if p > 0.5]
+    links = [f"{link.words} ({probability(p)})" for link, p in answer.unlisted.items() if p > 0.5]
     if answer.is_full:
-        where = f" Something unlisted is in {', and in '.join(links)}." if links else ""
+        where = f" Something else acts in {', and in '.join(links)}." if links else ""
         most = f" Most probable, but not stated: {_told(diagnosis, listed[:MOST_OF_MANY])}." if listed else ""
         them = "the others " if diagnosis.causes else ""
         n = len(answer.asked.leading)
@@ -145,8 +145,8 @@ def _beside_names(diagnosis: Diagnosis) -> str:
     if unlisted:
         sentences.append(f"What is left is best described so: {_told(diagnosis, unlisted)}.")
     elif diagnosis.causes and not listed:
-        where = f"It is in {links[0]}." if links else "The readings do not tell where it sits."
-        sentences.append(f"Something else is left that no listed cause explains. {where}")
+        where = f"It acts in {links[0]}." if links else "The readings do not tell where it acts."
+        sentences.append(f"Something else is left, for which no listed cause is probable. {where}")
     if faint:
         sentences.append(f"Not sure enough to be stated: {_told(diagnosis, faint)}.")
     if refused:
@@ -178,10 +178,11 @@ def pulled(diagnosis: Diagnosis) -> tuple[str, float]:
 
 
 def evidence(diagnosis: Diagnosis) -> Iterator[str]:
-    """Odds that something no list holds acts, and that how far readings miss depends on something."""
+    """Odds that something acts beside what is stated, and that how far readings miss depends on something."""
     left, scatter = diagnosis.findings.answer.left, diagnosis.findings.scatter
     if diagnosis.verdict.leaves_something and left.log_bayes_factor > 0.0:
-        yield f"{odds(left.log_bayes_factor)} that something no list holds acts in {left.words}"
+        odds_of_more = odds(left.log_bayes_factor)
+        yield f"{odds_of_more} that something acts beside what is stated; it looks like a change in {left.words}"
     if diagnosis.verdict.leaves_something and scatter.is_probable:
         yield f"{odds(scatter.log_bayes_factor)} that how far readings miss depends on {scatter.along}"
 

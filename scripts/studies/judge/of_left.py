@@ -75,14 +75,15 @@ def something_wrong(case: Case, text: str, match: re.Match[str]) -> Iterator[Sta
         yield with_probability(statement, probability_of(match["p"])) if match["p"] else statement
 
 
-@sentence(r"no known cause explains it|no listed cause explains\b")
+@sentence(r"no known cause is probable|no listed cause is probable\b")
 def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
-    """False where nothing is wrong, or only what the library has a name for."""
+    """That no listed cause has half the probability: counted among probabilities, and right where something acts that no list holds."""
     if case.truth is not None:
         causes = case.truth.causes
         is_known = bool(causes) and all(cause.is_known for cause in causes)
         is_true = not (case.truth.is_clean or is_known)
-        yield Statement("no_known_cause", DIAGNOSE, text, is_true, f"hidden: {case.truth.words}")
+        statement = Statement("no_known_cause", DIAGNOSE, text, is_true, f"hidden: {case.truth.words}")
+        yield with_probability(statement, 0.5)
 
 
 @sentence(
@@ -125,19 +126,20 @@ def _share_of(case: Case, sensor: str, axis: int) -> tuple[float, str]:
 # ------------------------------------------------------------------------------------------------------------------- where it acts
 
 
-@sentence(rf"^(?P<odds>(?:even )?odds.*?) that something no list holds acts in (?P<link>{LINKS})$")
-def unlisted_at(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
-    """Odds that something acts at a link beside what is named; sure ones are false where nothing does."""
-    yield from _acts_at(case, text, [match["link"]], probability_of(match["odds"]))
-
-
 @sentence(
-    rf"no listed cause explains\. It is in (?P<links>(?:{LINKS})(?: or (?:{LINKS}))*)\.|unlisted is in (?P<others>.+)\.$"
+    rf"^(?P<odds>(?:even )?odds.*?) that something acts beside what is stated; it looks like a change in (?:{LINKS})$"
 )
-def it_is_in(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
-    """The same, as a fact."""
-    links = re.split(r" or |, and in ", match["links"] or match["others"])
-    yield from _acts_at(case, text, links, None)
+def something_beside(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
+    """Odds that something acts beside what is named, wherever; sure ones are false where nothing does."""
+    yield from _acts_at(case, text, list(WORDS.values()), probability_of(match["odds"]))
+
+
+@sentence(r"(?:It|Something else) acts in (?P<links>.+ \([<>\d ]+ %\))\.")
+def it_acts_in(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
+    """Where it acts, link by link, each with its probability."""
+    for told in match["links"].split(", and in "):
+        link, _, stated = told.rpartition(" (")
+        yield from _acts_at(case, text, [link], probability_of(stated.rstrip(")")))
 
 
 @sentence(r"What is left is best described so: (?P<entries>.+?)\.(?: |$)")
@@ -158,7 +160,7 @@ def best_described(case: Case, _: str, match: re.Match[str]) -> Iterator[Stateme
             yield from _acts_at(case, entry, [WORDS[link] for link in WORDS if link.value in links], stated)
 
 
-def _acts_at(case: Case, text: str, links: list[str], stated: float | None) -> Iterator[Statement]:
+def _acts_at(case: Case, text: str, links: list[str], stated: float) -> Iterator[Statement]:
     """Whether something that the verdict did not name acts at one of some links.
 
     Less sure than `SURE` it is no false statement by itself, and counts among the probabilities.
@@ -168,8 +170,7 @@ def _acts_at(case: Case, text: str, links: list[str], stated: float | None) -> I
     keys = {link.value for link, words in WORDS.items() if words in links}
     acting = _unnamed(case, case.truth, keys)
     why = f"not named at {' or '.join(sorted(keys))}: {', '.join(acting) or 'nothing'}; hidden: {case.truth.words}"
-    statement = Statement("unlisted_at", DIAGNOSE, text, bool(acting), why)
-    yield statement if stated is None else with_probability(statement, stated)
+    yield with_probability(Statement("unlisted_at", DIAGNOSE, text, bool(acting), why), stated)
 
 
 def _unnamed(case: Case, truth: Truth, keys: set[str]) -> list[str]:

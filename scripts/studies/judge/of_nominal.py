@@ -20,11 +20,13 @@ REVERSING = ("axes_swapped", "left_handed", "displacement_frame", "current_sign"
 sentence = Readers()
 
 
-@sentence(r"^Lines? (?P<lines>[\d, ]+\d)(?: and \d+ more)?: far from all others")
+@sentence(
+    r"^Lines? (?P<lines>[\d, ]+\d)(?: and \d+ more)?: much farther from the rig's nominal model than the others"
+)
 def far_lines(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
-    """Lines of the table that are far off: each of those named is, and is not as it was measured."""
+    """Lines of the table that are far off: each of those named is."""
     number = case.observations.line
-    if case.truth is None or number is None:
+    if number is None:
         return
     lines = [int(line) for line in match["lines"].split(", ")]
     rows = np.flatnonzero(np.isin(number.numpy(), lines))
@@ -33,10 +35,8 @@ def far_lines(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement
     sizes_T = (np.linalg.norm(each_T[has_field], axis=1) for each_T in (measured_T, nominal_T))
     off_T = np.linalg.norm(measured_T - np.median(np.divide(*sizes_T)) * nominal_T, axis=1)
     is_far = off_T[rows] > FAR * np.median(off_T[has_field])
-    is_wrong = case.truth.wrong[rows].any(axis=1)
-    why = f"far: {is_far.tolist()}, recorded otherwise: {is_wrong.tolist()}; hidden: {case.truth.words}"
-    is_true = len(rows) == len(lines) and bool((is_far & is_wrong).all())
-    yield Statement("far_lines", CALIBRATE, text, is_true, why)
+    is_true = len(rows) == len(lines) and bool(is_far.all())
+    yield Statement("far_lines", CALIBRATE, text, is_true, f"far: {is_far.tolist()}")
 
 
 @sentence(r"^Fields correlate with the rig's nominal model by (?P<correlation>−?-?[\d.]+) only")

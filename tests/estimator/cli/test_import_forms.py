@@ -102,7 +102,7 @@ def test_wild_rows_and_clocks_are_told_by_check_and_import(folder):
     (folder / "mine.csv").write_text(text(rows=rows), encoding="utf-8")
     for told in (run("check", "rig.yaml", "mine.csv").stdout, run(*CALL).stdout):
         assert "Time jumps back in line 42 (to 4.75 s)" in told
-        assert "Line 15: far from all others beside the rig's nominal model" in told
+        assert "Line 15: much farther from the rig's nominal model than the others" in told
 
 
 def test_a_package_that_is_missing_is_named_with_the_command(folder, monkeypatch):

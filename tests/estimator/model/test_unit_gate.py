@@ -93,7 +93,7 @@ def test_a_sensor_that_nominally_stands_in_the_winding_is_no_wrong_unit(readings
 def test_a_few_wild_readings_are_named_and_not_the_unit(readings, wild_T):
     wild = with_row(with_row(readings, 7, wild_T), 11, wild_T)
     assert check_units(rig(), wild, "a.csv") == [
-        "Readings 8, 12: far from all others beside the rig's nominal model (a.csv)."
+        "Readings 8, 12: much farther from the rig's nominal model than the others (a.csv)."
     ]
 
 

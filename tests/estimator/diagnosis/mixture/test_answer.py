@@ -11,7 +11,7 @@ import torch
 from estimator.diagnosis.mixture import answer as answers
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.climb import Asked
-from estimator.diagnosis.mixture.imitation import AT_ITS_LINK
+from estimator.diagnosis.mixture.imitation import AT_ITS_LINK, AT_OWN_LINK
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples
 from tests.estimator.diagnosis.mixture.dictionaries import dictionary, item
@@ -123,7 +123,7 @@ def test_a_departure_is_never_stated_as_a_cause_but_told_with_its_link():
     made = answered(samples(MODELS, BOTH))
     assert [one.first.cause.name for one in made.stated] == ["gain"]
     assert [one.first.cause.name for one in made.beside] == ["wanders"]
-    assert made.unlisted == pytest.approx({Link.RESPONSE: 0.98})
+    assert made.unlisted == pytest.approx({Link.RESPONSE: 0.98 * AT_OWN_LINK})
 
 
 def test_a_stated_cause_leads_in_the_place_of_a_departure_in_its_slot(monkeypatch):
@@ -152,5 +152,7 @@ def test_probabilities_of_a_set_add_up_in_its_record_but_for_imitations(monkeypa
     monkeypatch.setattr(answers.Standing, "p_imitation", 0.0)
     record = answered(samples(MODELS, BOTH)).to_json()
     for one in record["found"]:
-        assert sum(each["probability"] for each in one["is_one_of"]) == pytest.approx(one["probability"])
-    assert record["unlisted"] == pytest.approx({"response": 0.98})
+        departs = not one["is_one_of"][0]["is_listed"]
+        whole = one["probability"] * (AT_OWN_LINK if departs else 1.0)
+        assert sum(each["probability"] for each in one["is_one_of"]) == pytest.approx(whole)
+    assert record["unlisted"] == pytest.approx({"response": 0.98 * AT_OWN_LINK})
