@@ -219,8 +219,8 @@ def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis):
 
     assert told() == "The sensor's axes are in another order or direction (axes_swapped)."
     assert told((mirrored, 0.0)) == (
-        "The sensor's axes are in another order or direction (axes_swapped, 50 %), or one axis of the displacements is reversed: "
-        "their frame is left-handed (left_handed, 50 %)."
+        "The sensor's axes are in another order or direction (axes_swapped, 50 %), or one axis of a mover, or all three, "
+        "is reversed: its frame is left-handed (left_handed, 50 %)."
     )
 
 
@@ -307,7 +307,7 @@ def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(di
     assert headline(unknown)[0].startswith("Something is wrong, and no known cause explains it: ")
 
 
-def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_probable(diagnosis):
+def test_what_fills_all_slots_may_be_many_things_or_one(diagnosis):
     asked = diagnosis.findings.answer.first
     slots = Slots(asked.slots.products, asked.slots.noise, 3)
     slots.conditional = lambda chosen, noise: np.eye(1, len(asked.dictionary.items) + 1)[
@@ -318,7 +318,9 @@ def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_proba
     full = said_instead(full, {(GAIN, HEATING, WANDERS): 100})  # without the offset, which is there
     assert full.causes == ()
     beside = headline(full)[1]
-    assert beside.startswith("At least 3 things are wrong at once, too many to tell apart.")
+    assert beside.startswith(
+        "Even 3 things wrong at once do not explain the readings: there are more, or one that no list holds and that these imitate."
+    )
     assert "Most probable, but not stated: " in beside
     assert "(axis_gain, > 99 %)" in beside
     assert f"Something unlisted is in {Link.ZERO.words}." in beside
