@@ -27,6 +27,7 @@ SWAPPED = tuple(order for order in axis_orders.ORDERS[1:] if order != axis_order
     quantities=axis_orders.QUANTITIES,
     starts=SWAPPED,
     broken_rule=axis_orders.reads_one_twice,
+    meaning=axis_orders.meaning,
     is_record_mistake=True,
 )
 def axes_swapped(field_sensor_T: Components, theta: Theta) -> Components:

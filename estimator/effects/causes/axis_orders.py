@@ -43,6 +43,17 @@ def is_left_handed(order: Mapping[str, float]) -> bool:
     return float(torch.linalg.det(matrix)) < 0.0
 
 
+def meaning(values: Mapping[str, float]) -> str:
+    """What each column holds.
+
+    Examples:
+        >>> meaning({"x_reads": 2.0, "y_reads": -1.0, "z_reads": 3.0})
+        'x, y and z hold y, −x and z'
+    """
+    x, y, z = ("−" * (values[key] < 0.0) + "xyz"[abs(round(values[key])) - 1] for key in READS)
+    return f"x, y and z hold {x}, {y} and {z}"
+
+
 def recorded_from_true(theta: Theta) -> Float[Tensor, "*batch 1 3 3"]:
     """Matrix that puts true components into the columns of the record, with an axis of length 1 for readings or poses."""
     reads = vector(theta, READS)

@@ -21,8 +21,12 @@ from estimator.tensors import torch
 
 # mm under m, m under mm, mm under cm, ..., inch under mm.
 LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)
-# Degrees, turns and mrad under radians; radians under degrees.
-ANGLE_FACTORS = (180.0 / math.pi, 0.5 / math.pi, 1e3, math.pi / 180.0)
+ANGLE_FACTORS = {
+    180.0 / math.pi: "degrees called radians",
+    0.5 / math.pi: "turns called radians",
+    1e3: "mrad called radians",
+    math.pi / 180.0: "radians called degrees",
+}
 # Orders in which turns about fixed axes follow one another, the first one first.
 ORDERS = tuple(permutations((0, 1, 2)))
 REVERSED = len(ORDERS) + 1
@@ -102,6 +106,16 @@ def _broken_rule(values: Mapping[str, float]) -> tuple[str, str] | None:
     return axis_orders.reads_one_twice(values)
 
 
+def _meaning(values: Mapping[str, float]) -> str:
+    number = round(values["convention"])
+    words = ["the inverse rotations"] if number == REVERSED else []
+    if 0 < number < REVERSED:
+        words.append(f"angles about fixed axes {', then '.join('xyz'[i] for i in ORDERS[number - 1])}")
+    words += [unit for factor, unit in ANGLE_FACTORS.items() if math.isclose(factor, values["factor"])]
+    is_swapped = any(values[key] != right for key, right in axis_orders.AS_CALLED.items())
+    return "; ".join([*words, *([axis_orders.meaning(values)] if is_swapped else [])])
+
+
 # Quantities: 0: a rotation vector; 1 to 6: angles about fixed axes, in the order xyz, xzy, yxz, yzx, zxy, zyx; 7: the inverse. Recorded
 # over true numbers. Which of the three numbers, 1 to 3, each column holds, negative where it is reversed.
 @MotionEffect.cause(
@@ -115,6 +129,7 @@ def _broken_rule(values: Mapping[str, float]) -> tuple[str, str] | None:
     concerns=lambda circumstances, place: bool(circumstances.observations.history.motion[place][:, 3:].any()),
     columns=lambda circumstances, mover: circumstances.observations.motion[mover][:, 3:],
     broken_rule=_broken_rule,
+    meaning=_meaning,
     is_record_mistake=True,
 )
 def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Transform:
@@ -168,6 +183,7 @@ def _other_orders(circumstances: Circumstances, place: str) -> Starts:
     places=_with_positions,
     starts=_other_orders,
     broken_rule=axis_orders.reads_one_twice,
+    meaning=axis_orders.meaning,
     is_record_mistake=True,
 )
 def positions_swapped(pose: Transform, theta: Theta) -> Transform:

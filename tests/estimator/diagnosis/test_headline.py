@@ -160,7 +160,7 @@ def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_o
     assert scores.predicted_coverage90 < 0.5 * scores.coverage90
     missed = size_with_unit(scores.predicted.vector_T, "T", 3)
     lacking = "It includes what predictions are without (background_drift)"
-    assert f"{lacking}: they miss these readings by {missed}." in words
+    assert f"{lacking}: they miss these readings by {missed}; the field itself may be right." in words
     assert f"-> {scores.predicted.vector_T * 1e6:.4g} uT" in unseen_line(improvement)
 
 
@@ -221,6 +221,17 @@ def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis):
     assert told((mirrored, 0.0)) == (
         "The sensor's axes are in another order or direction (axes_swapped, 50 %), or one axis of a mover, or all three, "
         "is reversed: its frame is left-handed (left_handed, 50 %)."
+    )
+
+
+def test_what_a_mistake_of_the_record_makes_of_columns_is_told(diagnosis, monkeypatch):
+    reads = {"x_reads": 3.0, "y_reads": -2.0, "z_reads": 1.0}
+    sizes = {key: Interval(value, 0.0, (value, value), "1") for key, value in reads.items()}
+    monkeypatch.setattr(Diagnosis, "quantities", lambda self, cause: sizes)
+    mistakes = (RecordMistake(Cause("positions_swapped", "arm1"), 900.0, ()),)
+    swapped = replace(diagnosis, findings=replace(diagnosis.findings, record_mistakes=mistakes, causes=()))
+    assert headline(swapped)[0] == (
+        "The mover's columns x, y and z are in another order or direction (positions_swapped): x, y and z hold z, −y and x."
     )
 
 

@@ -60,6 +60,20 @@ def test_columns_of_yaw_pitch_and_roll_turn_the_sensor_as_scipy_says():
     assert_same_field(reading_T, Rotation.from_euler("ZYX", ANGLES_RAD).inv().apply(FIELD_T))
 
 
+def test_what_the_numbers_of_a_convention_mean_is_told():
+    def told(convention: float, factor: float, *reads: float) -> str:
+        order = dict(zip(("x_reads", "y_reads", "z_reads"), reads or (1.0, 2.0, 3.0), strict=True))
+        given = {"convention": convention, "factor": factor, **order}
+        return EFFECTS["rotation_convention"].meaning(given)
+
+    assert told(0.0, 0.159154943) == "turns called radians"
+    assert told(7.0, 1.0) == "the inverse rotations"
+    yaw_pitch_roll = told(1.0, 57.29577951308232, 3.0, 2.0, 1.0)
+    assert yaw_pitch_roll == (
+        "angles about fixed axes x, then y, then z; degrees called radians; x, y and z hold z, y and x"
+    )
+
+
 def test_conventions_and_units_in_a_batch_are_those_one_by_one():
     effect = EFFECTS["rotation_convention"]
     here = Transform(torch.eye(3).double().expand(N, 3, 3), torch.from_numpy(POINTS_M))
