@@ -233,6 +233,8 @@ def test_what_a_mistake_of_the_record_makes_of_columns_is_told(diagnosis, monkey
     assert headline(swapped)[0] == (
         "The mover's columns x, y and z are in another order or direction (positions_swapped): x, y and z hold z, −y and x."
     )
+    told = replace(swapped, verdict=Verdict.NAMED, left_open=replace(swapped.left_open, next_measurements=()))
+    assert any(words.startswith("Put the record right and import it again") for words in headline(told))
 
 
 def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(diagnosis):
