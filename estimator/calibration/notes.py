@@ -36,8 +36,9 @@ def notes(described: WithEverywhere, observations: Observations) -> list[str]:
         sentences.append(f"{ONLY_THE_SUM}; fields that currents add are not affected.")
     if described.missing:
         sentences.append(
-            f"The currents changed too little to tell these from the coils, so they were not fitted: {_listed(described.missing)}. "
-            "Unless they were subtracted from the readings, read places without current too: the Earth's field alone is 25 to 65 µT."
+            f"The currents changed too little to tell these from the coils by themselves, so they were not fitted: "
+            f"{_listed(described.missing)}. Unless they were subtracted from the readings, read places without current too, or name them "
+            "under effects in the rig file, so that the pattern of the coils' fields tells them: the Earth's field alone is 25 to 65 µT."
         )
     rig = described.rig
     sentences += [

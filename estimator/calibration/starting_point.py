@@ -114,7 +114,9 @@ def starting_point_with_counts(
     estimate = point_estimate(posterior, observations, seed, begin)
     with torch.no_grad():
         values = coordinates.values(estimate.vector)
-    posterior = LogPosterior(coordinates, posterior.model.choose_rules(values), observations)
+        # A fit to fields in another unit may draw the winding around a sensor; the calibration then says that it misses them.
+        model = posterior.model.choose_rules(values, is_refusing=False)
+    posterior = LogPosterior(coordinates, model, observations)
     undetermined = tuple(open_directions(coordinates, estimate.fit))
     tell("Laplace approximation over loop counts", undetermined)
     rng = np.random.default_rng(seed)

@@ -239,9 +239,9 @@ class Fit:
         return dict(zip(self.values, gradients, strict=True))
 
     def null_values(self, cause: Cause) -> dict[str, Tensor]:
-        """Values, by parameter, at which one of the rig's causes changes nothing; without its shapes, which keep theirs."""
+        """Values, by parameter, at which one of the rig's causes changes nothing; shapes keep theirs, unless there are no sizes."""
         quantities = EFFECTS[cause.name].quantities(self.circumstances.extent)
-        sizes = [quantity for quantity in quantities if not quantity.is_shape]
+        sizes = [quantity for quantity in quantities if not quantity.is_shape] or quantities
         return {f"{cause.label}.{q.key}": self.vector.new_tensor(q.null) for q in sizes}
 
     def at_null(self, cause: Cause) -> tuple[list[int], Float[Tensor, " coordinate"]]:

@@ -315,6 +315,10 @@ class Effect(ABC):
                 return quantity.key, f"must lie between {low:g} and {high:g}"
         return None
 
+    def meaning(self, values: Mapping[str, float]) -> str:
+        """What the numbers of a mistake of the record mean, in words; empty where they speak for themselves."""
+        return ""
+
     def is_itself(self, theta: Theta, circumstances: Circumstances) -> bool:
         """Whether what was fitted still is what the cause says, and not a small correction or the limit of something else."""
         return all(float(theta[key]) >= 0.0 for key in self.never_negative)

@@ -64,7 +64,8 @@ def during(
         InvalidInput: The base is none of these, or the declaration is wrong.
     """
     stage = _stage_of(base)
-    of_base = {key: getattr(base, key) for key in ("kind", "is_record_mistake", "places", "concerns")}
+    same = ("kind", "is_record_mistake", "places", "concerns", "meaning")
+    of_base = {key: getattr(base, key) for key in same}
 
     def joined(function: Callable[[], None]) -> During:
         return made(stage, function, {**of_base, **declared, "base": base}, source=(source_of or base).source)

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from estimator.errors import InvalidInput, listed
 from estimator.model.measurement_model import MeasurementModel
-from estimator.model.unlikely_motion import cure, scaled, unlikely_motion
+from estimator.model.unlikely_motion import look_like, scaled, unlikely_motion
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.tensors import Tensor, torch
@@ -32,7 +32,7 @@ NEARLY_ALONG = 0.8  # cosine between measured and predicted field
 LEAST_OF_A_SIGN = 0.1  # share of the readings from which a sign is no slip of single rows
 IDLE_SHARE = 0.01  # of a coil's largest current; a meter never shows exactly none
 LARGEST_TURN_RAD = 2 * np.pi  # of a rotation vector or a joint in radians
-FIELD_UNITS = {"mT": 1e3, "uT": 1e6, "G": 1e4}
+FIELD_FACTORS = (1e3, 1e4, 1e6)  # between units of a field
 
 
 @dataclass(frozen=True)
@@ -123,33 +123,36 @@ def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, wh
         for motion in (observations.motion[mover.name],)
     ]
     is_turned_beyond = any(bool((turn.abs() > LARGEST_TURN_RAD).double().mean() > 0.1) for turn in turned)
-    for kind, factor, unit, is_possible in (
-        ("positions", 1e-3, "mm", is_wrong_size),
-        ("positions", 1e-2, "cm", is_wrong_size),
-        ("rotations", np.pi / 180.0, "deg", is_turned_beyond),
+    for kind, factor, is_possible in (
+        ("positions", 1e3, is_wrong_size),
+        ("positions", 1e2, is_wrong_size),
+        ("rotations", 180.0 / np.pi, is_turned_beyond),
     ):
         agreement = None
         if is_possible:
             with suppress(InvalidInput):
-                agreement = _agreement(rig, scaled(rig, observations, kind, factor))
+                agreement = _agreement(rig, scaled(rig, observations, kind, 1.0 / factor))
         if (
             agreement is not None
             and 1.0 / 3.0 < agreement.ratio < 3.0
             and agreement.correlation > SAME_PATTERN
         ):
+            units = look_like(
+                rig.movers[0].columns[0 if kind == "positions" else -1],
+                factor,
+                f": divided by {factor:.4g} they fit the rig's nominal model",
+            )
             raise InvalidInput(
-                f"{kind} of the movers must be in {'metres' if kind == 'positions' else 'radians'}; they look like "
-                f"{'degrees' if unit == 'deg' else unit}: divided by {1.0 / factor:.4g} they fit the rig's nominal model; "
-                f"{cure(rig.movers[0].columns[0 if kind == 'positions' else -1], unit)} ({where})"
+                f"{kind} of the movers must be in the unit that is stated; they look like {units} ({where})"
             )
 
 
 def _likely(ratio: float) -> str:
-    unit, factor = min(FIELD_UNITS.items(), key=lambda item: abs(np.log(ratio / item[1])))
+    factor = min(FIELD_FACTORS, key=lambda factor: abs(np.log(ratio / factor)))
     if 1.0 / 3.0 < ratio / factor < 3.0:
-        return f"fields look like {unit} (or currents are too small by {factor:g}); {cure('Bx', unit)}"
+        return f"fields look like {look_like('Bx_T', factor, f' (or currents are too small by {factor:g})')}"
     if 1.0 / 3.0 < ratio * 1e3 < 3.0:
-        return f"currents look like mA (or fields are too small by 1000); {cure('COIL_current', 'mA')}"
+        return f"currents look like {look_like('COIL_current_A', 1e3, ' (or fields are too small by 1000)')}"
     return "check units, currents and the nominal pose"
 
 

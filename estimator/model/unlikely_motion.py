@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
-from estimator.units import split_unit
+from estimator.units import UNITS, split_unit
 
 FARTHEST_M = 10.0  # that a mover of a laboratory stands from its reference: a thousandth is a stage's travel
 # Travel of all movers together, where one moves at all: a thousand times as much is an arm's reach
 LEAST_TRAVEL_M = 5e-4
+MOST_UNITS = 2  # that are told of numbers a factor too large
 
 
 def unlikely_motion(rig: Rig, observations: Observations, where: str) -> list[str]:
@@ -38,7 +40,7 @@ def _too_far(rig: Rig, observations: Observations, where: str) -> Iterator[str]:
         column = mover.columns[axis]
         yield (
             f"{column} is {float(position_m[row, axis]):.4g} m in {first}{more}: movers of laboratories stay within {FARTHEST_M:g} m; "
-            f"they look like mm; {cure(column, 'mm')} ({where})."
+            f"they look like {look_like(column, 1e3)} ({where})."
         )
 
 
@@ -55,14 +57,33 @@ def _too_little(rig: Rig, observations: Observations, where: str) -> Iterator[st
     if farthest is not None and is_all and 0.0 < travels_m[farthest] < LEAST_TRAVEL_M:
         yield (
             f"{farthest.name} moves by {1e3 * travels_m[farthest]:.3g} mm at most: hardly any field changes so near; "
-            f"positions may be in m; {cure(farthest.columns[0], 'm')} ({where})."
+            f"positions may be in m; {_cure(split_unit(farthest.columns[0])[0], ['m'])} ({where})."
         )
 
 
-def cure(column: str, unit: str) -> str:
-    """What to do about a column whose numbers are in another unit."""
-    name = f"{split_unit(column)[0]}_{unit}"
-    return f"if so, name them so in the file, or with --column 'HEADER={name}' when they are imported"
+def look_like(column: str, factor: float, besides: str = "") -> str:
+    """Units that numbers may truly have which are too large, whatever their file calls them, and what to do: `mm called m, or ...`.
+
+    Args:
+        column: Name of a column of such numbers, with a unit of theirs.
+        factor: By which they are too large.
+        besides: What else it may be.
+    """
+    quantity, stated = split_unit(column)
+    alike = [unit for unit in UNITS.values() if stated is not None and unit.dimension == stated.dimension]
+    pairs = [
+        (true.symbol, called.symbol)
+        for called in alike
+        for true in alike
+        if math.isclose(called.to_si / true.to_si, factor, rel_tol=1e-6)
+    ][:MOST_UNITS]
+    units = ", or ".join(f"{true} called {called}" for true, called in pairs)
+    return f"{units}{besides}; {_cure(quantity, [true for true, _ in pairs])}"
+
+
+def _cure(quantity: str, units: Sequence[str]) -> str:
+    names = " or ".join(f"'HEADER={quantity}_{unit}'" for unit in units)
+    return f"if so, name them so in the file, or with --column {names} when they are imported"
 
 
 def scaled(rig: Rig, observations: Observations, kind: str, factor: float) -> Observations:

@@ -17,6 +17,7 @@ from estimator.readings.observations import Observations
 
 # Instants that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants.
 MOST_INSTANTS = 48
+ALIKE = 1e-6  # difference of two log likelihoods that is rounding
 
 
 def instants_in(start: Mapping[str, float]) -> list[str]:
@@ -54,13 +55,20 @@ def has_instant(starts: Sequence[Mapping[str, float]]) -> bool:
 def best_instants(
     values: Sequence[float], starts: Sequence[Mapping[str, float]]
 ) -> list[tuple[float, Mapping[str, float]]]:
-    """The best of the starts that differ by their instants alone, with its value; every start where they have none."""
+    """The best of the starts that differ by their instants alone, with its value; every start where they have none.
+
+    Of starts that change the readings alike, as exchanged columns of zeros do, only the first.
+    """
     best: dict[tuple[tuple[str, float], ...], tuple[float, Mapping[str, float]]] = {}
     for value, start in zip(values, starts, strict=True):
         otherwise = tuple(item for item in start.items() if item[0] not in (SINCE, UNTIL))
         if otherwise not in best or value > best[otherwise][0]:
             best[otherwise] = value, start
-    return list(best.values())
+    distinct: list[tuple[float, Mapping[str, float]]] = []
+    for value, start in best.values():
+        if not any(abs(value - other) < ALIKE for other, _ in distinct):
+            distinct.append((value, start))
+    return distinct
 
 
 def on_known_sides(fit: Fit, unseen: Observations) -> Observations:

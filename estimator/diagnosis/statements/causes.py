@@ -40,10 +40,12 @@ def what(diagnosis: Diagnosis) -> Iterator[str]:
 
 
 def _mistake(diagnosis: Diagnosis, named: NamedCause) -> str:
-    """A mistake of the record; with its probability where it may be another."""
+    """A mistake of the record with what its numbers mean; with its probability where it may be another."""
     label, others = diagnosis.label(named.cause), _others(diagnosis, named)
     how_sure = f", {probability(named.probability)}" if others else ""
-    return f"{_capital(EFFECTS[named.cause.name].words)} ({label}{how_sure}){others}."
+    effect, sizes = EFFECTS[named.cause.name], diagnosis.quantities(named.cause)
+    meaning = effect.meaning({key: size.median for key, size in sizes.items()}) if sizes else ""
+    return f"{_capital(effect.words)} ({label}{how_sure}){f': {meaning}' if meaning else ''}{others}."
 
 
 def is_only_flagged(diagnosis: Diagnosis) -> bool:

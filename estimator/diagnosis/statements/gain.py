@@ -108,7 +108,9 @@ def _not_of_the_field(diagnosis: Diagnosis, improvement: Improvement) -> str:
     of_these = _first_few(diagnosis, improvement.not_predicted)
     error = size_with_unit(improvement.after.predicted.vector_T, "T", 3)
     beside = f" It includes what predictions are without ({of_these}): they" if of_these else " Predictions"
-    return f"{beside} miss these readings by {error}{f', with {instruments}' if of_all else ''}."
+    with_all = f", with {instruments}" if of_all else ""
+    field = "; the field itself may be right" if of_these else ""
+    return f"{beside} miss these readings by {error}{with_all}{field}."
 
 
 def _in_every_session(diagnosis: Diagnosis, improvement: Improvement) -> list[Cause]:

@@ -135,9 +135,9 @@ def _beside_names(diagnosis: Diagnosis) -> str:
     if answer.is_full:
         where = f" Something else acts in {', and in '.join(links)}." if links else ""
         most = f" Most probable, but not stated: {_told(diagnosis, listed[:MOST_OF_MANY])}." if listed else ""
-        them = "the others " if diagnosis.causes else ""
         n = len(answer.asked.leading)
-        return f"At least {n} things are wrong at once, too many to tell {them}apart.{most}{where}"
+        more = "there are more, or one that no list holds and that these imitate"
+        return f"Even {n} things wrong at once do not explain the readings: {more}.{most}{where}"
     unlisted = [entry for entry in answer.beside if not entry.first.is_listed]
     refused = [entry for entry in listed if entry.first_listed in answer.refused]
     faint = [entry for entry in listed if entry not in refused]

@@ -40,6 +40,11 @@ def what_next(diagnosis: Diagnosis) -> Iterator[str]:
         yield "Intervals are widened by what is left; look at the residual below before you rely on predictions."
     elif verdict is Verdict.NAMED and is_only_flagged(diagnosis):
         yield "Put the record right, and see what wrote it; the rig file is right as it is."
+    elif verdict is Verdict.NAMED and diagnosis.record_mistakes:
+        yield (
+            "Put the record right and import it again, or mend the set-up and measure again; "
+            f"{EXTENDED_RIG} is for readings that have the same mistake."
+        )
     elif verdict is Verdict.NAMED:
         yield f"Use {EXTENDED_RIG} in place of the rig file, or mend the cause and measure again."
     elif verdict is Verdict.NOTHING_FOUND:

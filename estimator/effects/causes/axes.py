@@ -5,13 +5,10 @@ Each is there or not, and makes the readings absurd unless undone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from itertools import permutations, product
-from operator import mul
-
 from jaxtyping import Float
 
-from estimator.effects.base import Starts, Theta, switch, vector, whole
+from estimator.effects.base import Starts, Theta, switch, whole
+from estimator.effects.causes import axis_orders
 from estimator.effects.causes.pose_record import SMALLEST_TURN_RAD
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during, from_instants
@@ -21,29 +18,16 @@ from estimator.tensors import Tensor, torch
 
 OWN, OF_BASE, OF_ROOM = range(3)  # axes in which fields are recorded
 KNOWN = whole(f"must be 0, 1 or {OF_ROOM}", OWN, OF_ROOM)
-READS = ("x_reads", "y_reads", "z_reads")
-REVERSAL = dict(zip(READS, (-1.0, -2.0, -3.0), strict=True))  # of all three axes, which is `current_sign`
-
-
-def _signed_permutations() -> Starts:
-    """All signed permutations of the axes but the right one and its reversal."""
-    each = product(permutations((1.0, 2.0, 3.0)), product((1.0, -1.0), repeat=3))
-    starts = (dict(zip(READS, map(mul, order, signs), strict=True)) for order, signs in each)
-    right = {key: -value for key, value in REVERSAL.items()}
-    return tuple(start for start in starts if start not in (right, REVERSAL))
-
-
-def _reads_one_twice(values: Mapping[str, float]) -> tuple[str, str] | None:
-    if sorted(abs(value) for value in values.values()) == [1.0, 2.0, 3.0]:
-        return None
-    return next(iter(values)), "must be, with the other two, 1, 2 and 3 in some order and with any signs"
+# The reversal of all axes is `current_sign`.
+SWAPPED = tuple(order for order in axis_orders.ORDERS[1:] if order != axis_orders.REVERSED)
 
 
 # Quantities: which component, 1 to 3, each axis reads, negative where it is reversed.
 @ReadingEffect.cause(
-    quantities=tuple(switch(key, -3.0, 3.0, i + 1.0) for i, key in enumerate(READS)),
-    starts=_signed_permutations(),
-    broken_rule=_reads_one_twice,
+    quantities=axis_orders.QUANTITIES,
+    starts=SWAPPED,
+    broken_rule=axis_orders.reads_one_twice,
+    meaning=axis_orders.meaning,
     is_record_mistake=True,
 )
 def axes_swapped(field_sensor_T: Components, theta: Theta) -> Components:
@@ -53,15 +37,12 @@ def axes_swapped(field_sensor_T: Components, theta: Theta) -> Components:
 
     Source: 46 signed permutations; the reversal of all is current_sign.
     """
-    reads = vector(theta, READS)[..., 0, :]
-    mix = torch.nn.functional.one_hot(reads.abs().round().long() - 1, 3).to(field_sensor_T.dtype)
-    mix = mix * torch.sign(reads)[..., None]
-    return (mix[..., None, :, :] @ field_sensor_T[..., None])[..., 0]
+    return (axis_orders.recorded_from_true(theta) @ field_sensor_T[..., None])[..., 0]
 
 
 @during(
     axes_swapped,
-    starts=lambda circumstances: from_instants((*_signed_permutations(), REVERSAL), circumstances),
+    starts=lambda circumstances: from_instants((*SWAPPED, axis_orders.REVERSED), circumstances),
 )
 def axes_swapped_since() -> None:
     """From one instant on the sensor's axes are in another order or direction.

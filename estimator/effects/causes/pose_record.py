@@ -6,11 +6,12 @@ Each is there or not, and makes the readings absurd unless undone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import permutations, product
 
 from estimator.effects.base import POSITIVE, SIGN, Starts, Theta, box, switch, vector, whole
+from estimator.effects.causes import axis_orders
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector
@@ -20,19 +21,36 @@ from estimator.tensors import torch
 
 # mm under m, m under mm, mm under cm, ..., inch under mm.
 LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)
+ANGLE_FACTORS = {
+    180.0 / math.pi: "degrees called radians",
+    0.5 / math.pi: "turns called radians",
+    1e3: "mrad called radians",
+    math.pi / 180.0: "radians called degrees",
+}
 # Orders in which turns about fixed axes follow one another, the first one first.
 ORDERS = tuple(permutations((0, 1, 2)))
-REVERSED, IN_DEGREES = len(ORDERS) + 1, len(ORDERS) + 2
-A_CONVENTION = whole(f"must be a whole number from 0 to {IN_DEGREES}", 0.0, IN_DEGREES)
+REVERSED = len(ORDERS) + 1
+A_CONVENTION = whole(f"must be a whole number from 0 to {REVERSED}", 0.0, REVERSED)
 SMALLEST_TURN_RAD = math.radians(15.0)
 FACTORS = tuple(f"{axis}_factor" for axis in "xyz")
 SIGNS = tuple(f"{axis}_sign" for axis in "xyz")
+REVERSALS = (
+    (-1.0, 1.0, 1.0),
+    (1.0, -1.0, 1.0),
+    (1.0, 1.0, -1.0),
+    (-1.0, -1.0, -1.0),
+)  # of one axis, and of all
 TURN = ("rx_rad", "ry_rad", "rz_rad")
 
 
 def _that_report(*kinds: MotionKind) -> Callable[[Rig], tuple[str, ...]]:
     """Movers that report so."""
     return lambda rig: tuple(mover.name for mover in rig.movers if mover.motion in kinds)
+
+
+def _with_positions(rig: Rig) -> tuple[str, ...]:
+    """Movers whose columns are positions, and no joint angles."""
+    return tuple(mover.name for mover in rig.movers if mover.table is None)
 
 
 def _moved(circumstances: Circumstances, place: str) -> list[str]:
@@ -55,7 +73,7 @@ def _usual_slips(circumstances: Circumstances, place: str) -> Starts:
 # Quantities: recorded over true positions.
 @MotionEffect.cause(
     quantities=tuple(switch(key, 0.0, 1e9, 1.0, POSITIVE) for key in FACTORS),
-    places=lambda rig: tuple(mover.name for mover in rig.movers if mover.table is None),
+    places=_with_positions,
     starts=_usual_slips,
     concerns=lambda circumstances, place: bool(_moved(circumstances, place)),
     is_record_mistake=True,
@@ -70,47 +88,113 @@ def position_unit(pose: Transform, theta: Theta) -> Transform:
     return Transform(pose.rotation, pose.translation_m / vector(theta, FACTORS))
 
 
-# Quantities: 0: a rotation vector; 1 to 6: angles about fixed axes, in the order xyz, xzy, yxz, yzx, zxy, zyx; 7: the inverse; 8: degrees.
+def _other_conventions() -> Starts:
+    """Every convention in every unit, then angles, and rotation vectors with any signs, whose columns are in another order."""
+    right, *others = axis_orders.ORDERS
+    each = (
+        *product(range(REVERSED + 1), (1.0, *ANGLE_FACTORS), (right,)),
+        *product(range(1, REVERSED), (1.0,), (order for order in others if min(order.values()) > 0.0)),
+        *product((0,), (1.0,), (order for order in others if order != axis_orders.REVERSED)),
+    )
+    return tuple({"convention": float(i), "factor": factor, **order} for i, factor, order in each[1:])
+
+
+def _broken_rule(values: Mapping[str, float]) -> tuple[str, str] | None:
+    for key, rule in (("convention", A_CONVENTION), ("factor", POSITIVE)):
+        if not rule.holds(values[key]):
+            return key, rule.words
+    return axis_orders.reads_one_twice(values)
+
+
+def _meaning(values: Mapping[str, float]) -> str:
+    number = round(values["convention"])
+    words = ["the inverse rotations"] if number == REVERSED else []
+    if 0 < number < REVERSED:
+        words.append(f"angles about fixed axes {', then '.join('xyz'[i] for i in ORDERS[number - 1])}")
+    words += [unit for factor, unit in ANGLE_FACTORS.items() if math.isclose(factor, values["factor"])]
+    is_swapped = any(values[key] != right for key, right in axis_orders.AS_CALLED.items())
+    return "; ".join([*words, *([axis_orders.meaning(values)] if is_swapped else [])])
+
+
+# Quantities: 0: a rotation vector; 1 to 6: angles about fixed axes, in the order xyz, xzy, yxz, yzx, zxy, zyx; 7: the inverse. Recorded
+# over true numbers. Which of the three numbers, 1 to 3, each column holds, negative where it is reversed.
 @MotionEffect.cause(
-    quantities=(switch("convention", 0.0, float(IN_DEGREES), 0.0, A_CONVENTION),),
+    quantities=(
+        switch("convention", 0.0, float(REVERSED), 0.0),
+        switch("factor", 0.0, 1e9, 1.0),
+        *axis_orders.QUANTITIES,
+    ),
     places=_that_report(MotionKind.DISPLACEMENT, MotionKind.POSE),
-    starts=tuple({"convention": float(i)} for i in range(1, IN_DEGREES + 1)),
+    starts=_other_conventions(),
     concerns=lambda circumstances, place: bool(circumstances.observations.history.motion[place][:, 3:].any()),
     columns=lambda circumstances, mover: circumstances.observations.motion[mover][:, 3:],
+    broken_rule=_broken_rule,
+    meaning=_meaning,
     is_record_mistake=True,
 )
 def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Transform:
-    """Rotations are recorded in another convention than rotation vectors.
+    """Rotations are recorded in another convention, unit or order of columns than rotation vectors in radians.
 
-    The three columns of a rotation are no rotation vector: angles about three axes, the inverse rotation, or degrees.
+    The three columns of a rotation are no rotation vector in radians: angles about three axes, the inverse rotation, degrees or turns, or
+    the columns are in another order.
 
-    Source: angles about the axes in each of 6 orders, the inverse rotation, degrees.
+    Source: angles about the axes in each of 6 orders, the inverse rotation; degrees, turns, mrad, or radians under degrees; 6 orders of
+    columns, of a rotation vector with any signs.
     """
+    true_from_recorded = axis_orders.recorded_from_true(theta).mT / theta["factor"][..., None, None, None]
+    columns = (true_from_recorded @ columns[..., None])[..., 0]
     axes = torch.eye(3).to(columns)
-    about = [rotation_from_vector(columns[:, i : i + 1] * axes[i]) for i in range(3)]
+    about = [rotation_from_vector(columns[..., i : i + 1] * axes[i]) for i in range(3)]
     as_angles = [about[third] @ about[second] @ about[first] for first, second, third in ORDERS]
     rotation = rotation_from_vector(columns)
-    each = torch.stack((rotation, *as_angles, rotation.mT, rotation_from_vector(torch.deg2rad(columns))))
-    return Transform(each[theta["convention"].round().long()], pose.translation_m)
+    each = torch.stack((rotation, *as_angles, rotation.mT), dim=-4)
+    which = theta["convention"].round().long()[..., None, None, None, None]
+    return Transform(torch.take_along_dim(each, which, dim=-4).squeeze(-4), pose.translation_m)
 
 
 @MotionEffect.cause(
     quantities=tuple(switch(key, -1.0, 1.0, 1.0, SIGN) for key in SIGNS),
-    # Each axis alone, and all.
-    starts=(
-        *({key: -1.0 if key == reversed_key else 1.0 for key in SIGNS} for reversed_key in SIGNS),
-        dict.fromkeys(SIGNS, -1.0),
-    ),
+    starts=tuple(dict(zip(SIGNS, signs, strict=True)) for signs in REVERSALS),
     is_record_mistake=True,
 )
 def left_handed(pose: Transform, theta: Theta) -> Transform:
-    """One axis of the displacements is reversed: their frame is left-handed.
+    """One axis of a mover, or all three, is reversed: its frame is left-handed.
 
-    One axis of the recorded displacements is reversed, so that their frame is left-handed.
+    One recorded axis of a mover, or all three, has the other sign, so that its frame is left-handed.
 
-    Source: 3 axes.
+    Source: 3 axes, and all of them.
     """
     return Transform(pose.rotation, vector(theta, SIGNS) * pose.translation_m)
+
+
+def _other_orders(circumstances: Circumstances, place: str) -> Starts:
+    """Orders and directions that are not those of `left_handed`, nor a rotation where that is a `displacement_frame`."""
+    has_frame = circumstances.rig.mover(place).motion is MotionKind.DISPLACEMENT
+    return tuple(
+        order
+        for order in axis_orders.ORDERS[1:]
+        if not (axis_orders.is_in_order(order) if axis_orders.is_left_handed(order) else has_frame)
+    )
+
+
+# Quantities: which coordinate, 1 to 3, each column holds, negative where it is reversed.
+@MotionEffect.cause(
+    quantities=axis_orders.QUANTITIES,
+    places=_with_positions,
+    starts=_other_orders,
+    broken_rule=axis_orders.reads_one_twice,
+    meaning=axis_orders.meaning,
+    is_record_mistake=True,
+)
+def positions_swapped(pose: Transform, theta: Theta) -> Transform:
+    """The mover's columns x, y and z are in another order or direction.
+
+    The columns of a mover's x, y and z hold each other's numbers, some of them perhaps with the other sign.
+
+    Source: signed permutations; the reversal of one or of all is left_handed.
+    """
+    true_from_recorded = axis_orders.recorded_from_true(theta).mT
+    return Transform(pose.rotation, (true_from_recorded @ pose.translation_m[..., None])[..., 0])
 
 
 @cache

@@ -80,6 +80,12 @@ def test_a_wrong_sign_of_the_current_is_unusable_and_has_its_exit_code(small_ses
     assert (tmp_path / "out/summary.json").exists()
 
 
+def test_gauss_called_millitesla_that_draw_the_winding_around_the_sensor_are_unusable(small_session):
+    readings = small_session.observations
+    tenfold = replace(small_session, observations=readings.with_field(10.0 * readings.field_sensor_T))
+    assert quality(tenfold)["verdict"] == "unusable"
+
+
 def test_a_wrong_place_of_the_sensor_is_suspect_by_what_the_noise_leaves(small_rig, small_plan, small_truth):
     verdict = quality(shifted(small_rig, small_plan, small_truth, 2e-3))
     assert verdict["verdict"] == "suspect"

@@ -54,8 +54,9 @@ REFUSALS = {
     "import whole.csv --rig rig.yaml --out new.zarr --validation 20": "validation share must be at least 0 and below 1; received 20",
     "import whole.csv --rig rig.yaml --out new.zarr --validation 0.9999": "session must hold calibration readings; "
     "it holds none (whole.csv)",
-    "import mm.csv --rig rig.yaml --out new.zarr": "positions of the movers must be in metres; they look like mm: divided by 1000 "
-    "they fit the rig's nominal model; if so, name them so in the file, or with --column 'HEADER=arm1_x_mm' when they are imported (mm.csv)",
+    "import mm.csv --rig rig.yaml --out new.zarr": "positions of the movers must be in the unit that is stated; they look like mm called m, "
+    "or um called mm: divided by 1000 they fit the rig's nominal model; if so, name them so in the file, "
+    "or with --column 'HEADER=arm1_x_mm' or 'HEADER=arm1_x_um' when they are imported (mm.csv)",
     "import off.csv --rig rig.yaml --out new.zarr": "at least one coil must carry current; all currents are 0 A (off.csv)",
     "import still.csv --rig rig.yaml --out new.zarr": "readings must be taken at several poses; all 20 share one (still.csv)",
     "import one.csv --rig rig.yaml --out new.zarr": "a calibration needs readings at several poses; received a single reading (one.csv)",

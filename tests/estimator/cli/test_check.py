@@ -227,7 +227,7 @@ def test_a_length_of_another_unit_is_told_with_its_place_and_its_cure(
     [
         (
             1e3,
-            "arm1_x_m is -40 m in line 2 and 33 more: movers of laboratories stay within 10 m; they look like mm; if so,",
+            "arm1_x_m is -40 m in line 2 and 33 more: movers of laboratories stay within 10 m; they look like mm called m, or um called mm; if so,",
         ),
         (
             1e-3,

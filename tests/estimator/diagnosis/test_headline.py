@@ -160,7 +160,7 @@ def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_o
     assert scores.predicted_coverage90 < 0.5 * scores.coverage90
     missed = size_with_unit(scores.predicted.vector_T, "T", 3)
     lacking = "It includes what predictions are without (background_drift)"
-    assert f"{lacking}: they miss these readings by {missed}." in words
+    assert f"{lacking}: they miss these readings by {missed}; the field itself may be right." in words
     assert f"-> {scores.predicted.vector_T * 1e6:.4g} uT" in unseen_line(improvement)
 
 
@@ -219,9 +219,22 @@ def test_a_mistake_of_the_record_is_told_with_what_else_it_may_be(diagnosis):
 
     assert told() == "The sensor's axes are in another order or direction (axes_swapped)."
     assert told((mirrored, 0.0)) == (
-        "The sensor's axes are in another order or direction (axes_swapped, 50 %), or one axis of the displacements is reversed: "
-        "their frame is left-handed (left_handed, 50 %)."
+        "The sensor's axes are in another order or direction (axes_swapped, 50 %), or one axis of a mover, or all three, "
+        "is reversed: its frame is left-handed (left_handed, 50 %)."
     )
+
+
+def test_what_a_mistake_of_the_record_makes_of_columns_is_told(diagnosis, monkeypatch):
+    reads = {"x_reads": 3.0, "y_reads": -2.0, "z_reads": 1.0}
+    sizes = {key: Interval(value, 0.0, (value, value), "1") for key, value in reads.items()}
+    monkeypatch.setattr(Diagnosis, "quantities", lambda self, cause: sizes)
+    mistakes = (RecordMistake(Cause("positions_swapped", "arm1"), 900.0, ()),)
+    swapped = replace(diagnosis, findings=replace(diagnosis.findings, record_mistakes=mistakes, causes=()))
+    assert headline(swapped)[0] == (
+        "The mover's columns x, y and z are in another order or direction (positions_swapped): x, y and z hold z, −y and x."
+    )
+    told = replace(swapped, verdict=Verdict.NAMED, left_open=replace(swapped.left_open, next_measurements=()))
+    assert any(words.startswith("Put the record right and import it again") for words in headline(told))
 
 
 def test_a_size_that_its_prior_holds_back_is_said_with_what_the_readings_alone_say(diagnosis):
@@ -307,7 +320,7 @@ def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(di
     assert headline(unknown)[0].startswith("Something is wrong, and no known cause is probable: ")
 
 
-def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_probable(diagnosis):
+def test_what_fills_all_slots_may_be_many_things_or_one(diagnosis):
     asked = diagnosis.findings.answer.first
     slots = Slots(asked.slots.products, asked.slots.noise, 3)
     slots.conditional = lambda chosen, noise: np.eye(1, len(asked.dictionary.items) + 1)[
@@ -318,7 +331,9 @@ def test_so_many_things_that_none_can_be_told_apart_are_said_with_the_most_proba
     full = said_instead(full, {(GAIN, HEATING, WANDERS): 100})  # without the offset, which is there
     assert full.causes == ()
     beside = headline(full)[1]
-    assert beside.startswith("At least 3 things are wrong at once, too many to tell apart.")
+    assert beside.startswith(
+        "Even 3 things wrong at once do not explain the readings: there are more, or one that no list holds and that these imitate."
+    )
     assert "Most probable, but not stated: " in beside
     assert "(axis_gain, > 99 %)" in beside
     assert f"Something else acts in {Link.ZERO.words} (" in beside

@@ -27,3 +27,13 @@ def test_rows_that_were_written_late_are_put_back_first(small_rig, small_session
     is_read = meant.is_measured
     torch.testing.assert_close(shown_T[is_read], read_T[is_read], rtol=1e-4, atol=1e-9)
     assert not_predicted(fit, readings) == ()
+
+
+def test_leads_that_were_exchanged_in_mid_session_are_in_no_predicted_field(small_rig, small_session):
+    """A prediction takes the currents as they are given; nobody knows when they are next recorded the other way round."""
+    readings = small_session.observations.calibration.alone
+    rules = fit_of(small_rig, readings).posterior.model.rules
+    cause = Cause("current_sign_since", "coil1")
+    since_h = 0.5 * float(readings.time_s[-1] - readings.time_s[0]) / 3600.0
+    rig = with_effect(small_rig, cause, readings, {"sign": -1.0, "since_h": since_h})
+    assert not_predicted(fit_rig(rig, readings, {}, rules), readings) == (cause,)

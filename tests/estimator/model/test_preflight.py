@@ -123,19 +123,19 @@ def test_readings_of_30_random_truths_are_never_refused(setup, noise_T):
     [
         (
             lambda o: o.with_field(o.field_sensor_T * 1e3),
-            "fields look like mT (or currents are too small by 1000)",
+            "fields look like mT called T, or uT called mT (or currents are too small by 1000)",
         ),
         (
             lambda o: o.with_field(o.field_sensor_T * 1e6),
-            "fields look like uT (or currents are too small by 1e+06)",
+            "fields look like uT called T, or nT called mT (or currents are too small by 1e+06)",
         ),
         (
             lambda o: o.with_field(o.field_sensor_T * 1e4),
-            "fields look like G (or currents are too small by 10000)",
+            "fields look like G called T, or mG called mT (or currents are too small by 10000)",
         ),
         (
             lambda o: replace(o, current_A=o.current_A * 1e3),
-            "currents look like mA (or fields are too small by 1000)",
+            "currents look like mA called A (or fields are too small by 1000)",
         ),
         (lambda o: o.with_field(o.field_sensor_T * 100), "check units, currents and the nominal pose"),
     ],
@@ -159,14 +159,16 @@ def test_another_unit_of_positions_or_angles_is_named(setup):
     for seed in SEEDS[:4]:
         o = read(rig, plan, seed)
         if is_robot:
-            cases = {"radians; they look like degrees: divided by 57.3": moved(o, degree, degree)}
+            cases = {"stated; they look like deg called rad: divided by 57.3": moved(o, degree, degree)}
         else:
             cases = {
-                "metres; they look like mm: divided by 1000": moved(o, position=1e3),
-                "metres; they look like cm: divided by 100": moved(o, position=1e2),
+                "stated; they look like mm called m, or um called mm: divided by 1000": moved(
+                    o, position=1e3
+                ),
+                "stated; they look like cm called m: divided by 100": moved(o, position=1e2),
             }
             if has_rotations:
-                cases["radians; they look like degrees: divided by 57.3"] = moved(o, rotation=degree)
+                cases["stated; they look like deg called rad: divided by 57.3"] = moved(o, rotation=degree)
         for words, observations in cases.items():
             refused = refusal(rig, observations)
             assert words in refused

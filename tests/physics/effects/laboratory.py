@@ -32,6 +32,11 @@ coils:
 sensors:
   probe: {carried_by: mapper, noise_uT: 5}
 """
+DISPLACED = (
+    RIG.replace("{mapper: {motion: pose}}", "{arm: {motion: displacement}}")
+    .replace("  coil: {radius", "  coil: {carried_by: arm, world_from_coil0: {z_mm: -60}, radius")
+    .replace("carried_by: mapper, ", "")
+)
 # Around the coil: in front, beside, behind, in the bore; none on a symmetry axis but the first.
 POINTS_M = np.array(
     [

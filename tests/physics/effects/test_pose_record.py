@@ -13,11 +13,13 @@ from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.use import as_meant
 from estimator.errors import InvalidInput
+from estimator.frames import Transform
 from estimator.inference.likelihood import LogPosterior
 from estimator.model.measurement_model import MeasurementModel
 from estimator.rig.coordinates import Coordinates
 from estimator.rig_files.read import rig_from_text
 from tests.physics.effects.laboratory import (
+    DISPLACED,
     POINTS_M,
     RIG,
     assert_same_field,
@@ -33,25 +35,90 @@ ANGLES_RAD = np.random.default_rng(5).uniform(-0.8, 0.8, (N, 3))
 FIXED_AXES = ("xyz", "xzy", "yxz", "yzx", "zxy", "zyx")
 
 
-@pytest.mark.parametrize("convention", range(9))
-def test_rotations_in_each_convention_turn_the_sensor_as_scipy_says(convention):
+def turn_of(angles_rad: np.ndarray, convention: int) -> Rotation:
+    """Rotations that three columns mean in a convention."""
     if 1 <= convention <= 6:
         order = FIXED_AXES[convention - 1]
-        turn = Rotation.from_euler(order, ANGLES_RAD[:, ["xyz".index(axis) for axis in order]])
-    else:
-        vector = np.deg2rad(ANGLES_RAD) if convention == 8 else ANGLES_RAD
-        turn = Rotation.from_rotvec(-vector if convention == 7 else vector)
+        return Rotation.from_euler(order, angles_rad[:, ["xyz".index(axis) for axis in order]])
+    return Rotation.from_rotvec(-angles_rad if convention == 7 else angles_rad)
+
+
+@pytest.mark.parametrize("per_rad", [1.0, 180.0 / np.pi, 0.5 / np.pi, 1e3, np.pi / 180.0])
+@pytest.mark.parametrize("convention", range(8))
+def test_rotations_in_each_convention_and_unit_turn_the_sensor_as_scipy_says(convention, per_rad):
+    turned = readings(POINTS_M, (2.0, 0.0), turn_rad=per_rad * ANGLES_RAD)
+    meant = {"convention": float(convention), "factor": per_rad}
+    reading_T = predicted_T(turned, {"rotation_convention[mapper]": meant})
+    assert_same_field(reading_T, turn_of(ANGLES_RAD, convention).inv().apply(FIELD_T))
+
+
+def test_columns_of_yaw_pitch_and_roll_turn_the_sensor_as_scipy_says():
+    """Angles about z, y and x of the sensor, one after another, in this order of columns."""
     turned = readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD)
-    reading_T = predicted_T(turned, {"rotation_convention[mapper]": {"convention": float(convention)}})
-    assert_same_field(reading_T, turn.inv().apply(FIELD_T))
+    meant = {"convention": 1.0, "x_reads": 3.0, "y_reads": 2.0, "z_reads": 1.0}
+    reading_T = predicted_T(turned, {"rotation_convention[mapper]": meant})
+    assert_same_field(reading_T, Rotation.from_euler("ZYX", ANGLES_RAD).inv().apply(FIELD_T))
+
+
+def test_what_the_numbers_of_a_convention_mean_is_told():
+    def told(convention: float, factor: float, *reads: float) -> str:
+        order = dict(zip(("x_reads", "y_reads", "z_reads"), reads or (1.0, 2.0, 3.0), strict=True))
+        given = {"convention": convention, "factor": factor, **order}
+        return EFFECTS["rotation_convention"].meaning(given)
+
+    assert told(0.0, 0.159154943) == "turns called radians"
+    assert told(7.0, 1.0) == "the inverse rotations"
+    yaw_pitch_roll = told(1.0, 57.29577951308232, 3.0, 2.0, 1.0)
+    assert yaw_pitch_roll == (
+        "angles about fixed axes x, then y, then z; degrees called radians; x, y and z hold z, y and x"
+    )
+
+
+def test_conventions_and_units_in_a_batch_are_those_one_by_one():
+    effect = EFFECTS["rotation_convention"]
+    here = Transform(torch.eye(3).double().expand(N, 3, 3), torch.from_numpy(POINTS_M))
+    columns = torch.from_numpy(ANGLES_RAD)
+    each = {"convention": [0.0, 2.0, 7.0], "factor": [1.0, 3.0, 1e3]}
+    each |= {"x_reads": [1.0, 3.0, -1.0], "y_reads": [2.0, 1.0, 3.0], "z_reads": [3.0, 2.0, 2.0]}
+    both = {key: torch.tensor(values).double() for key, values in each.items()}
+    together = effect.apply(here, columns, both).rotation
+    for i, alone in enumerate(together):
+        theta = {key: value[i] for key, value in both.items()}
+        torch.testing.assert_close(effect.apply(here, columns, theta).rotation, alone)
 
 
 def test_conventions_are_asked_where_the_mover_has_turned():
     effect, rig = EFFECTS["rotation_convention"], rig_from_text(RIG)
     turned = Circumstances(rig, readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD))
     assert effect.concerns(turned, "mapper")
-    assert len(effect.starts(turned, "mapper")) == 8
+    starts = [tuple(start.values()) for start in effect.starts(turned, "mapper")]
+    assert len(set(starts)) == len(starts) == (8 * 5 - 1) + 6 * 5 + 46
     assert not effect.concerns(Circumstances(rig, readings(POINTS_M, (2.0, 0.0))), "mapper")
+
+
+def swaps(points_m: np.ndarray, rig_text: str = RIG, mover: str = "mapper") -> list[tuple[float, ...]]:
+    """Orders and directions of the columns that a session asks for."""
+    recorded = readings(points_m, (2.0, 0.0), mover=mover)
+    starts = EFFECTS["positions_swapped"].starts(Circumstances(rig_from_text(rig_text), recorded), mover)
+    return [tuple(start.values()) for start in starts]
+
+
+@pytest.mark.parametrize("reads", [(2.0, 1.0, 3.0), (2.0, 3.0, 1.0), (-3.0, 1.0, -2.0), (-1.0, -2.0, 3.0)])
+def test_columns_of_positions_that_are_swapped_hold_each_others_numbers(reads):
+    columns_m = np.stack([np.sign(k) * POINTS_M[:, abs(int(k)) - 1] for k in reads], axis=1)
+    given = dict(zip(("x_reads", "y_reads", "z_reads"), reads, strict=True))
+    assert_same_field(
+        predicted_T(readings(columns_m, (2.0, 0.0)), {"positions_swapped[mapper]": given}), FIELD_T
+    )
+    assert reads in swaps(columns_m)
+
+
+def test_swapped_columns_are_asked_where_no_other_cause_says_it():
+    """Of 48, one is right, and four are those of `left_handed`; displacements in turned axes are a cause of their own, too."""
+    assert len(swaps(POINTS_M)) == 48 - 1 - 4
+    assert len(swaps(POINTS_M, DISPLACED, "arm")) == 24 - 4
+    with pytest.raises(InvalidInput, match="1, 2 and 3 in some order"):
+        rig_from_text(RIG + effects_text({"positions_swapped[mapper]": {"x_reads": 2.0}}))
 
 
 def test_one_axis_in_inches_under_millimetres_is_that_much_longer():
@@ -131,7 +198,8 @@ def test_density_leaves_out_the_field_that_belongs_to_no_row():
     ("given", "rule"),
     [
         ({"rows_shifted[record]": {"rows": 0.5}}, "whole number from -2 to 2"),
-        ({"rotation_convention[mapper]": {"convention": 2.5}}, "whole number from 0 to 8"),
+        ({"rotation_convention[mapper]": {"convention": 2.5}}, "whole number from 0 to 7"),
+        ({"rotation_convention[mapper]": {"factor": 0.0}}, "must be > 0"),
         ({"position_unit[mapper]": {"x_factor": -1.0}}, "must be > 0"),
     ],
 )

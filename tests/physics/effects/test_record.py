@@ -13,15 +13,18 @@ from scipy.spatial.transform import Rotation
 from estimator.effects import EFFECTS
 from estimator.effects.circumstances import Circumstances
 from estimator.rig_files.read import rig_from_text
-from tests.physics.effects.laboratory import POINTS_M, RIG, assert_same_field, predicted_T, readings, winding
+from tests.physics.effects.laboratory import (
+    DISPLACED,
+    POINTS_M,
+    RIG,
+    assert_same_field,
+    predicted_T,
+    readings,
+    winding,
+)
 
 FIELD_T = 2.0 * winding().field_T(POINTS_M)
 READINGS = readings(POINTS_M, (2.0, 0.0))
-DISPLACED = (
-    RIG.replace("{mapper: {motion: pose}}", "{arm: {motion: displacement}}")
-    .replace("  coil: {radius", "  coil: {carried_by: arm, world_from_coil0: {z_mm: -60}, radius")
-    .replace("carried_by: mapper, ", "")
-)
 STEPS_M = np.array([[0.01, 0.02, -0.015], [-0.03, 0.015, 0.01], [0.0, -0.02, 0.02]])
 
 

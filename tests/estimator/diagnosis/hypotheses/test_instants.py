@@ -15,7 +15,7 @@ from estimator.calibration.result import Calibration
 from estimator.diagnosis.findings import Fits
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses.candidates import candidates
-from estimator.diagnosis.hypotheses.instants import on_known_sides
+from estimator.diagnosis.hypotheses.instants import best_instants, on_known_sides
 from estimator.diagnosis.mixture.listed import _at_finer_instants, _weighed, starts_of
 from estimator.diagnosis.posterior import judged_as_handed_out
 from estimator.diagnosis.result import Diagnosis
@@ -33,6 +33,12 @@ SIZES = {
     Cause("sensor_bumped", "hall"): {"x_m": 2e-3, "z_m": 2e-3},
     Cause("current_step", "coil1"): {"step": 0.05},
 }
+
+
+def test_starts_that_change_the_readings_alike_are_one():
+    starts = [{"sign": sign, "since_h": instant_h} for sign in (1.0, -1.0, 2.0) for instant_h in (0.1, 0.2)]
+    values = [5.0, 7.0, 7.0 + 1e-9, 6.0, 3.0, 4.0]
+    assert best_instants(values, starts) == [(7.0, starts[1]), (4.0, starts[5])]
 
 
 @pytest.mark.parametrize("cause", SIZES, ids=lambda cause: cause.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -52,6 +53,23 @@ def test_fields_that_were_written_beside_their_rows_are_put_back(small_rig, smal
     (mistake,) = mistakes
     assert mistake.cause == Cause("rows_shifted", "record")
     assert float(fit.values[f"{mistake.cause.label}.rows"]) == 1.0
+    assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
+
+
+def test_columns_of_a_mover_that_are_exchanged_are_put_back(small_rig, small_session, monkeypatch):
+    """Beside reversed axes, which explain a part of it."""
+    known = {name: EFFECTS[name] for name in ("left_handed", "positions_swapped")}
+    monkeypatch.setattr(record_mistakes, "EFFECTS", known)
+    readings = small_session.observations.alone
+    (mover,) = small_rig.movers
+    exchanged = readings.motion[mover.name][:, [0, 2, 1, 3, 4, 5]]
+    fit, mistakes = without_record_mistakes(
+        fit_of(small_rig, replace(readings, motion={mover.name: exchanged}))
+    )
+    (mistake,) = mistakes
+    assert mistake.cause == Cause("positions_swapped", mover.name)
+    reads = [float(fit.values[f"{mistake.cause.label}.{axis}_reads"]) for axis in "xyz"]
+    assert reads == [1.0, 3.0, 2.0]
     assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
 
 
