@@ -12,7 +12,7 @@ from torch import Tensor
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.diagnosis.mixture.comparison import Comparison, Left, left_beside
 from estimator.diagnosis.mixture.found import Found, Possibility
 from estimator.diagnosis.mixture.imitation import AT_OWN_LINK, Standing

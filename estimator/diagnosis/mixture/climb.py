@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-
-import torch
+from dataclasses import replace
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.hypotheses.candidates import Candidate, causes_of
+from estimator.diagnosis.hypotheses.candidates import causes_of
 from estimator.diagnosis.limits import Limits
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.diagnosis.mixture.departures import Changes, departures
 from estimator.diagnosis.mixture.dictionary import dictionary
 from estimator.diagnosis.mixture.evidence import Products
-from estimator.diagnosis.mixture.expansion import CERTAIN, Expansion
-from estimator.diagnosis.mixture.items import Dictionary, Item
+from estimator.diagnosis.mixture.expansion import Expansion
+from estimator.diagnosis.mixture.items import Item
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.listed import Offered, again, offered, places_in, present_items, starts_of
-from estimator.diagnosis.mixture.slots import NoisePrior, Samples, Slots, Sweeps
+from estimator.diagnosis.mixture.slots import NoisePrior, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.effects import EFFECTS
 from estimator.rig.rig import Cause
@@ -30,103 +27,6 @@ from estimator.side_by_side import each
 MOST_EXPANSIONS = 6
 MOST_STARTS = 4  # of fits with a second piece
 CLIMBING, SAMPLING = Sweeps(12, 4), Sweeps(40, 10)
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What the readings say at one expansion.
-
-    Attributes:
-        pool: Columns of every listed cause that the expansion lacks.
-        changes: Of the readings, about this expansion or one nearby; None once no other expansion is asked from here, for they are large.
-    """
-
-    expansion: Expansion
-    pool: tuple[Candidate, ...]
-    dictionary: Dictionary
-    changes: Changes | None
-    slots: Slots
-    samples: Samples
-
-    @property
-    def noise_number(self) -> int:
-        """Number of the most frequent factor on the noise of the fit."""
-        return max(self.samples.noises, key=self.samples.noises.__getitem__)
-
-    @property
-    def noise(self) -> float:
-        """The most frequent factor on the noise of the fit."""
-        return float(self.slots.grid[self.noise_number])
-
-    @cached_property
-    def leading(self) -> tuple[int, ...]:
-        """The most probable set of items of those that hold the most probable set of causes and departures."""
-        items = self.dictionary.items
-        density = {model: self.slots.log_density(model) for model in self.samples.models}
-        labels = {model: frozenset(items[i].cause for i in model) for model in density}
-        highest, by_labels = max(density.values()), defaultdict[frozenset[Cause], float](float)
-        for model, value in density.items():
-            by_labels[labels[model]] += math.exp(value - highest)
-        most = max(by_labels, key=by_labels.__getitem__)
-        return max((model for model in density if labels[model] == most), key=density.__getitem__)
-
-    def causes_of(self, model: Sequence[int]) -> frozenset[Cause]:
-        """Listed causes of a set of items."""
-        items = [self.dictionary.items[i] for i in model]
-        return frozenset(item.cause for item in items if item.is_listed)
-
-    def new_in(self, model: Sequence[int], known: Collection[Cause] = ()) -> list[int]:
-        """Listed items of a set that the expansion lacks, clearest first; without some that are known."""
-        causes = (*self.expansion.causes, *known)
-        items = self.dictionary.items
-        new = [i for i in model if items[i].is_listed and items[i].cause not in causes]
-        gain = dict(zip(model, self.slots.products.gains(model, self.noise), strict=True)) if new else {}
-        return sorted(new, key=lambda i: -gain[i])
-
-    def is_worse_than(self, before: Asked, causes: Collection[Cause]) -> bool:
-        """Whether the readings are clearly less probable with some causes and departures than before, each about a fit that has its own."""
-        items, known = before.dictionary.items, before.expansion.causes
-        led = {items[i].cause for i in before.leading if items[i].cause in known or not items[i].is_listed}
-        return self.highest_with(causes) < before.highest_with(led) - policy.LIKED_BY
-
-    def highest_with(self, causes: Collection[Cause]) -> float:
-        """Log density of the readings and the most probable set of items of some causes and departures."""
-        numbers = [i for i, item in enumerate(self.dictionary.items) if item.cause in causes]
-        chosen, _ = self.slots.among(numbers).climbed()
-        return self.log_density_of([numbers[i] for i in chosen if i is not None])
-
-    def without(self, causes: Collection[Cause], seed: int, sweeps: Sweeps = CLIMBING) -> Asked:
-        """The readings asked again without some causes."""
-        items, slots = self.dictionary.items, self.slots
-        rows = [i for i, item in enumerate(items) if item.cause in causes]
-        if not rows:
-            return self
-        fewer = Slots(slots.products, slots.noise, slots.n_slots, excluded=[*slots.excluded, *rows])
-        allowed = [i for i in self.leading if i not in rows]
-        return replace(self, slots=fewer, samples=fewer.sample(sweeps, seed, allowed))
-
-    @property
-    def is_fitted(self) -> bool:
-        """Whether the expansion has every leading cause, so that none is known from a linear model far from it alone."""
-        items = [self.dictionary.items[i] for i in self.leading]
-        return all(item.cause in self.expansion.causes for item in items if item.is_listed)
-
-    @cached_property
-    def log_density(self) -> float:
-        """Log density of the readings and the leading set of items."""
-        return self.log_density_of(self.leading)
-
-    def log_density_of(self, model: Sequence[int]) -> float:
-        """Log density of the readings and a set of items, up to a constant that all expansions of one session share."""
-        fit, always = self.expansion.fit, self.expansion.always
-        precision = always.jacobian.T @ always.jacobian + self.expansion.prior_precision
-        n_certain = sum(self.dictionary.items[i].cause in self.expansion.limiting for i in model)
-        return (
-            self.slots.log_density(model)
-            - CERTAIN * n_certain
-            + float(fit.whitening_per_T.clamp(min=1e-300).log().sum())
-            - 0.5 * float(torch.logdet(precision))
-        )
 
 
 def climbed(
@@ -160,8 +60,8 @@ def climbed(
         for causes, chosen in {last.causes_of(i): i for i in (some, one_more(last, some))}.items():
             if (causes, is_beside) in seen or limits.is_over:
                 continue
-            moved = _moved(last, chosen)
-            there = ask(moved, limits, seed, shapes, last).without(excluded, seed)
+            moved = last.moved(chosen)
+            there = ask(moved, limits, seed, shapes, last).without(excluded, seed, CLIMBING)
             new = causes.difference(last.expansion.causes)
             if not (new and there.is_worse_than(last, {last.dictionary.items[i].cause for i in chosen})):
                 break
@@ -169,7 +69,7 @@ def climbed(
             if not new:
                 break
             excluded |= new  # what the linear model said of the clearest one does not hold
-            last = last.without(excluded, seed)
+            last = last.without(excluded, seed, CLIMBING)
             continue
         seen.add((causes, is_beside))
         best, last = [replace(_likeliest([*best, last]), changes=None)], there
@@ -190,14 +90,14 @@ def with_one_more(
     listed = [i for i in there.leading if items[i].is_listed]
     if len(listed) == len(there.leading) or limits.is_over or not there.causes_of(listed) & _repeated(there):
         return []
-    alone = ask(_moved(there, listed), limits, seed, shapes, there)
+    alone = ask(there.moved(listed), limits, seed, shapes, there)
     items, present = alone.dictionary.items, _present(alone.dictionary.items, alone.expansion, ())
     evidence = alone.slots.products.beside(present, alone.noise) + alone.slots.log_prior
     clearest = dict[str, int]()
     for i in evidence.argsort(descending=True).tolist():
         if items[i].repeated and items[i].cause not in alone.expansion.causes and len(clearest) < MOST_STARTS:
             clearest.setdefault(str(items[i].start), i)
-    fits = list(each(lambda i: _moved(alone, [*present, i]), clearest.values()))
+    fits = list(each(lambda i: alone.moved([*present, i]), clearest.values()))
     if not fits:
         return []
     likeliest = max(fits, key=lambda at: at.fit.log_evidence)
@@ -208,11 +108,6 @@ def _repeated(asked: Asked) -> set[Cause]:
     """Causes that may be there twice."""
     names = {effect.repeats.name for effect in EFFECTS.values() if effect.repeats}
     return {item.cause for item in asked.dictionary.items if item.cause.name in names}
-
-
-def _moved(asked: Asked, chosen: Sequence[int]) -> Expansion:
-    """The expansion about a fit with some items."""
-    return asked.expansion.moved(asked.dictionary, chosen, asked.slots.products.sizes(chosen, asked.noise)[0])
 
 
 def _likeliest(asked: Sequence[Asked]) -> Asked:

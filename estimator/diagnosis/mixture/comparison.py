@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.rig.rig import Cause
 
 NOTHING, UNEXPLAINED = "nothing", "unexplained"

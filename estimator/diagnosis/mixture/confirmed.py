@@ -11,7 +11,8 @@ from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import SAMPLING, Asked, climbed
+from estimator.diagnosis.mixture.asked import Asked
+from estimator.diagnosis.mixture.climb import SAMPLING, climbed
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.mixture.full_fits import fit_beside_departures, fit_to, leading_fit

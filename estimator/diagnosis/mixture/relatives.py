@@ -15,7 +15,7 @@ from torch import Tensor
 
 from estimator.devices import numpy_of
 from estimator.diagnosis import policy
-from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.diagnosis.mixture.halves import order_and_places
 from estimator.effects.use import as_meant
 

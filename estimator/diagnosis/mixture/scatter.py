@@ -13,7 +13,8 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import Asked, climbed
+from estimator.diagnosis.mixture.asked import Asked
+from estimator.diagnosis.mixture.climb import climbed
 from estimator.diagnosis.mixture.confirmed import confirmed
 from estimator.diagnosis.mixture.full_fits import leading_fit
 from estimator.diagnosis.mixture.imitation import Standing

@@ -10,7 +10,7 @@ import pytest
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.diagnosis.mixture.naming import named_by
 from estimator.diagnosis.mixture.scatter import BesideScatter
 from estimator.diagnosis.mixture.slots import Slots

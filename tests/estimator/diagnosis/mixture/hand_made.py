@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.diagnosis.mixture.slots import Samples
 from estimator.rig.rig import Cause
 

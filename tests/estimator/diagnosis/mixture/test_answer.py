@@ -10,7 +10,7 @@ import torch
 
 from estimator.diagnosis.mixture import answer as answers
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.diagnosis.mixture.imitation import AT_ITS_LINK, AT_OWN_LINK
 from estimator.diagnosis.mixture.links import Link
 from estimator.diagnosis.mixture.slots import Samples

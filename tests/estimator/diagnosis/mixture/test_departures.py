@@ -10,7 +10,8 @@ import torch
 from estimator.diagnosis import policy
 from estimator.diagnosis.budget import _groups
 from estimator.diagnosis.limits import Limits
-from estimator.diagnosis.mixture.climb import Asked, ask
+from estimator.diagnosis.mixture.asked import Asked
+from estimator.diagnosis.mixture.climb import ask
 from estimator.diagnosis.mixture.confirmed import answer
 from estimator.diagnosis.mixture.correcting import corrected
 from estimator.diagnosis.mixture.expansion import Expansion

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from estimator.diagnosis.mixture.answer import Answer
-from estimator.diagnosis.mixture.climb import Asked
+from estimator.diagnosis.mixture.asked import Asked
 from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.items import Dictionary
 from estimator.diagnosis.mixture.numbers import Numbers
