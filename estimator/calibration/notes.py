@@ -6,17 +6,22 @@ from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from estimator.effects import EFFECTS
+from estimator.effects.circumstances import Circumstances
 from estimator.effects.everywhere import WithEverywhere
 from estimator.effects.stages import RoomEffect
 from estimator.readings.digits import coarse_steps_T
 from estimator.readings.observations import Observations
 from estimator.reporting.numbers import size_with_unit
-from estimator.rig.rig import Cause
+from estimator.rig.rig import Cause, Rig
 
 POSE = "_from_"  # part of the names of a pose
 ROOM_AND_ZERO = ("background_field[", "sensor_offset[")  # beginnings of their names
 MOST_TOLD = 3  # combinations that are not determined, in words; summary.json has all
-ONLY_THE_SUM = "Where no sensor turns, only the sum of the room's field and of a sensor's zero is known"
+ONLY_THE_SUM = (
+    "No sensor turns, so only the sum of the room's field and of a sensor's zero is known; "
+    "fields that currents add are not affected."
+)
+LEAST_TURN = 0.1  # of an element of a sensor's rotation matrix, from which on readings tell the two apart
 
 
 def notes(described: WithEverywhere, observations: Observations) -> list[str]:
@@ -28,12 +33,10 @@ def notes(described: WithEverywhere, observations: Observations) -> list[str]:
     """
     sentences = []
     if described.added:
-        sentences.append(
-            f"Fitted besides, for the rig file does not mention it: {_listed(described.added)}. "
-            f"{ONLY_THE_SUM}."
-        )
-    elif all(any(p.name.startswith(name) for p in described.rig.free) for name in ROOM_AND_ZERO):
-        sentences.append(f"{ONLY_THE_SUM}; fields that currents add are not affected.")
+        sentences.append(f"Fitted besides, for the rig file does not mention it: {_listed(described.added)}.")
+    has_both = all(any(p.name.startswith(name) for p in described.rig.free) for name in ROOM_AND_ZERO)
+    if has_both and not _has_turned(described.rig, observations):
+        sentences.append(ONLY_THE_SUM)
     if described.missing:
         sentences.append(
             f"The currents changed too little to tell these from the coils by themselves, so they were not fitted: "
@@ -98,6 +101,16 @@ def told_by_data(
         )
 
     return [direction for direction in undetermined if not is_noted(direction["shares"])]
+
+
+def _has_turned(rig: Rig, observations: Observations) -> bool:
+    """Whether a sensor was turned in the room."""
+    carried = [sensor for sensor in rig.sensors if sensor.carried_by is not None]
+    if not carried:
+        return False
+    circumstances = Circumstances(rig, observations)
+    turns = (circumstances.world_from(sensor).rotation for sensor in carried)
+    return any(float((turn - turn[:1]).abs().max()) > LEAST_TURN for turn in turns)
 
 
 def _answers_coils(cause: Cause) -> bool:

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from estimator.calibration.notes import notes, told_by_data, undetermined_lines
-from estimator.effects.everywhere import WithEverywhere
+from estimator.effects.everywhere import WithEverywhere, with_everywhere
 from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
@@ -91,6 +91,23 @@ def test_room_against_zero_is_one_note_and_no_warning_for_each_axis():
     beside = direction("sensor_offset[hall].x_T", "background_field[room].x_T", "coil1.radius_m")
     assert told_by_data([together, alone, beside], ()) == [alone, beside]
     assert told_by_data([alone, beside], ("sensor_offset[hall]",)) == [beside]
+
+
+CARRIED = RIG.replace("motion: displacement", "motion: pose").replace("    carried_by: arm1\n", "", 1)
+CARRIED = CARRIED.replace("world_from_coil0", "world_from_coil").replace(
+    "hall:", "hall:\n    carried_by: arm1"
+)
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.3])
+def test_room_and_zero_are_one_number_only_where_no_sensor_turns(turn_rad):
+    rig = rig_from_text(CARRIED)
+    motion = torch.zeros(30, 6).double()
+    motion[10:, 4] = turn_rad
+    turned = replace(readings(rig), motion={"arm1": motion}, current_A=torch.arange(30.0)[:, None].double())
+    told = notes(with_everywhere(rig, turned), turned)
+    assert any(note.startswith("Fitted besides") for note in told)
+    assert any("only the sum" in note for note in told) is (turn_rad == 0.0)
 
 
 def test_three_open_combinations_are_told_and_the_others_counted():
