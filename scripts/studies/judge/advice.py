@@ -13,15 +13,15 @@ OF_CALIBRATE = {
     r"^Something in the rig file|^With the causes": "a doubt",
     r"^parameter +median": "head of a table",
     r"^report: |^written: ": _FILES,
-    r"^not determined by the data|^\S+: readings determine \d+ of": "a limit of the readings, without a truth",
+    r"^not determined by the data|^\S+: readings determine \d+ of|^No sensor turns": "a limit of the readings, without a truth",
 }
 OF_DIAGNOSE = {
-    r"^verdict: ": "judged by the causes of the verdict",
+    r"^verdict: |^Even \d+ things wrong at once": "judged by the causes of the verdict",
     r"^written: ": _FILES,
     r"^Readings .*are not as they were measured": _BY_JSON,
     r"components? (is|are) probably (an )?outlier": _BY_JSON,
     r"^Size, with 90 %|known best:|\(.+ to .+\)$|^[\w −]+ {2,}[−\d]\S*( \S+)?$": _BY_JSON,
-    r"\([a-z]\w*(\[[\w, ]+\])?, [<>\d ]+ %\)": _BY_JSON,
+    r"\([a-z]\w*(\[[\w, ]+\])?(, [<>\d ]+ %)?\)": _BY_JSON,
     r"^this session cannot tell apart|The readings leave room": "a limit of the readings, without a truth",
     r"^The prior of .* holds back": "a limit of the readings, without a truth",
     r"^To tell them apart, measure|^Check .* in the rig file|^Use rig_extended|^Measure again|^Put the record": _ADVICE,
