@@ -16,6 +16,7 @@ from estimator.calibration.quality import Assessment, Quality
 from estimator.calibration.result import Calibration
 from estimator.calibration.summary import summary
 from estimator.diagnosis import policy
+from estimator.diagnosis.corrections.result import told_together
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.hypotheses.instants import on_known_sides
 from estimator.diagnosis.limits import Limits
@@ -172,23 +173,30 @@ def with_posterior(
             with suppress(OSError):
                 out.rmdir()
         return replace(result, posterior_refusal="" if isinstance(error, _Stopped) else str(error))
-    if doubts := _doubts(result):
-        sampled = doubted(sampled, doubts)
+    if words := doubts(result):
+        sampled = doubted(sampled, words)
         if out is not None:
             sampled.save(out)
     return replace(result, posterior=sampled)
 
 
-def _doubts(result: Diagnosis) -> list[str]:
-    """What the extended rig takes for granted, of its causes that are not sure."""
-    return [
+def doubts(result: Diagnosis) -> list[str]:
+    """What the extended rig takes for granted, of its causes that are not sure, and what its predictions are without."""
+    words = [
         f"it holds only if {sized.name} is what is wrong ({probability(sized.probability)})."
         for sized in result.sized_causes
         if sized.probability < policy.STATED
     ]
+    correction = result.fits.correction
+    if correction is not None and correction.is_taken:
+        of_readings = [part for part in correction.parts if not part.is_predicted]
+        if of_readings:
+            names = told_together(of_readings, result.label)
+            words.append(f"it follows readings with {names}, which no prediction has.")
+    return words
 
 
-def doubted(calibration: Calibration, doubts: Sequence[str]) -> Calibration:
+def doubted(calibration: Calibration, words: Sequence[str]) -> Calibration:
     """A calibration that is no better than suspect, for some reasons beside its own."""
     quality = calibration.summary_json["quality"]
     own = [] if quality["verdict"] == Quality.GOOD else quality["reasons"]
@@ -196,7 +204,7 @@ def doubted(calibration: Calibration, doubts: Sequence[str]) -> Calibration:
     next_step = (
         quality["next"] if own else "Tell the causes apart first: the diagnosis says what they may be."
     )
-    told = Assessment(verdict, (*own, *doubts), next_step).to_json()
+    told = Assessment(verdict, (*own, *words), next_step).to_json()
     return replace(calibration, summary_json={**calibration.summary_json, "quality": told})
 
 

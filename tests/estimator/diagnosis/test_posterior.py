@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -12,10 +13,11 @@ import torch
 from estimator.calibration.report import calibration_report
 from estimator.calibration.result import Calibration
 from estimator.calibration.sentences import warning_sentences
+from estimator.diagnosis.corrections.result import Correction, Part
 from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.posterior import doubted, extended_posterior
+from estimator.diagnosis.posterior import doubted, doubts, extended_posterior
 from estimator.diagnosis.widening import Widening
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from tests.estimator.diagnosis.small_fits import fit_of
 
@@ -101,3 +103,16 @@ def test_a_rig_with_a_doubtful_cause_gives_no_good_calibration(small_calibration
     assert "Tell the causes apart first" in told["next"]
     twice = doubted(doubted(small_calibration, [words]), [words]).summary()["quality"]
     assert twice["reasons"] == [words, words[0].upper() + words[1:]]
+
+
+@pytest.mark.parametrize("is_predicted", [False, True])
+def test_a_calibration_that_follows_readings_as_no_prediction_does_is_not_good(is_predicted):
+    curves = Part(Cause("axis_curves", "hall"), 8, 24, 50.0, 0.99, "to degree 8", is_predicted)
+    correction = Correction(SimpleNamespace(), (curves,), {}, "", SimpleNamespace())
+    result = SimpleNamespace(
+        sized_causes=(), fits=SimpleNamespace(correction=correction), label=lambda cause: cause.name
+    )
+    told = (
+        [] if is_predicted else ["it follows readings with axis_curves to degree 8, which no prediction has."]
+    )
+    assert doubts(result) == told
