@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from jaxtyping import Float
 
+from estimator.effects import axis_orders
 from estimator.effects.base import Starts, Theta, switch, whole
-from estimator.effects.causes import axis_orders
 from estimator.effects.causes.pose_record import SMALLEST_TURN_RAD
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.during import during, from_instants

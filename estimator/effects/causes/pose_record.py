@@ -10,8 +10,8 @@ from collections.abc import Callable, Mapping
 from functools import cache
 from itertools import permutations, product
 
+from estimator.effects import axis_orders
 from estimator.effects.base import POSITIVE, SIGN, Starts, Theta, box, switch, vector, whole
-from estimator.effects.causes import axis_orders
 from estimator.effects.circumstances import Circumstances
 from estimator.effects.stages import Columns, MotionEffect
 from estimator.frames import Transform, rotation_from_vector

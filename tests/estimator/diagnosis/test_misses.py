@@ -10,6 +10,8 @@ import pytest
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.statements import gain
 
+pytestmark = pytest.mark.whole
+
 
 @pytest.mark.parametrize(("rms_T", "has_most"), [(3e-5, False), (9e-5, True)])
 def test_a_component_is_told_only_where_more_than_noise_is_missed(monkeypatch, rms_T, has_most):

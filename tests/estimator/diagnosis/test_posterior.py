@@ -105,6 +105,7 @@ def test_a_rig_with_a_doubtful_cause_gives_no_good_calibration(small_calibration
     assert twice["reasons"] == [words, words[0].upper() + words[1:]]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("is_predicted", [False, True])
 def test_a_calibration_that_follows_readings_as_no_prediction_does_is_not_good(is_predicted):
     curves = Part(Cause("axis_curves", "hall"), 8, 24, 50.0, 0.99, "to degree 8", is_predicted)
