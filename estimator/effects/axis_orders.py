@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from itertools import permutations, product
+from itertools import combinations, permutations, product
 from operator import mul
 
 from jaxtyping import Float
@@ -39,8 +39,9 @@ def is_in_order(order: Mapping[str, float]) -> bool:
 
 def is_left_handed(order: Mapping[str, float]) -> bool:
     """Whether an order is no rotation of the axes."""
-    matrix = recorded_from_true({key: torch.tensor(order[key], dtype=torch.float64) for key in READS})
-    return float(torch.linalg.det(matrix)) < 0.0
+    numbers = [order[key] for key in READS]
+    swaps = sum(abs(first) > abs(second) for first, second in combinations(numbers, 2))
+    return (swaps + sum(number < 0.0 for number in numbers)) % 2 == 1
 
 
 def meaning(values: Mapping[str, float]) -> str:

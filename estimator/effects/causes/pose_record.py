@@ -21,10 +21,11 @@ from estimator.tensors import torch
 
 # mm under m, m under mm, mm under cm, ..., inch under mm.
 LENGTH_FACTORS = (1e3, 1e-3, 10.0, 0.1, 1.0 / 25.4, 25.4)
+MRAD = 1e3
 ANGLE_FACTORS = {
     180.0 / math.pi: "degrees called radians",
     0.5 / math.pi: "turns called radians",
-    1e3: "mrad called radians",
+    MRAD: "mrad called radians",
     math.pi / 180.0: "radians called degrees",
 }
 # Orders in which turns about fixed axes follow one another, the first one first.
@@ -88,11 +89,16 @@ def position_unit(pose: Transform, theta: Theta) -> Transform:
     return Transform(pose.rotation, pose.translation_m / vector(theta, FACTORS))
 
 
-def _other_conventions() -> Starts:
-    """Every convention in every unit, then angles, and rotation vectors with any signs, whose columns are in another order."""
+def _other_conventions(circumstances: Circumstances, place: str) -> Starts:
+    """Every convention in every unit, then angles, and rotation vectors with any signs, whose columns are in another order.
+
+    Angles in mrad are thousands: where none is beyond a turn, they would only stand for a sensor that does not turn, as in `field_frame`.
+    """
+    largest = float(circumstances.observations.history.motion[place][:, 3:].abs().max())
+    factors = [factor for factor in ANGLE_FACTORS if factor < MRAD or largest > 2.0 * math.pi]
     right, *others = axis_orders.ORDERS
     each = (
-        *product(range(REVERSED + 1), (1.0, *ANGLE_FACTORS), (right,)),
+        *product(range(REVERSED + 1), (1.0, *factors), (right,)),
         *product(range(1, REVERSED), (1.0,), (order for order in others if min(order.values()) > 0.0)),
         *product((0,), (1.0,), (order for order in others if order != axis_orders.REVERSED)),
     )
@@ -125,7 +131,7 @@ def _meaning(values: Mapping[str, float]) -> str:
         *axis_orders.QUANTITIES,
     ),
     places=_that_report(MotionKind.DISPLACEMENT, MotionKind.POSE),
-    starts=_other_conventions(),
+    starts=_other_conventions,
     concerns=lambda circumstances, place: bool(circumstances.observations.history.motion[place][:, 3:].any()),
     columns=lambda circumstances, mover: circumstances.observations.motion[mover][:, 3:],
     broken_rule=_broken_rule,
@@ -149,7 +155,7 @@ def rotation_convention(pose: Transform, columns: Columns, theta: Theta) -> Tran
     rotation = rotation_from_vector(columns)
     each = torch.stack((rotation, *as_angles, rotation.mT), dim=-4)
     which = theta["convention"].round().long()[..., None, None, None, None]
-    return Transform(torch.take_along_dim(each, which, dim=-4).squeeze(-4), pose.translation_m)
+    return Transform(torch.take_along_dim(each, which, dim=-4)[..., 0, :, :, :], pose.translation_m)
 
 
 @MotionEffect.cause(

@@ -92,7 +92,9 @@ def test_conventions_are_asked_where_the_mover_has_turned():
     turned = Circumstances(rig, readings(POINTS_M, (2.0, 0.0), turn_rad=ANGLES_RAD))
     assert effect.concerns(turned, "mapper")
     starts = [tuple(start.values()) for start in effect.starts(turned, "mapper")]
-    assert len(set(starts)) == len(starts) == (8 * 5 - 1) + 6 * 5 + 46
+    assert len(set(starts)) == len(starts) == (8 * 4 - 1) + 6 * 5 + 46
+    in_mrad = Circumstances(rig, readings(POINTS_M, (2.0, 0.0), turn_rad=1e3 * ANGLES_RAD))
+    assert len(effect.starts(in_mrad, "mapper")) == len(starts) + 8
     assert not effect.concerns(Circumstances(rig, readings(POINTS_M, (2.0, 0.0))), "mapper")
 
 
