@@ -157,11 +157,12 @@ def ask(
 
 def _present(items: Sequence[Item], expansion: Expansion, led: Sequence[Item]) -> list[int]:
     """Numbers of the items of causes that a fit has and that did not lead before, each with as many quantities as there are."""
-    result = list[int]()
-    for cause in set(expansion.causes).difference(item.cause for item in led):
-        own = [i for i, item in enumerate(items) if item.cause == cause]
-        result.append(max(own, key=lambda i: len(items[i].columns)))
-    return result
+    known = {item.cause for item in led}
+    return [
+        max((i for i, item in enumerate(items) if item.cause == cause), key=lambda i: len(items[i].columns))
+        for cause in expansion.causes  # in their order: that of a set differs from process to process
+        if cause not in known
+    ]
 
 
 def _alike(items: Sequence[Item], led: Sequence[Item]) -> list[int]:
