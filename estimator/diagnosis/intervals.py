@@ -13,12 +13,14 @@ from estimator.diagnosis.sizes import Difference, Interval
 from estimator.diagnosis.widening import Widening
 from estimator.effects import EFFECTS
 from estimator.readings.metrics import HALF_WIDTH_90
+from estimator.rig.parameters import Prior
 from estimator.rig.rig import Cause
 
 # Factor between two numbers of standard deviations, or two of these, from which on the difference is told
 CLEARLY_LARGER = 1.5
 CLEAR_SD = 2.0  # standard deviations from zero from which on a number of a cause is told in a sentence
 
+STEP = 1e-3  # of a standard deviation, for the derivative of a prior's distance
 MOSTLY_PRIOR = 0.8  # of the prior's standard deviation, from which on a number is told to be mostly its prior
 
 
@@ -53,8 +55,13 @@ class Intervals:
         is_of_prior = False
         if (prior := parameter.prior) is not None:
             low, high = (min(max(end, prior.lower), prior.upper) for end in (low, high))
-            is_of_prior = parameter.is_free and self.fit.value_sd(name) > MOSTLY_PRIOR * prior.sd
+            is_of_prior = parameter.is_free and self._of_prior(name, prior) > MOSTLY_PRIOR
         return Interval(median, sd, (low, high), parameter.unit, is_of_prior)
+
+    def _of_prior(self, name: str, prior: Prior) -> float:
+        """Standard deviation of a number that is fitted, over that of its prior where the number is: far out, a log-normal one is wide."""
+        value, sd = float(self.fit.values[name]), self.fit.value_sd(name)
+        return (prior.distance(value + STEP * sd) - prior.distance(value)) / STEP
 
     def quantities(self, cause: Cause) -> dict[str, Interval]:
         """Quantities of a cause that the session can see, by SI key."""

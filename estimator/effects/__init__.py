@@ -27,7 +27,7 @@ CAUSES = (
     *("sensor", "sensor_parts", "axes", "sensor_history"),
     *("record", "noise"),
 )
-CORRECTIONS = ("current", "fields", "guides", "response", "sensor")
+CORRECTIONS = ("current", "fields", "guides", "stops", "response", "sensor")
 
 
 def _declared(module: ModuleType) -> Iterator[Effect]:

@@ -116,7 +116,7 @@ LINK_OF_DEPARTURE: dict[str, str] = {
     **dict.fromkeys(("coil_harmonics", "coil_multipoles", "coil_bore"), "winding"),
     **dict.fromkeys(("room_harmonics", "room_bore", "room_answers", "room_wanders", "room_steps"), "room"),
     **dict.fromkeys(("guide_errors", "guides_wander", "guide_swings", "guides_step"), "mover"),
-    **dict.fromkeys(("moves_remembered", "sides_remembered"), "mover"),
+    **dict.fromkeys(("moves_remembered", "sides_remembered", "stop_errors"), "mover"),
     **dict.fromkeys(("turns_wander", "turns_by_angle"), "mount"),
     **dict.fromkeys(("sensor_response", "response_by_place", "response_wanders"), "response"),
     **dict.fromkeys(("axis_curves", "gain_curve", "axis_steps", "gain_steps"), "response"),

@@ -117,7 +117,8 @@ class Correction:
             gain: Over the causes alone.
             missed_T: By how much the predicted field misses these readings without and with it, beside what sensors do in every session.
         """
-        is_worse = gain.is_loss or gain.after.errors.vector_T > gain.before.errors.vector_T
+        is_farther = gain.after.errors.vector_T > gain.before.errors.vector_T
+        is_worse = gain.is_loss or (is_farther and gain.elpd_difference <= 0.0)
         without, with_it = missed_T
         refusal = self.refusal
         if is_worse:

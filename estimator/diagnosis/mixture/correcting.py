@@ -6,6 +6,7 @@ Of what a current has done in this session only that is taken which a single mom
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from torch import Tensor
@@ -18,8 +19,15 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.mixture.links import Link
+from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.corrections.correction import Correction as CorrectionEffect
+from estimator.reporting.numbers import size_with_unit
+from estimator.rig.parameters import Normal, Parameter
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
+
+FORMER = 4  # amplitudes that the width counts for which was asked: fewer could follow two or three terms
+NEARLY = 0.25  # logarithm of the factor on a width from which on a fit is made again
 
 
 def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Correction:
@@ -62,12 +70,49 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
         return Correction(extended, (), lacking, refusal, after, of_session=session)
     rules = extended.posterior.model.rules
     tolerance = 0.5 * len(terms.rig.free) * effort.CORRECTED_TO_SD**2
-    fit = final = fit_rig(
-        terms.rig, extended.observations, terms.start, rules, tolerance=tolerance, near=extended
-    )
+    fit = fit_rig(terms.rig, extended.observations, terms.start, rules, tolerance=tolerance, near=extended)
+    rig = _of_own_widths(fit, parts)
+    if rig is not fit.rig:
+        fit = fit_rig(rig, extended.observations, fit.values, rules, tolerance=tolerance, near=fit)
+    parts, final = [_told(fit, part) for part in parts], fit
     if after.observations is not extended.observations:
         final = fit_rig(fit.rig, after.observations, fit.values, rules, tolerance=tolerance)
     return Correction(fit, tuple(parts), lacking, "", final, of_session=session)
+
+
+def _of_own_widths(fit: Fit, parts: Sequence[Part]) -> Rig:
+    """The rig of a fit, with priors of each departure as wide as its amplitudes are; the same rig where all are nearly so.
+
+    A departure was asked at a few widths, factors of four apart. Where nothing was read its intervals are as wide as its prior. So the
+    prior takes the width that the evidence is largest for, by one step, with the former width counted as `FORMER` amplitudes.
+
+    References: MacKay, Bayesian interpolation, Neural Computation 4 (1992) 415, equation 4.9.
+    """
+    parameters = list[Parameter]()
+    for part in parts:
+        own = _widths(fit.rig, part)
+        square = sum((float(fit.values[each.name]) / width) ** 2 for each, width in own.items())
+        determined = sum(1.0 - (fit.value_sd(each.name) / width) ** 2 for each, width in own.items())
+        factor = math.sqrt((FORMER + square) / (FORMER + max(determined, 0.0)))
+        if abs(math.log(factor)) > NEARLY:
+            parameters += [replace(each, prior=Normal(0.0, factor * width)) for each, width in own.items()]
+    return fit.rig.with_parameters(parameters) if parameters else fit.rig
+
+
+def _widths(rig: Rig, part: Part) -> dict[Parameter, float]:
+    """Prior width of each free amplitude of a part."""
+    prefix = f"{part.cause.label}."
+    own = (parameter for parameter in rig.free if parameter.name.startswith(prefix))
+    return {parameter: parameter.prior.sd for parameter in own if parameter.prior is not None}
+
+
+def _told(fit: Fit, part: Part) -> Part:
+    """A part whose degrees are alike says how large they are, and no degree."""
+    effect = EFFECTS[part.cause.name]
+    if not (isinstance(effect, CorrectionEffect) and effect.is_whole):
+        return part
+    parameter, width = next(iter(_widths(fit.rig, part).items()))
+    return replace(part, extent=f"of {size_with_unit(width, parameter.unit, 2)} rms, {part.degree} in all")
 
 
 @dataclass(frozen=True)

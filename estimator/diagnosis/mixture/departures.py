@@ -230,7 +230,8 @@ def _of_kind(
 ) -> list[_Made]:
     """Starts, keys, columns, widths and log prior of one kind."""
     if len(kind.starts) == 1:
-        degrees, of_start = _asked(kind.lowest, _highest(kind)), columns[0]
+        highest, of_start = _highest(kind), columns[0]
+        degrees = [highest] if kind.effect.is_whole else _asked(kind.lowest, highest)
         share = -math.log(len(degrees))
         return [_up_to(kind, kind.starts[0], of_start, degree, share) for degree in degrees]
     value = _best_evidence(fit, columns)

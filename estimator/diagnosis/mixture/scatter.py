@@ -14,13 +14,15 @@ from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.asked import Asked
-from estimator.diagnosis.mixture.climb import climbed
+from estimator.diagnosis.mixture.climb import SAMPLING, climbed
 from estimator.diagnosis.mixture.confirmed import confirmed
 from estimator.diagnosis.mixture.full_fits import leading_fit
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import Alternative, NamedCause
+from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
+from estimator.effects.corrections.correction import Correction
 from estimator.rig.rig import Cause
 
 MOST_SCATTERING = 2  # causes of scatter, one after the other
@@ -79,7 +81,7 @@ def answer_beside_scatter(
         leading = Answer(first, asked, (), {})
         if leading.is_full:
             break
-        rows = sorted(noise_causes(leading_fit(leading)), key=lambda row: -row[1])
+        rows = sorted(_scattering(leading, seed), key=lambda row: -row[1])
         log_prior_odds = _log_prior_odds(asked, len(rows))
         if not rows or rows[0][1] + log_prior_odds < math.log(policy.STATED / (1.0 - policy.STATED)):
             break
@@ -89,6 +91,29 @@ def answer_beside_scatter(
         plain = _with(plain, cause, fitted)
         first, asked = climbed(plain, limits, seed, on_progress, asked)
     return BesideScatter(confirmed(first, asked, limits, seed, on_progress=on_progress), tuple(scattering))
+
+
+def _scattering(answer: Answer, seed: int) -> list[tuple[Cause, float, Fit]]:
+    """Causes of scatter beside what leads, with their log Bayes factors and fits.
+
+    Errors of single stops look like scatter of the mover, and it like them. Where they lead, the scatter is asked in their place too.
+    """
+    rows, asked = noise_causes(leading_fit(answer)), answer.asked
+    leading = {asked.dictionary.items[i].cause for i in asked.leading}
+    of_stops = {cause for cause in leading if _is_of_stops(cause)}
+    if not of_stops:
+        return rows
+    without = asked.without(of_stops, seed, SAMPLING)
+    lost = asked.log_density - without.log_density
+    instead = noise_causes(leading_fit(replace(answer, asked=without)))
+    rows += [(cause, value - lost, fit) for cause, value, fit in instead]
+    best = {row[0]: row for row in sorted(rows, key=lambda row: row[1])}
+    return list(best.values())
+
+
+def _is_of_stops(cause: Cause) -> bool:
+    effect = EFFECTS[cause.name]
+    return isinstance(effect, Correction) and effect.is_whole
 
 
 def _log_prior_odds(asked: Asked, n_more: int = 0) -> float:

@@ -151,7 +151,7 @@ def unseen_line(improvement: Improvement) -> str:
         f"coverage of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.predicted_coverage90, 1)}; "
         f"log predictive density {improvement.elpd_difference:+.1f} +- {improvement.elpd_se:.1f}"
     )
-    if after.is_of_field:
+    if after.is_of_field and abs(after.coverage90 - after.predicted_coverage90) <= _chance(after):
         return line
     return (
         f"{line}, with all that these readings alone have: {after.errors.vector_T * 1e6:.4g} uT, coverage "

@@ -77,6 +77,7 @@ class Correction(Effect):
         unit: Of its amplitudes.
         falloff: Power of one over the degree by which widths of amplitudes fall; 1 as of a random walk, or of a curve with steps.
         single: Name of the cause that one step alone is.
+        is_whole: Whether a diagnosis asks for all its degrees together, and not for the lower ones first.
         counts: What there must be many of for many degrees, in words, and as rows at a place: alike ones count once.
     """
 
@@ -90,6 +91,7 @@ class Correction(Effect):
     unit: ClassVar[str] = "T"
     falloff: ClassVar[float] = 0.0
     single: ClassVar[str | None] = None
+    is_whole: ClassVar[bool] = False
     counts: ClassVar[tuple[str, Callable[[Circumstances, str], Tensor]]] = (
         "readings",
         lambda circumstances, _: circumstances.observations.row,

@@ -117,6 +117,7 @@ NOT_AT_THE_FIRST_MOMENT = {
     "room_steps",
     "guides_step",
     "sides_remembered",
+    "stop_errors",
     "moves_remembered",
 }
 

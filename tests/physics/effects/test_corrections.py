@@ -115,6 +115,12 @@ def came_from() -> np.ndarray:
     return np.array(sides)
 
 
+def at_stop(number: int) -> np.ndarray:
+    """Whether a reading is at the stop of a number, in the order of the places."""
+    order = sorted(range(N), key=lambda i: tuple(POSITIONS_M[i]))
+    return (np.arange(N) == order[number - 1]).astype(float)[:, None]
+
+
 LOOSE = directions()[19].numpy()
 EAST = dict(zip(("unit_x", "unit_y", "unit_z"), LOOSE.tolist(), strict=True))
 LEVEL_T, GAIN_LEVEL_T = float(np.median(PLAIN_T[:, 2])), float(np.median(np.abs(PLAIN_T).max(axis=1)))
@@ -168,6 +174,10 @@ CASES: dict[str, tuple[Mapping[str, float], Formula]] = {
     "guides_step[arm]": (
         {"degree1_x_m": 1e-4, "degree2_z_m": -2e-4, "since1_h": 0.1, "since2_h": 0.3},
         lambda: predicted_T(shift_m=1e-4 * from_instant(0.1) * UNIT[0] - 2e-4 * from_instant(0.3) * UNIT[2]),
+    ),
+    "stop_errors[arm]": (
+        {"degree1_x_m": 1e-4, "degree7_z_m": -2e-4},
+        lambda: predicted_T(shift_m=1e-4 * at_stop(1) * UNIT[0] - 2e-4 * at_stop(7) * UNIT[2]),
     ),
     "sides_remembered[arm]": (
         {"degree1_y_m": 1e-4, "degree1_rx_m": 2e-4, "reach_m": 0.1, **EAST},

@@ -111,3 +111,12 @@ def test_field_of_the_room_is_refused_at_one_current_beside_a_coil_that_stands_s
     assert effect.limit(Circumstances(rig, off), "room").degree > 0
     with pytest.raises(InvalidInput, match="must stand under corrections"):
         rig_from_text(rig_text(rig) + "effects:\n  zero_wanders[hall]: {duration_h: 1}\n")
+
+
+def test_stops_that_are_read_once_have_no_errors_of_their_own(small_rig, small_session):
+    """They would follow every reading; the limit says what to measure."""
+    plain = fit_of(small_rig, small_session.observations.calibration)
+    [kind] = [kind for kind in kinds_of(plain) if kind.cause.name == "stop_errors"]
+    assert kind.limit.degree == 0
+    n = len(small_session.observations)
+    assert kind.limit.words == f"{n} readings are of {n} stops; read fewer stops several times each"

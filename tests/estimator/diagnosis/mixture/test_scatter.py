@@ -22,6 +22,7 @@ from tests.estimator.diagnosis.small_fits import fit_of, predicted_T, unheard, w
 
 pytestmark = pytest.mark.whole
 
+GROWS = Cause("noise_grows", "hall")
 OUTLIERS, JITTER, OFFSET = (
     Cause("outliers", "hall"),
     Cause("position_jitter", "arm1"),
@@ -76,24 +77,24 @@ def test_wild_readings_here_and_there_are_outliers_beside_which_a_cause_keeps_it
     assert not outcome.verdict.leaves_something
 
 
-def test_a_mover_that_does_not_stop_where_it_says_is_told_from_noise(rig, readings, small_truth):
-    """Readings of a rig whose mover misses by 0.6 mm: the more, the steeper the field."""
+@pytest.mark.parametrize("seed", [2, 3, 7])
+def test_a_mover_that_does_not_stop_where_it_says_is_told_from_noise(rig, readings, small_truth, seed):
+    """Readings of a rig whose mover misses by 0.6 mm, by another amount each time: no error of a stop; the more, the steeper the field."""
     truth = rig.with_values(small_truth)
     motion = readings.motion["arm1"].clone()
-    generator = torch.Generator().manual_seed(2)
+    generator = torch.Generator().manual_seed(seed)
     motion[:, :3] += 6e-4 * torch.randn(len(motion), 3, generator=generator, dtype=torch.float64)
     from_there = replace(readings.alone, motion={"arm1": motion})
     moved_T = predicted_T(truth, from_there) - predicted_T(truth, readings)
     said, outcome = said_of(rig, readings.with_field(readings.field_sensor_T + moved_T))
     (scattering,) = said.given
-    assert scattering.cause == JITTER
-    sd_m = float(said.answer.plain.values["position_jitter[arm1].sd_m"])
-    assert sd_m == pytest.approx(6e-4, rel=0.25)
-    assert [named.cause for named in outcome.named] == [JITTER]
-    assert outcome.verdict in (
-        Verdict.NAMED,
-        Verdict.INDISTINGUISHABLE,
-    )  # noise that grows with the field may be its twin
+    told = {scattering.cause, *(other.cause for other in scattering.alternatives)}
+    assert {JITTER} <= told <= {JITTER, GROWS}  # noise that grows with the field may be its twin
+    if scattering.cause == JITTER:
+        sd_m = float(said.answer.plain.values["position_jitter[arm1].sd_m"])
+        assert sd_m == pytest.approx(6e-4, rel=0.25)
+    assert [named.cause for named in outcome.named] == [scattering.cause]
+    assert outcome.verdict in (Verdict.NAMED, Verdict.INDISTINGUISHABLE)
 
 
 def test_a_burst_is_unexplained(rig, readings):
