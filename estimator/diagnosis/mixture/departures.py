@@ -24,7 +24,10 @@ from estimator.side_by_side import each
 SAME = 1e-2  # of the square of columns: what a listed cause leaves of those that it can change as well
 MOST_STARTS = 4  # of one kind: the most probable ones, alone
 DOUBLING = 2  # of a degree to the next that is asked
-MOST_COLUMNS, MOST_EVERYWHERE = 120, 200  # of one departure: at one place, and at all together
+MOST_COLUMNS, MOST_EVERYWHERE = (
+    120,
+    200,
+)  # of one departure that is not whole: at one place, and at all together
 # Causes and departures change readings alike about two predictions that differ by this share of the rms field
 NEAR = 0.02
 
@@ -245,6 +248,8 @@ def _highest(kind: CorrectionKind) -> int:
     """Highest degree that is asked: where one frequency of many is to be found, the lowest."""
     if len(kind.starts) > 1:
         return kind.lowest
+    if kind.effect.is_whole:
+        return kind.limit.degree
     return max(degree for degree, _ in kind.keys(kind.limit.degree)[:MOST_COLUMNS])
 
 

@@ -47,7 +47,11 @@ def misses(diagnosis: Diagnosis) -> str:
     noise_rms = size_with_unit(noise_T, "T")
     if rms_T <= noise_T:
         return f"{rms}, not at random, though noise of {noise_rms} would be as large"
-    noise = "readings that were repeated scatter by" if before.noise_from == "repeats" else "noise is"
+    noise = (
+        "readings that were repeated scatter by"
+        if before.noise_from == "repeats"
+        else "the rig file has noise of"
+    )
     return f"{rms} where {noise} {noise_rms}{_mostly(diagnosis)}"
 
 

@@ -11,7 +11,7 @@ from estimator.effects.corrections.targets import Place
 from estimator.effects.stages import Columns
 from estimator.tensors import Tensor, torch
 
-MOST_STOPS = 40  # each has three numbers, and a fit moves all of them
+MOST_STOPS = 100  # each has three numbers, and a fit moves all of them
 LEAST_REPEATS = 2  # readings at a stop in the mean: single ones are scatter, which `position_jitter` has
 DECIMALS = 9  # of motions that are alike, in m and rad
 

@@ -162,7 +162,10 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     assert f"{label} x " in page.partition("Causes that are not sure enough to be stated Their")[2]
     assert diagnosis.improvement is not None
     rms = size_with_unit(diagnosis.improvement.before.errors.vector_T, "T", 3)
-    assert f"the rig as described misses readings that no fit has seen by {rms} rms where noise is " in page
+    assert (
+        f"the rig as described misses readings that no fit has seen by {rms} rms where the rig file has noise of "
+        in page
+    )
     fitted = replace(unexplained, fits=replace(unexplained.fits, improvement=None))
     rms = size_with_unit(diagnosis.fits.before.lack_of_fit.rms_T, "T", 3)
     after = size_with_unit(diagnosis.fits.after.lack_of_fit.rms_T, "T", 3)
