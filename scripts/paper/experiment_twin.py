@@ -160,9 +160,10 @@ def verdict(diagnosis: Diagnosis) -> str:
     """The verdict, its causes, and the improvement on readings that were not fitted."""
     lines = [f"diagnose, not told: {diagnosis.verdict}"]
     for cause in diagnosis.sized_causes:
-        rivals = zip(cause.alternative_names, cause.alternatives, strict=True)
-        others = ", ".join(f"{name} {rival.probability:.2g}" for name, rival in rivals) or "none"
-        lines.append(f"- {cause.name}: log evidence {cause.log_bayes_factor:+.0f}, alternatives: {others}")
+        others = ", ".join(f"{name} {rival.probability:.2g}" for name, rival in cause.rivals) or "none"
+        lines.append(
+            f"- {cause.name}: log evidence {cause.named.log_bayes_factor:+.0f}, alternatives: {others}"
+        )
         lines += [f"  {key} = {v.median:.4f} +- {v.sd:.4f}" for key, v in cause.quantities.items()]
     assert diagnosis.improvement is not None
     before, after = diagnosis.improvement.before, diagnosis.improvement.after
