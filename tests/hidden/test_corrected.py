@@ -119,7 +119,7 @@ def test_a_room_that_wanders_is_fitted_and_said_to_be_no_part_of_the_field(tmp_p
 def test_without_corrections_intervals_are_widened_alone(screw, tmp_path):
     screw.write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
-    plain = diagnose(session, seed=screw.seed, has_corrections=False, limits=Limits(most_causes=0))
+    plain = diagnose(session, seed=screw.seed, has_corrections=False, limits=Limits(most_causes=1))
     assert plain.verdict == "unexplained"
     assert plain.fits.correction is None
     assert plain.extended_rig.acting == ()
