@@ -61,8 +61,11 @@ def test_what_is_otherwise_for_a_while_is_named_with_its_beginning_and_its_end(t
     hidden.write(tmp_path)
     session = read_readings_csv(tmp_path / "readings.csv", load_rig(tmp_path / "rig.yaml"))
     diagnosis = diagnose(session, seed=602)
-    (found,) = diagnosis.sized_causes
-    assert found.cause.name == cause
+    sized = {each.cause.name: each for each in diagnosis.sized_causes}
+    found = sized.pop(cause)
+    if sized:  # the noise may resemble a cause, and then does so without the spell
+        plain = verdict(tmp_path / "plain", 602, None, 20.0, "recommended")
+        assert set(sized) == {each["name"].partition("[")[0] for each in plain["causes"]}
     when_s = {known.name: known.value for known in hidden.record.truths[0].parameters}
     fitted_s = session.observations.calibration.time_s.unique().numpy() - float(
         session.observations.time_s.min()
@@ -134,7 +137,7 @@ def test_cause_outside_the_library_is_unexplained_and_not_misnamed(tmp_path):
 @pytest.mark.slow
 def test_shuffled_names_fail(tmp_path, monkeypatch):
     """The tests above can fail: with the columns of another cause under its name, the right name is not found."""
-    import estimator.diagnosis.mixture.climb as module
+    import estimator.diagnosis.mixture.departures as module
 
     right = module.candidates
 
