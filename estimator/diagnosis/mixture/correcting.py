@@ -26,6 +26,7 @@ from estimator.reporting.numbers import size_with_unit
 from estimator.rig.parameters import Normal, Parameter
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
 
+MOST_STEPS = 3  # towards the widths that amplitudes have
 FORMER = 4  # amplitudes that the width counts for which was asked: fewer could follow two or three terms
 NEARLY = 0.25  # logarithm of the factor on a width from which on a fit is made again
 
@@ -71,39 +72,41 @@ def corrected(answer: Answer, extended: Fit, after: Fit, limits: Limits) -> Corr
     rules = extended.posterior.model.rules
     tolerance = 0.5 * len(terms.rig.free) * effort.CORRECTED_TO_SD**2
     fit = fit_rig(terms.rig, extended.observations, terms.start, rules, tolerance=tolerance, near=extended)
-    rig = _of_own_widths(fit, parts)
-    if rig is not fit.rig:
-        fit = fit_rig(rig, extended.observations, fit.values, rules, tolerance=tolerance, near=fit)
+    fit = _of_own_widths(fit, parts, tolerance)
     parts, final = [_told(fit, part) for part in parts], fit
     if after.observations is not extended.observations:
         final = fit_rig(fit.rig, after.observations, fit.values, rules, tolerance=tolerance)
     return Correction(fit, tuple(parts), lacking, "", final, of_session=session)
 
 
-def _of_own_widths(fit: Fit, parts: Sequence[Part]) -> Rig:
-    """The rig of a fit, with priors of each departure as wide as its amplitudes are; the same rig where all are nearly so.
+def _of_own_widths(fit: Fit, parts: Sequence[Part], tolerance: float) -> Fit:
+    """A fit with priors of each departure as wide as its amplitudes are."""
+    for _ in range(MOST_STEPS):
+        parameters = list[Parameter]()
+        for widths, factor in (_widths(fit, part) for part in parts):
+            if abs(math.log(factor)) > NEARLY:
+                parameters += [replace(each, prior=Normal(0.0, factor * sd)) for each, sd in widths.items()]
+        if not parameters:
+            break
+        rig, rules = fit.rig.with_parameters(parameters), fit.posterior.model.rules
+        fit = fit_rig(rig, fit.observations, fit.values, rules, tolerance=tolerance, near=fit)
+    return fit
 
-    A departure was asked at a few widths, factors of four apart. Where nothing was read its intervals are as wide as its prior. So the
-    prior takes the width that the evidence is largest for, by one step, with the former width counted as `FORMER` amplitudes.
+
+def _widths(fit: Fit, part: Part) -> tuple[dict[Parameter, float], float]:
+    """Prior width of each free amplitude of a part, and the factor on all of them that the evidence asks for.
+
+    A departure was asked at a few widths, factors of four apart. Where nothing was read its intervals are as wide as its prior. The
+    factor is one step towards the most probable width, with the former one counted as `FORMER` amplitudes.
 
     References: MacKay, Bayesian interpolation, Neural Computation 4 (1992) 415, equation 4.9.
     """
-    parameters = list[Parameter]()
-    for part in parts:
-        own = _widths(fit.rig, part)
-        square = sum((float(fit.values[each.name]) / width) ** 2 for each, width in own.items())
-        determined = sum(1.0 - (fit.value_sd(each.name) / width) ** 2 for each, width in own.items())
-        factor = math.sqrt((FORMER + square) / (FORMER + max(determined, 0.0)))
-        if abs(math.log(factor)) > NEARLY:
-            parameters += [replace(each, prior=Normal(0.0, factor * width)) for each, width in own.items()]
-    return fit.rig.with_parameters(parameters) if parameters else fit.rig
-
-
-def _widths(rig: Rig, part: Part) -> dict[Parameter, float]:
-    """Prior width of each free amplitude of a part."""
     prefix = f"{part.cause.label}."
-    own = (parameter for parameter in rig.free if parameter.name.startswith(prefix))
-    return {parameter: parameter.prior.sd for parameter in own if parameter.prior is not None}
+    free = (parameter for parameter in fit.rig.free if parameter.name.startswith(prefix))
+    widths = {parameter: parameter.prior.sd for parameter in free if parameter.prior is not None}
+    square = sum((float(fit.values[each.name]) / width) ** 2 for each, width in widths.items())
+    determined = sum(1.0 - (fit.value_sd(each.name) / width) ** 2 for each, width in widths.items())
+    return widths, math.sqrt((FORMER + square) / (FORMER + max(determined, 0.0)))
 
 
 def _told(fit: Fit, part: Part) -> Part:
@@ -111,8 +114,11 @@ def _told(fit: Fit, part: Part) -> Part:
     effect = EFFECTS[part.cause.name]
     if not (isinstance(effect, CorrectionEffect) and effect.is_whole):
         return part
-    parameter, width = next(iter(_widths(fit.rig, part).items()))
-    return replace(part, extent=f"of {size_with_unit(width, parameter.unit, 2)} rms, {part.degree} in all")
+    widths, factor = _widths(fit, part)
+    parameter, width = next(iter(widths.items()))
+    return replace(
+        part, extent=f"of {size_with_unit(factor * width, parameter.unit, 2)} rms, {part.degree} in all"
+    )
 
 
 @dataclass(frozen=True)
