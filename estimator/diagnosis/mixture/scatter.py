@@ -14,15 +14,13 @@ from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.asked import Asked
-from estimator.diagnosis.mixture.climb import SAMPLING, climbed
+from estimator.diagnosis.mixture.climb import climbed
 from estimator.diagnosis.mixture.confirmed import confirmed
-from estimator.diagnosis.mixture.full_fits import leading_fit
+from estimator.diagnosis.mixture.full_fits import fit_with, leading_fit
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import Alternative, NamedCause
-from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.corrections.correction import Correction
 from estimator.rig.rig import Cause
 
 MOST_SCATTERING = 2  # causes of scatter, one after the other
@@ -81,7 +79,7 @@ def answer_beside_scatter(
         leading = Answer(first, asked, (), {})
         if leading.is_full:
             break
-        rows = sorted(_scattering(leading, seed), key=lambda row: -row[1])
+        rows = sorted(_scattering(leading), key=lambda row: -row[1])
         log_prior_odds = _log_prior_odds(asked, len(rows))
         if not rows or rows[0][1] + log_prior_odds < math.log(policy.STATED / (1.0 - policy.STATED)):
             break
@@ -93,27 +91,24 @@ def answer_beside_scatter(
     return BesideScatter(confirmed(first, asked, limits, seed, on_progress=on_progress), tuple(scattering))
 
 
-def _scattering(answer: Answer, seed: int) -> list[tuple[Cause, float, Fit]]:
-    """Causes of scatter beside what leads, with their log Bayes factors and fits.
+def _scattering(answer: Answer) -> list[tuple[Cause, float, Fit]]:
+    """Causes of scatter with their log Bayes factors and fits: beside what leads, in the place of its departures, and in the place of all.
 
-    Errors of single stops look like scatter of the mover, and it like them. Where they lead, the scatter is asked in their place too.
+    Scatter that is not the same everywhere looks like departures, and like causes that follow single readings.
     """
-    rows, asked = noise_causes(leading_fit(answer)), answer.asked
-    leading = {asked.dictionary.items[i].cause for i in asked.leading}
-    of_stops = {cause for cause in leading if _is_of_stops(cause)}
-    if not of_stops:
-        return rows
-    without = asked.without(of_stops, seed, SAMPLING)
-    lost = asked.log_density - without.log_density
-    instead = noise_causes(leading_fit(replace(answer, asked=without)))
-    rows += [(cause, value - lost, fit) for cause, value, fit in instead]
+    asked, items, rows = answer.asked, answer.asked.dictionary.items, noise_causes(leading_fit(answer))
+    listed = [i for i in asked.leading if items[i].is_listed]
+    instead = list[tuple[Fit, float]]()
+    if len(listed) < len(asked.leading):
+        with_listed = fit_with(answer, [items[i].cause for i in listed])
+        instead.append((with_listed, asked.log_density_of(listed)))
+    if listed:
+        instead.append((answer.plain, answer.first.log_density_of(())))
+    for fit, log_density in instead:
+        lost = asked.log_density - log_density
+        rows += [(cause, value - lost, fitted) for cause, value, fitted in noise_causes(fit)]
     best = {row[0]: row for row in sorted(rows, key=lambda row: row[1])}
     return list(best.values())
-
-
-def _is_of_stops(cause: Cause) -> bool:
-    effect = EFFECTS[cause.name]
-    return isinstance(effect, Correction) and effect.is_whole
 
 
 def _log_prior_odds(asked: Asked, n_more: int = 0) -> float:
