@@ -51,8 +51,7 @@ def value_and_jacobian(
     """
     each = _every(point) if directions is None else directions
     if is_on_numpy():
-        on_numpy: tuple[Tensor, Tensor] = cast(Any, torch).jacobian_by_complex_steps(function, point, each)
-        return on_numpy
+        return cast(Any, torch).jacobian_by_complex_steps(function, point, each)
     with torch.enable_grad():
         free = point.detach().requires_grad_()
         values = function(free)

@@ -49,5 +49,4 @@ def precision_named(name: str) -> torch.dtype:
 
 def numpy_of(values: Tensor) -> np.ndarray:
     """Numbers of a tensor without derivatives for NumPy, from any device."""
-    numbers: np.ndarray = values.detach().cpu().numpy()
-    return numbers
+    return values.detach().cpu().numpy()

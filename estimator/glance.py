@@ -101,8 +101,7 @@ class Shown:
 
     def glance(self) -> Glance:
         """What is shown of it: a sentence, a table and a figure."""
-        glance: Glance = self._shown.glance(self)
-        return glance
+        return self._shown.glance(self)
 
     def __repr__(self) -> str:
         return self.glance().text()

@@ -119,8 +119,7 @@ def _with_first_derivatives(rotation_vector_rad: Float[Tensor, "*batch 3"]) -> F
     change = (
         slopes.reshape(*shape[:-1], 9, 3) @ (rotation_vector_rad - rotation_vector_rad.detach())[..., None]
     )
-    result: Tensor = (value.reshape(*shape[:-1], 9) + change[..., 0]).unflatten(-1, (3, 3))
-    return result
+    return (value.reshape(*shape[:-1], 9) + change[..., 0]).unflatten(-1, (3, 3))
 
 
 def _rotation_entries(x: float, y: float, z: float) -> tuple[float, ...]:

@@ -68,8 +68,7 @@ class SupervisedSource(ClosesItself):
 
     def read_current_A(self, *, timeout_s: float) -> Reading[float]:
         """See `CurrentSource.read_current_A`."""
-        reading: Reading[float] = self._supervised.call("read_current_A", timeout_s=timeout_s)
-        return reading
+        return self._supervised.call("read_current_A", timeout_s=timeout_s)
 
     def output_off(self, *, timeout_s: float) -> None:
         """See `CurrentSource.output_off`; ends a ramp of another thread. A child that is dead or hangs is replaced for this.

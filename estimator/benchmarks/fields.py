@@ -110,8 +110,7 @@ def over_loops(
     def summed(piece: np.ndarray) -> np.ndarray:
         relative = piece[:, None, :] - np.stack((0.0 * heights_m, 0.0 * heights_m, heights_m), axis=-1)
         by_loop = loops(relative.reshape(-1, 3), np.tile(radii_m, len(piece)))
-        total: np.ndarray = by_loop.reshape(len(piece), -1, 3).sum(axis=1)
-        return total
+        return by_loop.reshape(len(piece), -1, 3).sum(axis=1)
 
     return field
 

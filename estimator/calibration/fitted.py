@@ -35,8 +35,7 @@ class Fitted(NamedTuple):
     @property
     def residual_T(self) -> np.ndarray:
         """What the model misses."""
-        missed_T: np.ndarray = self.measured_T - self.predicted_T
-        return missed_T
+        return self.measured_T - self.predicted_T
 
 
 def fitted(calibration: Calibration) -> Fitted:

@@ -105,13 +105,11 @@ class LinearFit:
     @cached_property
     def _followed(self) -> Float[Tensor, "row column"]:
         """Orthonormal changes that the fit follows."""
-        basis: Tensor = torch.linalg.qr(self.jacobian).Q
-        return basis
+        return torch.linalg.qr(self.jacobian).Q
 
     @cached_property
     def _left(self) -> Float[Tensor, " row"]:
-        left: Tensor = self.residual - self._followed @ (self._followed.mT @ self.residual)
-        return left
+        return self.residual - self._followed @ (self._followed.mT @ self.residual)
 
     @property
     def left_square(self) -> float:

@@ -135,8 +135,7 @@ class PlaceSearch:
 
     def _finer(self, ladder_T: np.ndarray, noise_T: float) -> np.ndarray:
         """Noises of the ladder in T: a given one and a few below it."""
-        finer_T: np.ndarray = ladder_T[ladder_T <= 1.01 * noise_T][-N_FINER - 1 :]
-        return finer_T
+        return ladder_T[ladder_T <= 1.01 * noise_T][-N_FINER - 1 :]
 
     def _best(self, measured: _Part, places: list[Triple], noises_T: np.ndarray) -> tuple[float, float]:
         """Largest log evidence, up to a constant, and the noise that has it."""
@@ -211,10 +210,7 @@ class PlaceSearch:
     def _inner(self, first: _Part, other: _Part, noise_T: float) -> np.ndarray:
         """Inner products of columns over the covariance of noise and charges."""
         per_variance = 1.0 / (self._size**2 + noise_T**2)
-        product: np.ndarray = (
-            first.along.T @ (per_variance[:, None] * other.along) + first.rest.T @ other.rest / noise_T**2
-        )
-        return product
+        return first.along.T @ (per_variance[:, None] * other.along) + first.rest.T @ other.rest / noise_T**2
 
     def _part(self, columns: np.ndarray) -> _Part:
         along = self._left.T @ columns
@@ -228,8 +224,7 @@ class PlaceSearch:
 
 
 def _ladder_T(measured_T: np.ndarray) -> np.ndarray:
-    ladder_T: np.ndarray = TRIED_NOISE * np.sqrt(np.mean(measured_T**2))
-    return ladder_T
+    return TRIED_NOISE * np.sqrt(np.mean(measured_T**2))
 
 
 def _grid_m(coil: EquivalentSourceCoil) -> list[Triple]:

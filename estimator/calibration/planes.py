@@ -115,8 +115,7 @@ def _relative_half_width(
     )
     ends = torch.tensor([0.05, 0.95], dtype=torch.float64)
     lower, upper = torch.quantile(torch.atleast_2d(strength), ends, dim=0)
-    half_width: np.ndarray = (0.5 * (upper - lower) / room.field_T(best, current_A).norm(dim=-1)).numpy()
-    return half_width
+    return (0.5 * (upper - lower) / room.field_T(best, current_A).norm(dim=-1)).numpy()
 
 
 def _around(

@@ -77,7 +77,7 @@ class Calibration(Shown, Exportable):
         given = given_points(points_m)
         room = self.room(given.points_m, motion)
         field_T = room.field_T(self.best_values(given.points_m), self.currents(currents_A, given.points_m))
-        return cast(Kind, given.answer(field_T, FIELD))
+        return given.answer(field_T, FIELD)
 
     def gradient(
         self, points_m: Kind, currents_A: Mapping[str, float], motion: Mapping[str, Any] | None = None
@@ -89,7 +89,7 @@ class Calibration(Shown, Exportable):
         given = given_points(points_m)
         room = self.room(given.points_m, motion)
         values, current_A = self.best_values(given.points_m), self.currents(currents_A, given.points_m)
-        return cast(Kind, given.answer(room.gradient_T_per_m(values, current_A), GRADIENT))
+        return given.answer(room.gradient_T_per_m(values, current_A), GRADIENT)
 
     def field_interval(
         self,
@@ -145,8 +145,7 @@ class Calibration(Shown, Exportable):
             rows = {name: numbers[which] if numbers.dim() > 1 else numbers for name, numbers in moved.items()}
             n_draws = max(len(value) for value in draws.values() if value.dim())
             said = of_draws(self.room(points_m[which], rows), draws)
-            values: np.ndarray = numpy_of(said.expand(n_draws, len(which), *[3] * n_axes))
-            return values
+            return numpy_of(said.expand(n_draws, len(which), *[3] * n_axes))
 
         many = ends_at_many(at_some, draws, numpy_of(room.is_near), level)
         if many is None:
@@ -154,7 +153,7 @@ class Calibration(Shown, Exportable):
         else:
             ends = torch.from_numpy(many[0]).to(points_m), torch.from_numpy(many[1]).to(points_m)
         lower, upper = (
-            cast(Kind, given.answer(end, what.end_of_interval(which, level)))
+            given.answer(end, what.end_of_interval(which, level))
             for which, end in zip(("lower", "upper"), ends, strict=True)
         )
         return lower, upper
@@ -244,15 +243,15 @@ class Calibration(Shown, Exportable):
         Examples:
             >>> calibration.plot_field().savefig("field.png")  # doctest: +SKIP
         """
-        return cast("Figure", self._shown.plot_field(self, coil))
+        return self._shown.plot_field(self, coil)
 
     def plot_residuals(self, ax: Axes | None = None) -> Axes:
         """Residuals of the fit over the noise beside the normal density (`plots.residual_histogram`)."""
-        return cast("Axes", self._shown.plot_residuals(self, ax))
+        return self._shown.plot_residuals(self, ax)
 
     def plot_parameters(self, ax: Axes | None = None) -> Axes:
         """Prior and posterior of every free parameter: what the data taught (`plots.interval_summary`)."""
-        return cast("Axes", self._shown.plot_parameters(self, ax))
+        return self._shown.plot_parameters(self, ax)
 
     def magnet(self) -> Magnet:
         """What exports write: the coils."""

@@ -116,8 +116,7 @@ def init_command(
 def _asked_kind() -> str:
     for kind, words in KINDS.items():
         click.echo(f"  {kind:10} {words}", err=True)
-    answer: str = click.prompt("Set-up", default="stage", type=click.Choice(list(KINDS)), err=True)
-    return answer
+    return click.prompt("Set-up", default="stage", type=click.Choice(list(KINDS)), err=True)
 
 
 def asked_of(kind: str) -> list[str]:

@@ -129,8 +129,7 @@ def _carried_out(connection: socket.socket, arguments: list[str]) -> int | None:
     send_request(connection, request, [*(stream.fileno() for stream in streams), here])
     _pass_on(connection)
     with connection.makefile("rb") as answers, suppress(OSError, ValueError):
-        status: int = json.loads(answers.readline())
-        return status
+        return json.loads(answers.readline())
     return None
 
 

@@ -182,8 +182,7 @@ class RemoteCalibration(CalibrationCalls, Waits):
     @property
     def rig(self) -> Rig:
         """The rig with its priors."""
-        rig: Rig = self.connection.run(self._rig())
-        return rig
+        return self.connection.run(self._rig())
 
 
 class AsyncRemoteCalibration(CalibrationCalls, Awaits):

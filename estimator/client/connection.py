@@ -128,8 +128,7 @@ class Connection(Http):
         try:
             call.send(None)
         except StopIteration as end:
-            result: T = end.value
-            return result
+            return end.value
         raise RuntimeError("a call must await nothing but its connection")
 
     async def pause(self, pause_s: float) -> None:

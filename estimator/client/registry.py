@@ -33,8 +33,7 @@ class RegistryCalls(Generic[C]):
         calibration_id = (await self.connection.json("GET", self._path))["calibration_id"]
         if calibration_id is None:
             raise InvalidInput("registry must have a version; it has none")
-        calibration: C = await calibration_of(self._calibration, self.connection, str(calibration_id))
-        return calibration
+        return await calibration_of(self._calibration, self.connection, str(calibration_id))
 
     @Call
     async def versions(self) -> list[dict[str, Any]]:
@@ -64,8 +63,7 @@ class RemoteRegistry(RegistryCalls[RemoteCalibration], Waits):
     @property
     def current(self) -> int | None:
         """Number of the version in use; None before the first."""
-        number: int | None = self.connection.run(self._current())
-        return number
+        return self.connection.run(self._current())
 
 
 class AsyncRemoteRegistry(RegistryCalls[AsyncRemoteCalibration], Awaits):

@@ -59,8 +59,7 @@ class ServiceCalls(Generic[C, R, S]):
         options = {"seed": seed, "settings": _sampling(settings)}
         options |= {"has_integer_counts": has_integer_counts, "as_described": as_described}
         result = await self._of_session("calibrate", session, rig, options, on_progress)
-        made: C = self._calibration(str(result["calibration_id"]), result["result"], self.connection)
-        return made
+        return self._calibration(str(result["calibration_id"]), result["result"], self.connection)
 
     @Call
     async def diagnose(
@@ -170,14 +169,12 @@ class ServiceCalls(Generic[C, R, S]):
     @Call
     async def registry(self, rig: Rig) -> R:
         """The registry that versions of a rig share by its name."""
-        registry: R = self._registry(self.connection, await upload_rig(self.connection, rig))
-        return registry
+        return self._registry(self.connection, await upload_rig(self.connection, rig))
 
     @Call
     async def calibration(self, calibration_id: str) -> C:
         """A calibration that the service has."""
-        calibration: C = await calibration_of(self._calibration, self.connection, calibration_id)
-        return calibration
+        return await calibration_of(self._calibration, self.connection, calibration_id)
 
     @Call
     async def upload_rig(self, rig: Rig) -> str:
@@ -209,8 +206,7 @@ class ServiceCalls(Generic[C, R, S]):
 
     def session(self, session_id: str) -> S:
         """A session that the service has."""
-        session: S = self._session(self.connection, session_id)
-        return session
+        return self._session(self.connection, session_id)
 
     @Call
     async def request(self, /, method: str, path: str, **call: Any) -> httpx.Response:

@@ -203,8 +203,7 @@ def _squares(fit: Fit, unseen: Observations) -> Squares:
     meant = as_meant(fit.rig, unseen)
     with torch.no_grad():
         predicted_T = fit.model_of(meant).predict(fit.values).expand(len(meant), 3)
-    squares: Squares = (meant.field_sensor_T - predicted_T).nan_to_num().square().sum(-1).numpy()
-    return squares
+    return (meant.field_sensor_T - predicted_T).nan_to_num().square().sum(-1).numpy()
 
 
 def _noise(fit: Fit, unseen: Observations) -> Squares:
@@ -216,5 +215,4 @@ def _noise(fit: Fit, unseen: Observations) -> Squares:
         squares = posterior.component_sigma_T(fit.vector).square() * (1.0 + share * (ratio.square() - 1.0))
     by_component = squares.new_zeros(len(meant), 3)
     by_component[meant.is_measured] = squares
-    noise: Squares = by_component.sum(-1).numpy()
-    return noise
+    return by_component.sum(-1).numpy()

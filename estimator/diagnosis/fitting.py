@@ -138,8 +138,7 @@ class Fit:
         with torch.no_grad():
             sigma_T = self.posterior.component_sigma_T(self.vector)
             weight = self.posterior.weight(self.posterior.whitened(self.vector), self.vector)
-        whitening: Tensor = torch.sqrt(weight) / sigma_T
-        return whitening
+        return torch.sqrt(weight) / sigma_T
 
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
@@ -154,8 +153,7 @@ class Fit:
         free = ~self._is_at_bound
         gradient = self.jacobian.T @ residual + jacobian_of(self.posterior.coordinates.log_prior, self.vector)
         step = solve(self.optimum.precision[0][free][:, free], gradient[free])
-        after_step: Tensor = residual - self.jacobian[:, free] @ step
-        return after_step
+        return residual - self.jacobian[:, free] @ step
 
     @property
     def _is_at_bound(self) -> Bool[Tensor, " coordinate"]:
@@ -206,8 +204,7 @@ class Fit:
     @property
     def prior_precision(self) -> Float[Tensor, "coordinate coordinate"]:
         """Precision of the prior at the maximum."""
-        precision: Tensor = (self.optimum.precision - self.optimum.information)[0]
-        return precision
+        return (self.optimum.precision - self.optimum.information)[0]
 
     @cached_property
     def covariance(self) -> Float[Tensor, "coordinate coordinate"]:

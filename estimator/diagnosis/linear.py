@@ -66,8 +66,7 @@ class Projector:
     ) -> Float[Tensor, "column column2"]:
         """Inner products of two sets of vectors after projection."""
         followed_first, followed_second = (self.factor.T @ (self.jacobian.T @ v) for v in (first, second))
-        product: Tensor = first.T @ second - followed_first.T @ followed_second
-        return product
+        return first.T @ second - followed_first.T @ followed_second
 
     def own_gram(self, columns: Float[Tensor, "component column"]) -> Float[Tensor, "column column"]:
         """Inner products of vectors with each other after projection."""
@@ -141,8 +140,7 @@ class Products:
         # One product for all sets: many small ones take two to sixteen times as long.
         vectors = self.followed.mT
         followed = (vectors.flatten(0, 1) @ projector.factor).unflatten(0, vectors.shape[:2])
-        product: Tensor = self.own - followed @ followed.mT
-        return product
+        return self.own - followed @ followed.mT
 
 
 @dataclass(frozen=True)
@@ -224,8 +222,7 @@ def _of_directions(
 ) -> Float[Tensor, "*batch"]:
     """Log Bayes factor of columns, given their independent directions."""
     if noise is None:
-        evidence: Tensor = 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
-        return evidence
+        return 0.5 * (square / (1.0 + size) - torch.log1p(size)).sum(-1) + started
     # Together the directions explain at most residuals and tension. Rounding inflates those that the fit follows, so they come last.
     most = noise.n + noise.tension
     reached = (square / size.clamp(min=TINY)).flip(-1).cumsum(-1).flip(-1).clamp(max=most)
@@ -243,15 +240,13 @@ def _of_directions(
         )
         explained = 0.5 * (grown_square / (1.0 + grown_size) - torch.log1p(grown_size)).sum(-1) + rise * grown
         noisier = noise.n * shrink + 0.5 * noise.n * (grown - 1.0) + 0.5 * (shrink / noise.width) ** 2
-        density: Tensor = explained - noisier
-        return density
+        return explained - noisier
 
     # Profile over the logarithm of the noise, on a coarse grid and on a fine one about its best point.
     shrinks = torch.linspace(noise.most_shrink, 0.0, N_SHRINKS, dtype=torch.float64, device=size.device)
     best = COARSE * log_density(shrinks[::COARSE]).argmax(-1)
     near = (best[..., None] + torch.arange(1 - COARSE, COARSE, device=size.device)).clamp(0, N_SHRINKS - 1)
-    fitted: Tensor = log_density(shrinks[near]).max(-1).values + relieved
-    return fitted
+    return log_density(shrinks[near]).max(-1).values + relieved
 
 
 def log_mean_exp(values: Float[Tensor, " value"]) -> float:

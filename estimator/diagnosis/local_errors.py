@@ -85,8 +85,7 @@ def _log_density(
     error_T: Float[Tensor, "own axis"], scale_T: Float[Tensor, "own axis"]
 ) -> Float[Tensor, " own"]:
     density = torch.distributions.StudentT(policy.DEGREES_OF_ERRORS, 0.0, scale_T).log_prob(error_T)
-    summed: Tensor = density.sum(dim=1)
-    return summed
+    return density.sum(dim=1)
 
 
 def _settings(observations: Observations, own: Int[Tensor, " own"]) -> Settings:
@@ -149,8 +148,7 @@ class _Neighbours(NamedTuple):
         between = _matern(torch.cdist(there, there) / scale) * (counts[:, :, None] & counts[:, None])
         between = between + torch.diag_embed(torch.where(counts, roughness, 1.0).to(between))
         weights = torch.linalg.solve(between, _matern(to_here / scale) * counts[:, :, None])
-        kriged_T: Tensor = (weights * _limited(error_T[neighbours])).sum(dim=1)
-        return kriged_T
+        return (weights * _limited(error_T[neighbours])).sum(dim=1)
 
     def median(self, size_T: Float[Tensor, "reading axis"]) -> Float[Tensor, "reading axis"]:
         """Median size at the neighbours of each reading; 0 where it has none."""

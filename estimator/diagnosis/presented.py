@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from estimator.glance import Shown
 
@@ -23,7 +23,7 @@ class Presented(Shown):
         Examples:
             >>> diagnosis.plot_residuals().figure.savefig("residuals.png")  # doctest: +SKIP
         """
-        return cast("Axes", self._shown.plot_residuals(self, ax, extended))
+        return self._shown.plot_residuals(self, ax, extended)
 
     def plot_budget(self) -> Figure:
         """Share of the error on unseen readings that each cause accounts for (`plots.error_budget`).
@@ -31,4 +31,4 @@ class Presented(Shown):
         Raises:
             InvalidInput: There is no budget, for nothing was found or no reading was kept out of the fits.
         """
-        return cast("Figure", self._shown.plot_budget(self))
+        return self._shown.plot_budget(self)

@@ -202,8 +202,7 @@ def _of_errors(
     error_T: Float[Tensor, "reading 3"], size_T: Float[Tensor, "reading 3"]
 ) -> Float[Tensor, "reading 3"]:
     errors = torch.distributions.StudentT(policy.DEGREES_OF_ERRORS, 0.0, size_T, validate_args=False)
-    density: Tensor = errors.log_prob(error_T.nan_to_num(0.0))
-    return density
+    return errors.log_prob(error_T.nan_to_num(0.0))
 
 
 def _columns(readings: Observations, field_T: Float[Tensor, "reading 3"]) -> Float[Tensor, "reading column"]:

@@ -262,8 +262,7 @@ def _to_first_order(
     slopes: Float[Tensor, "component coordinate"], covariance: Float[Tensor, "coordinate coordinate"]
 ) -> Float[Tensor, " component"]:
     """Variance of what changes so with the coordinates."""
-    variance: Tensor = ((slopes @ covariance) * slopes).sum(-1)
-    return variance
+    return ((slopes @ covariance) * slopes).sum(-1)
 
 
 def _draws(fit: Fit, covariance: Float[Tensor, "coordinate coordinate"]) -> Float[Tensor, "draw coordinate"]:

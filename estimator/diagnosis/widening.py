@@ -159,8 +159,7 @@ def stretch(covariance: Float[Tensor, "n n"], *others: Float[Tensor, "n n"]) -> 
         whitened = inward @ other @ inward.T
         ratio, axes = torch.linalg.eigh(0.5 * (whitened + whitened.T))
         growth = growth @ (axes * torch.sqrt(ratio.clamp(min=1.0))) @ axes.T
-    stretched: Tensor = root @ growth @ whitener.T
-    return stretched
+    return root @ growth @ whitener.T
 
 
 def with_whole_counts(

@@ -231,8 +231,7 @@ class Circumstances(History):
     def positions_of_m(self, mover: str) -> Float[Tensor, "reading 3"]:
         """Reported positions of a mover."""
         motion = self.observations.motion[mover]
-        at_m: Tensor = base_from_motion(self.rig.mover(mover), motion).translation_m
-        return at_m
+        return base_from_motion(self.rig.mover(mover), motion).translation_m
 
     def mover_of_sensor_m(self, sensor: str) -> Float[Tensor, "reading 3"] | None:
         """Reported positions of the mover that carries a sensor, else of the first that carries a coil; None where nothing moves."""

@@ -55,8 +55,7 @@ def made(
     attributes |= {"name": name, "__module__": function.__module__, "__doc__": explanation}
     attributes["__reduce__"] = _reduced
     declared_class: Any = types.new_class(name, (stage,), exec_body=lambda body: body.update(attributes))
-    effect: S = declared_class()
-    return effect
+    return declared_class()
 
 
 def _said(docstring: str, declared: Mapping[str, Any]) -> tuple[str, dict[str, Any]]:

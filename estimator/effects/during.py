@@ -46,8 +46,7 @@ class During(Effect):
     def broken_rule(self, values: Mapping[str, float]) -> tuple[str, str] | None:
         """The rule of the effect that its values break."""
         of_base = {key: value for key, value in values.items() if key not in (SINCE, UNTIL)}
-        broken: tuple[str, str] | None = self.base.broken_rule(of_base)
-        return broken
+        return self.base.broken_rule(of_base)
 
 
 def during(
@@ -155,8 +154,7 @@ class _Motion(During, stages.MotionEffect):
 
 class _Record(During, stages.RecordEffect):
     def rows_late(self, values: Mapping[str, float]) -> int:
-        n_rows: int = self.base.rows_late(values)
-        return n_rows
+        return self.base.rows_late(values)
 
     def late_since_h(self, values: Mapping[str, float]) -> float:
         return values[SINCE]

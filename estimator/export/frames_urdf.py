@@ -177,8 +177,7 @@ def quaternion(pose: Transform) -> list[float]:
     """qx, qy, qz, qw of the rotation."""
     from scipy.spatial.transform import Rotation
 
-    numbers: list[float] = Rotation.from_matrix(pose.rotation.numpy()).as_quat().tolist()
-    return numbers
+    return Rotation.from_matrix(pose.rotation.numpy()).as_quat().tolist()
 
 
 def _words(numbers: torch.Tensor | list[float]) -> str:

@@ -117,8 +117,7 @@ def _directions(vectors: Float[Tensor, "draw coordinate"]) -> Float[Tensor, "coo
     scaled = centred / torch.where(sd > 0.0, sd, 1.0)
     variances, axes = torch.linalg.eigh(scaled.T @ scaled / len(vectors))
     is_wide = variances > NEGLIGIBLE * variances.max()
-    directions: Tensor = sd[:, None] * axes[:, is_wide] * variances[is_wide].sqrt()
-    return directions
+    return sd[:, None] * axes[:, is_wide] * variances[is_wide].sqrt()
 
 
 def _winding(rig: Rig, coil: WoundCoil, values: Values) -> Float[Tensor, " number"]:

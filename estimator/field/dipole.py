@@ -24,5 +24,4 @@ def dipole_field(
     """
     square = (from_dipole_m**2).sum(-1, keepdim=True)
     along = (from_dipole_m * moment).sum(-1, keepdim=True)
-    field: Tensor = (3.0 * from_dipole_m * along - square * moment) * square**-2.5
-    return field
+    return (3.0 * from_dipole_m * along - square * moment) * square**-2.5

@@ -45,5 +45,4 @@ def force_on_loop_N(
     field_T = torch.stack((x_m * field.h_T_per_A_m, y_m * field.h_T_per_A_m, field.axial_T_per_A), dim=-1)
     field_T = field_T @ rotation.mT
     step_m = 2.0 * math.pi / N_POINTS * radius_m
-    force: Tensor = step_m * torch.linalg.cross(along.expand_as(field_T), field_T).sum(-2)
-    return force
+    return step_m * torch.linalg.cross(along.expand_as(field_T), field_T).sum(-2)

@@ -70,8 +70,7 @@ class GridMap:
     def holds(self, points_m: Float[Tensor, "point 3"]) -> Bool[Tensor, " point"]:
         """Whether points lie on the grid or between its points."""
         low, high = (points_m.new_tensor([axis_m[end] for axis_m in self.axes_m]) for end in (0, -1))
-        inside: Tensor = ((points_m >= low) & (points_m <= high)).all(-1)
-        return inside
+        return ((points_m >= low) & (points_m <= high)).all(-1)
 
     def field(self, points_m: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
         """Field per ampere at points of the coil frame; beyond the grid the outermost polynomials go on.

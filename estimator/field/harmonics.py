@@ -86,8 +86,7 @@ def coefficients(degree: int) -> Float[Tensor, "monomial term"]:
 
 def _mixed(amplitude: Float[Tensor, "*batch term"], degree: int) -> Float[Tensor, "*batch monomial 3"]:
     """Coefficients of the field's components in the monomials of the degree below."""
-    mixed: Tensor = torch.einsum("...t,tmi->...mi", amplitude, _gradient_table(degree).to(amplitude))
-    return mixed
+    return torch.einsum("...t,tmi->...mi", amplitude, _gradient_table(degree).to(amplitude))
 
 
 @lru_cache

@@ -301,8 +301,7 @@ class CollapsedPosterior(Density):
         root = torch.linalg.cholesky(precision)
         off = torch.linalg.solve_triangular(root, score[..., None], upper=False)[..., 0]
         log_determinant = 2.0 * torch.log(torch.diagonal(root, dim1=-2, dim2=-1)).sum(-1)
-        gain: Tensor = 0.5 * (off.square().sum(-1) - log_determinant)
-        return gain
+        return 0.5 * (off.square().sum(-1) - log_determinant)
 
     def _sigma_T(self, vector: Tensor) -> Float[Tensor, "*row sensor"]:
         return self.full.sensor_sigma_T(self.coordinates.values(vector), vector.shape[:-1])
@@ -387,5 +386,4 @@ def _unit_plus(gram: Tensor) -> Tensor:
 
 
 def _solved(precision: Tensor, score: Tensor) -> Tensor:
-    solution: Tensor = (inverse(precision) @ score[..., None])[..., 0]
-    return solution
+    return (inverse(precision) @ score[..., None])[..., 0]

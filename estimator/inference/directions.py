@@ -94,8 +94,7 @@ class Directions:
         if torch.equal(self.of_coordinate, torch.arange(along.shape[-1], device=along.device)):
             return along
         is_own = (self.sensor == EVERY) | (self.sensor == sensor[:, None])
-        result: Tensor = along[..., self.of_coordinate].masked_fill_(~is_own, 0.0)
-        return result
+        return along[..., self.of_coordinate].masked_fill_(~is_own, 0.0)
 
 
 def _owner(rig: Rig, name: str) -> int:

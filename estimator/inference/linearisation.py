@@ -77,8 +77,7 @@ class Linearisation:
 
         def jacobian(values: Tensor) -> Tensor:
             up, down = values[1:].split(coordinates.n)
-            quotient: Tensor = ((up - down) / (2.0 * step[:, None])).mT
-            return quotient
+            return ((up - down) / (2.0 * step[:, None])).mT
 
         jacobian_T = jacobian(posterior.measured_components(field_T))
         return cls(field_T[0], sigma_T[0], jacobian_T, jacobian(torch.log(sigma_T)))

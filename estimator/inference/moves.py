@@ -57,8 +57,7 @@ class MovesInBlocks(Move):  # type: ignore[misc]  # emcee is untyped
         self.step += 1
         move = self._block.moves[i]
         if move > 0:
-            moved: tuple[State, np.ndarray] = self._dependent[move - 1].propose(model, state)
-            return moved
+            return self._dependent[move - 1].propose(model, state)
         n_fresh = int((self._block.moves[:i] == 0).sum())
         fresh, log_prob, log_density = self._block.draws(n_fresh)
         log_ratio = log_prob - log_density - (state.log_prob - self.proposal.log_density(state.coords))

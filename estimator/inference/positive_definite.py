@@ -52,8 +52,7 @@ def inverse(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*batch ro
     factor, failed = torch.linalg.cholesky_ex(scaled)
     unscaled = _one_by_one(torch.linalg.inv, scaled) if failed.any() else torch.cholesky_inverse(factor)
     result = unscaled * scale[..., :, None] * scale[..., None, :]
-    symmetric: Tensor = 0.5 * (result + result.mT)
-    return symmetric
+    return 0.5 * (result + result.mT)
 
 
 def log_determinant(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*batch"]:
@@ -69,8 +68,7 @@ def log_determinant(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*
         of_scaled = _one_by_one(lambda each: torch.linalg.slogdet(each).logabsdet, scaled)
     else:
         of_scaled = 2.0 * diagonal_of(factor).log().sum(-1)
-    log_det: Tensor = of_scaled - 2.0 * scale.log().sum(-1)
-    return log_det
+    return of_scaled - 2.0 * scale.log().sum(-1)
 
 
 def lower_factor(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*batch row row"]:
@@ -87,8 +85,7 @@ def lower_factor(matrix: Float[Tensor, "*batch row row"]) -> Float[Tensor, "*bat
     factor, failed = torch.linalg.cholesky_ex(scaled)
     if failed.any():
         factor = torch.where(failed[..., None, None] != 0, _one_by_one(_nearest_factor, scaled), factor)
-    lower: Tensor = factor / scale[..., :, None]
-    return lower
+    return factor / scale[..., :, None]
 
 
 def inner_products(columns: Float[Tensor, "*batch row column"]) -> Float[Tensor, "*batch column column"]:
@@ -123,8 +120,7 @@ def _nearest_factor(matrix: Float[Tensor, "row row"]) -> Float[Tensor, "row row"
     eigenvalues, vectors = torch.linalg.eigh(matrix)
     least = len(matrix) * torch.finfo(matrix.dtype).eps * eigenvalues[-1]
     upper = torch.linalg.qr((vectors * eigenvalues.clamp(min=least).sqrt()).mT).R
-    lower: Tensor = (upper * torch.sgn(upper.diagonal())[:, None]).mT
-    return lower
+    return (upper * torch.sgn(upper.diagonal())[:, None]).mT
 
 
 def _one_by_one(function: Callable[..., Tensor], *stacks: Float[Tensor, "*batch _ _"]) -> Tensor:

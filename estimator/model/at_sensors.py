@@ -129,8 +129,7 @@ class FieldAtSensors:
         of_each = {name: value[..., None] if value.dim() else value for name, value in values.items()}
         field_T = self._field_at(of_each, poses.shifted(elements_m))  # batch, element, reading, axis
         field_T = field_T.expand(*field_T.shape[:-3], 3, *field_T.shape[-2:])  # where it is the same for all
-        own_T: Tensor = torch.diagonal(field_T, dim1=-3, dim2=-1)
-        return own_T
+        return torch.diagonal(field_T, dim1=-3, dim2=-1)
 
     def _field_at(self, values: Values, world_from_sensor: Transform) -> Float[Tensor, "*batch reading 3"]:
         """Field in the sensor's frame, at its origin."""

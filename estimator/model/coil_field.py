@@ -168,8 +168,7 @@ class FieldOfCharges(CoilField):
 
     def _is_beyond_box(self, points_coil_m: Points) -> Forbidden:
         reach_m = points_coil_m.new_tensor(self.coil.half_m) + CLEAR_SHARE * self.coil.margin_m
-        is_beyond: Tensor = (points_coil_m.abs() > reach_m).any(dim=-1)
-        return is_beyond
+        return (points_coil_m.abs() > reach_m).any(dim=-1)
 
     def _is_near_multipole(self, points_coil_m: Points) -> Forbidden:
         is_near = torch.zeros_like(points_coil_m[..., 0], dtype=torch.bool)

@@ -73,8 +73,7 @@ class CoreInRoom:
         def field(points_m: Tensor, numbers: Sequence[Tensor]) -> Tensor:
             return field_of_core(points_m, *numbers).flatten(-2)
 
-        per_T: Tensor = first_order_field(field, points_coil_m, sizes).unflatten(-1, (PATTERNS, 3))
-        return per_T
+        return first_order_field(field, points_coil_m, sizes).unflatten(-1, (PATTERNS, 3))
 
 
 @dataclass(frozen=True)

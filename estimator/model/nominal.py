@@ -48,5 +48,4 @@ def gradient_T_per_m(model: MeasurementModel, values: Values, mover: str) -> Flo
         there = replace(sources, flange={**sources.flange, mover: displaced})
         return replace(model, sources=there).predict(values).expand(len(model.circumstances), 3)
 
-    gradient: Tensor = jacobian_of(moved, poses.translation_m.new_zeros(3))
-    return gradient
+    return jacobian_of(moved, poses.translation_m.new_zeros(3))

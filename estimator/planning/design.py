@@ -42,8 +42,7 @@ class Design:
         if self._rows is None:
             spread = (columns.flatten(1, 2) @ covariance).view_as(columns)
             inner = spread @ columns.mT
-            gain: Tensor = torch.logdet(torch.eye(inner.shape[-1]).to(inner) + inner).mean(0)
-            return gain
+            return torch.logdet(torch.eye(inner.shape[-1]).to(inner) + inner).mean(0)
         variance = ((self._rows @ covariance) * self._rows).sum((-1, -2))
         share = lowered(covariance, columns, self._rows) / variance[:, None]
         return -torch.log1p(-share.clamp(max=1.0 - 1e-12)).mean(0)

@@ -64,8 +64,7 @@ def _continued(time_s: Times) -> Times:
     forward = steps[steps > 0.0]
     usual = float(np.median(forward)) if len(forward) else 1.0
     late = np.where(steps < 0.0, usual - steps, 0.0)
-    result: Times = time_s + np.concatenate(([0.0], np.cumsum(late)))
-    return result
+    return time_s + np.concatenate(([0.0], np.cumsum(late)))
 
 
 def _spread(time_s: Times) -> Times:
@@ -77,8 +76,7 @@ def _spread(time_s: Times) -> Times:
     lasting = np.append(steps, usual)
     lasting = np.where(lasting > 0.0, np.minimum(lasting, usual), usual)  # a pause is none of the stamps'
     place = np.arange(len(time_s)) - np.repeat(starts, counts)
-    result: Times = time_s + place * np.repeat(lasting / counts, counts)
-    return result
+    return time_s + place * np.repeat(lasting / counts, counts)
 
 
 def jumps_back(time_s: Times, sensor: Indices) -> list[int]:

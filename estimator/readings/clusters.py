@@ -52,10 +52,8 @@ def _squares(
     if points.shape[1] < FEW_COLUMNS:
         return _total((x[:, None] - centre) ** 2 for x, centre in zip(points.T, centres.T, strict=True))
     of_point, of_centre = (_total(column**2 for column in each.T) for each in (points, centres))
-    squares: np.ndarray = -2.0 * (points @ centres.T) + of_point[:, None] + of_centre
-    return squares
+    return -2.0 * (points @ centres.T) + of_point[:, None] + of_centre
 
 
 def _total(terms: Iterable[np.ndarray]) -> np.ndarray:
-    total: np.ndarray = reduce(np.add, terms)
-    return total
+    return reduce(np.add, terms)

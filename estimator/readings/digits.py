@@ -238,8 +238,7 @@ def _perhaps_equal(codes: Codes) -> npt.NDArray[np.intp]:
     rows = np.flatnonzero(~np.isnan(codes).any(axis=1))
     hashes = (codes[rows] + 0.0).view(np.uint64) @ HASHED_BY
     _, index, counts = np.unique(hashes, return_inverse=True, return_counts=True)
-    alike: npt.NDArray[np.intp] = rows[counts[index] > 1]
-    return alike
+    return rows[counts[index] > 1]
 
 
 def _filled_in(codes: Codes) -> list[int]:

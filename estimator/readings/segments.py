@@ -41,5 +41,4 @@ def segments_in_turn(time_s: Float[Tensor, " reading"], n: int) -> Int[Tensor, "
         [1, 0, 0, 0, 1]
     """
     instants, instant = torch.unique(time_s, return_inverse=True)
-    segment: Tensor = instant * n // len(instants)
-    return segment
+    return instant * n // len(instants)

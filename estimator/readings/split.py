@@ -55,8 +55,7 @@ def pose_blocks(observations: Observations, rng: np.random.Generator) -> Int[np.
         from scipy.spatial import cKDTree  # takes a quarter of a second to load
 
         block_of_pose = np.asarray(cKDTree(centres).query(distinct)[1])
-    block: Int[np.ndarray, " reading"] = block_of_pose[pose_row]
-    return block
+    return block_of_pose[pose_row]
 
 
 def _features(observations: Observations) -> Float[np.ndarray, "reading column"]:
@@ -96,8 +95,7 @@ def with_validation(observations: Observations, share: float, seed: int) -> Obse
 def time_blocks(observations: Observations) -> Int[np.ndarray, " reading"]:
     """Block number of every reading, in blocks of readings that were taken one after another."""
     order = numpy_of(observations.time_s.argsort(stable=True).argsort())
-    block: Int[np.ndarray, " reading"] = order * FEWEST_BLOCKS // len(order)
-    return block
+    return order * FEWEST_BLOCKS // len(order)
 
 
 def spread(observations: Observations, most: int) -> Observations:

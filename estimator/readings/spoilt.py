@@ -48,8 +48,7 @@ def sentinels(codes: Codes) -> list[int]:
         if not (bulk > FAR_OUT_KNOWN if known else same.sum() > 1 and beyond > FAR_OUT):
             break
         is_sentinel |= same
-    rows: list[int] = np.flatnonzero(is_sentinel).tolist()
-    return rows
+    return np.flatnonzero(is_sentinel).tolist()
 
 
 def _is_known(code: float) -> bool:

@@ -149,8 +149,7 @@ class Recheck(Pilot):
         rest = self._columns[..., asked] - here @ followed
         spread = here @ torch.linalg.inv(precision) @ here.mT
         spread = spread + torch.eye(spread.shape[-1], dtype=spread.dtype)
-        certainties: Tensor = (rest * torch.linalg.solve(spread, rest)).sum(-2)
-        return certainties
+        return (rest * torch.linalg.solve(spread, rest)).sum(-2)
 
     def _leading(self, ratios: Tensor, innovations: Innovations, has_changed: bool) -> tuple[str, ...]:
         """Names of the likeliest changes with their most probable sizes, or of the one that is least excluded."""

@@ -89,8 +89,7 @@ def _across(z: Vector) -> Vector:
     """A unit vector across another, along x where it can be."""
     other = np.eye(3)[1 if abs(z[0]) > 0.9 else 0]
     across = other - z * float(z @ other)
-    unit: Vector = across / np.linalg.norm(across)
-    return unit
+    return across / np.linalg.norm(across)
 
 
 def _pose(matrix: Matrix) -> tuple[float, ...]:

@@ -57,7 +57,7 @@ _Dumper.add_representer(float, _represented)
 
 def dumped(section: Mapping[str, Any]) -> str:
     """Text of a section, in which every key of the mapping has a line."""
-    text: str = yaml.dump(
+    return yaml.dump(
         Block(section),
         Dumper=_Dumper,
         sort_keys=False,
@@ -65,4 +65,3 @@ def dumped(section: Mapping[str, Any]) -> str:
         width=WIDTH,
         allow_unicode=True,
     )
-    return text

@@ -269,8 +269,7 @@ def texts_of(kind: Kind, answers: Mapping[str, object]) -> tuple[str, str]:
         if key in given:
             given[key] = words(given[key])
     set_up = SET_UPS[kind](**FIXED.get(kind, {}) | given)
-    texts: tuple[str, str] = set_up.texts()
-    return texts
+    return set_up.texts()
 
 
 def defaults_of(kind: Kind) -> dict[str, Any]:

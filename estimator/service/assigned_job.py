@@ -39,8 +39,7 @@ class AssignedJob:
     @property
     def options(self) -> Mapping[str, Any]:
         """What was asked for."""
-        options: Mapping[str, Any] = self.content["options"]
-        return options
+        return self.content["options"]
 
     @property
     def arguments(self) -> dict[str, Any]:

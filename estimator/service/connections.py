@@ -64,8 +64,7 @@ class StrictLines(ReceiveBuffer):
             head, end, _ = received.partition(b"\r\n\r\n")
             if LOOSE_LINE.search(head + end):
                 raise h11.LocalProtocolError("lines of a head must end with CR LF and must not be folded")
-        lines: list[bytearray] | None = super().maybe_extract_lines()
-        return lines
+        return super().maybe_extract_lines()
 
     def maybe_extract_next_line(self) -> bytearray | None:
         """See h11; the line that says how long a chunk is, in whose extension h11 takes a carriage return for a letter."""

@@ -28,8 +28,7 @@ Seed = Annotated[int, Field(ge=0, le=LARGEST_SEED, description="Of everything ra
 
 def core_of(request: Request) -> Core:
     """The core of the application."""
-    core: Core = request.app.state.core
-    return core
+    return request.app.state.core
 
 
 CoreOf = Annotated[Core, Depends(core_of)]

@@ -80,8 +80,7 @@ class CompiledSystem:
         """
         field, gradient = self._per_delivered_ampere(points_m, motion)
         rows = np.concatenate((field, gradient[:, :, 0], gradient[:, :, 1, 1:]), axis=-1)
-        matrix: np.ndarray = np.swapaxes(rows, 1, 2) @ self.tables.supply
-        return matrix
+        return np.swapaxes(rows, 1, 2) @ self.tables.supply
 
     def _per_delivered_ampere(
         self, points_m: np.ndarray, motion: np.ndarray | None

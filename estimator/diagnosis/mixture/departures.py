@@ -214,15 +214,13 @@ def _basis(*candidates: Candidate) -> Float[Tensor, "component column"]:
     columns = torch.cat((columns, *shifts), dim=1)
     unit = columns / columns.square().sum(0).sqrt().clamp(min=1e-300)
     basis, singular, _ = torch.linalg.svd(unit, full_matrices=False)
-    told: Tensor = basis[:, singular > SAME * singular[:1]]
-    return told
+    return basis[:, singular > SAME * singular[:1]]
 
 
 def _summed(rows: Float[Tensor, "row column"], blocks: Sequence[Tensor]) -> Float[Tensor, "block column"]:
     """Sums of the rows that belong to each block's columns."""
     number = torch.repeat_interleave(torch.tensor([block.shape[1] for block in blocks]))
-    sums: Tensor = rows.new_zeros(len(blocks), rows.shape[1]).index_add(0, number.to(rows.device), rows)
-    return sums
+    return rows.new_zeros(len(blocks), rows.shape[1]).index_add(0, number.to(rows.device), rows)
 
 
 _Made = tuple[dict[str, float], tuple[str, ...], Tensor, tuple[float, ...], float]

@@ -147,8 +147,7 @@ class Products:
             0.5 * torch.log1p(-self.shares).sum()
         )  # no change there: `Asked.log_density_of` counts it
         result = -self.n * noise.log() - 0.5 * square / variance[:, 0] - at_noise_of_fit
-        likelihood: Tensor = result + 0.5 * (explained - torch.log1p(size / variance)).sum(1)
-        return likelihood
+        return result + 0.5 * (explained - torch.log1p(size / variance)).sum(1)
 
 
 class Beside:
@@ -219,8 +218,7 @@ class Beside:
         of_it = mixture.nonzero()[:, 0]
         own = mixture[of_it]
         whole = own @ self.products.gram[of_it] * self.precision
-        rest: Tensor = whole - (self.followed[:, of_it] @ own) @ self.followed
-        return rest
+        return whole - (self.followed[:, of_it] @ own) @ self.followed
 
     def _freed(self, without: int) -> Float[Tensor, "own column"]:
         """What one of the chosen items alone follows of each column, along orthonormal directions."""
@@ -230,12 +228,10 @@ class Beside:
         unit[first : first + unit.shape[1]].fill_diagonal_(1.0)
         inverse = torch.linalg.solve_triangular(self.factor, unit, upper=False)
         factor = lower_factor(inverse.T @ inverse)
-        alone: Tensor = torch.linalg.solve_triangular(factor, inverse.T @ self.followed, upper=False)
-        return alone
+        return torch.linalg.solve_triangular(factor, inverse.T @ self.followed, upper=False)
 
 
 def _with_unit_prior(gram: Float[Tensor, "*batch column column"]) -> Float[Tensor, "*batch column column"]:
     """Precision of coefficients with standard normal priors."""
     diagonal = torch.diagonal(gram, dim1=-2, dim2=-1)
-    precision: Tensor = gram + torch.diag_embed(1.0 + RIDGE * diagonal.abs())
-    return precision
+    return gram + torch.diag_embed(1.0 + RIDGE * diagonal.abs())

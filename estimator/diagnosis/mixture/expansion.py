@@ -95,8 +95,7 @@ class Expansion:
     @property
     def prior_mean(self) -> Float[Tensor, " parameter"]:
         """Their prior means."""
-        mean: Tensor = self.fit.vector[self._base] - self._pulled
-        return mean
+        return self.fit.vector[self._base] - self._pulled
 
     @cached_property
     def residual(self) -> Float[Tensor, " component"]:
@@ -109,8 +108,7 @@ class Expansion:
     def _pulled(self) -> Float[Tensor, " parameter"]:
         """How far the readings pull the rig's numbers from their prior means: at the maximum as hard as the priors pull back."""
         pull = self.always.jacobian.T @ self.fit.residual
-        apart: Tensor = torch.linalg.pinv(self.prior_precision, hermitian=True) @ pull
-        return apart
+        return torch.linalg.pinv(self.prior_precision, hermitian=True) @ pull
 
     def _change(self, cause: Cause) -> Float[Tensor, " component"]:
         """Whitened change of the predictions by a cause, beside the others."""
@@ -120,8 +118,7 @@ class Expansion:
             predicted_T = fit.posterior.measured_components(
                 fit.posterior.model.predict(without).expand(len(fit.observations), 3)
             )
-        change: Tensor = (fit.predicted_T - predicted_T) * fit.whitening_per_T
-        return change
+        return (fit.predicted_T - predicted_T) * fit.whitening_per_T
 
     @cached_property
     def alone(self) -> Fit:

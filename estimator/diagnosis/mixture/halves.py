@@ -115,5 +115,4 @@ def mean_probability(log_odds: float, log_bayes_factor: float) -> float:
 def weight_of(is_in: np.ndarray, is_measured: Tensor) -> Float[Tensor, " component"]:
     """1 for the measured components of readings of a half, 0 for others."""
     by_reading = torch.from_numpy(is_in.astype(float))[:, None].expand(-1, 3)
-    weight: Tensor = by_reading[is_measured.cpu()]
-    return weight
+    return by_reading[is_measured.cpu()]

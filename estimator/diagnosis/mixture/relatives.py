@@ -70,5 +70,4 @@ def _standard(columns: Sequence[np.ndarray]) -> Float[np.ndarray, "reading circu
     matrix = np.column_stack(columns)
     matrix = matrix - matrix.mean(0)
     spread = matrix.std(0)
-    standard: np.ndarray = matrix[:, spread > 0.0] / spread[spread > 0.0]
-    return standard
+    return matrix[:, spread > 0.0] / spread[spread > 0.0]

@@ -140,8 +140,7 @@ def _are_poses(fit: Fit, names: Sequence[str], columns: Float[Tensor, "component
     free = [i for i, name in enumerate(names) if "_from_" in name]
     wider = fit.prior_precision[free][:, free] / WIDER**2
     rest = Projector.of(fit.jacobian[:, free], wider).norms(columns)
-    are_poses: list[bool] = (rest.square() < (1.0 - WHOLLY) * columns.square().sum(0)).tolist()
-    return are_poses
+    return (rest.square() < (1.0 - WHOLLY) * columns.square().sum(0)).tolist()
 
 
 def _with_hidden(
@@ -235,8 +234,7 @@ class Directions:
         """The independent directions, orthonormal: by eigenvalues, far faster than the singular values of so tall a matrix."""
         squares, turn = torch.linalg.eigh(self.squares)
         is_kept = squares > LEAST_DIRECTION**2 * squares[-1]
-        basis: Tensor = self.columns @ turn[:, is_kept] / squares[is_kept].sqrt()
-        return basis
+        return self.columns @ turn[:, is_kept] / squares[is_kept].sqrt()
 
 
 def _may_have_a_twin(cause: Cause, directions: Mapping[Cause, Directions]) -> bool:

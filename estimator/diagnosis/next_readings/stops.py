@@ -129,8 +129,7 @@ def lowered(
     spread = (columns.flatten(-3, -2) @ covariance).unflatten(-2, by_stop)
     inner = torch.eye(by_stop[1]).to(columns) + spread @ columns.mT
     seen = (spread.flatten(-3, -2) @ gradients.mT).unflatten(-2, by_stop)
-    decrease: Tensor = (torch.linalg.inv(inner) * (seen @ seen.mT)).sum((-1, -2))
-    return decrease
+    return (torch.linalg.inv(inner) * (seen @ seen.mT)).sum((-1, -2))
 
 
 class _Pair:

@@ -26,17 +26,13 @@ def harmonic_gradients(points: Float[Tensor, "point 3"], degree: int) -> Float[T
         >>> harmonic_gradients(torch.zeros(1, 3, dtype=torch.float64), 1).shape
         torch.Size([1, 3, 3])
     """
-    fields: Tensor = torch.einsum(
-        "pti,tu->pui", gradients(points, degree), _orthonormalised(degree).to(points.device)
-    )
-    return fields
+    return torch.einsum("pti,tu->pui", gradients(points, degree), _orthonormalised(degree).to(points.device))
 
 
 @lru_cache
 def _orthonormalised(degree: int) -> Float[Tensor, "term term"]:
     """Combinations of the solid harmonics that are orthonormal in their coefficients."""
-    mixing: Tensor = torch.linalg.inv(torch.linalg.qr(coefficients(degree)).R)
-    return mixing
+    return torch.linalg.inv(torch.linalg.qr(coefficients(degree)).R)
 
 
 VANISHING = 1e-9  # of the largest column, in the root mean square: rounding

@@ -157,8 +157,7 @@ def _orthonormal(
 ) -> Float[Tensor, "component direction"]:
     """Orthonormal basis of columns; directions that are rounding beside the largest size are left out."""
     left, size, _ = torch.linalg.svd(columns, full_matrices=False)
-    basis: Tensor = left[:, size > RANK_TOLERANCE * largest]
-    return basis
+    return left[:, size > RANK_TOLERANCE * largest]
 
 
 def _p_values(

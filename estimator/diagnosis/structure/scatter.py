@@ -88,8 +88,7 @@ def _factors(fit: Fit, sigma_T: Float[Tensor, " component"]) -> Float[Tensor, "r
     whitened = together_T / _by_reading(fit, sigma_T, fill=math.inf)[..., None]
     correlation = whitened @ whitened.mT
     diagonal = torch.diag_embed(1.0 - torch.diagonal(correlation, dim1=-2, dim2=-1))
-    factors: Tensor = torch.linalg.cholesky(correlation + diagonal)
-    return factors
+    return torch.linalg.cholesky(correlation + diagonal)
 
 
 def _by_reading(fit: Fit, components: Float[Tensor, " component"], fill: float = 0.0) -> Tensor:
@@ -129,15 +128,13 @@ def _lengths(misses: Float[Tensor, "reading 3"], n_measured: Tensor) -> Float[Te
     """
     share = 2.0 / (9.0 * n_measured.clamp(min=1))
     mean_square = misses.square().sum(1) / n_measured.clamp(min=1)
-    lengths: Tensor = (mean_square ** (1.0 / 3.0) - 1.0 + share) / share.sqrt()
-    return lengths
+    return (mean_square ** (1.0 / 3.0) - 1.0 + share) / share.sqrt()
 
 
 def _normal_scores(values: Float[Tensor, " reading"]) -> Float[Tensor, " reading"]:
     """Normal quantiles of the ranks."""
     rank = torch.argsort(torch.argsort(values)).to(torch.float64)
-    scores: Tensor = torch.special.ndtri((rank + 0.5) / len(values))
-    return scores
+    return torch.special.ndtri((rank + 0.5) / len(values))
 
 
 def _evidence(columns: Float[Tensor, "reading column"], score: Float[Tensor, " reading"]) -> float:

@@ -94,5 +94,4 @@ def element_displacement(theta: Theta) -> Float[Tensor, "*batch 3 3"]:
 
     Source: probes of separate elements: 0.1 to 2 mm; integrated ones below 0.1 mm.
     """
-    at_m: Tensor = vector(theta, ELEMENTS)[..., 0, :].unflatten(-1, (3, 3))
-    return at_m
+    return vector(theta, ELEMENTS)[..., 0, :].unflatten(-1, (3, 3))

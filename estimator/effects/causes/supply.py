@@ -24,8 +24,7 @@ RANGES = 12  # steps of the largest current at which a range may end
 def _sizes_A(circumstances: Circumstances, coil: str) -> Float[Tensor, " size"]:
     """Different sizes of the currents of a coil beside none, in order."""
     sizes_A = circumstances.commanded_A(coil).abs()
-    different_A: Tensor = sizes_A[sizes_A > 0.0].unique()
-    return different_A
+    return sizes_A[sizes_A > 0.0].unique()
 
 
 def _has_sizes(circumstances: Circumstances, place: str) -> bool:
@@ -110,8 +109,7 @@ def _between(sizes_A: Float[Tensor, " size"], at_A: Float[Tensor, " at"]) -> lis
     """Middles between two sizes of currents, about each of some currents: nothing tells places between the same two sizes apart."""
     above = torch.searchsorted(sizes_A, at_A).unique()
     above = above[(above > 0) & (above < len(sizes_A))]
-    middles_A: list[float] = (0.5 * (sizes_A[above - 1] + sizes_A[above])).tolist()
-    return middles_A
+    return (0.5 * (sizes_A[above - 1] + sizes_A[above])).tolist()
 
 
 def _limits(circumstances: Circumstances, place: str) -> Starts:

@@ -39,8 +39,7 @@ class Waves(Composed):
         amplitudes = self.amplitudes(theta)
         if way.shape[-1] == 1:
             waves = torch.cos(math.pi * way * way.new_tensor([*amplitudes]))
-            total: Tensor = waves @ torch.stack(list(amplitudes.values()), dim=-2)
-            return total
+            return waves @ torch.stack(list(amplitudes.values()), dim=-2)
         each = (a[..., None, :] * torch.cos(math.pi * degree * way) for degree, a in amplitudes.items())
         return sum(each, start=way.new_zeros(()))
 

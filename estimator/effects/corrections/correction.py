@@ -195,8 +195,7 @@ def correction(*parts: type[Effect], **declared: Any) -> Callable[[Callable[...,
 
     def joined(function: Callable[..., Any]) -> Correction:
         method = FUNCTION if inspect.signature(function).parameters else None
-        effect: Correction = made(both, function, declared, method, both.source)
-        return effect
+        return made(both, function, declared, method, both.source)
 
     return joined
 

@@ -242,8 +242,7 @@ def directions() -> Float[Tensor, "direction 3"]:
     azimuth = math.pi * (3.0 - math.sqrt(5.0)) * torch.arange(N_DIRECTIONS, dtype=torch.float64)
     across = torch.sqrt(1.0 - height**2)
     units = torch.stack((across * torch.cos(azimuth), across * torch.sin(azimuth), height), dim=-1)
-    rounded: Tensor = (1e6 * units).round() / 1e6
-    return rounded
+    return (1e6 * units).round() / 1e6
 
 
 def _nearest(unit: Float[Tensor, "*batch 3"]) -> Tensor:

@@ -135,8 +135,7 @@ def _levels(shown_T: Float[Tensor, " reading"]) -> list[float]:
     if not len(between_T):
         return []
     rows = torch.linspace(0, len(between_T) - 1, min(MOST_LEVELS, len(between_T)), device=between_T.device)
-    levels_T: list[float] = between_T[rows.round().long().unique()].tolist()
-    return levels_T
+    return between_T[rows.round().long().unique()].tolist()
 
 
 def _axis_and_level(extent: Extent) -> Quantities:

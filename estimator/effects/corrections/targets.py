@@ -128,8 +128,7 @@ class Response(Shown):
         matrix = value.unflatten(-1, (3, 3))
         if RANGE_T in self.scales:
             matrix = matrix / constant(theta, "range_T")
-        added_T: Tensor = (matrix @ field_sensor_T[..., None])[..., 0]
-        return added_T
+        return (matrix @ field_sensor_T[..., None])[..., 0]
 
 
 class Turned(Shown):
@@ -142,5 +141,4 @@ class Turned(Shown):
     ) -> Components:
         """Change of the components along turned axes."""
         field_sensor_T, turn_rad = torch.broadcast_tensors(field_sensor_T, value)
-        added_T: Tensor = torch.linalg.cross(field_sensor_T, turn_rad, dim=-1)
-        return added_T
+        return torch.linalg.cross(field_sensor_T, turn_rad, dim=-1)

@@ -40,8 +40,7 @@ class _Function:
         if self.takes_one and len(paths) != 1:
             raise InvalidInput(f"this format takes one file; received {len(paths)}")
         read = getattr(import_module(f"{__name__}.{self.module}"), self.name)
-        session: Session = read(paths[0] if self.takes_one else paths, rig, currents_A)
-        return session
+        return read(paths[0] if self.takes_one else paths, rig, currents_A)
 
 
 IMPORTERS: Mapping[str, Importer] = {

@@ -130,8 +130,7 @@ def _times(table: Table) -> npt.NDArray[np.float64]:
     """Times as written; the number of the row where there are none, which only `Clock.ROWS` reads."""
     if "t" not in table:
         return np.arange(len(table.lines), dtype=np.float64)
-    times: npt.NDArray[np.float64] = table.numbers("t").numpy()
-    return times
+    return table.numbers("t").numpy()
 
 
 def columns_of(rig: Rig) -> dict[str, Column]:
