@@ -20,15 +20,14 @@ from estimator.store.importers.forms.layout import Line, layout_of
 from estimator.store.importers.forms.understand import understood
 from estimator.store.session import Session, load_session
 from tests.estimator.store.importers.forms.forms import TEXTS, of_libraries
-from tests.estimator.store.importers.forms.fresh import FRESH
 from tests.estimator.store.importers.forms.written import RIG, TABLE, Form
 
 MOST_STEPS = 10  # sentences that one file may need
 
 
-def imported(form: Form, folder: Path, content: bytes, name: str, options: list[str]) -> Result:
+def imported(form: Form, folder: Path, content: bytes | str, name: str, options: list[str]) -> Result:
     (folder / "rig.yaml").write_text(form.rig, encoding="utf-8")
-    (folder / name).write_bytes(content)
+    (folder / name).write_bytes(content if isinstance(content, bytes) else content.encode())
     arguments = [
         "import",
         str(folder / name),
@@ -111,10 +110,7 @@ def check(form: Form, folder: Path) -> None:
     assert not o.motion["stage"][:, 3:].any()
 
 
-ALL_TEXTS = [*TEXTS, *FRESH]
-
-
-@pytest.mark.parametrize("form", ALL_TEXTS, ids=lambda form: form.name)
+@pytest.mark.parametrize("form", TEXTS, ids=lambda form: form.name)
 def test_a_text_is_read_or_refused_with_a_cure_that_works(form, tmp_path):
     check(form, tmp_path)
 
@@ -133,9 +129,9 @@ def test_three_decimals_after_a_zero_are_no_thousands():
 
 
 def test_there_are_sixty_forms(tmp_path):
-    assert len(ALL_TEXTS) + len(of_libraries(tmp_path)) >= 60
-    assert len({form.name for form in ALL_TEXTS}) == len(ALL_TEXTS)
-    assert sum(form.name.startswith("real_") for form in ALL_TEXTS) >= 10
+    assert len(TEXTS) + len(of_libraries(tmp_path)) >= 60
+    assert len({form.name for form in TEXTS}) == len(TEXTS)
+    assert sum(form.name.startswith("real_") for form in TEXTS) >= 10
     assert len(TABLE) == 60
 
 

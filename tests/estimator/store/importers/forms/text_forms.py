@@ -1,46 +1,47 @@
-"""Forms of text: 24 of bug reports, and other separators, signs, comments and lines that are no rows."""
+"""Forms of text: 24 of bug reports, and other separators, signs, comments, cells and lines that are no rows."""
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 
-from tests.estimator.store.importers.forms.pieces import (
-    AFTER,
-    BACK,
-    IN_G,
-    LAB,
-    LINES,
-    MICRO,
-    NOON,
-    ODD,
-    PLAIN,
-    UNITS,
-    T,
-    clock,
-    lines,
-    with_nan,
-    without_first_cell,
-)
+from tests.estimator.store.importers.forms import written as w
 from tests.estimator.store.importers.forms.written import (
-    BROKEN_WORKBOOK,
+    HEAD,
     HEADER,
+    LINES,
+    PLACES,
+    REST,
     TABLE,
     Form,
-    columns,
-    scaled,
-    shown,
+    lines,
     text,
-    with_times,
 )
+
+T = w.T
+BLANKS = [line.replace(",", " ") for line in LINES]
+MICRO = f"{PLACES},Bx [µT],By [µT],Bz [µT]"
+BACK = np.concatenate((T[:40], T[:20]))
+ODD = np.concatenate((T[:40], T[:20] - 0.25))
+AFTER = np.concatenate((T[:40], 20.0 + T[:20]))
+UNCLEAR = np.full((9, 8), 1.125) + np.arange(9)[:, None]
+ENDS = [line.rpartition(",")[0] for line in LINES]
+
+
+def thousands(signs: str, separator: str = ";") -> str:
+    """With these signs between thousands and before decimals."""
+    return text(separator=separator, cell=lambda value: f"{value:,.1f}".translate(str.maketrans(",.", signs)))
+
 
 OF_REPORTS = [
     Form("a_utf16.csv", text(end="\r\n").encode("utf-16")),
     Form("b_latin1.csv", text(MICRO).encode("latin-1")),
     Form("c_comments.csv", lines("# Lake Shore F71 log", "# operator: -", *LINES)),
-    Form("d_blanks.txt", text(separator=" ").encode()),
+    Form("d_blanks.txt", lines(*BLANKS)),
     Form(
         "e_half_first_line.csv",
-        lines(LINES[0], without_first_cell(LINES[1], 3), *LINES[2:]),
+        lines(LINES[0], "," + LINES[1].split(",", 3)[3], *LINES[2:]),
         False,
         TABLE[1:],
         tells="a row must have 8 cells like the header; received 6",
@@ -53,55 +54,40 @@ OF_REPORTS = [
         tells="line 22",
     ),
     Form("g_header_again.csv", lines(*LINES[:31], LINES[0], *LINES[31:])),
-    Form("h_decimal_commas_quoted.csv", text(decimal=",").encode()),
+    Form("h_decimal_commas_quoted.csv", text(decimal=",")),
     Form(
         "i_clock.csv",
-        columns(["Time", *HEADER[1:]], [clock(t, NOON, "%H:%M:%S") for t in 2 * T], *TABLE.T[1:]).encode(),
-        expected=with_times(43200.0 + 2 * T),
+        w.columns(f"Time,{REST}", w.clocks("%H:%M:%S", 2 * T), *TABLE.T[1:]),
+        expected=w.with_times(43200.0 + 2 * T),
     ),
-    Form("j_milliseconds.csv", text(["t_ms", *HEADER[1:]], scaled([1e-3] + [1] * 7)).encode()),
-    Form(
-        "k_milligauss.csv",
-        text([*HEADER[:5], "Bx_mG", "By_mG", "Bz_mG"], scaled([1] * 5 + [0.1] * 3)).encode(),
-    ),
+    Form("j_milliseconds.csv", text(f"t_ms,{REST}", w.with_times(1e3 * T))),
+    Form("k_milligauss.csv", text(f"{PLACES},Bx_mG,By_mG,Bz_mG", TABLE * [1, 1, 1, 1, 1, 10, 10, 10])),
     Form(
         "l_no_reading.csv",
-        lines(
-            *LINES[:10],
-            LINES[10].rpartition(",")[0] + ",OVLD",
-            *LINES[11:15],
-            LINES[15].rpartition(",")[0] + ",nan",
-            *LINES[16:],
-        ),
-        expected=with_nan((9, 7), (14, 7)),
+        lines(*LINES[:10], ENDS[10] + ",OVLD", *LINES[11:15], ENDS[15] + ",nan", *LINES[16:]),
+        expected=w.with_nan((9, 7), (14, 7)),
         tells="2 cells of fields count as not measured: OVLD in line 11, nan in line 16.",
     ),
     Form(
         "m_clock_set_back.csv",
-        text(rows=with_times(BACK)).encode(),
+        text(rows=w.with_times(BACK)),
         False,
-        with_times(AFTER),
+        w.with_times(AFTER),
         tells="--clock continue",
     ),
     Form(
         "n_clock_set_back_unseen.csv",
-        text(rows=with_times(ODD)).encode(),
-        expected=with_times(ODD),
+        text(rows=w.with_times(ODD)),
+        expected=w.with_times(ODD),
         tells="Time jumps back in line 42",
     ),
-    Form("o_whole_seconds.csv", text(rows=with_times(np.floor(T))).encode(), False, tells="--clock spread"),
-    Form("p_old_mac.csv", text(end="\r").encode()),
-    Form("q_nul_at_the_end.csv", text().encode() + b"\0" * 200),
-    Form(
-        "r_thousands.csv",
-        text(cell=lambda value: f"{value:,.1f}").encode(),
-    ),
-    Form("s_semicolons.csv", text(separator=";", decimal=",", end="\r\n").encode()),
-    Form(
-        "t_units_row.csv",
-        lines("t,coil1_current,stage_x,stage_y,stage_z,Bx,By,Bz", "s,A,mm,mm,mm,uT,uT,uT", *LINES[1:]),
-    ),
-    Form("u_broken_workbook.xlsx", BROKEN_WORKBOOK, False, answer=PLAIN.encode(), tells="export it as CSV"),
+    Form("o_whole_seconds.csv", text(rows=w.with_times(np.floor(T))), False, tells="--clock spread"),
+    Form("p_old_mac.csv", text(end="\r")),
+    Form("q_nul_at_the_end.csv", text() + "\0" * 200),
+    Form("r_thousands.csv", thousands(",.", separator=",")),
+    Form("s_semicolons.csv", text(HEADER, separator=";", decimal=",", end="\r\n")),
+    Form("t_units_row.csv", text("t,coil1_current,stage_x,stage_y,stage_z,Bx,By,Bz\ns,A,mm,mm,mm,uT,uT,uT")),
+    Form("u_broken_workbook.xlsx", w.BROKEN_WORKBOOK, False, answer=w.PLAIN, tells="export it as CSV"),
     Form(
         "v_stray_quote.csv",
         lines(*LINES[:30], '"' + LINES[30], *LINES[31:]),
@@ -111,113 +97,73 @@ OF_REPORTS = [
     ),
     Form(
         "w_unit_that_nobody_knows.csv",
-        text([*HEADER[:5], "Bx_kilo", "By_uT", "Bz_uT"]).encode(),
+        text(f"{PLACES},Bx_kilo,By_uT,Bz_uT"),
         False,
         units={"Bx": "uT"},
         tells="'Bx_kilo'",
     ),
     Form(
-        "x_tesla_without_unit.csv",
-        text([*HEADER[:5], "Bx", "By", "Bz"]).encode(),
-        False,
-        units=UNITS,
-        tells="must have a unit",
+        "x_tesla_without_unit.csv", text(f"{PLACES},Bx,By,Bz"), False, units=w.UNITS, tells="must have a unit"
     ),
 ]
 OF_TEXT = [
     Form("utf16_without_mark.csv", text().encode("utf-16-le")),
     Form("utf16_big.csv", b"\xfe\xff" + text(MICRO).encode("utf-16-be")),
-    Form("utf8_mark_and_semicolons.csv", ("\ufeff" + text(MICRO, separator=";")).encode()),
-    Form("shift_jis_preamble.csv", ("磁場測定の記録\n" + text(LAB, scaled(IN_G))).encode("shift_jis")),
-    Form("tabs.txt", text(separator="\t").encode()),
-    Form("tabs_and_decimal_commas.txt", text(separator="\t", decimal=",").encode()),
-    Form("bars.txt", text(separator="|").encode()),
-    Form(
-        "aligned.txt",
-        "\n".join("".join(f"{cell:>18}" for cell in line.split(",")) for line in LINES).encode(),
-    ),
+    Form("utf8_mark_and_semicolons.csv", "\ufeff" + text(MICRO.split(","), separator=";")),
+    Form("shift_jis_preamble.csv", ("磁場測定の記録\n" + text(w.LAB, w.IN_G)).encode("shift_jis")),
+    Form("tabs.txt", text(HEADER, separator="\t")),
+    Form("tabs_and_decimal_commas.txt", text(HEADER, separator="\t", decimal=",")),
+    Form("bars.txt", text(HEADER, separator="|")),
+    Form("aligned.txt", "\n".join("".join(f"{cell:>18}" for cell in line.split(",")) for line in LINES)),
     Form(
         "blanks_in_names.txt",
-        lines(
-            "Time [s]  I coil [A]  X [mm]  Y [mm]  Z [mm]  B x [uT]  B y [uT]  B z [uT]",
-            *(line.replace(",", " ") for line in LINES[1:]),
-        ),
+        lines("Time [s]  I coil [A]  X [mm]  Y [mm]  Z [mm]  B x [uT]  B y [uT]  B z [uT]", *BLANKS[1:]),
     ),
     Form("preamble.csv", lines("Gaussmeter GM-3", "Serial: 12, 345", "", *LINES)),
-    Form("excel_sep_line.csv", ("sep=;\n" + text(separator=";")).encode()),
-    Form(
-        "savetxt.txt",
-        lines("# " + LINES[0].replace(",", " "), *(line.replace(",", " ") for line in LINES[1:])),
-    ),
-    Form("matlab_comment.csv", lines("% " + LINES[0], *LINES[1:])),
+    Form("excel_sep_line.csv", "sep=;\n" + text(HEADER, separator=";")),
+    Form("savetxt.txt", lines("# " + BLANKS[0], *BLANKS[1:])),
+    Form("matlab_comment.csv", text(f"% {HEAD}")),
     Form(
         "dashes_below_the_header.txt",
-        lines(
-            LINES[0].replace(",", "\t"),
-            "\t".join(["------"] * 8),
-            *(line.replace(",", "\t") for line in LINES[1:]),
-        ),
+        text("\t".join(HEADER) + "\n" + "\t".join(["------"] * 8), separator="\t"),
     ),
-    Form("separator_at_the_end.csv", lines(*(line + ";" for line in text(separator=";").splitlines()))),
-    Form(
-        "comments_in_few_rows.csv",
-        columns(
-            [*HEADER, "Remarks"],
-            *TABLE.T,
-            ["lamp on" if row == 40 else "" for row in range(60)],
-            separator=";",
-        ).encode(),
-        tells="Left out: Remarks.",
-    ),
-    Form(
-        "remarks_in_few_rows_under_another_word.csv",
-        columns(
-            [*HEADER, "Bemerkung"],
-            *TABLE.T,
-            ["Licht an" if row == 40 else "" for row in range(60)],
-            separator=";",
-        ).encode(),
-        tells="Left out: Bemerkung.",
+    Form("separator_at_the_end.csv", lines(*(line.replace(",", ";") + ";" for line in LINES))),
+    *(
+        Form(
+            f"{name}.csv",
+            w.columns((*HEADER, heading), *TABLE.T, [word * (row == 40) for row in range(60)], separator=";"),
+            tells=f"Left out: {heading}.",
+        )
+        for name, heading, word in (
+            ("comments_in_few_rows", "Remarks", "lamp on"),
+            ("remarks_in_few_rows_under_another_word", "Bemerkung", "Licht an"),
+        )
     ),
     Form(
         "comments_without_separators.csv",
-        lines(LINES[0] + ",Note", *(line + ",paused" * (row == 5) for row, line in enumerate(LINES[1:]))),
+        lines(f"{HEAD},Note", *(line + ",paused" * (row == 5) for row, line in enumerate(LINES[1:]))),
         tells="Left out: Note.",
     ),
     Form("empty_columns.csv", lines(*(line + ",,," for line in LINES))),
     Form("blank_lines.csv", lines(*(part for line in LINES for part in (line, "")))),
     Form("comments_between.csv", lines(*LINES[:20], "# paused", *LINES[20:])),
-    Form("torn_at_the_end.csv", text().encode()[:-12], False, TABLE[:-1], tells="--skip-bad-lines"),
-    Form("fortran.txt", text(separator=" ", cell=lambda value: f"{value:.9E}".replace("E", "D")).encode()),
-    Form(
-        "apostrophes.csv", text(separator=";", cell=lambda value: f"{value:,.1f}".replace(",", "'")).encode()
-    ),
-    Form(
-        "points_as_thousands.csv",
-        text(separator=";", cell=lambda value: f"{value:,.1f}".translate(str.maketrans(",.", ".,"))).encode(),
-    ),
-    Form(
-        "blanks_as_thousands.csv",
-        text(
-            separator=";", cell=lambda value: f"{value:,.1f}".replace(",", "\u202f").replace(".", ",")
-        ).encode(),
-    ),
-    Form("long_minus.csv", text(cell=lambda value: shown(value).replace("-", "\u2212")).encode()),
+    Form("torn_at_the_end.csv", text()[:-12], False, TABLE[:-1], tells="--skip-bad-lines"),
+    Form("fortran.txt", text(HEADER, separator=" ", cell=lambda value: f"{value:.9E}".replace("E", "D"))),
+    Form("apostrophes.csv", thousands("'.")),
+    Form("points_as_thousands.csv", thousands(".,")),
+    Form("blanks_as_thousands.csv", thousands("\u202f,")),
+    Form("long_minus.csv", text(cell=lambda value: w.shown(value).replace("-", "\u2212"))),
     Form(
         "unclear_commas.csv",
-        text(
-            rows=np.abs(TABLE[:9] * 0.0 + 1.125) + np.arange(9)[:, None],
-            separator=";",
-            cell=lambda value: f"{value:.3f}".replace(".", ","),
-        ).encode(),
+        text(HEADER, UNCLEAR, ";", cell=lambda value: f"{value:.3f}".replace(".", ",")),
         False,
-        np.abs(TABLE[:9] * 0.0 + 1.125) + np.arange(9)[:, None],
+        UNCLEAR,
         tells="--decimal comma",
     ),
     Form(
         "overload_of_scpi.csv",
-        lines(*LINES[:10], LINES[10].rpartition(",")[0] + ",9.9E37", *LINES[11:]),
-        expected=with_nan((9, 7)),
+        lines(*LINES[:10], ENDS[10] + ",9.9E37", *LINES[11:]),
+        expected=w.with_nan((9, 7)),
     ),
     Form(
         "a_sensor_that_was_off.csv",
@@ -225,11 +171,70 @@ OF_TEXT = [
         expected=np.delete(TABLE, 9, axis=0),
         tells="1 row left out (line 11)",
     ),
-    Form(
-        "no_header.csv",
-        lines(*LINES[1:]),
-        False,
-        answer=PLAIN.encode(),
-        tells="put a line above that names each",
+    Form("no_header.csv", lines(*LINES[1:]), False, answer=w.PLAIN, tells="put a line above that names each"),
+]
+WORDS_FOR_NOTHING = {3: "#N/A", 5: "OL", 7: "--", 9: "overload", 11: "Inf"}
+OF_CELLS = [
+    Form("microtesla_called_tesla.csv", text(f"{PLACES},Bx_T,By_T,Bz_T"), False, tells="fields look like uT"),
+    *(
+        Form(name, w.columns(HEAD, *TABLE.T[:5], *([w.shown(b) + doubt for b in c] for c in TABLE.T[5:])))
+        for name, doubt in (("uncertainties.csv", " ± 1.0"), ("digits_in_doubt.csv", "(10)"))
     ),
+    Form(
+        "words_for_nothing.csv",
+        w.columns(HEAD, *TABLE.T[:7], [WORDS_FOR_NOTHING.get(i, b) for i, b in enumerate(w.BZ)]),
+        expected=w.with_nan(*((row, 7) for row in WORDS_FOR_NOTHING)),
+        tells="5 cells of fields count as not measured: #N/A in line 5, OL in line 7, -- in line 9 and 2 more.",
+    ),
+    Form("durations.csv", w.columns(f"Elapsed,{REST}", [f"0:00:{t:04.1f}" for t in T], *TABLE.T[1:])),
+    Form(
+        "units_in_cells.csv",
+        w.columns(
+            "t,I,x,y,z,Bx,By,Bz",
+            *([f"{w.shown(v)} {unit}" for v in c] for c, unit in zip(TABLE.T, w.UNITS.values(), strict=True)),
+        ),
+        False,
+        answer=w.PLAIN,
+        tells="write units into the header, such as t [s], and only numbers below",
+    ),
+    Form(
+        "vectors_in_cells.csv",
+        lines(
+            "t (s);I (A);position (mm);B (uT)",
+            *(
+                f"{t};{i};({x}, {y}, {z});({a}, {b}, {c})"
+                for t, i, x, y, z, a, b, c in (line.split(",") for line in LINES[1:])
+            ),
+        ),
+        False,
+        answer=w.PLAIN,
+        tells="write each component into a column of its own",
+    ),
+    Form(
+        "commas_for_all.csv",
+        lines(HEAD, *(",".join(f"{value:.2f}".replace(".", ",") for value in row) for row in TABLE)),
+        False,
+        answer=text(HEADER, separator=";", decimal=","),
+        tells="export it with semicolons between cells",
+    ),
+    Form(
+        "markdown.md",
+        lines(*(f"| {line.replace(',', ' | ')} |" for line in LINES)).replace(
+            "\n", "\n|" + "---|" * 8 + "\n", 1
+        ),
+    ),
+    Form(
+        "records.json",
+        json.dumps({"rig": "bench", "readings": [dict(zip(HEADER, row, strict=True)) for row in TABLE]}),
+    ),
+    Form(
+        "records_a_line.jsonl",
+        lines(
+            *(
+                json.dumps({"t_s": t, "current": {"A": current}, "position_mm": row[:3], "B_uT": row[3:]})
+                for t, current, *row in TABLE
+            )
+        ),
+    ),
+    Form("lists.json", json.dumps({name: list(c) for name, c in zip(HEADER, TABLE.T, strict=True)})),
 ]

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import csv
+import datetime
 import gzip
 import io
 import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -41,7 +42,10 @@ TWO_COILS = RIG.replace(
 sensors:""",
 )
 EARTH_uT = np.array([18.0, -4.0, -43.0])
-HEADER = ("t_s", "coil1_current_A", "stage_x_mm", "stage_y_mm", "stage_z_mm", "Bx_uT", "By_uT", "Bz_uT")
+HEAD = "t_s,coil1_current_A,stage_x_mm,stage_y_mm,stage_z_mm,Bx_uT,By_uT,Bz_uT"
+HEADER = tuple(HEAD.split(","))
+REST, PLACES = HEAD.removeprefix("t_s,"), HEAD.partition(",Bx")[0]  # without the time, without the field
+LAB = "Time [s],I coil (A),X [mm],Y [mm],Z [mm],Hall Bx/G,Hall By/G,Hall Bz/G"
 
 
 def field_uT(place_mm: np.ndarray, current_A: np.ndarray) -> np.ndarray:
@@ -64,6 +68,11 @@ def table() -> np.ndarray:
 
 
 TABLE = table()
+T, CURRENT, X, Y, Z, BX, BY, BZ = TABLE.T
+MILLI = TABLE / [1, 1, 1, 1, 1, 1e3, 1e3, 1e3]
+IN_G = TABLE / [1, 1, 1, 1, 1, 100, 100, 100]
+IN_T = TABLE / [1, 1, 1, 1, 1, 1e6, 1e6, 1e6]
+UNITS = dict(name.rsplit("_", 1) for name in HEADER)
 
 
 @dataclass(frozen=True)
@@ -72,7 +81,7 @@ class Form:
 
     Attributes:
         name: Of the file.
-        content: Its bytes.
+        content: Its bytes, or its text.
         is_read: Whether it is read at once; otherwise it is refused, and the cure must work.
         expected: Rows as `TABLE`.
         units: The true unit of a quantity, where a refusal asks for it.
@@ -82,12 +91,12 @@ class Form:
     """
 
     name: str
-    content: bytes
+    content: bytes | str
     is_read: bool = True
     expected: np.ndarray = field(default_factory=lambda: TABLE)
     units: Mapping[str, str] = field(default_factory=dict)
     rig: str = RIG
-    answer: bytes | None = None
+    answer: bytes | str | None = None
     tells: str = ""
 
 
@@ -96,39 +105,48 @@ def shown(value: float, decimal: str = ".") -> str:
 
 
 def text(
-    header: Sequence[str] = HEADER,
-    rows: np.ndarray = TABLE,
+    header: Sequence[str] | str = HEADER,
+    rows: Iterable[Sequence[object]] = TABLE,
     separator: str = ",",
     decimal: str = ".",
     cell: Callable[[float], str] | None = None,
     end: str = "\n",
 ) -> str:
-    """A table as text."""
+    """A table as text: below its header, or the lines that stand there, rows of numbers and words."""
     written = io.StringIO()
     writer = csv.writer(written, delimiter=separator, lineterminator=end)
-    writer.writerow(header)
-    for row in rows:
-        writer.writerow([(cell or (lambda value: shown(value, decimal)))(value) for value in row])
+    if isinstance(header, str):
+        written.write(header + end)
+    else:
+        writer.writerow(header)
+    formatted = cell or (lambda value: shown(value, decimal))
+    writer.writerows([formatted(x) if isinstance(x, float) else x for x in row] for row in rows)
     return written.getvalue()
 
 
-def columns(header: Sequence[str], *cells: Sequence[object], separator: str = ",") -> str:
+def columns(header: Sequence[str] | str, *cells: Sequence[object], separator: str = ",") -> str:
     """A table of columns that are no numbers, or not those of `TABLE`."""
-    written = io.StringIO()
-    writer = csv.writer(written, delimiter=separator, lineterminator="\n")
-    writer.writerow(header)
-    writer.writerows(zip(*cells, strict=True))
-    return written.getvalue()
+    return text(header, zip(*cells, strict=True), separator)
 
 
-def scaled(factors: Sequence[float]) -> np.ndarray:
-    return TABLE / np.asarray(factors)
+def lines(*parts: str) -> str:
+    return "\n".join(parts) + "\n"
+
+
+def clocks(pattern: str, time_s: np.ndarray = T, **start: int) -> list[str]:
+    """Times as clocks show them, from noon of the first of March or another start."""
+    noon = datetime.datetime(2026, 3, 1, 12).replace(**start)
+    return [(noon + datetime.timedelta(seconds=second)).strftime(pattern) for second in time_s]
+
+
+def with_nan(*places: tuple[int, int]) -> np.ndarray:
+    rows = TABLE.copy()
+    rows[tuple(np.transpose(places))] = np.nan
+    return rows
 
 
 def with_times(time_s: np.ndarray) -> np.ndarray:
-    rows = TABLE.copy()
-    rows[:, 0] = time_s
-    return rows
+    return np.column_stack((time_s, TABLE[:, 1:]))
 
 
 def workbook(sheets: Mapping[str, Sequence[Sequence[object]]]) -> bytes:
@@ -156,4 +174,6 @@ def saved(write: Callable[[Path], None], folder: Path, name: str) -> bytes:
 
 
 BROKEN_WORKBOOK = b"PK\x03\x04" + struct.pack("<I", 7) + b"xl/workbook.xml"
-COMPRESSED = gzip.compress(text().encode(), mtime=0)
+PLAIN = text()
+LINES = PLAIN.splitlines()
+COMPRESSED = gzip.compress(PLAIN.encode(), mtime=0)
