@@ -74,15 +74,15 @@ def observed() -> Any:
     motion = torch.zeros(n, 6, dtype=torch.float64)
     motion[:, :3] = torch.from_numpy(0.02 * (random.random((n, 3)) - 0.5))
     currents_A = np.stack((np.tile([2.0, -2.0, 1.0, 0.0], 6), np.tile([0.0, 0.0, 1.0], 8)), axis=1)
-    return Observations(
-        2.0 * torch.arange(n, dtype=torch.float64),
-        torch.arange(n) % 2,
+    return Observations.of(
         torch.from_numpy(currents_A),
         {"arm1": motion, "arm2": motion.flip(-1)},
         torch.from_numpy(1e-3 * random.standard_normal((n, 3))),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {name: torch.from_numpy(20.0 + random.random(n)) for name in ("hall", "other", "coil1")},
+        time_s=2.0 * torch.arange(n, dtype=torch.float64),
+        sensor=torch.arange(n) % 2,
+        temperature_C={
+            name: torch.from_numpy(20.0 + random.random(n)) for name in ("hall", "other", "coil1")
+        },
         recorded_segment=torch.arange(n) // 9,
     )
 

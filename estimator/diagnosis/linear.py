@@ -81,8 +81,7 @@ class Projector:
 
     def rest(self, change: Float[Tensor, "component ..."]) -> Float[Tensor, "component ..."]:
         """The part of one or several changes of the readings that the fit cannot follow."""
-        followed: Tensor = self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ change)))
-        return change - followed
+        return change - self.jacobian @ (self.factor @ (self.factor.T @ (self.jacobian.T @ change)))
 
 
 @dataclass(frozen=True)

@@ -135,7 +135,7 @@ class _Room(During, stages.RoomEffect):
     """A field that is the same at every point."""
 
     def drifting_T(self, theta: Theta, circumstances: Circumstances) -> stages.Components:
-        field_T: Tensor = self.base.steady_T(circumstances.hours.new_zeros(1, 3), theta)
+        field_T = self.base.steady_T(circumstances.hours.new_zeros(1, 3), theta)
         return field_T * is_meanwhile(circumstances.hours, theta)[..., None]
 
 

@@ -189,13 +189,9 @@ def _observations(
 ) -> Observations:
     n = len(time_s)
     at_rest = torch.zeros(n, 6, dtype=torch.float64)
-    return Observations(
-        torch.tensor(time_s, dtype=torch.float64),
-        torch.full((n,), sensor),
+    return Observations.of(
         torch.tensor([current_A] * n, dtype=torch.float64).reshape(n, len(rig.coils)),
         {mover.name: motion.get(mover.name, at_rest) for mover in rig.movers},
-        torch.full((n, 3), torch.nan, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
+        time_s=torch.tensor(time_s, dtype=torch.float64),
+        sensor=torch.full((n,), sensor),
     )

@@ -70,17 +70,8 @@ def candidates_of(places: Plan, rig: Rig, seed: int) -> Observations:
     rows = torch.arange(0, len(readings), n_sensors)
     key = torch.cat([readings.current_A, *readings.motion.values()], dim=1)[rows]
     chosen = rows_of(some_distinct(key, MOST_CANDIDATES, torch.Generator().manual_seed(seed)), n_sensors)
-    n = len(chosen)
-    return Observations(
-        torch.arange(n, dtype=torch.float64),
-        readings.sensor[chosen],
-        readings.current_A[chosen],
-        {name: motion[chosen] for name, motion in readings.motion.items()},
-        readings.field_sensor_T[chosen],
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
-    )
+    motion = {name: columns[chosen] for name, columns in readings.motion.items()}
+    return Observations.of(readings.current_A[chosen], motion, sensor=readings.sensor[chosen])
 
 
 def rows_of(stops: Tensor, n_sensors: int) -> Tensor:

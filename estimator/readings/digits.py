@@ -57,8 +57,7 @@ def flags_of_digits(observations: Observations) -> list[Flag]:
         >>> n = torch.arange(40.0, dtype=torch.float64)
         >>> field_T = 1e-6 * torch.stack((n**2 % 997, n**3 % 991, 7 * n**2 % 983), 1).round()
         >>> field_T[20:30] = field_T[5:15]
-        >>> index, flag = torch.zeros(40, dtype=torch.int64), torch.zeros(40, dtype=torch.bool)
-        >>> readings = Observations(n, index, n[:, None], {}, field_T, flag, index, {})
+        >>> readings = Observations.of(n[:, None], {}, field_T)
         >>> [(str(found.reason), found.where()) for found in flags_of_digits(readings)]
         [('copied', 'readings 21 to 30')]
     """

@@ -56,6 +56,37 @@ class Observations:
     as_recorded: Observations | None = field(default=None, repr=False)
     line: Int[Tensor, " reading"] | None = field(default=None, repr=False)
 
+    @classmethod
+    def of(
+        cls,
+        current_A: Float[Tensor, "reading coil"],
+        motion: Mapping[str, Float[Tensor, "reading 6"]] | None = None,
+        field_sensor_T: Float[Tensor, "reading 3"] | None = None,
+        **more: Any,
+    ) -> Observations:
+        """Readings of one sensor a second apart, none of them repeated or kept out of the fit, unless said otherwise.
+
+        Args:
+            current_A: Commanded current per coil.
+            motion: Per mover its six columns.
+            field_sensor_T: Measured components; nothing by default.
+            more: Other attributes.
+        Examples:
+            >>> len(Observations.of(torch.zeros(3, 1)))
+            3
+        """
+        zeros = torch.zeros(len(current_A), dtype=torch.int64, device=current_A.device)
+        unmeasured_T = torch.full((len(zeros), 3), torch.nan, dtype=torch.float64, device=zeros.device)
+        usual = {
+            "time_s": torch.arange(len(zeros), dtype=torch.float64, device=zeros.device),
+            "sensor": zeros,
+            "field_sensor_T": unmeasured_T if field_sensor_T is None else field_sensor_T,
+            "is_validation": zeros.bool(),
+            "repeat": zeros,
+            "temperature_C": {},
+        }
+        return cls(**{**usual, **more, "current_A": current_A, "motion": motion or {}})
+
     def __len__(self) -> int:
         return self.time_s.shape[0]
 
@@ -75,10 +106,7 @@ class Observations:
         Times and measured fields keep their precision: seconds of a calendar, and small differences from a prediction, need it.
 
         Examples:
-            >>> nothing = torch.zeros(1, 3, dtype=torch.float64)
-            >>> index, flag = torch.zeros(1, dtype=torch.int64), torch.zeros(1, dtype=torch.bool)
-            >>> readings = Observations(nothing[:, 0], index, nothing, {}, nothing, flag, index, {})
-            >>> single = readings.to(dtype=torch.float32)
+            >>> single = Observations.of(torch.zeros(1, 3, dtype=torch.float64)).to(dtype=torch.float32)
             >>> single.current_A.dtype, single.time_s.dtype
             (torch.float32, torch.float64)
         """

@@ -170,15 +170,11 @@ def readings_of(rig: Rig, n: int) -> Observations:
     motion[:, :3] = random.uniform([-40.0, -40.0, 5.0], [40.0, 40.0, 60.0], (n, 3)) * 1e-3
     coil, sensor = np.arange(n) % len(rig.coils), np.arange(n) // len(rig.coils) % len(rig.sensors)
     motion[:, 0] += 0.12 * coil
-    empty = Observations(
-        torch.arange(n, dtype=torch.float64),
-        torch.from_numpy(sensor),
+    empty = Observations.of(
         torch.from_numpy(3.0 * np.eye(len(rig.coils))[coil]),
         {"stage": torch.from_numpy(motion)},
         torch.zeros(n, 3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
+        sensor=torch.from_numpy(sensor),
     )
     truth = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     truth |= {name: torch.tensor(value, dtype=torch.float64) for name, value in draw_truth(rig, SEED).items()}

@@ -109,19 +109,8 @@ def latency(options: argparse.Namespace) -> dict[str, Any]:
 
 def nominal(rig: Rig) -> Calibration:
     """A calibration whose best values are those of the rig file."""
-    nothing = torch.zeros(0, dtype=torch.int64)
-    none = torch.zeros(0, dtype=torch.float64)
-    motion = {mover.name: none.reshape(0, 6) for mover in rig.movers}
-    readings = Observations(
-        none,
-        nothing,
-        none.reshape(0, len(rig.coils)),
-        motion,
-        none.reshape(0, 3),
-        nothing.bool(),
-        nothing,
-        {},
-    )
+    motion = {mover.name: torch.zeros(0, 6, dtype=torch.float64) for mover in rig.movers}
+    readings = Observations.of(torch.zeros(0, len(rig.coils), dtype=torch.float64), motion)
     values = rig.nominal_values()
     draws = {parameter.name: np.full((1, 2), values[parameter.name]) for parameter in rig.free}
     return Calibration(rig, readings, values, draws, np.zeros((1, 2)), {})

@@ -285,15 +285,13 @@ def _observations(rig: Rig) -> Observations:
     time_s = 15.0 * torch.arange(n, dtype=torch.float64)
     warmer_K = torch.linspace(0.0, 3.0, n, dtype=torch.float64) ** 2 / 3.0
     warm = [*(sensor.name for sensor in rig.sensors), *(coil.name for coil in rig.coils)]
-    return Observations(
-        time_s,
-        torch.arange(n) // 2 % len(rig.sensors),
+    return Observations.of(
         torch.from_numpy(np.tile(currents_A, (len(places_m), 1))),
         {mover.name: columns[mover.name] for mover in rig.movers},
         torch.zeros(n, 3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        dict.fromkeys(warm, 20.0 + warmer_K),
+        time_s=time_s,
+        sensor=torch.arange(n) // 2 % len(rig.sensors),
+        temperature_C=dict.fromkeys(warm, 20.0 + warmer_K),
         recorded_segment=torch.arange(n) // math.ceil(n / 3),
     )
 

@@ -109,17 +109,8 @@ def relative_error(fit: Fit, like: Observations, at_m: np.ndarray, truth_T: np.n
     motion = np.zeros((n, 6))
     motion[:, :3] = np.tile(at_m, (n_settings, 1))
     current_A = torch.from_numpy(np.repeat(UNSEEN_A, n_places, axis=0))
-    zeros = torch.zeros(n, dtype=torch.int64)
-    there = Observations(
-        torch.arange(n, dtype=torch.float64),
-        zeros,
-        current_A,
-        {"mapper": torch.from_numpy(motion)},
-        torch.full((n, 3), float(like.field_sensor_T.abs().max()), dtype=torch.float64),
-        zeros.bool(),
-        zeros,
-        {},
-    )
+    field_T = torch.full((n, 3), float(like.field_sensor_T.abs().max()), dtype=torch.float64)
+    there = Observations.of(current_A, {"mapper": torch.from_numpy(motion)}, field_T)
     model = MeasurementModel.unruled(fit.rig, there).with_rules(fit.posterior.model.rules)
     with torch.no_grad():
         predicted_T = model.predict(fit.values).numpy().reshape(truth_T.shape)

@@ -169,21 +169,13 @@ def readings(
         for commanded_A in currents_A:
             delivered_A = commanded_A + np.array([0.0, leak * commanded_A[0]])
             measured_T.append(delivered_A @ per_ampere + NOISE_T * rng.normal(size=3))
-    n, each = len(measured_T), len(currents_A)
+    each = len(currents_A)
     motion = {
         arm: torch.from_numpy(np.pad(shifts_m[:, i], ((0, 0), (0, 3)))).repeat_interleave(each, 0)
         for i, arm in enumerate(ARMS.values())
     }
-    return Observations(
-        time_s=torch.arange(n, dtype=torch.float64),
-        sensor=torch.zeros(n, dtype=torch.int64),
-        current_A=torch.from_numpy(np.tile(currents_A, (N_POSES, 1))),
-        motion=motion,
-        field_sensor_T=torch.from_numpy(np.array(measured_T)),
-        is_validation=torch.zeros(n, dtype=torch.bool),
-        repeat=torch.zeros(n, dtype=torch.int64),
-        temperature_C={},
-    )
+    current_A = torch.from_numpy(np.tile(currents_A, (N_POSES, 1)))
+    return Observations.of(current_A, motion, torch.from_numpy(np.array(measured_T)))
 
 
 def relative(error_T: np.ndarray, true_T: np.ndarray) -> float:

@@ -41,15 +41,13 @@ def observations(rig) -> Observations:
         name: 20.0 + torch.rand(n, generator=random, dtype=torch.float64)
         for name in ("hall", "other", "coil1")
     }
-    empty = Observations(
-        2.0 * torch.arange(n, dtype=torch.float64),
-        torch.arange(n) % 2,
+    empty = Observations.of(
         current_A.double(),
         {"arm1": motion, "arm2": motion.flip(-1)},
         torch.full((n, 3), 1e-3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        warm,
+        time_s=2.0 * torch.arange(n, dtype=torch.float64),
+        sensor=torch.arange(n) % 2,
+        temperature_C=warm,
         recorded_segment=torch.arange(n) // 9,
     )
     values = {k: torch.tensor(v, dtype=torch.float64) for k, v in rig.nominal_values().items()}

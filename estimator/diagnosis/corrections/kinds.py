@@ -120,9 +120,8 @@ class CorrectionKind:
                 field_T = fit.at_sensor_T if is_shown else model.at_sensor_T(values)
                 reading_T = model.shown_T(values, field_T).expand(n, len(fit.observations), 3)
                 change_T = fit.posterior.measured_components(reading_T) - fit.predicted_T
-        changes: Tensor = change_T * fit.whitening_per_T / step
-        by_start: Tensor = changes.unflatten(0, (len(starts), len(keys)))
-        return by_start.mT
+        changes = change_T * fit.whitening_per_T / step
+        return changes.unflatten(0, (len(starts), len(keys))).mT
 
     def _shifted_T(
         self, fit: Fit, model: MeasurementModel, values: Values

@@ -33,8 +33,7 @@ def _without(fit: Fit, cause: Cause, plain: Fit) -> Float[Tensor, "component coo
     rows, nulls = fit.at_null(cause)
     vector = fit.vector.clone()
     vector[rows] = nulls
-    jacobian_T: Tensor = fit.posterior.to_first_order(vector[None]).jacobian_T[0]
-    return jacobian_T[:, _shared(fit, plain, fit)]
+    return fit.posterior.to_first_order(vector[None]).jacobian_T[0][:, _shared(fit, plain, fit)]
 
 
 def _slopes(fit: Fit, first: Fit, second: Fit) -> Float[Tensor, "component coordinate"]:

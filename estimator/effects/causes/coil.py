@@ -12,7 +12,7 @@ from estimator.field.straight import MU0_OVER_4PI, segment_field
 from estimator.field.winding import Winding, field_of_loops, loops_of
 from estimator.field.winding_shape import Rule
 from estimator.rig.parameters import LogNormal
-from estimator.tensors import Tensor, torch
+from estimator.tensors import torch
 
 POINTS_AT_ONCE = 1000  # in all of a batch: more would push the dozen arrays of an oval coil out of the cache
 OVAL_NODES = 32  # along a loop; the trapezoidal rule converges geometrically on a closed smooth curve
@@ -115,8 +115,7 @@ def _rod_per_moment(points_coil_m: Points, winding: Winding) -> Field:
     up = points_coil_m.new_tensor([0.0, 0.0, 1.0])
     front_m, back_m = points_coil_m, points_coil_m + winding.length_m[..., None, None] * up
     from_front, from_back = (r / r.norm(dim=-1, keepdim=True) ** 3 for r in (front_m, back_m))
-    field: Tensor = from_front - from_back
-    return pole * field
+    return pole * (from_front - from_back)
 
 
 def _has_room_in_bore(circumstances: Circumstances, place: str) -> bool:

@@ -198,8 +198,7 @@ def _ring_m(
     beside = torch.linalg.cross(across, along)
     turn = across.new_tensor([0.0, 1.0, 2.0])[:, None] * 2.0 * math.pi / 3.0
     ring = torch.cos(turn) * along + torch.sin(turn) * beside
-    ring_m: Tensor = RING * radius_m[..., None, None] * ring
-    return middle_m + ring_m
+    return middle_m + RING * radius_m[..., None, None] * ring
 
 
 def _across(theta: Theta) -> Float[Tensor, "*batch 1 3"]:

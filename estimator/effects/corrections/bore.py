@@ -98,8 +98,7 @@ class Cylinder(StaticField):
 def _in_radii(points_m: Points, cylinder: Theta) -> Points:
     """Points about the middle of a cylinder, z along it, in units of its radius."""
     turn = _rotation(cylinder["along_x"], cylinder["along_y"])
-    local: Tensor = (points_m - vector(cylinder, MIDDLE)[0]) @ turn
-    return local / cylinder["radius_m"]
+    return (points_m - vector(cylinder, MIDDLE)[0]) @ turn / cylinder["radius_m"]
 
 
 def _rotation(x: Float[Tensor, ""], y: Float[Tensor, ""]) -> Float[Tensor, "3 3"]:

@@ -27,18 +27,7 @@ def readings(rig: Rig, step_T: float = 0.0) -> Observations:
     """Thirty readings of each sensor, in steps."""
     field_T = 1e-3 * torch.rand(30, 3, generator=torch.Generator().manual_seed(1)).double()
     field_T = (field_T / step_T).round() * step_T if step_T else field_T
-    n, index = len(field_T), torch.zeros(30, dtype=torch.int64)
-    made = Observations(
-        torch.arange(n).double(),
-        index,
-        torch.zeros(n, len(rig.coils)).double(),
-        {},
-        field_T,
-        index > 0,
-        index,
-        {},
-    )
-    return replace(made, sensor=index % len(rig.sensors))
+    return Observations.of(torch.zeros(30, len(rig.coils)).double(), {}, field_T)
 
 
 def told_of(text: str, step_T: float = 0.0) -> list[str]:

@@ -19,10 +19,7 @@ from estimator.rig_files.read import rig_from_text
 
 pytestmark = pytest.mark.whole
 ON = {"coil1": 3.0}
-NONE = torch.zeros(0, dtype=torch.float64)
-NO_READINGS = Observations(
-    NONE, NONE.long(), NONE[:, None], {}, NONE[:, None].expand(0, 3), NONE.bool(), NONE.long(), {}
-)
+NO_READINGS = Observations.of(torch.zeros(0, 1, dtype=torch.float64))
 
 
 @pytest.fixture

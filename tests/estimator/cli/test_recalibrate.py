@@ -168,9 +168,7 @@ def test_the_running_service_looks_again_and_ends_cleanly(number, rig_file, tmp_
     inbox.mkdir()
     of_another = rig_from_text(TWO_COILS)
     still = {mover.name: torch.zeros(3, 6, dtype=torch.float64) for mover in of_another.movers}
-    n = torch.arange(3)
-    current_A, field_T = torch.ones(3, 2).double(), torch.ones(3, 3).double() * 1e-3
-    readings = Observations(n.double(), 0 * n, current_A, still, field_T, n > 5, 0 * n, {})
+    readings = Observations.of(torch.ones(3, 2).double(), still, torch.ones(3, 3).double() * 1e-3)
     Session(of_another, readings, "another rig", "2026-01-01T00:00:00+00:00").save(inbox / "first.zarr")
     call = ["--rig", rig_file, "--inbox", inbox, "--registry", tmp_path / "registry", "--every", "1s"]
     running = subprocess.Popen(

@@ -17,11 +17,8 @@ NOISE_T, FIELD_T, N = 1e-6, 1e-3, 240
 
 def readings_of(field_T: Tensor, position_m: Tensor) -> Observations:
     """Readings of one sensor, one after another."""
-    n = len(field_T)
-    time_s, none = torch.arange(n, dtype=torch.float64), torch.zeros(n, dtype=torch.int64)
-    current_A = torch.ones(n, 1, dtype=torch.float64)
     motion = {"arm1": torch.nn.functional.pad(position_m, (0, 3))}
-    return Observations(time_s, none, current_A, motion, field_T, none.bool(), none, {})
+    return Observations.of(torch.ones(len(field_T), 1).double(), motion, field_T)
 
 
 def random(*shape: int, seed: int) -> Tensor:

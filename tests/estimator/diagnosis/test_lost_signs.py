@@ -71,19 +71,8 @@ def measured(
     recorded_A[:, loses] = np.abs(recorded_A[:, loses])
     motion = torch.zeros(N, 6, dtype=torch.float64)
     motion[:, :3] = torch.from_numpy(place_m)
-    index, flag = torch.zeros(N, dtype=torch.int64), torch.zeros(N, dtype=torch.bool)
-    time_s = torch.arange(float(N), dtype=torch.float64)
-    readings = Observations(
-        time_s,
-        index,
-        torch.from_numpy(recorded_A),
-        {"stage": motion},
-        torch.from_numpy(field_T),
-        flag,
-        index,
-        {},
-        line=torch.arange(N) + 2,
-    )
+    current_A, measured_T = torch.from_numpy(recorded_A), torch.from_numpy(field_T)
+    readings = Observations.of(current_A, {"stage": motion}, measured_T, line=torch.arange(N) + 2)
     return readings, flowed_A
 
 

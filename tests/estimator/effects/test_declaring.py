@@ -39,16 +39,8 @@ def bent(field_sensor_T, theta):
 @pytest.fixture(scope="module")
 def circumstances() -> Circumstances:
     motion = torch.rand(N, 6, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    observations = Observations(
-        900.0 * torch.arange(N, dtype=torch.float64),
-        torch.zeros(N, dtype=torch.int64),
-        torch.ones(N, 1, dtype=torch.float64),
-        {"mapper": motion},
-        torch.full((N, 3), 1e-3, dtype=torch.float64),
-        torch.zeros(N, dtype=torch.bool),
-        torch.zeros(N, dtype=torch.int64),
-        {},
-    )
+    field_T, time_s = torch.full((N, 3), 1e-3).double(), 900.0 * torch.arange(N, dtype=torch.float64)
+    observations = Observations.of(torch.ones(N, 1).double(), {"mapper": motion}, field_T, time_s=time_s)
     return Circumstances(rig_from_text(RIG), observations)
 
 

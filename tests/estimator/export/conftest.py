@@ -65,21 +65,11 @@ def calibration_of(rig: Rig, n_draws: int = 400) -> Calibration:
     """A calibration whose best values are the rig's, with draws of its priors, and readings of a sensor at two positions of movers."""
     rng = np.random.default_rng(3)
     draws = {p.name: p.prior.sample(rng, n_draws).reshape(2, -1) for p in rig.free if p.prior}
-    nothing = torch.zeros(2, dtype=torch.int64)
     motion = {
         mover.name: torch.stack((MOTION.get(mover.name, torch.zeros(6).double()),) * 2)
         for mover in rig.movers
     }
-    observations = Observations(
-        torch.arange(2).double(),
-        nothing,
-        torch.ones(2, len(rig.coils)).double(),
-        motion,
-        torch.zeros(2, 3).double(),
-        nothing.bool(),
-        nothing,
-        {},
-    )
+    observations = Observations.of(torch.ones(2, len(rig.coils)).double(), motion, torch.zeros(2, 3).double())
     summary = {"session_hash": "a" * 64, "rig_hash": rig.hash}
     return Calibration(rig, observations, rig.nominal_values(), draws, np.zeros((2, n_draws // 2)), summary)
 

@@ -57,17 +57,8 @@ def observations() -> Observations:
     """Two sensors turned and moved at random, with one coil on, the other, or both."""
     random = np.random.default_rng(3)
     motion = np.concatenate((random.uniform(-0.02, 0.02, (8, 3)), random.normal(size=(8, 3))), axis=1)
-    n = len(motion)
-    return Observations(
-        time_s=torch.arange(n, dtype=torch.float64),
-        sensor=torch.arange(n) % 2,
-        current_A=torch.tensor([[1.0, 0.0], [1.0, 0.5], [0.0, 2.0], [-1.0, 0.0]] * 2, dtype=torch.float64),
-        motion={"stage": torch.from_numpy(motion)},
-        field_sensor_T=torch.full((n, 3), torch.nan, dtype=torch.float64),
-        is_validation=torch.zeros(n, dtype=torch.bool),
-        repeat=torch.zeros(n, dtype=torch.int64),
-        temperature_C={},
-    )
+    current_A = torch.tensor([[1.0, 0.0], [1.0, 0.5], [0.0, 2.0], [-1.0, 0.0]] * 2, dtype=torch.float64)
+    return Observations.of(current_A, {"stage": torch.from_numpy(motion)}, sensor=torch.arange(8) % 2)
 
 
 @pytest.mark.parametrize(

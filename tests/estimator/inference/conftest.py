@@ -57,15 +57,11 @@ def make_problem(
         for axis in np.meshgrid(*(np.arange(n) for n in (len(positions), len(rig.coils), len(rig.sensors))))
     )
     n = len(position)
-    observations = Observations(
-        time_s=torch.arange(n, dtype=torch.float64),
+    observations = Observations.of(
+        torch.from_numpy(np.eye(len(rig.coils))[coil]),
+        {"stage": torch.from_numpy(np.concatenate((positions[position], np.zeros((n, 3))), axis=1))},
+        torch.zeros(n, 3, dtype=torch.float64),
         sensor=torch.from_numpy(sensor),
-        current_A=torch.from_numpy(np.eye(len(rig.coils))[coil]),
-        motion={"stage": torch.from_numpy(np.concatenate((positions[position], np.zeros((n, 3))), axis=1))},
-        field_sensor_T=torch.zeros(n, 3, dtype=torch.float64),
-        is_validation=torch.zeros(n, dtype=torch.bool),
-        repeat=torch.zeros(n, dtype=torch.int64),
-        temperature_C={},
     )
     true_rig = rig.with_values(truth or {})
     true_values = {k: torch.tensor(v, dtype=torch.float64) for k, v in true_rig.nominal_values().items()}

@@ -59,17 +59,11 @@ def problem(text: str, n: int = 25, seed: int = 0) -> tuple[Rig, Observations]:
     n_sensors, n_coils = len(rig.sensors), len(rig.coils)
     pose = np.concatenate((rng.uniform(-0.03, 0.03, (n, 3)), np.zeros((n, 3))), 1)
     current = rng.choice([1.0, -2.0], (n, n_coils))
-    zeros = torch.zeros(n, dtype=torch.int64)
-    sensor = torch.from_numpy(rng.integers(n_sensors, size=n))
-    observations = Observations(
-        torch.arange(n).double(),
-        sensor,
+    observations = Observations.of(
         torch.from_numpy(current),
         {"stage": torch.from_numpy(pose)},
         torch.zeros(n, 3).double(),
-        zeros.bool(),
-        zeros,
-        {},
+        sensor=torch.from_numpy(rng.integers(n_sensors, size=n)),
     )
     truth = {p.name: float(rng.normal(0.0, p.prior.sd)) for p in rig.free if p.unit == "T/A" and p.prior}
     values = nominal_tensors(rig.with_values(truth))

@@ -27,16 +27,8 @@ def of(rig: Rig, readings: Observations) -> list[CoilOutline]:
 def at_rest(rig: Rig) -> Observations:
     """One reading with nothing moved."""
     zero = torch.zeros(1, dtype=torch.float64)
-    return Observations(
-        time_s=zero,
-        sensor=torch.zeros(1, dtype=torch.int64),
-        current_A=zero.expand(1, len(rig.coils)),
-        motion={mover.name: zero.expand(1, 6) for mover in rig.movers},
-        field_sensor_T=zero.expand(1, 3),
-        is_validation=torch.zeros(1, dtype=torch.bool),
-        repeat=torch.zeros(1, dtype=torch.int64),
-        temperature_C={},
-    )
+    still = {mover.name: zero.expand(1, 6) for mover in rig.movers}
+    return Observations.of(zero.expand(1, len(rig.coils)), still, zero.expand(1, 3))
 
 
 def test_a_coil_that_is_carried_stands_where_its_last_place_was_seen_from(small_session, small_rig):

@@ -20,16 +20,7 @@ def watched(rig: Rig, change: torch.Tensor, seed: int, expected_T: torch.Tensor 
     noise = torch.randn(N, 3, generator=torch.Generator().manual_seed(seed), dtype=torch.float64) + change
     for number in range(N):
         field_T = torch.zeros(1, 3, dtype=torch.float64)
-        readings = Observations(
-            torch.zeros(1, dtype=torch.float64),
-            torch.zeros(1, dtype=torch.int64),
-            torch.zeros(1, 1, dtype=torch.float64),
-            {"arm1": torch.zeros(1, 6, dtype=torch.float64)},
-            field_T,
-            torch.zeros(1, dtype=torch.bool),
-            torch.zeros(1, dtype=torch.int64),
-            {},
-        )
+        readings = Observations.of(torch.zeros(1, 1).double(), {"arm1": torch.zeros(1, 6).double()}, field_T)
         here_T = field_T if expected_T is None else expected_T[number][None]
         sigma_T, known = (
             torch.full((3,), SIGMA_T, dtype=torch.float64),

@@ -49,17 +49,7 @@ def readings(
     current_A: object, motion: Mapping[str, Tensor] | None = None, sensor: list[int] | None = None
 ) -> Observations:
     current = tensor(current_A)
-    n = len(current)
-    return Observations(
-        time_s=torch.arange(n, dtype=torch.float64),
-        sensor=torch.tensor(sensor or [0] * n),
-        current_A=current,
-        motion=motion or {},
-        field_sensor_T=torch.full((n, 3), torch.nan, dtype=torch.float64),
-        is_validation=torch.zeros(n, dtype=torch.bool),
-        repeat=torch.zeros(n, dtype=torch.int64),
-        temperature_C={},
-    )
+    return Observations.of(current, motion, sensor=torch.tensor(sensor or [0] * len(current)))
 
 
 def nominal(of: Rig) -> Values:

@@ -66,15 +66,12 @@ OF_THE_FIELD = (
 def moment() -> Observations:
     """All probes at once, at the first moment of a session."""
     n = len(POINTS_M)
-    return Observations(
-        torch.zeros(n, dtype=torch.float64),
-        torch.arange(n),
+    return Observations.of(
         CURRENT_A.expand(n, 2),
         {"arm": MOTION.expand(n, 6)},
         torch.full((n, 3), 1e-3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
+        time_s=torch.zeros(n, dtype=torch.float64),
+        sensor=torch.arange(n),
     )
 
 

@@ -61,16 +61,7 @@ def test_field_is_what_a_sensor_carried_there_would_read(rig, points_m, field_su
     rig = replace(rig, coils=tuple(replace(coil, field_sum=field_sum) for coil in rig.coils))
     n = len(points_m)
     probe = torch.cat((points_m, torch.zeros_like(points_m)), 1)
-    observations = Observations(
-        torch.arange(n).double(),
-        torch.zeros(n, dtype=torch.int64),
-        CURRENT_A.expand(n, 2).clone(),
-        {"arm": ARM.expand(n, 6).clone(), "probe": probe},
-        torch.full((n, 3), torch.nan, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
-    )
+    observations = Observations.of(CURRENT_A.expand(n, 2), {"arm": ARM.expand(n, 6), "probe": probe})
     expected = MeasurementModel.build(rig, observations, tolerance=1e-12).predict(values_of(rig))
     room = RoomField(rig, values_of(rig), points_m, {"arm": ARM}, tolerance=1e-12)
     torch.testing.assert_close(room.field_T(values_of(rig), CURRENT_A), expected, rtol=1e-10, atol=1e-18)

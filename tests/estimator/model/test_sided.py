@@ -40,11 +40,7 @@ def tensor(value: object) -> Tensor:
 
 def readings(motion: Tensor) -> Observations:
     n = len(motion)
-    none = torch.zeros(n, dtype=torch.int64)
-    empty = torch.zeros(n, 3, dtype=torch.float64)
-    return Observations(
-        torch.arange(n).double(), none, CURRENT_A.expand(n, 2), {"arm": motion}, empty, none.bool(), none, {}
-    )
+    return Observations.of(CURRENT_A.expand(n, 2), {"arm": motion}, torch.zeros(n, 3, dtype=torch.float64))
 
 
 @pytest.fixture(scope="module")

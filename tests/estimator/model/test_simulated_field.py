@@ -57,11 +57,7 @@ def some_readings(rig: Rig) -> Observations:
         small = torch.rand(4, 6, generator=generator, dtype=torch.float64) - 0.5
         posture = torch.deg2rad(torch.tensor([0.0, -90.0, -90.0, 0.0, 90.0, 0.0]).double())
         motion[mover.name] = posture + 0.05 * small if mover.motion.startswith("UR") else 0.03 * small
-    n = torch.arange(4)
-    currents = torch.rand(4, len(rig.coils), generator=generator, dtype=torch.float64)
-    nothing = torch.zeros(4, dtype=torch.int64)
-    nan = torch.full((4, 3), torch.nan, dtype=torch.float64)
-    return Observations(n.double(), nothing, currents, motion, nan, nothing.bool(), nothing, {})
+    return Observations.of(torch.rand(4, len(rig.coils), generator=generator, dtype=torch.float64), motion)
 
 
 @pytest.fixture(params=["end effector", "base", "joints"])

@@ -139,10 +139,9 @@ def test_multipoles_fitted_to_a_loop_of_magpylib_give_its_field_farther_away():
 def readings(places_m: list[list[float]], current_A: list[float]) -> Observations:
     n = len(places_m)
     pose = torch.cat((torch.tensor(places_m).double(), torch.zeros(n, 3).double()), 1)
-    zeros = torch.zeros(n, dtype=torch.int64)
-    field_T = torch.full((n, 3), 1e-3).double()
-    current = torch.tensor([current_A] * n).double()
-    return Observations(zeros.double(), zeros, current, {"stage": pose}, field_T, zeros.bool(), zeros, {})
+    return Observations.of(
+        torch.tensor([current_A] * n).double(), {"stage": pose}, torch.full((n, 3), 1e-3).double()
+    )
 
 
 def test_readings_among_the_sources_or_far_beyond_the_reference_sphere_are_refused():

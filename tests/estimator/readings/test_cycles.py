@@ -19,16 +19,10 @@ def readings(
     """One reading a step, by each of some sensors."""
     current = torch.tensor(current_A, dtype=torch.float64).repeat_interleave(n_sensors)
     times = STEP_S * torch.arange(len(current_A)) if time_s is None else torch.tensor(time_s)
-    n = len(current)
-    return Observations(
-        times.double().repeat_interleave(n_sensors),
-        torch.arange(n_sensors).repeat(len(current_A)),
+    return Observations.of(
         current[:, None],
-        {},
-        torch.zeros(n, 3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
+        time_s=times.double().repeat_interleave(n_sensors),
+        sensor=torch.arange(n_sensors).repeat(len(current_A)),
     )
 
 

@@ -20,11 +20,9 @@ N = 60
 
 def readings_of(field_T: np.ndarray, places_m: np.ndarray | None = None) -> Observations:
     n = len(field_T)
-    index, no = torch.zeros(n, dtype=torch.int64), torch.zeros(n, dtype=torch.bool)
     places_m = np.arange(n)[:, None] * [1.0, 0.5, 0.2] if places_m is None else places_m
     motion = torch.cat((torch.as_tensor(places_m).double(), torch.zeros(n, 3, dtype=torch.float64)), 1)
-    time_s, current_A = torch.arange(n, dtype=torch.float64), torch.ones(n, 1, dtype=torch.float64)
-    return Observations(time_s, index, current_A, {"arm": motion}, torch.from_numpy(field_T), no, index, {})
+    return Observations.of(torch.ones(n, 1).double(), {"arm": motion}, torch.from_numpy(field_T))
 
 
 @pytest.fixture

@@ -16,15 +16,12 @@ HOUR_S = 3600.0
 
 def session(time_s: list[float], segment: list[int] | None = None) -> Observations:
     n = len(time_s)
-    return Observations(
-        torch.tensor(time_s, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.int64),
-        torch.zeros(n, 1, dtype=torch.float64),
+    return Observations.of(
+        torch.zeros(n, 1).double(),
         {},
-        torch.zeros(n, 3, dtype=torch.float64),
-        torch.arange(n) % 3 == 0,
-        torch.zeros(n, dtype=torch.int64),
-        {},
+        torch.zeros(n, 3).double(),
+        time_s=torch.tensor(time_s, dtype=torch.float64),
+        is_validation=torch.arange(n) % 3 == 0,
         recorded_segment=None if segment is None else torch.tensor(segment),
     )
 

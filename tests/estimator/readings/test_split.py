@@ -19,16 +19,9 @@ from estimator.readings.split import block_split, time_blocks
 def readings(position_m: np.ndarray, sensor: np.ndarray | None = None) -> Observations:
     n = len(position_m)
     pose = np.concatenate([position_m, np.zeros((n, 6 - position_m.shape[1]))], axis=1)
-    return Observations(
-        torch.arange(n).double(),
-        torch.from_numpy(np.zeros(n, dtype=np.int64) if sensor is None else sensor),
-        torch.ones(n, 1).double(),
-        {"stage": torch.from_numpy(pose)},
-        torch.zeros(n, 3).double(),
-        torch.zeros(n).bool(),
-        torch.zeros(n).long(),
-        {},
-    )
+    more = {} if sensor is None else {"sensor": torch.from_numpy(sensor)}
+    motion = {"stage": torch.from_numpy(pose)}
+    return Observations.of(torch.ones(n, 1).double(), motion, torch.zeros(n, 3).double(), **more)
 
 
 def grid(n: int, size_m: float = 0.1) -> np.ndarray:

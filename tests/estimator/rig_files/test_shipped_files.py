@@ -24,16 +24,9 @@ FACING = [math.radians(q) for q in (0, -90, -90, 0, 90, 0)]
 
 def field_at(rig: Rig, current_A: list[float], motion: dict[str, list[float]]) -> list[float]:
     """Predicted components of the rig's first sensor for one reading."""
-    zero = torch.zeros(1, dtype=torch.int64)
-    observations = Observations(
-        torch.zeros(1, dtype=torch.float64),
-        zero,
+    observations = Observations.of(
         torch.tensor([current_A], dtype=torch.float64),
         {name: torch.tensor([values], dtype=torch.float64) for name, values in motion.items()},
-        torch.zeros(1, 3, dtype=torch.float64),
-        zero.bool(),
-        zero,
-        {},
     )
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in rig.nominal_values().items()}
     return MeasurementModel.build(rig, observations).predict(values)[0].tolist()

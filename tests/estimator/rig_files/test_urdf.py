@@ -124,18 +124,7 @@ def test_joints_are_found_from_the_pose(rig):
 
 def test_zeros_of_its_joints_move_it_as_their_readings_would(rig):
     motion = torch.from_numpy(np.random.default_rng(3).uniform(-1.0, 1.0, (4, 6)))
-    none = torch.zeros(4, dtype=torch.int64)
-    empty = torch.zeros(4, 3, dtype=torch.float64)
-    observations = Observations(
-        torch.arange(4).double(),
-        none,
-        torch.ones(4, 1).double(),
-        {"arm": motion},
-        empty,
-        none.bool(),
-        none,
-        {},
-    )
+    observations = Observations.of(torch.ones(4, 1).double(), {"arm": motion}, torch.zeros(4, 3).double())
     columns = joint_zeros.columns(Circumstances(rig, observations), "arm")
     zeros_rad = torch.tensor([2e-3, -1e-3, 3e-3, 1e-3, -2e-3, 2e-3], dtype=torch.float64)
     theta = {f"q{i}_rad": zeros_rad[i] for i in range(6)}

@@ -51,10 +51,7 @@ def calibrated(rig: Rig, seed: int = 0, on: list[float] | None = None, n_draws: 
     rng = np.random.default_rng(seed)
     draws = {p.name: p.prior.sample(rng, n_draws).reshape(2, -1) for p in rig.free if p.prior}
     row = tensor([on or [1.0] * len(rig.coils)])
-    nothing = torch.zeros(1, dtype=torch.int64)
-    observations = Observations(
-        torch.zeros(1).double(), nothing, row, {}, row.new_zeros(1, 3), nothing.bool(), nothing, {}
-    )
+    observations = Observations.of(row, {}, row.new_zeros(1, 3))
     return Calibration(rig, observations, rig.nominal_values(), draws, np.zeros((2, n_draws // 2)), {})
 
 

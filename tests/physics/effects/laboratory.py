@@ -175,15 +175,13 @@ def readings(
     n = len(points_m)
     motion = np.concatenate((points_m, np.broadcast_to(turn_rad, (n, 3))), axis=1)
     current = np.array(np.broadcast_to(current_A, (n, np.shape(current_A)[-1])), dtype=float)
-    return Observations(
-        torch.arange(n, dtype=torch.float64) if time_s is None else torch.tensor(time_s, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.int64),
+    warm = {name: torch.tensor(value, dtype=torch.float64) for name, value in (temperature_C or {}).items()}
+    return Observations.of(
         torch.from_numpy(current),
         {mover: torch.from_numpy(motion)},
         torch.full((n, 3), 1e-3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {name: torch.tensor(value, dtype=torch.float64) for name, value in (temperature_C or {}).items()},
+        time_s=torch.tensor(np.arange(n) if time_s is None else time_s, dtype=torch.float64),
+        temperature_C=warm,
     )
 
 

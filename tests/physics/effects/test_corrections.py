@@ -43,15 +43,11 @@ def predicted_T(
     motion = np.zeros((N, 6))
     motion[:, :3] = POSITIONS_M + (0.0 if shift_m is None else shift_m)
     motion[:, 3:] = 0.0 if turn_rad is None else turn_rad
-    observations = Observations(
-        torch.from_numpy(3600.0 * HOURS),
-        torch.zeros(N, dtype=torch.int64),
+    observations = Observations.of(
         torch.from_numpy(CURRENT_A)[:, None],
         {"arm": torch.from_numpy(motion)},
         torch.from_numpy(RECORDED_T),
-        torch.zeros(N, dtype=torch.bool),
-        torch.zeros(N, dtype=torch.int64),
-        {},
+        time_s=torch.from_numpy(3600.0 * HOURS),
     )
     rig = rig_from_text(RIG)
     if correction is not None:

@@ -35,16 +35,8 @@ def readings(turns_rad: np.ndarray) -> Observations:
     n = len(turns_rad)
     motion = np.zeros((n, 6))
     motion[:, 2], motion[:, 3:] = np.linspace(0.0, 0.03, n), turns_rad
-    return Observations(
-        torch.arange(n, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.int64),
-        torch.ones(n, 1, dtype=torch.float64),
-        {"stage": torch.from_numpy(motion)},
-        torch.zeros(n, 3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
-    )
+    stage = {"stage": torch.from_numpy(motion)}
+    return Observations.of(torch.ones(n, 1).double(), stage, torch.zeros(n, 3).double())
 
 
 ABOUT_ONE = readings(ANGLES_RAD[:, None] * AXIS)

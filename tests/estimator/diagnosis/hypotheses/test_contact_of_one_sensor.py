@@ -25,16 +25,8 @@ def readings_along_x(sensor: torch.Tensor) -> Observations:
     motion = torch.zeros(N, 6, dtype=torch.float64)
     motion[:, 0] = 0.12 * along - 0.06
     motion[:, 1], motion[:, 2] = 0.02 * torch.sin(17.0 * along), 0.015 * torch.cos(23.0 * along)
-    return Observations(
-        torch.arange(N, dtype=torch.float64),
-        sensor,
-        torch.full((N, 1), 3.0, dtype=torch.float64),
-        {"arm1": motion},
-        torch.zeros(N, 3, dtype=torch.float64),
-        torch.zeros(N, dtype=torch.bool),
-        torch.zeros(N, dtype=torch.int64),
-        {},
-    )
+    current_A, field_T = torch.full((N, 1), 3.0).double(), torch.zeros(N, 3).double()
+    return Observations.of(current_A, {"arm1": motion}, field_T, sensor=sensor)
 
 
 @pytest.mark.whole

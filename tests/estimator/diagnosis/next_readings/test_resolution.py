@@ -187,16 +187,7 @@ def scattered(rig: Rig, is_turned: bool = False) -> Fit:
     motion[:, :3] = 0.03 * torch.randn(n, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     motion[:, 2] = motion[:, 2].abs() + 0.02
     motion[::2, 3] = 0.5 * math.pi if is_turned else 0.0
-    empty = Observations(
-        torch.arange(n, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.int64),
-        torch.full((n, 1), 3.0, dtype=torch.float64),
-        {"mapper": motion},
-        torch.zeros(n, 3, dtype=torch.float64),
-        torch.zeros(n, dtype=torch.bool),
-        torch.zeros(n, dtype=torch.int64),
-        {},
-    )
+    empty = Observations.of(torch.full((n, 1), 3.0).double(), {"mapper": motion}, torch.zeros(n, 3).double())
     model = MeasurementModel.build(rig, empty)
     nominal = {name: torch.tensor(v, dtype=torch.float64) for name, v in rig.nominal_values().items()}
     readings = empty.with_field(model.predict(nominal))

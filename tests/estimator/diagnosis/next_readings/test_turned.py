@@ -36,11 +36,8 @@ def world_from_sensor(rig: Rig, readings: Observations) -> Transform:
 @pytest.mark.parametrize("frame", ["", "displacement_frame: base, base_from_flange0: {ry_deg: 20}"])
 def test_a_sensor_on_a_stage_is_turned_where_it_stands(frame):
     rig = rig_from_text(RIG.replace(", FRAME", frame and f", {frame}"))
-    no_field = torch.zeros(2, 3, dtype=torch.float64)
-    none, calibration = torch.zeros(2, dtype=torch.int64), torch.zeros(2, dtype=torch.bool)
     stage = {"stage": torch.tensor([[0.02, -0.01, 0.03, 0, 0, 0], [0, 0.04, 0.01, 0, 0, 0.1]]).double()}
-    time_s, current_A = no_field[:, 0], no_field[:, :1]
-    readings = Observations(time_s, none, current_A, stage, no_field, calibration, none, {})
+    readings = Observations.of(torch.zeros(2, 1).double(), stage, torch.zeros(2, 3).double())
     before = world_from_sensor(rig, readings)
     turned_readings, turned_rig = turned(readings, rig, {"hall": QUARTER})
     after = world_from_sensor(turned_rig, turned_readings)

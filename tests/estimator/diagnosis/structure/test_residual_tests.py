@@ -73,9 +73,8 @@ def two_probes(n_repeats: int) -> Fit:
     motion = {"arm1": torch.nn.functional.pad(place_m.repeat(10 + n_repeats, 1), (0, 3))}
     sensor = torch.tensor([0] * 270 + [1] * 27 * n_repeats)
     n = len(sensor)
-    none, time_s = torch.zeros(n, dtype=torch.int64), torch.arange(n, dtype=torch.float64)
     current_A, field_T = torch.full((n, 1), 3.0, dtype=torch.float64), torch.zeros(n, 3, dtype=torch.float64)
-    readings = Observations(time_s, sensor, current_A, motion, field_T, none.bool(), none, {})
+    readings = Observations.of(current_A, motion, field_T, sensor=sensor)
     noise_T = torch.tensor([QUIET_T, LOUD_T], dtype=torch.float64)[sensor][:, None]
     normal = torch.randn(n, 3, generator=torch.Generator().manual_seed(2), dtype=torch.float64)
     return fit_of(rig, readings.with_field(predicted_T(rig, readings) + noise_T * normal))
