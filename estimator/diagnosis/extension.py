@@ -27,7 +27,7 @@ def extended_rig(rig: Rig, fit: Fit) -> Rig:
     for cause in fit.rig.acting:
         is_new = cause not in rig.acting
         source = fit.rig if is_new else rig
-        parameters = [p for name, p in source.parameters.items() if name.startswith(f"{cause.label}.")]
+        parameters = [source.parameters[name] for name in source.names_of(cause).values()]
         add = extended.with_correction if cause in fit.rig.corrections else extended.with_cause
         extended = add(cause, [_at_maximum(p, fit) if is_new else p for p in parameters])
     return extended

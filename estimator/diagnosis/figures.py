@@ -102,8 +102,8 @@ def _corrected(diagnosis: Diagnosis) -> Iterator[Picture]:
     amplitudes = [
         name
         for part in correction.parts
-        for name in fit.rig.parameters
-        if name.startswith(f"{part.cause.label}.") and KEY.fullmatch(name.rpartition(".")[2])
+        for key, name in fit.rig.names_of(part.cause).items()
+        if KEY.fullmatch(key)
     ]
     zero = torch.tensor(0.0, dtype=torch.float64)
     with torch.no_grad():

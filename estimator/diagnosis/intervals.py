@@ -65,9 +65,8 @@ class Intervals:
 
     def quantities(self, cause: Cause) -> dict[str, Interval]:
         """Quantities of a cause that the session can see, by SI key."""
-        prefix, unseen = f"{cause.label}.", self._unseen(cause)
-        keys = [name.removeprefix(prefix) for name in self.fit.rig.parameters if name.startswith(prefix)]
-        return {key: self.of(prefix + key) for key in keys if key not in unseen}
+        names, unseen = self.fit.rig.names_of(cause), self._unseen(cause)
+        return {key: self.of(name) for key, name in names.items() if key not in unseen}
 
     def difference(self, cause: Cause) -> Difference | None:
         """The difference of two quantities that is farthest from zero in its standard deviations.

@@ -73,11 +73,7 @@ def missed_in_any_session_T(fit: Fit, readings: Observations) -> float:
     lasting = [
         cause
         for cause in fit.rig.corrections
-        if all(
-            EFFECTS[cause.name].beyond_the_moment(name.removeprefix(f"{cause.label}.")) is None
-            for name in fit.rig.parameters
-            if name.startswith(f"{cause.label}.")
-        )
+        if all(EFFECTS[cause.name].beyond_the_moment(key) is None for key in fit.rig.names_of(cause))
     ]
     meant = as_meant(fit.rig, readings)
     with torch.no_grad():

@@ -74,14 +74,12 @@ def cause_columns(
     beside, at = model.with_effects_of(rig), dict(values)
     steps = observations.current_A.new_tensor([STEP * q.prior.sd for q in quantities])
     ends = torch.cat((torch.diag(steps), -torch.diag(steps), steps.new_zeros(1, len(steps))))
-    for name in (name for name in rig.parameters if name.startswith(f"{cause.label}.")):
-        key = name.removeprefix(f"{cause.label}.")
-        at[name] = steps.new_tensor([shapes.get(key, rig.parameters[name].value) for shapes in starts])[
-            :, None
-        ]
+    names = rig.names_of(cause)
+    for key, name in names.items():
+        each = [shapes.get(key, rig.parameters[name].value) for shapes in starts]
+        at[name] = steps.new_tensor(each)[:, None]
     for i, quantity in enumerate(quantities):
-        name = f"{cause.label}.{quantity.key}"
-        at[name] = at[name] + ends[:, i]
+        at[names[quantity.key]] = at[names[quantity.key]] + ends[:, i]
     with torch.no_grad():
         field_T = at_sensor_T if isinstance(effect, ReadingEffect) else None
         reading_T = beside.predict(at) if field_T is None else beside.shown_T(at, field_T)

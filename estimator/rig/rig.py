@@ -146,6 +146,10 @@ class Rig(Shown):
                 keys.setdefault(f"{place}]", []).append(key)
         return {label: tuple(own) for label, own in keys.items()}
 
+    def names_of(self, cause: Cause) -> dict[str, str]:
+        """Names of the parameters of an effect or correction, by their keys."""
+        return {key: f"{cause.label}.{key}" for key in self.keys_by_label.get(cause.label, ())}
+
     @property
     def hash(self) -> str:
         """SHA-256 over the structure and every parameter, not over the devices."""
@@ -209,7 +213,8 @@ class Rig(Shown):
 
     def without_cause(self, cause: Cause) -> Rig:
         """This rig without an effect or a correction."""
-        parameters = {n: p for n, p in self.parameters.items() if not n.startswith(f"{cause.label}.")}
+        own = {*self.names_of(cause).values()}
+        parameters = {name: p for name, p in self.parameters.items() if name not in own}
         effects, corrections = (
             tuple(other for other in acting if other != cause) for acting in (self.effects, self.corrections)
         )

@@ -12,7 +12,7 @@ from typing import Any
 from estimator.rig import bodies
 from estimator.rig.arms import ArmEnds, DenavitHartenberg
 from estimator.rig.parameters import Parameter, Tie
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.arm_tables import COLUMNS, ENDS, POSE, key_of_table
 from estimator.rig_files.bodies import LEADS, RACETRACK, RECTANGULAR, outline_of
 from estimator.rig_files.devices import DEVICES
@@ -64,8 +64,8 @@ def rig_text(rig: Rig, note: str = "") -> str:
         {"movers": {mover.name: _mover(mover, rig.parameters) for mover in rig.movers}},
         {"coils": {coil.name: _coil(coil, rig) for coil in rig.coils}},
         {"sensors": {sensor.name: _sensor(sensor, rig) for sensor in rig.sensors}},
-        {"effects": {cause.label: _numbers_of_cause(cause.label, rig) for cause in rig.effects}},
-        {"corrections": {cause.label: _numbers_of_cause(cause.label, rig) for cause in rig.corrections}},
+        {"effects": {cause.label: _numbers_of_cause(cause, rig) for cause in rig.effects}},
+        {"corrections": {cause.label: _numbers_of_cause(cause, rig) for cause in rig.corrections}},
         {DEVICES: {name: dict(settings) for name, settings in rig.devices.items()}},
     ]
     blocks = [dumped(section) for section in sections if all(value != {} for value in section.values())]
@@ -193,7 +193,6 @@ def _pose_block(prefix: str, parameters: Mapping[str, Parameter]) -> dict[str, A
     return {prefix.rpartition(".")[2]: numbers} if numbers else {}
 
 
-def _numbers_of_cause(label: str, rig: Rig) -> dict[str, Any]:
+def _numbers_of_cause(cause: Cause, rig: Rig) -> dict[str, Any]:
     """Numbers of an effect, in SI."""
-    names = [name for name in rig.parameters if name.startswith(f"{label}.")]
-    return {name.removeprefix(f"{label}."): entry_of(rig.parameters[name]) for name in names}
+    return {key: entry_of(rig.parameters[name]) for key, name in rig.names_of(cause).items()}

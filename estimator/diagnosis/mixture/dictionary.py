@@ -40,7 +40,7 @@ def dictionary(
 ) -> Dictionary:
     """All items at an expansion."""
     stack = _Stack()
-    extent = expansion.fit.posterior.model.circumstances.extent
+    extent = expansion.fit.circumstances.extent
     items = [_listed_item(entry, stack, extent) for entry in listed]
     items += [item for departure in departures for item in _departure_items(departure, stack)]
     residual = expansion.residual

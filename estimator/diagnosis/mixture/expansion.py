@@ -135,7 +135,7 @@ class Expansion:
 
     def _present(self, cause: Cause) -> Start:
         fit, rows = self.fit, self._own[cause]
-        circumstances = fit.posterior.model.circumstances
+        circumstances = fit.circumstances
         quantities = {q.key: q for q in EFFECTS[cause.name].quantities(circumstances.extent)}
         keys = [fit.posterior.coordinates.names[i].removeprefix(f"{cause.label}.") for i in rows]
         shift = self._change(cause)
@@ -232,21 +232,21 @@ class Expansion:
 
     def _start(self, rig: Rig, item: Item, sizes: Float[Tensor, " column"]) -> dict[str, Tensor | float]:
         """Values of a listed cause in the linear model."""
-        label = item.cause.label
-        own = {name: p for name, p in rig.parameters.items() if name.startswith(f"{label}.")}
+        names = rig.names_of(item.cause)
+        own = {name: rig.parameters[name] for name in names.values()}
         start: dict[str, Tensor | float] = {name: p.value for name, p in own.items()}
         if item.cause in self.causes:
             start |= {name: value for name, value in self.fit.values.items() if name in own}
             start |= self.fit.null_values(item.cause)
         for key, size in zip(item.keys, sizes, strict=False):
-            name = f"{label}.{key}"
+            name = names[key]
             start[name] = _inside(own[name], float(start[name]) + float(size))
         return start
 
     def _with(self, listed: Mapping[Cause, dict[str, float]], factors: Mapping[Cause, float]) -> Rig:
         """The rig as described with causes at their shapes."""
         rig, plain = self.plain.rig, self.plain
-        circumstances = plain.posterior.model.circumstances
+        circumstances = plain.circumstances
         for cause, shapes in listed.items():
             factor = factors.get(cause, 1.0)
             rig = with_effect(
@@ -268,7 +268,7 @@ def with_tails(
         again: Fits the same with factors on the widths of some causes.
     Returns: The more probable fit, and its factors.
     """
-    extent = fit.posterior.model.circumstances.extent
+    extent = fit.circumstances.extent
 
     def is_large(cause: Cause) -> bool:
         sizes = [q for q in EFFECTS[cause.name].quantities(extent) if not (q.is_shape or q.is_positive)]
@@ -285,7 +285,7 @@ def with_tails(
 
 def log_odds_of_width(fit: Fit, cause: Cause) -> float:
     """Log prior odds of the widths that a cause's sizes have in a fit, against the stated ones."""
-    quantities = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
+    quantities = EFFECTS[cause.name].quantities(fit.circumstances.extent)
     parameters = fit.rig.parameters
     is_wide = any(
         (prior := parameters[f"{cause.label}.{q.key}"].prior) is not None and prior.sd > q.prior.sd

@@ -131,7 +131,7 @@ def _at_finer_instants(fit: Fit, coarse: _Weighed) -> list[Start]:
 
     Where something ends too, its beginning is asked once more when its end is known.
     """
-    circumstances, cause, best = fit.posterior.model.circumstances, coarse.start.candidate.cause, coarse
+    circumstances, cause, best = fit.circumstances, coarse.start.candidate.cause, coarse
     keys = instants_in(coarse.start.candidate.shapes)
     coarse_h = circumstances.coarse_instants_h if UNTIL in keys else circumstances.instants_h
     result = list[Start]()
@@ -177,7 +177,7 @@ def _at_nearer_places(fit: Fit, coarse: _Weighed) -> list[Start]:
 
 def _places(fit: Fit, cause: Cause) -> list[tuple[Quantity, float, float]]:
     """What says where a cause acts, with its bounds; nothing where that is a single number, whose starts lie densely."""
-    quantities = EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent)
+    quantities = EFFECTS[cause.name].quantities(fit.circumstances.extent)
     places = [
         (q, q.prior.lower, q.prior.upper)
         for q in quantities

@@ -63,7 +63,7 @@ def contenders(comparison: Comparison, stated: Cause, others: Collection[Cause])
         others: Causes that are no rivals.
     """
     asked = comparison.asked
-    extent = asked.expansion.fit.posterior.model.circumstances.extent
+    extent = asked.expansion.fit.circumstances.extent
 
     def has_shape(cause: Cause) -> bool:
         return any(q.is_shape and not q.is_fixed for q in EFFECTS[cause.name].quantities(extent))
@@ -89,12 +89,8 @@ def rival(contender: Contender, fit: Fit, stated: Cause, own: Fit) -> Rival:
         contender, fit: A cause in the place of the stated one, and the fit with it.
         stated, own: The stated one, and the fit with that.
     """
-    prefix = f"{contender.cause.label}."
-    shapes = {
-        name.removeprefix(prefix): float(value)
-        for name, value in fit.values.items()
-        if name.startswith(prefix)
-    }
+    names = fit.rig.names_of(contender.cause)
+    shapes = {key: float(fit.values[name]) for key, name in names.items()}
     widths = log_odds_of_width(fit, contender.cause) - log_odds_of_width(own, stated)
     log_odds = fit.log_evidence - own.log_evidence + contender.log_prior + widths
     return Rival(contender.cause, contender.item, log_odds, shapes)

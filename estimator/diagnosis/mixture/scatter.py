@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from estimator.diagnosis import effort, policy
+from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.noise import noise_causes
 from estimator.diagnosis.limits import Limits
@@ -138,17 +138,10 @@ def _with(plain: Fit, cause: Cause, fitted: Fit) -> Fit:
         cause: The cause of scatter.
         fitted: With it, to the readings without what else leads.
     """
-    prefix = f"{cause.label}."
-    values = {name: float(v) for name, v in fitted.values.items() if name.startswith(prefix)}
-    fixed = {p.name: p.value for p in fitted.rig.parameters.values() if p.name.startswith(prefix)}
-    start = {name.removeprefix(prefix): value for name, value in (fixed | values).items()}
+    names = fitted.rig.names_of(cause)
+    values = {name: float(fitted.values[name]) for name in names.values()}
+    start = {key: values[name] for key, name in names.items()}
     rig = with_effect(plain.rig, cause, plain.observations, start)
     noises = {name: v for name, v in fitted.values.items() if name.endswith(".noise_T")}
-    rules = plain.posterior.model.rules
-    return fit_rig(
-        rig,
-        plain.observations,
-        plain.start_with(rig) | noises | values,
-        rules,
-        tolerance=effort.FINE_TOLERANCE,
-    )
+    start_at = plain.start_with(rig) | noises | values
+    return fit_rig(rig, plain.observations, start_at, plain.posterior.model.rules)
