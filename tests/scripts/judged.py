@@ -19,9 +19,7 @@ from scripts.studies.judge.case import CALIBRATE_TEXT, DIAGNOSE_TEXT, Case
 from scripts.studies.judge.statements import Statement
 from scripts.studies.judge.truth import TrueCause, Truth
 from scripts.studies.truthful import judged
-from tests.estimator.conftest import TRUTH, small_calibration, small_plan, small_rig, small_session
-
-__all__ = ["small_calibration", "small_plan", "small_rig", "small_session"]  # fixtures
+from tests.estimator.conftest import TRUTH
 
 GAIN = TrueCause("axis_gain", "hall", True, 9.0, {"x": 0.01})
 OUTSIDE = TrueCause("chair_moved", "room", False, 9.0, {})

@@ -14,9 +14,6 @@ from estimator.readings.plan import Plan, observations_of
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from scripts.paper.factorial import factorial, information, levels_about, rms_change, rms_field, sobol
-from tests.estimator.conftest import rig_text, small_plan, small_rig
-
-__all__ = ["rig_text", "small_plan", "small_rig"]  # fixtures
 
 LEVELS = {"a": np.linspace(-1, 1, 7), "b": np.linspace(-1, 1, 7), "c": np.linspace(-1, 1, 7)}
 

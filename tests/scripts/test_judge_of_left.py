@@ -28,28 +28,9 @@ from tests.scripts.judged import (
     SMALL_GAIN,
     WITH_OUTSIDE,
     are_true,
-    folder,
     hidden,
-    printed,
-    small_calibration,
-    small_plan,
-    small_rig,
-    small_session,
-    told,
-    unseen_uT,
     wrong_truth,
 )
-
-__all__ = [
-    "folder",
-    "printed",
-    "small_calibration",
-    "small_plan",
-    "small_rig",
-    "small_session",
-    "told",
-    "unseen_uT",
-]  # fixtures
 
 pytestmark = pytest.mark.whole
 UNKNOWN = "Something is wrong, and no known cause is probable: how far readings miss depends on time."

@@ -12,9 +12,7 @@ from pathlib import Path
 import pytest
 
 import estimator
-from tests.estimator.conftest import SETTINGS, rig_text, small_plan, small_rig, small_session
-
-__all__ = ["rig_text", "small_plan", "small_rig", "small_session"]  # fixtures
+from tests.estimator.conftest import SETTINGS
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 # JAX, an optional dependency of the one left out, changes how the process that imports it may fork.

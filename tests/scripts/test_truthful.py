@@ -29,28 +29,9 @@ from tests.scripts.judged import (
     SMALL_GAIN,
     WITH_OUTSIDE,
     are_true,
-    folder,
     hidden,
-    printed,
-    small_calibration,
-    small_plan,
-    small_rig,
-    small_session,
-    told,
-    unseen_uT,
     wrong_truth,
 )
-
-__all__ = [
-    "folder",
-    "printed",
-    "small_calibration",
-    "small_plan",
-    "small_rig",
-    "small_session",
-    "told",
-    "unseen_uT",
-]  # fixtures
 
 pytestmark = pytest.mark.whole
 
