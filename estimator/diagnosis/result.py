@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from estimator.calibration.files import CALIBRATION
 from estimator.calibration.result import Calibration
@@ -15,16 +15,20 @@ from estimator.diagnosis.fit_journal import FITS
 from estimator.diagnosis.hypotheses.record_mistakes import RecordMistake
 from estimator.diagnosis.intervals import CLEARLY_LARGER, Intervals
 from estimator.diagnosis.mixture.comparison import Comparison, Hypothesis
-from estimator.diagnosis.presented import Presented
 from estimator.diagnosis.sizes import Interval, SizedCause, intervals_to_json
 from estimator.diagnosis.validation import Improvement
 from estimator.diagnosis.verdict import NamedCause, Verdict
 from estimator.effects import EFFECTS
+from estimator.glance import Shown
 from estimator.json_files import sealed
 from estimator.rig.rig import Cause, Rig
 from estimator.rig_files.write import rig_text
 from estimator.store.files import write_text
 from estimator.store.made import Made, holds
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["Diagnosis", "Findings", "Fits", "LeftOpen", "Question"]
 
@@ -49,7 +53,7 @@ def label_of(cause: Cause, rig: Rig) -> str:
 
 
 @dataclass(frozen=True, repr=False)
-class Diagnosis(Presented):
+class Diagnosis(Shown):
     """The result of a diagnosis.
 
     Attributes:
@@ -224,6 +228,25 @@ class Diagnosis(Presented):
         write_text(folder / DIAGNOSIS, sealed(self.to_json(), indent=2))
         note = NOTE if self.extended_rig.acting else ""
         write_text(folder / EXTENDED_RIG, rig_text(self.extended_rig, note))
+
+    def plot_residuals(self, ax: Axes | None = None, extended: bool = True) -> Axes:
+        """Residuals over the noise beside the normal density (`plots.residual_histogram`).
+
+        Args:
+            ax: Axes to draw into; a new figure by default.
+            extended: With the causes that were found; False for the rig as described.
+        Examples:
+            >>> diagnosis.plot_residuals().figure.savefig("residuals.png")  # doctest: +SKIP
+        """
+        return self._shown.plot_residuals(self, ax, extended)
+
+    def plot_budget(self) -> Figure:
+        """Share of the error on unseen readings that each cause accounts for (`plots.error_budget`).
+
+        Raises:
+            InvalidInput: There is no budget, for nothing was found or no reading was kept out of the fits.
+        """
+        return self._shown.plot_budget(self)
 
     def _sized(self, named: NamedCause, is_record_mistake: bool = False) -> SizedCause:
         return SizedCause(
