@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
 
 import torch
 from jaxtyping import Float
@@ -145,21 +146,15 @@ def predicted_readings_T(
 
 def joined(sessions: list[Observations]) -> Observations:
     """Sessions of one rig in a row as one; a temperature is kept if all sessions have it."""
-    times_s, end_s = [], 0.0
+    in_a_row, end_s = list[Observations](), 0.0
     for session in sessions:
-        times_s.append(session.time_s - session.time_s.min() + end_s)
-        end_s = float(times_s[-1].max()) + GAP_S
-    common = set.intersection(*(set(session.temperature_C) for session in sessions))
-    return Observations(
-        torch.cat(times_s),
-        torch.cat([session.sensor for session in sessions]),
-        torch.cat([session.current_A for session in sessions]),
-        {name: torch.cat([session.motion[name] for session in sessions]) for name in sessions[0].motion},
-        torch.cat([session.field_sensor_T for session in sessions]),
-        torch.cat([session.is_validation for session in sessions]),
-        torch.cat([session.repeat for session in sessions]),
-        {name: torch.cat([session.temperature_C[name] for session in sessions]) for name in sorted(common)},
-    )
+        time_s = session.time_s - session.time_s.min() + end_s
+        end_s = float(time_s.max()) + GAP_S
+        plain = replace(
+            session.alone, time_s=time_s, current_measured_A=None, recorded_segment=None, line=None
+        )
+        in_a_row.append(plain)
+    return reduce(Observations.followed_by, in_a_row)
 
 
 def _shares(fit: Fit) -> dict[str, Share]:

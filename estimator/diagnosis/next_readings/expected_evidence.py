@@ -8,7 +8,7 @@ difference of their scatters.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import permutations
 from typing import Any
 
@@ -203,22 +203,14 @@ def continued(
     history = session.history
     n = len(rows)
     time_s = history.time_s[-1] + session.pace_s * torch.arange(1.0, n + 1.0, dtype=torch.float64)
-
-    def joined(old: Tensor, new: Tensor) -> Tensor:
-        return torch.cat((old, new))
-
-    whole = Observations(
-        joined(history.time_s, time_s),
-        joined(history.sensor, session.sensor[rows]),
-        joined(history.current_A, current_A),
-        {
-            name: joined(columns, elsewhere.get(name, session.motion[name][rows]))
-            for name, columns in history.motion.items()
-        },
-        joined(history.field_sensor_T, torch.zeros(n, 3, dtype=torch.float64)),
-        joined(history.is_validation, torch.zeros(n, dtype=torch.bool)),
-        joined(history.repeat, torch.zeros(n, dtype=history.repeat.dtype)),
-        {name: joined(values, values.nanmean().expand(n)) for name, values in history.temperature_C.items()},
-        recorded_segment=joined(history.segment, history.segment[-1:].expand(n)),
+    later = Observations.of(
+        current_A,
+        {name: elsewhere.get(name, columns[rows]) for name, columns in session.motion.items()},
+        torch.zeros(n, 3, dtype=torch.float64),
+        time_s=time_s,
+        sensor=session.sensor[rows],
+        temperature_C={name: values.nanmean().expand(n) for name, values in history.temperature_C.items()},
+        recorded_segment=history.segment[-1:].expand(n),
     )
+    whole = replace(history, as_recorded=None).followed_by(later)
     return whole.rows(torch.arange(len(history), len(history) + n))

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-
-import torch
 
 from estimator import Session, load_plan, load_rig, simulate
 from estimator.diagnosis.fitting import Fit, fit_rig
@@ -56,20 +55,7 @@ def plain_fit(
 
 def together(first: Observations, more: Observations) -> Observations:
     """One session and, hours later, another."""
-
-    def both(name: str) -> torch.Tensor:
-        return torch.cat((getattr(first, name), getattr(more, name)))
-
-    return Observations(
-        torch.cat((first.time_s, 1e4 + more.time_s)),
-        both("sensor"),
-        both("current_A"),
-        {"arm1": torch.cat((first.motion["arm1"], more.motion["arm1"]))},
-        both("field_sensor_T"),
-        both("is_validation"),
-        both("repeat"),
-        {},
-    )
+    return first.followed_by(replace(more, time_s=1e4 + more.time_s))
 
 
 @lru_cache

@@ -182,16 +182,7 @@ def test_units_of_a_session_with_zero_current_readings_are_judged_by_the_others(
     offset_T = torch.tensor([0.0, 0.0, 0.05], dtype=torch.float64)
     off = replace(good, current_A=0.0 * good.current_A).with_field(good.field_sensor_T * 0 + offset_T)
     check_units(small_rig, good.rows(torch.arange(9)), "readings.csv")
-    both = Observations(
-        *(torch.cat([getattr(good, name), getattr(off, name)]) for name in ("time_s", "sensor", "current_A")),
-        {name: torch.cat([motion, motion]) for name, motion in good.motion.items()},
-        *(
-            torch.cat([getattr(good, name), getattr(off, name)])
-            for name in ("field_sensor_T", "is_validation", "repeat")
-        ),
-        {},
-    )
-    check(small_rig, both)
+    check(small_rig, good.followed_by(off))
 
 
 REFUSALS: dict[str, tuple[Change, str]] = {
