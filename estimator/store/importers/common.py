@@ -14,6 +14,7 @@ from estimator.given_files import MOST_TABLE_BYTES, read_given_text
 from estimator.readings.observations import Observations
 from estimator.rig.bodies import MotionKind, Mover
 from estimator.rig.rig import Rig
+from estimator.store.importers.table import number_of
 from estimator.tensors import Tensor, torch
 
 
@@ -30,11 +31,8 @@ def finite_number(cell: str, name: str, location: str) -> float:
         >>> finite_number(" 1.5e-3", "t_s", "readings.csv, line 2")
         0.0015
     """
-    try:
-        value = float(cell)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value) or "_" in cell:  # Python reads 1_000 as a thousand; no instrument writes that
+    value = number_of(cell)
+    if math.isnan(value):
         raise InvalidInput(f"{name} must be a finite number; received {quoted(cell.strip())} ({location})")
     return value
 
@@ -125,19 +123,10 @@ def map_observations(
         pose, field_sensor_T: As in `Observations`.
         time_s, sensor, repeat: As in `Observations`; by default the time counts the readings, and the others are zero.
     """
-    n = len(pose)
-    currents_A = torch.as_tensor(current_A, dtype=torch.float64).expand(n, len(rig.coils)).clone()
-    zeros = torch.zeros(n, dtype=torch.int64)
-    return Observations(
-        torch.arange(n, dtype=torch.float64) if time_s is None else time_s,
-        zeros if sensor is None else sensor,
-        currents_A,
-        {pose_mover(rig).name: pose},
-        field_sensor_T,
-        zeros.bool(),
-        zeros if repeat is None else repeat,
-        {},
-    )
+    currents_A = torch.as_tensor(current_A, dtype=torch.float64).expand(len(pose), len(rig.coils)).clone()
+    given = {"time_s": time_s, "sensor": sensor, "repeat": repeat}
+    more = {name: values for name, values in given.items() if values is not None}
+    return Observations.of(currents_A, {pose_mover(rig).name: pose}, field_sensor_T, **more)
 
 
 def check_one_sensor(rig: Rig) -> None:
