@@ -30,6 +30,8 @@ from estimator.reporting.numbers import displays, percent, size_with_unit
 from estimator.rig.parameters import Parameter
 from estimator.rig.rig import Rig
 
+MOST_OF_IT = 0.5  # share of the squared error from which on it is told to be that of one reading
+
 
 class Quality(StrEnum):
     """Whether a calibration can be used; the words are stable (docs/file-formats.md)."""
@@ -110,8 +112,16 @@ def assessment(
         return Assessment(Quality.UNUSABLE, (reason,), DO_NOT_USE)
     medians = {name: float(np.median(draws)) for name, draws in calibration.draws.items()}
     fit = LinearFit.of(calibration.rig, calibration.observations.calibration, calibration.best)
+    misfit = _misfit(error_T, expected_T)
+    if not misfit and role == "validation":
+        fitted_T = noise_rms_T(calibration.observations, rig, rig.nominal_values(), "calibration", scatter)
+        misfit = _misfit(
+            errors["rmse"]["calibration"]["vector_T"], fitted_T, " of the readings that were fitted"
+        )
+    if misfit:
+        misfit += _one_reading(fit)
     reasons = [
-        *_misfit(error_T, expected_T),
+        *misfit,
         *_disagreement(fit),
         *_missed_unseen(fit, calibration),
         *tensions((p for p in rig.free if not p.name.endswith(".noise_T")), medians),
@@ -208,14 +218,27 @@ def tensions(parameters: Iterable[Parameter], values: Mapping[str, float]) -> li
     return [words for _, words in sorted(far, reverse=True)]
 
 
-def _misfit(error_T: float, expected_T: float) -> list[str]:
+def _misfit(error_T: float, expected_T: float, of_which: str = "") -> list[str]:
     """An error that the expected noise does not explain, known or free: a wide prior of the noise would follow any error."""
     if error_T <= policy.LARGER_THAN_NOISE * expected_T:
         return []
     ratio = math.inf if expected_T == 0.0 else error_T / expected_T
     return [
-        f"the error is {_size(error_T)}, {ratio:.2g} times what the expected noise leaves ({_size(expected_T)})."
+        f"the error{of_which} is {_size(error_T)}, {ratio:.2g} times what the expected noise leaves ({_size(expected_T)})."
     ]
+
+
+def _one_reading(fit: LinearFit) -> list[str]:
+    """The reading that has most of the error of those that were fitted, where one has: a slip of the pen, a wrong current."""
+    error_T = fit.residual[: len(fit.sigma_T)] * fit.sigma_T
+    worst = int(error_T.abs().argmax())
+    if float(error_T[worst] ** 2) <= MOST_OF_IT * float(error_T.square().sum()):
+        return []
+    observations = fit.posterior.model.circumstances.observations
+    reading = int(observations.is_measured.nonzero()[worst, 0])
+    line = "" if observations.line is None else f" (line {int(observations.line[reading])})"
+    off = _size(abs(float(error_T[worst])))
+    return [f"most of the error of the readings that were fitted is that of a single one{line}, {off} off."]
 
 
 def _disagreement(fit: LinearFit) -> list[str]:

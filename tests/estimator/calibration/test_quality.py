@@ -101,6 +101,21 @@ def test_noise_that_swallows_the_error_is_suspect_itself(small_plan, small_truth
     assert "times what the expected noise leaves" in str(verdict["reasons"])
 
 
+def test_a_slipped_decimal_point_among_fitted_readings_is_told(small_plan, small_truth):
+    """A free noise grows until the halves agree: the error of what was fitted tells, and which reading has it."""
+    rig = rig_from_text(FREE_NOISE)
+    readings = simulate(rig, small_plan, {**small_truth, "hall.noise_T": 5e-6}, seed=1)
+    field_T = readings.field_sensor_T.clone()
+    strongest = int(field_T[:, 2].abs().masked_fill(readings.is_validation, 0.0).argmax())
+    field_T[strongest, 2] *= 10.0
+    slipped = replace(readings.with_field(field_T), line=torch.arange(len(readings)) + 2)
+    verdict = quality(Session(rig, slipped, "slipped"))
+    assert verdict["verdict"] == "suspect"
+    told = str(verdict["reasons"])
+    assert "times what the expected noise leaves" in told
+    assert f"is that of a single one (line {strongest + 2})" in told
+
+
 def test_noise_that_the_rig_file_says_to_grow_with_the_field_is_expected(small_plan, small_truth):
     """A twentieth of some tenths of a millitesla beside 5 uT: the error is what such noise leaves, and groups of residuals are about 1."""
     rig = rig_from_text(f"{RIG}effects:\n  noise_grows[hall]: {{share: 0.05}}\n")
