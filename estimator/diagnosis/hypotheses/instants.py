@@ -12,6 +12,7 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+from estimator.effects.base import AFTER
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances
 from estimator.readings.observations import Observations
 
@@ -69,6 +70,28 @@ def best_instants(
         if not any(abs(value - other) < ALIKE for other, _ in distinct):
             distinct.append((value, start))
     return distinct
+
+
+def changes_at_its_instant(fit: Fit) -> bool:
+    """Whether readings on both sides of the last instant of a fit's newest cause show it: else that lasts, or was there always.
+
+    What begins before the first current of a session is what is wrong in all of it.
+    """
+    cause = fit.rig.effects[-1]
+    names = {key: f"{cause.label}.{key}" for key in (SINCE, UNTIL)}
+    given = [key for key in names if names[key] in fit.values]
+    if not given:
+        return True
+    beyond_h = AFTER * fit.circumstances.duration_h if given[-1] == UNTIL else -1.0
+    elsewhere = {**fit.values, names[given[-1]]: fit.values[names[given[-1]]].new_tensor(beyond_h)}
+    with torch.no_grad():
+        here_T, there_T = (
+            fit.posterior.measured_components(
+                fit.posterior.model.predict(values).expand(len(fit.observations), 3)
+            )
+            for values in (fit.values, elsewhere)
+        )
+    return bool((here_T != there_T).any())
 
 
 def on_known_sides(fit: Fit, unseen: Observations) -> Observations:

@@ -20,6 +20,7 @@ from estimator.diagnosis.fitting import Fit, fit_rig
 from estimator.diagnosis.hypotheses.instants import (
     MOST_INSTANTS,
     best_instants,
+    changes_at_its_instant,
     has_instant,
     instants_in,
     starts_between,
@@ -153,7 +154,11 @@ def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:
         trial for trial in trials if trial.still_has(trial.rig.effects[-1]) and trial.log_evidence > least
     ]
     fits = [fit_rig(trial.rig, observations, trial.values, rules) for trial in plausible]
-    return [fit for fit in fits if fit.still_has(fit.rig.effects[-1]) and _explains_a_field(fit)]
+    return [
+        fit
+        for fit in fits
+        if fit.still_has(fit.rig.effects[-1]) and _explains_a_field(fit) and changes_at_its_instant(fit)
+    ]
 
 
 def _at_finest_instant(base: Fit, cause: Cause, start: Mapping[str, float]) -> Mapping[str, float]:

@@ -73,6 +73,24 @@ def test_columns_of_a_mover_that_are_exchanged_are_put_back(small_rig, small_ses
     assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
 
 
+def test_a_reversed_coil_that_was_first_read_without_current_is_reversed_from_the_beginning(
+    small_rig, small_session, monkeypatch
+):
+    """From an instant before the first current on, or always: the readings are the same."""
+    known = {name: EFFECTS[name] for name in ("current_sign", "current_sign_since")}
+    monkeypatch.setattr(record_mistakes, "EFFECTS", known)
+    readings = small_session.observations.alone
+    order = readings.time_s.argsort()
+    current_A, field_T = -readings.current_A, readings.field_sensor_T.clone()
+    idle = order[: len(order) // 3]
+    current_A[idle], field_T[idle] = 0.0, 1e-6
+    first_without = replace(readings, current_A=current_A).with_field(field_T)
+    _, mistakes = without_record_mistakes(fit_of(small_rig, first_without))
+    (mistake,) = mistakes
+    assert mistake.cause == Cause("current_sign", "coil1")
+    assert mistake.twins == ()
+
+
 @pytest.mark.parametrize("taken", ["rows_shifted", "rows_shifted_since"])
 def test_rows_that_are_shifted_already_are_not_shifted_again(small_rig, small_session, monkeypatch, taken):
     """Readings that make no sense ask for a second shift, whichever of the two was taken first."""
