@@ -30,6 +30,7 @@ TIME_DEGREE = 6  # of polynomials in time: three periods of what swings during a
 HARMONIC_DEGREE = 5  # of the fields that sources outside the workspace make
 
 SAME = 1e-6
+FLAT = 1e-3  # thickness over length of places in a plane: a stage wanders by as much
 
 Evidence = dict[str, float]
 
@@ -116,7 +117,7 @@ def _current(fit: Fit) -> Evidence | None:
 def _field_equations(fit: Fit) -> Evidence | None:
     collection = Collection(fit)
     for i, position_m in enumerate(sensor_in_coils(fit).values()):
-        if bool((unit_interval(position_m).std(0) < SAME).any()):
+        if _are_flat(position_m):
             continue  # in a plane or on a line any vector field can be magnetic
         rotation = _sensor_from_coil(fit, fit.rig.coils[i])
         drive = _drive(fit, i)
@@ -134,6 +135,12 @@ def _field_equations(fit: Fit) -> Evidence | None:
                 position = polynomials(unit_interval(position_m), degree)
                 collection.add("no magnetic field", position * drive_factor[:, None], rotation)
     return collection.evidence() if collection.curves else None
+
+
+def _are_flat(position_m: Float[Tensor, "reading 3"]) -> bool:
+    """Whether places lie in a plane or on a line, however that is turned."""
+    extents = torch.linalg.svdvals(position_m - position_m.mean(0))
+    return bool(extents[-1] <= FLAT * extents[0])
 
 
 def _drive(fit: Fit, coil: int) -> Float[Tensor, " reading"]:

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
 import pytest
+import torch
 
-from estimator.diagnosis.structure.signatures import leading, signatures, words
+from estimator.diagnosis.structure.signatures import _are_flat, leading, signatures, words
 from tests.estimator.diagnosis.sessions import plain_fit
 
 pytestmark = pytest.mark.whole
@@ -41,6 +42,16 @@ def test_parity_in_the_current_is_that_of_the_cause(hidden, current):
 )
 def test_only_sources_obey_the_field_equations(hidden, answer):
     assert leading(signatures(plain_fit(hidden)).field_equations) == [answer]
+
+
+def test_places_on_a_line_or_in_a_plane_ask_nothing_of_the_field_equations_however_they_are_turned():
+    along = torch.linspace(0.0, 0.3, 20, dtype=torch.float64)
+    tilted = torch.linalg.qr(torch.tensor([[1.0, 0.02, 0.0], [0.01, 1.0, 0.03], [0.0, 0.0, 1.0]])).Q.double()
+    line_m = torch.stack((along, 0.0 * along, 0.0 * along), dim=1) @ tilted
+    plane_m = torch.stack((along, along**2, 0.0 * along), dim=1) @ tilted
+    assert _are_flat(line_m)
+    assert _are_flat(plane_m)
+    assert not _are_flat(torch.stack((along, along**2, along**3), dim=1) @ tilted)
 
 
 @pytest.mark.parametrize(
