@@ -59,7 +59,7 @@ def check_command(rig_path: Path, path: Path | None, form: FormOptions, as_json:
         faults = [*faults, *file_faults]
         lines, record = [*lines, *further], {**record, **about}
     elif path is not None:
-        lines.append(f"{path} was not looked at: what it may hold depends on what is wrong above")
+        lines.append(f"{path} was not looked at: what it may hold depends on the rig file")
     _tell(faults, lines, record, as_json)
     if faults:
         sys.exit(EXIT_BAD_INPUT)

@@ -68,7 +68,10 @@ def check_readings(
         besides = (
             f" without the {n_unseen} of {len(observations)} readings for validation" if n_unseen else ""
         )
-        faults.note(InvalidInput(f"{rule}; received {n_components}{besides} ({where})"))
+        remedy = "take more, or write numbers that you know without a prior in the rig file"
+        if int(observations.is_measured.sum()) >= n_free:
+            remedy += ", or keep fewer of them for validation"
+        faults.note(InvalidInput(f"{rule}; received {n_components}{besides}: {remedy} ({where})"))
     if needs_current and (observations.current_A[is_fitted] == 0.0).all():
         faults.note(InvalidInput(f"at least one coil must carry current; all currents are 0 A ({where})"))
     if (observations.field_sensor_T[is_measured] == 0.0).all():

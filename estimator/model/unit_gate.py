@@ -173,9 +173,11 @@ def _warnings(
         )
     elif given.is_of_both_signs:
         unsigned = "" if bool((compared.current_A < 0.0).any()) else ", and no current is negative"
+        are_together = bool(((compared.current_A != 0.0).sum(dim=1) > 1).any())
+        or_a_coil = ", or one of the coils may be connected the other way round" if are_together else ""
         told.append(
             f"Fields point against the rig's nominal model in {100.0 * given.against:.0f} % of the readings and along it in the others"
-            f"{unsigned}: currents may be recorded without their sign; give them their signs in the file ({where})."
+            f"{unsigned}: currents may be recorded without their sign{or_a_coil}; give them their signs in the file ({where})."
         )
     elif given.correlation < -SAME_PATTERN:
         told.append(
@@ -238,8 +240,12 @@ def _compared(
     beyond = ratios > PLAUSIBLE_RATIO if ratio > 1.0 else ratios < 1.0 / PLAUSIBLE_RATIO
     along = float((predicted_T * measured_T).sum(dim=1)[is_strong].sign().sum())
     misfit_T = (measured_T - (ratio if along >= 0.0 else -ratio) * predicted_T).norm(dim=1)
-    # Coordinates that are wrong may predict much where little is measured: what is compared is the misfit itself.
+    # Coordinates that are wrong may predict much where little is measured: what is compared is the misfit itself. Beside a winding
+    # fields are large and steep, and a place that is a little wrong leaves more, but the same share.
+    own_T = torch.minimum(ratio * size_T, measured_T.norm(dim=1))
+    share = (misfit_T / (ratio * size_T))[is_strong].median()
     is_far = misfit_T > FAR * torch.maximum(misfit_T.median(), 0.05 * ratio * size_T.median())
+    is_far &= misfit_T > FAR * share * own_T
     if float(is_far.double().mean()) > MOST_FAR:
         is_far = torch.zeros_like(is_far)
     nominal_T, shown_T = predicted_T[~is_far].flatten(), measured_T[~is_far].flatten()

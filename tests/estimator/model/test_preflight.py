@@ -196,11 +196,13 @@ REFUSALS: dict[str, tuple[Change, str]] = {
         "a calibration needs readings at several poses; received a single reading"),
     "fewer components than parameters": (
         lambda o: o.rows(torch.arange(2)).with_field(torch.tensor([[math.nan, math.nan, 1e-3]] * 2).double()),
-        "readings must hold at least as many components as there are free parameters (3); received 2"),
+        "readings must hold at least as many components as there are free parameters (3); received 2: "
+        "take more, or write numbers that you know without a prior in the rig file"),
     "fewer components without those for validation": (
         lambda o: o.rows(torch.arange(3)).with_validation(torch.arange(3) > 1).with_field(
             torch.tensor([[math.nan, math.nan, 1e-3]] * 3).double()),
-        "readings must hold at least as many components as there are free parameters (3); received 2 without the 1 of 3 readings for validation"),
+        "readings must hold at least as many components as there are free parameters (3); received 2 without the 1 of 3 readings for validation: "
+        "take more, or write numbers that you know without a prior in the rig file, or keep fewer of them for validation"),
     "one pose": (lambda o: o.rows(torch.zeros(8, dtype=torch.int64)),
         "readings must be taken at several poses; all 8 share one"),
     "no current": (lambda o: replace(o, current_A=0.0 * o.current_A),

@@ -10,6 +10,7 @@ import torch
 
 from estimator.errors import InvalidInput
 from estimator.frames import rotation_from_vector
+from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.model.unit_gate import check_units
 from estimator.readings.observations import Observations
@@ -52,7 +53,7 @@ def readings(tmp_path_factory: pytest.TempPathFactory) -> Observations:
     return simulate(rig(), load_plan(path, rig()), {}, seed=0)
 
 
-def with_row(observations: Observations, row: int, field_T: float) -> Observations:
+def with_row(observations: Observations, row: int, field_T: float | torch.Tensor) -> Observations:
     changed_T = observations.field_sensor_T.clone()
     changed_T[row] = field_T
     return observations.with_field(changed_T)
@@ -95,6 +96,23 @@ def test_a_few_wild_readings_are_named_and_not_the_unit(readings, wild_T):
     assert check_units(rig(), wild, "a.csv") == [
         "Readings 8, 12: much farther from the rig's nominal model than the others (a.csv)."
     ]
+
+
+def test_places_beside_the_winding_that_are_a_little_off_are_not_wild(readings):
+    """There the field is ten times that of most places, and 3 mm are a tenth of it; half of that field is another current."""
+    near_m = torch.tensor([[0.0, 0.03, -0.025]]).double()
+    motion = readings.motion["stage"].clone()
+    motion[:, :3] = torch.where(torch.arange(len(motion))[:, None] % 16 == 0, near_m, motion[:, :3] + 0.05)
+    motion[:, 3:] = 0.0
+    there = replace(readings, motion={"stage": motion})
+    offset = motion.clone()
+    offset[:, 2] += 3e-3
+    model = MeasurementModel.build(rig(), replace(there, motion={"stage": offset}))
+    measured = there.with_field(model.predict(model.nominal))
+    assert not [told for told in check_units(rig(), measured, "a.csv") if "farther" in told]
+    halved = with_row(measured, 16, 0.5 * measured.field_sensor_T[16])
+    told = check_units(rig(), halved, "a.csv")
+    assert [each for each in told if each.startswith("Reading 17: much farther")]
 
 
 def test_a_reversed_sign_is_told_and_left_to_the_diagnosis(readings):
