@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -50,13 +51,30 @@ QUESTIONS: dict[str, tuple[type | tuple[str, ...], str]] = {
 }
 
 
+class _Number(click.types.FloatParamType):
+    """A number with a decimal point or a decimal comma; a comma before three digits may separate thousands, and is refused."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """The number that a text says."""
+        if isinstance(value, str) and re.fullmatch(r"\s*[+-]?\d+,(\d{1,2}|\d{4,})\s*", value):
+            value = value.replace(",", ".")
+        return super().convert(value, param, ctx)
+
+
+def _type_of(kind: type | tuple[str, ...]) -> Any:
+    """What the options and the answers to a question are read by."""
+    if isinstance(kind, tuple):
+        return click.Choice(list(kind))
+    return _Number() if kind is float else kind
+
+
 def _options(command: Callable[..., Any]) -> Callable[..., Any]:
     """One option for each question."""
     for key, (kind, words) in reversed(QUESTIONS.items()):
         command = click.option(
             f"--{key.replace('_', '-').lower()}",
             key,
-            type=click.Choice(list(kind)) if isinstance(kind, tuple) else kind,
+            type=_type_of(kind),
             help=f"{words}.",
         )(command)
     return option(
@@ -151,9 +169,8 @@ def _texts(kind: str, given: dict[str, Any], is_asked: bool) -> tuple[str, str]:
 def _answer(key: str, default: Any, check: Callable[[str, Any], None]) -> Any:
     """The user's answer; asked again until it is possible."""
     kind, words = QUESTIONS[key]
-    choices = click.Choice(list(kind)) if isinstance(kind, tuple) else kind
     while True:
-        answer = click.prompt(words, default=default, type=choices, err=True)
+        answer = click.prompt(words, default=default, type=_type_of(kind), err=True)
         try:
             check(key, answer)
         except InvalidInput as refusal:

@@ -173,3 +173,13 @@ def test_what_it_writes_can_be_calibrated_at_once(tmp_path):
     result = run("calibrate", session, "--out", tmp_path / "trial", "--ess", 200)
     assert result.exit_code == 0
     assert result.stdout.startswith("good: ")
+
+
+def test_a_decimal_comma_is_read_and_what_may_be_thousands_is_refused(tmp_path):
+    options = ["--kind", "helmholtz", "--yes"]
+    done = CliRunner().invoke(main, ["init", str(tmp_path / "comma"), *options, "--radius-mm", "209,35"])
+    assert done.exit_code == 0
+    assert "mean: 209.35," in (tmp_path / "comma/rig.yaml").read_text()
+    refused = CliRunner().invoke(main, ["init", str(tmp_path / "other"), *options, "--radius-mm", "1,000"])
+    assert refused.exit_code == 2
+    assert "1,000" in refused.stderr
