@@ -10,6 +10,8 @@ from typing import Any
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
 from estimator.diagnosis.validation import Improvement
+from estimator.effects import EFFECTS
+from estimator.effects.corrections.correction import Correction as CorrectionEffect
 from estimator.readings.cycles import CYCLE, cycle_of_currents_s, is_of_cycle
 from estimator.readings.observations import SECONDS_PER_HOUR
 from estimator.reporting.numbers import size_with_unit
@@ -34,7 +36,7 @@ class Part:
         n_amplitudes: Their number.
         log_bayes_factor: In the linear model, beside everything else, against none of this kind.
         probability: That something of this kind is there.
-        extent: Instants of steps, the period of a swing, or the degree of anything else, in words.
+        extent: Instants of steps, the period of a swing, the size of what is whole, or the degree of anything else, in words.
         is_predicted: The field of a prediction has it; else it acts on the readings of this session.
     """
 
@@ -45,6 +47,12 @@ class Part:
     probability: float
     extent: str
     is_predicted: bool
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether its degrees are alike, so that it has a size and no highest degree."""
+        effect = EFFECTS[self.cause.name]
+        return isinstance(effect, CorrectionEffect) and effect.is_whole
 
     def to_json(self) -> dict[str, Any]:
         """An entry of `parts` in `diagnosis.json`."""

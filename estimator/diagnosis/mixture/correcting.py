@@ -19,9 +19,7 @@ from estimator.diagnosis.limits import Limits
 from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.mixture.links import Link
-from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
-from estimator.effects.corrections.correction import Correction as CorrectionEffect
 from estimator.reporting.numbers import size_with_unit
 from estimator.rig.parameters import Normal, Parameter
 from estimator.rig.rig import EVERYWHERE, Cause, Rig
@@ -111,8 +109,7 @@ def _widths(fit: Fit, part: Part) -> tuple[dict[Parameter, float], float]:
 
 def _told(fit: Fit, part: Part) -> Part:
     """A part whose degrees are alike says how large they are, and no degree."""
-    effect = EFFECTS[part.cause.name]
-    if not (isinstance(effect, CorrectionEffect) and effect.is_whole):
+    if not part.is_whole:
         return part
     widths, factor = _widths(fit, part)
     parameter, width = next(iter(widths.items()))

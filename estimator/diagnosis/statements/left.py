@@ -156,10 +156,14 @@ def _beside_names(diagnosis: Diagnosis) -> str:
 
 
 def _told(diagnosis: Diagnosis, entries: list[Found]) -> str:
-    """Sets of possibilities in words, with their probabilities."""
+    """Sets of possibilities in words, with their probabilities, and their sizes where they are corrected as a whole."""
+    correction = diagnosis.fits.correction
+    parts = correction.parts if correction is not None and correction.is_taken else ()
+    sizes = {part.cause: f" {part.extent}" for part in parts if part.is_whole}
     return "; ".join(
         " or ".join(
-            f"{EFFECTS[p.cause.name].words} ({diagnosis.label(p.cause)}, {probability(entry.probability * p.share)})"
+            f"{EFFECTS[p.cause.name].words} ({diagnosis.label(p.cause)}{sizes.get(p.cause, '')}, "
+            f"{probability(entry.probability * p.share)})"
             for p in entry.possibilities[:MOST_BESIDE]
         )
         for entry in entries

@@ -142,11 +142,14 @@ def it_acts_in(case: Case, text: str, match: re.Match[str]) -> Iterator[Statemen
         yield from _acts_at(case, text, [link], probability_of(stated.rstrip(")")))
 
 
+SIZE = r"of [\d.]+ \S+ rms, \d+ in all"  # of departures that have no degree
+
+
 @sentence(r"What is left is best described so: (?P<entries>.+?)\.(?: |$)")
 def best_described(case: Case, _: str, match: re.Match[str]) -> Iterator[Statement]:
     """Departures, each with its probability and perhaps another one beside it: something acts at the link of one of them."""
     for entry in match["entries"].split("; "):
-        told = re.findall(r"\((?P<label>[a-z]\w*(?:\[[\w, ]+\])?), (?P<p>[<>\d ]+ %)\)", entry)
+        told = re.findall(rf"\((?P<label>[a-z]\w*(?:\[[\w, ]+\])?)(?: {SIZE})?, (?P<p>[<>\d ]+ %)\)", entry)
         names = [plain_name(label) for label, __ in told]
         n_sensors = len(case.plain.rig.sensors)
         links = {
