@@ -20,6 +20,7 @@ from estimator.diagnosis.mixture.full_fits import fit_with, leading_fit
 from estimator.diagnosis.mixture.imitation import Standing
 from estimator.diagnosis.progress import OnProgress, unwatched
 from estimator.diagnosis.verdict import Alternative, NamedCause
+from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.rig.rig import Cause
 
@@ -94,18 +95,21 @@ def answer_beside_scatter(
 def _scattering(answer: Answer) -> list[tuple[Cause, float, Fit]]:
     """Causes of scatter with their log Bayes factors and fits: beside what leads, in the place of its departures, and in the place of all.
 
-    Scatter that is not the same everywhere looks like departures, and like causes that follow single readings.
+    Scatter that is not the same everywhere looks like departures, and like causes that follow single readings. So does a record that was
+    put right wrongly, whose departures tell so. A fit has the noise that is stated, where it is stated as known.
     """
     asked, items, rows = answer.asked, answer.asked.dictionary.items, noise_causes(leading_fit(answer))
-    listed = [i for i in asked.leading if items[i].is_listed]
-    instead = list[tuple[Fit, float]]()
+    if any(EFFECTS[cause.name].is_record_mistake for cause in answer.plain.rig.effects):
+        return rows
+    listed = tuple(i for i in asked.leading if items[i].is_listed)
+    instead = list[tuple[Asked, tuple[int, ...], Fit]]()
     if len(listed) < len(asked.leading):
-        with_listed = fit_with(answer, [items[i].cause for i in listed])
-        instead.append((with_listed, asked.log_density_of(listed)))
+        instead.append((asked, listed, fit_with(answer, [items[i].cause for i in listed])))
     if listed:
-        instead.append((answer.plain, answer.first.log_density_of(())))
-    for fit, log_density in instead:
-        lost = asked.log_density - log_density
+        instead.append((answer.first, (), answer.plain))
+    for there, chosen, fit in instead:
+        of_fit = there.log_density_of(chosen) + there.slots.log_share_of_stated_noise(chosen)
+        lost = asked.log_density - of_fit
         rows += [(cause, value - lost, fitted) for cause, value, fitted in noise_causes(fit)]
     best = {row[0]: row for row in sorted(rows, key=lambda row: row[1])}
     return list(best.values())

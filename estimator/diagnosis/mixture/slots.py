@@ -220,6 +220,10 @@ class Slots:
         """Probability of each factor on the noise, given the items."""
         return torch.softmax(self._by_noise(chosen), 0).numpy()
 
+    def log_share_of_stated_noise(self, chosen: Sequence[int]) -> float:
+        """Log probability that the noise is as stated, given the items; 0 where none is stated as known."""
+        return 0.0 if self.noise.width else float(torch.log_softmax(self._by_noise(chosen), 0)[0])
+
     def _by_noise(self, chosen: Sequence[int]) -> Float[Tensor, " noise"]:
         """Log density of the readings with some items, and of each factor on the noise."""
         key = tuple(sorted(chosen))
