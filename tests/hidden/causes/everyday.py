@@ -14,6 +14,7 @@ from tests.hidden.flaw import Cause, Known, Stage, Truth, afflicted_sensor, dire
 from tests.hidden.protocols import Array
 from tests.hidden.scene import Scene
 
+ROUNDING_M = 1e-9
 LONG_MOVE = 0.6  # quantile of the moves one way, above which a step is lost
 TOGGLES = 0.15  # of the moves
 
@@ -118,7 +119,7 @@ def lost_steps(scene: Scene, size: float, rng: np.random.Generator) -> tuple[Sce
     """
     along = direction(rng)
     move_m = np.diff(scene.schedule.displacement_m @ along, prepend=scene.schedule.displacement_m[0] @ along)
-    limit_m = np.quantile(move_m[move_m > 0.0], LONG_MOVE)
+    limit_m = np.quantile(move_m[move_m > ROUNDING_M], LONG_MOVE) + ROUNDING_M  # moves of a raster are alike
     lost_m = size * np.cumsum(move_m > limit_m)
     known = (Known("step_m", size, "m"), *vector("along", along, "1"))
     return moved(scene, -lost_m[:, None] * along), Truth("arm1", known)
