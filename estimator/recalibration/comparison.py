@@ -34,7 +34,7 @@ from estimator.recalibration.successor import (
 )
 from estimator.recalibration.watcher import UNWATCHED, Watcher
 from estimator.recalibration.words import mistake_in, sizes_of, words_of
-from estimator.reporting.numbers import displays, size_with_unit
+from estimator.reporting.numbers import displays, percent, size_with_unit
 from estimator.rig.rig import Cause, Rig
 from estimator.store.session import Session
 from estimator.units import split_quotient
@@ -235,7 +235,34 @@ class Comparison:
         after = show.with_sd(float(diagnosis.fits.final.values[name]), sd)
         return (
             f"the same model explains the readings with other values ({self._p_value()} for the old ones): "
-            f"{split_quotient(name)[0]} moved by {distance:+.1f} standard deviations, from {before} to {after} {show.unit}".rstrip()
+            f"{self._read_otherwise(diagnosis.fits.final)}. "
+            f"Of single numbers {split_quotient(name)[0]} moved most, by {distance:+.1f} standard deviations, "
+            f"from {before} to {after} {show.unit}".rstrip()
+        )
+
+    def _read_otherwise(self, refit: Fit) -> str:
+        """What other values do at the places of the session, in words: numbers that do alike share a change as their priors like it."""
+        observations = self._unseen()
+        idle = replace(observations, current_A=torch.zeros_like(observations.current_A))
+        of_coils_T, without_T = [], []
+        for rig, values in ((self.current.rig, self.current.best_values()), (refit.rig, refit.values)):
+            read_T, without = (
+                MeasurementModel.for_values(rig, readings, values).predict(values).expand(len(readings), 3)
+                for readings in (observations, idle)
+            )
+            of_coils_T.append((read_T - without)[observations.is_measured])
+            without_T.append(without[observations.is_measured])
+        zero_T = float((without_T[1] - without_T[0]).square().mean().sqrt())
+        otherwise = f"without current components differ by {size_with_unit(zero_T, 'T')}"
+        before_T, after_T = of_coils_T
+        if not bool(before_T.any()):
+            return otherwise
+        ratio = float((before_T * after_T).sum() / before_T.square().sum())
+        pattern = float((after_T - ratio * before_T).norm() / before_T.norm())
+        way = "larger" if ratio >= 1.0 else "smaller"
+        return (
+            f"where it was read the coils' field is {percent(abs(ratio - 1.0), 2)} {way} and its pattern differs by "
+            f"{percent(pattern, 2)}; {otherwise}"
         )
 
 
