@@ -162,7 +162,7 @@ def check_motion(start: FlangePose, target: FlangePose, speed_m_per_s: float, li
         raise Refused(
             f"arm.speed_m_per_s must be > 0 and at most {limits.highest_speed_m_per_s:g}; received {speed_m_per_s:g}"
         )
-    for end, pose in (("start", start), ("target", target)):
+    for end, pose in (("target", target), ("start", start)):
         for axis, low_m, value_m, high_m in zip(
             "xyz", limits.lowest_m, pose.position_m, limits.highest_m, strict=True
         ):

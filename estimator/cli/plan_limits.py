@@ -99,7 +99,9 @@ def check_ways(
             try:
                 check_motion(start, target, pace.speed_m_per_s[mover.name], limits.arms[mover.name])
             except Refused as error:
-                raise Refused(f"stop {row + 1} of the plan, {mover.name}: {error}") from error
+                raise Refused(
+                    f"stop {row + 1} of the plan, {mover.name}: {error} (its section in devices, in the frame of its base)"
+                ) from error
             start = target
 
 

@@ -18,9 +18,10 @@ from drivers.protocols import FlangePose
 from drivers.settings import Settings
 from drivers.simulated.rig import SimulatedRig
 from drivers.simulated.world import CoilCircuit
-from estimator.geometry.motion import base_from_motion
+from estimator.geometry.motion import base_from_motion, pose_of
 from estimator.model.simulated_field import Flange, SimulatedField
 from estimator.rig.bodies import MotionKind, Mover
+from estimator.rig.coordinates import nominal_tensors
 from estimator.rig.rig import Rig
 from estimator.rig_files.devices import DEVICES, JOINT_ARMS, DeviceSettings
 
@@ -48,7 +49,7 @@ def default_devices(rig: Rig) -> DeviceSettings:
     """Devices section for a rig file that has none."""
     arms: dict[str, Mapping[str, Any]] = {}
     for mover in rig.movers:
-        middle_m = _home(mover, MIDDLE_M)[0]
+        middle_m = _home(mover, _of_readings_m(rig, mover))[0]
         arms[mover.name] = {
             "arm": JOINT_ARMS.get(mover.motion, "ur3e"),
             "workspace_low_mm": [round(1e3 * (x_m - HALF_M), 3) for x_m in middle_m],
@@ -121,6 +122,14 @@ def _middle_m(name: str, settings: Mapping[str, Any]) -> tuple[float, float, flo
     low_m, high_m = (reader.quantities(f"workspace_{end}", "length", 3) for end in ("low", "high"))
     x_m, y_m, z_m = (0.5 * (low + high) for low, high in zip(low_m, high_m, strict=True))
     return x_m, y_m, z_m
+
+
+def _of_readings_m(rig: Rig, mover: Mover) -> tuple[float, float, float]:
+    """Where readings are taken: poses are in the base, and what stands still is at the origin; displacements are from anywhere."""
+    if mover.motion is not MotionKind.POSE:
+        return MIDDLE_M
+    world_from_base = pose_of(f"{mover.name}.world_from_base", nominal_tensors(rig))
+    return world_from_base.inverse().to_pose()[0]
 
 
 def _home(mover: Mover, middle_m: tuple[float, float, float]) -> Flange:

@@ -10,13 +10,15 @@ import pytest
 import torch
 from click.testing import CliRunner
 
+from drivers.limits_section import limits_of
 from estimator.cli import init
 from estimator.cli.init import KINDS, QUESTIONS, asked_of
 from estimator.cli.main import main
+from estimator.cli.simulated_devices import default_devices
 from estimator.errors import InvalidInput
 from estimator.model.room_field import RoomField
 from estimator.model.simulate import draw_truth, simulate
-from estimator.readings.plan import plan_from_text
+from estimator.readings.plan import load_plan, observations_of, plan_from_text
 from estimator.rig_files.read import load_rig, rig_from_text
 from estimator.rig_files.set_ups import Kind, defaults_of, texts_of
 from estimator.rig_files.starter import Earth, Motion, Moved, Starter, starter_plan_text, starter_rig_text
@@ -183,3 +185,16 @@ def test_a_decimal_comma_is_read_and_what_may_be_thousands_is_refused(tmp_path):
     refused = CliRunner().invoke(main, ["init", str(tmp_path / "other"), *options, "--radius-mm", "1,000"])
     assert refused.exit_code == 2
     assert "1,000" in refused.stderr
+
+
+@pytest.mark.parametrize("kind", ["arm", "helmholtz"])
+def test_simulated_arms_reach_what_the_first_plan_visits(tmp_path, kind):
+    """Poses are in the base, so their workspace lies about the origin of the room and not where an arm likes to stand."""
+    assert CliRunner().invoke(main, ["init", str(tmp_path), "--kind", kind, "--yes"]).exit_code == 0
+    rig = load_rig(tmp_path / "rig.yaml")
+    (mover,) = rig.movers
+    limits = limits_of(default_devices(rig)).arms[mover.name]
+    plan = load_plan(tmp_path / "plan.yaml", rig)
+    visited_m = observations_of(plan, rig, np.random.default_rng(0)).motion[mover.name][:, :3]
+    assert (visited_m >= torch.tensor(limits.lowest_m)).all()
+    assert (visited_m <= torch.tensor(limits.highest_m)).all()

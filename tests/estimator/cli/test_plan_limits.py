@@ -68,7 +68,7 @@ def test_where_an_arm_goes_is_checked_before_it_is_asked_where_it_stands(small_r
     pace = Pace(0.1, 6, 1.0, {"arm1": 0.05}, {})
     check_ways(stops, small_rig, limits, pace, {})  # its displacements count from where it stands
     absolute = replace(small_rig, movers=tuple(replace(m, motion=MotionKind.POSE) for m in small_rig.movers))
-    with pytest.raises(Refused, match="stop 1 of the plan, arm1: arm.start.x_m must be within"):
+    with pytest.raises(Refused, match="stop 1 of the plan, arm1: arm.target.x_m must be within"):
         check_ways(stops, absolute, limits, pace, {})
     with pytest.raises(Refused, match="arm.speed_m_per_s must be > 0 and at most 0.1; received 0.2"):
         check_ways(stops, absolute, limits, replace(pace, speed_m_per_s={"arm1": 0.2}), {})
