@@ -46,7 +46,7 @@ class Deadline:
 
     def exceeded(self, rule: str, received: str) -> DeadlineExceeded:
         """The error to raise once the deadline has passed, as in `exceeded("supply must answer", "nothing received")`."""
-        error = DeadlineExceeded(f"{rule} within {self.allowed_s:g} s; {received}")
+        error = DeadlineExceeded(f"{rule} within {self.allowed_s:.3g} s; {received}")
         error.received = received
         return error
 

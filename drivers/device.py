@@ -31,4 +31,4 @@ class ClosesItself(ABC):
         try:
             self.close()
         except DriverError as error:
-            _LOG.error("closing failed too, after %r: %s", exc, error)
+            _LOG.error("closing failed too, after %s: %s", exc, error)

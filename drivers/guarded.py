@@ -165,7 +165,7 @@ class GuardedSource(ClosesItself):
                 return
             if deadline.is_over:
                 raise DeviceFault(
-                    f"{self._name} must carry {current_A:g} A within {deadline.allowed_s:g} s; it measures {reading.value:.4g} A"
+                    f"{self._name} must carry {current_A:g} A within {deadline.allowed_s:.3g} s; it measures {reading.value:.4g} A"
                     f"{', held back by its voltage limit' if ReadingFlag.OVER_RANGE in reading.flags else ''}"
                 )
             time.sleep(min(_POLL_S, deadline.remaining_s))

@@ -101,7 +101,7 @@ class Autopilot(Pilot):
         n, worst, misfit = len(entries), float(judged.widths.max()), judged.misfit
         is_judged = misfit.n_held_out >= FEWEST_HELD_OUT and misfit.n_again >= FEWEST_AGAIN
         if n and judged.is_reached and is_judged:
-            stated = f"; {', '.join(judged.stated)} as the rig file states" if judged.stated else ""
+            stated = f"; these places cannot test {', '.join(judged.stated)}" if judged.stated else ""
             return f"goal reached, also by {misfit.n_held_out} held-out stops{stated}"
         so_far = f"{worst:.2g} times the wanted half-width is left"
         if n >= self.limits.most_stops:
