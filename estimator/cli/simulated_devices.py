@@ -125,8 +125,9 @@ def _middle_m(name: str, settings: Mapping[str, Any]) -> tuple[float, float, flo
 
 
 def _of_readings_m(rig: Rig, mover: Mover) -> tuple[float, float, float]:
-    """Where readings are taken: poses are in the base, and what stands still is at the origin; displacements are from anywhere."""
-    if mover.motion is not MotionKind.POSE:
+    """Middle of a workspace: the origin of the room where a body stands still and poses are in the base; else any place."""
+    stands_still = any(body.carried_by is None for body in (*rig.coils, *rig.sensors))
+    if mover.motion is not MotionKind.POSE or not stands_still:
         return MIDDLE_M
     world_from_base = pose_of(f"{mover.name}.world_from_base", nominal_tensors(rig))
     return world_from_base.inverse().to_pose()[0]
