@@ -17,7 +17,7 @@ from estimator.diagnosis.mixture.evidence import Products
 from estimator.diagnosis.mixture.found import Found
 from estimator.diagnosis.mixture.full_fits import fit_beside_departures, fit_to, leading_fit
 from estimator.diagnosis.mixture.halves import blocks_of, expected_in_half, halves, weight_of
-from estimator.diagnosis.mixture.rivals import Contender, Rival, contenders, rival
+from estimator.diagnosis.mixture.rivals import Rival, contenders, rival
 from estimator.diagnosis.mixture.slots import NEGLIGIBLE, Samples, Slots, Sweeps
 from estimator.diagnosis.progress import OnProgress, Pace, unwatched
 from estimator.effects.use import as_meant
@@ -121,31 +121,33 @@ def _not_borne_out(answer: Answer) -> Cause | None:
 
 def with_rivals(answer: Answer) -> Answer:
     """The answer in which the stated causes have been compared with the likeliest others by full fits."""
+    asked, items = answer.asked, answer.asked.dictionary.items
     stated = [entry.first_listed for entry in answer.stated]
     pairs = [
-        (cause, other)
+        (cause, item)
         for entry, cause in zip(answer.stated, stated, strict=True)
-        for other in _contenders(answer, entry)
+        for item in _contenders(answer, entry)
     ]
     if not pairs:
         return answer
 
-    def fit_of(pair: tuple[Cause, Contender]) -> Fit:
-        rest = [cause for cause in stated if cause != pair[0]]
-        start = {pair[1].cause: answer.asked.dictionary.items[pair[1].item].start}
-        return fit_to(answer, [*rest, pair[1].cause], leading_fit(answer).observations, start)
+    def fit_of(pair: tuple[Cause, int]) -> Fit:
+        rest, other = [cause for cause in stated if cause != pair[0]], items[pair[1]]
+        return fit_to(
+            answer, [*rest, other.cause], leading_fit(answer).observations, {other.cause: other.start}
+        )
 
     own, fits = fit_beside_departures(answer, stated), each(fit_of, pairs)
-    rivals: dict[Cause, tuple[Rival, ...]] = {}
-    for (cause, other), fit in zip(pairs, fits, strict=True):
-        fitted = rival(other, fit, cause, own)
+    numbers, rivals = {cause: answer.item_of(cause) for cause in stated}, dict[Cause, tuple[Rival, ...]]()
+    for (cause, item), fit in zip(pairs, fits, strict=True):
+        fitted = rival(asked, item, fit, numbers, own)
         if fitted.odds > policy.ALTERNATIVE:
             rivals[cause] = (*rivals.get(cause, ()), fitted)
     return replace(answer, rivals=rivals)
 
 
-def _contenders(answer: Answer, entry: Found) -> list[Contender]:
-    """Causes that may be rivals of a stated one: neither there beside it, nor possible only beside others."""
+def _contenders(answer: Answer, entry: Found) -> list[int]:
+    """Items of causes that may be rivals of a stated one: neither there beside it, nor possible only beside others."""
     listed = [possibility.cause for possibility in entry.possibilities if possibility.is_listed]
     comparison = answer.beside_item(answer.item_of(entry.first_listed), listed)
     leading = answer.asked.causes_of(answer.asked.leading)

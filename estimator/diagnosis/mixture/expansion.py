@@ -283,18 +283,6 @@ def with_tails(
     return (wide, factors) if is_likelier else (fit, {})
 
 
-def log_odds_of_width(fit: Fit, cause: Cause) -> float:
-    """Log prior odds of the widths that a cause's sizes have in a fit, against the stated ones."""
-    quantities = EFFECTS[cause.name].quantities(fit.circumstances.extent)
-    parameters = fit.rig.parameters
-    is_wide = any(
-        (prior := parameters[f"{cause.label}.{q.key}"].prior) is not None and prior.sd > q.prior.sd
-        for q in quantities
-        if not q.is_shape
-    )
-    return _log_odds_of_widest() if is_wide else 0.0
-
-
 def _log_odds_of_widest() -> float:
     """Log prior odds of the widest factor on a stated width against the likeliest one."""
     shares = [share for _, share in policy.WIDTHS]

@@ -90,13 +90,7 @@ def assert_named(diagnosis: Diagnosis, cause: Cause, twins: set[str]) -> None:
 @pytest.mark.parametrize(
     ("rig_text", "hidden", "twins"),
     [
-        pytest.param(
-            ARM,
-            {"sensor_misplaced[hall].x_m": 2e-3},
-            {"base_misplaced[arm]"},
-            id="2 mm",
-            marks=pytest.mark.slow,
-        ),
+        pytest.param(ARM, {"sensor_misplaced[hall].x_m": 2e-3}, {"base_misplaced[arm]"}, id="2 mm"),
         pytest.param(
             ARM,  # 20 standard deviations beyond what the fit can follow
             {

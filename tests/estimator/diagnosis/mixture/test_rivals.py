@@ -7,20 +7,19 @@ from dataclasses import replace
 
 import pytest
 
-from estimator.diagnosis import policy
-from estimator.diagnosis.fitting import Fit
-from estimator.diagnosis.mixture import rivals as rivals_module
-from estimator.diagnosis.mixture.confirmed import with_rivals
+from estimator.diagnosis.mixture import rivals
+from estimator.diagnosis.mixture.answer import Answer
 from estimator.diagnosis.mixture.full_fits import fit_with
-from estimator.diagnosis.mixture.rivals import MOST_RIVALS, Rival, contenders
-from estimator.diagnosis.policy import WIDTHS
-from estimator.effects import EFFECTS
+from estimator.diagnosis.mixture.rivals import LEAST_CURVED, MOST_RIVALS, Rival, contenders, rival
 from estimator.rig.rig import Cause
+from estimator.rig_files.read import rig_from_text
 from tests.estimator.diagnosis.small_fits import answered, fit_of, with_wrong
+from tests.estimator.diagnosis.test_stated import ARM, session
 
 pytestmark = pytest.mark.whole
 
 GAIN, SCALE = Cause("axis_gain", "hall"), Cause("robot_scale", "arm1")
+BASE, PROBE = Cause("base_misplaced", "arm"), Cause("sensor_misplaced", "hall")
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +28,12 @@ def answer(small_rig, small_session, small_truth):
     return answered(
         fit_of(small_rig, with_wrong(truth, small_session.observations.calibration, GAIN, {"z": 0.05}))
     )
+
+
+def with_probe_off(off_m: float) -> Answer:
+    """What readings say of a probe that stands elsewhere than its rig file has it."""
+    rig = rig_from_text(ARM)
+    return answered(fit_of(rig, session(rig, {f"{PROBE.label}.x_m": off_m}).observations.calibration))
 
 
 def test_a_rival_takes_its_share_of_the_name_by_its_evidence(answer):
@@ -43,43 +48,38 @@ def test_a_rival_takes_its_share_of_the_name_by_its_evidence(answer):
     assert shared.probability == entry.probability
 
 
-def test_contenders_have_half_of_the_evidence_and_are_not_in_the_set(answer):
-    first = answer.stated[0].first_listed
+def test_contenders_have_most_of_the_evidence(answer):
+    first, items = answer.stated[0].first_listed, answer.asked.dictionary.items
     comparison = answer.beside_item(answer.item_of(first), [first])
     factors = {h.cause: h.log_bayes_factor for h in comparison.hypotheses}
-    able = contenders(comparison, first, [])
+    able = [items[i].cause for i in contenders(comparison, first, [])]
     assert len(able) <= MOST_RIVALS
-    assert all(factors[each.cause] > 0.5 * factors[first] for each in able)
-    without = contenders(comparison, first, [each.cause for each in able])
-    assert not {each.cause for each in able} & {each.cause for each in without}
+    assert all(factors[cause] > LEAST_CURVED * factors[first] for cause in able)
+    without = [items[i].cause for i in contenders(comparison, first, able)]
+    assert not set(able) & set(without)
 
 
-def test_odds_of_rivals_are_those_of_full_fits(answer, monkeypatch):
-    """Of causes with far less evidence too, so that there are some; a start that the fit keeps has its share of the prior, and so has a
-    size that only the widest prior allows."""
-    monkeypatch.setattr(rivals_module, "LEAST_EVIDENCE", -10.0)
-    monkeypatch.setattr(policy, "ALTERNATIVE", 0.0)
-    compared = with_rivals(answer)
-    extent = compared.plain.posterior.model.circumstances.extent
-    assert compared.rivals
-    for first, rivals in compared.rivals.items():
-        for rival in rivals:
-            own, other = (fit_with(compared, [cause]) for cause in (first, rival.cause))
-            n_starts = sum(candidate.cause == rival.cause for candidate in compared.asked.pool)
-            has_free_shape = any(
-                q.is_shape and not q.is_fixed for q in EFFECTS[rival.cause.name].quantities(extent)
-            )
-            log_prior = 0.0 if has_free_shape else -math.log(n_starts)
-            log_prior += width_prior(other, rival.cause) - width_prior(own, first)
-            assert rival.log_odds == pytest.approx(other.log_evidence + log_prior - own.log_evidence, abs=0.2)
+def test_odds_of_rivals_are_those_of_the_linear_model_where_little_is_curved(monkeypatch):
+    """Each about its own fit, and all about the rig as described: 0.3 mm, of many causes any."""
+    monkeypatch.setattr(rivals, "LEAST_CURVED", 0.5)
+    answer = with_probe_off(3e-4)
+    first, items = answer.stated[0].first_listed, answer.asked.dictionary.items
+    item = answer.item_of(first)
+    p = {h.cause: h.probability for h in answer.alone.hypotheses}
+    others = contenders(answer.beside_item(item, [first]), first, [])
+    assert len(others) == MOST_RIVALS
+    for other in others:
+        cause = items[other].cause
+        fits = (fit_with(answer, [each]) for each in (cause, first))
+        odds = rival(answer.asked, other, next(fits), {first: item}, next(fits))
+        assert odds.log_odds == pytest.approx(math.log(p[cause] / p[first]), abs=1.0)
 
 
-def width_prior(fit: Fit, cause: Cause) -> float:
-    """Log prior odds of the width of a cause's sizes in a fit, against the stated width."""
-    widths = dict(WIDTHS)
-    for quantity in EFFECTS[cause.name].quantities(fit.posterior.model.circumstances.extent):
-        prior = fit.rig.parameters[f"{cause.label}.{quantity.key}"].prior
-        if not quantity.is_shape and prior is not None:
-            factor = round(prior.sd / quantity.prior.sd, 6)
-            return math.log(widths[factor] / widths[1.0])
-    return 0.0
+def test_twins_stay_twins_where_one_is_fitted_and_the_other_is_curved():
+    """No reading tells a probe that is off from a base that is; the model about a fit with the base has the probe far below it."""
+    answer = with_probe_off(5e-3)
+    (plain,), (entry,) = replace(answer, rivals={}).stated, answer.stated
+    assert len(plain.possibilities) == 1
+    assert {possibility.cause for possibility in entry.possibilities} == {BASE, PROBE}
+    ((twin,),) = answer.rivals.values()
+    assert abs(twin.log_odds) < 1.5
