@@ -67,13 +67,14 @@ PLACES = sizes(("x_m", "y_m", "z_m"), SHIFT_M) | sizes(("rx_rad", "ry_rad", "rz_
 
 
 @pytest.mark.parametrize(
-    ("observations", "cause", "truth"),
+    ("observations", "cause", "truth", "twins"),
     [
-        pytest.param(with_a_place_of_its_own, Cause("segment_misplaced", "arm"), PLACES, id="place"),
+        pytest.param(with_a_place_of_its_own, Cause("segment_misplaced", "arm"), PLACES, set(), id="place"),
         pytest.param(
             with_a_zero_of_its_own,
             Cause("segment_zero", "hall"),
             sizes(("x_T", "y_T", "z_T"), ZERO_T),
+            set(),
             id="zero",
             marks=pytest.mark.slow,
         ),
@@ -81,14 +82,15 @@ PLACES = sizes(("x_m", "y_m", "z_m"), SHIFT_M) | sizes(("rx_rad", "ry_rad", "rz_
             with_a_gain_of_its_own,
             Cause("segment_gain", "hall"),
             sizes(("gain",), GAIN[:, None]),
+            {"coil_heating[coil]"},  # warmer on one day: halves of the readings do not refute it
             id="gain",
             marks=pytest.mark.slow,
         ),
     ],
 )
-def test_what_was_set_up_anew_each_day_is_named_with_its_sizes(observations, cause, truth):
+def test_what_was_set_up_anew_each_day_is_named_with_its_sizes(observations, cause, truth, twins):
     diagnosis = diagnose(Session(RIG, observations(), "by hand"), seed=1)
-    assert_named(diagnosis, cause, set())
+    assert_named(diagnosis, cause, twins)
     quantities = diagnosis.quantities(cause)
     assert set(quantities) == set(truth)
     for key, size in truth.items():
