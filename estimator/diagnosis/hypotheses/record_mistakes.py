@@ -32,6 +32,7 @@ from estimator.effects.stages import RecordEffect
 from estimator.effects.use import shifts_rows, uses_of
 from estimator.inference.likelihood import LogPosterior
 from estimator.readings.observations import Observations
+from estimator.readings.scatter import scatter_T
 from estimator.readings.split import spread
 from estimator.rig.coordinates import Coordinates
 from estimator.rig.rig import Cause, Rig
@@ -65,7 +66,8 @@ def without_record_mistakes(base: Fit) -> tuple[Fit, list[RecordMistake]]:
     """
     mistakes: list[RecordMistake] = []
     while len(mistakes) < MOST_MISTAKES:
-        most_starts = MOST_STARTS_OF_FAINT if _is_as_expected(base) else None
+        is_faint = _is_as_expected(base) and not _is_noisy(base)
+        most_starts = MOST_STARTS_OF_FAINT if is_faint else None
         fits = sorted(_fits_with_mistake(base, most_starts), key=lambda fit: -fit.log_evidence)
         if not fits or fits[0].log_evidence - base.log_evidence < policy.LEAST_LOG_EVIDENCE_OF_MISTAKE:
             break
@@ -96,6 +98,20 @@ def _is_as_expected(fit: Fit) -> bool:
     priors = {parameter.name: parameter.prior for parameter in fit.rig.free if parameter.prior is not None}
     distances_sd = (abs(prior.distance(float(fit.values[name]))) for name, prior in priors.items())
     return all(distance_sd <= calibration_policy.FAR_SD for distance_sd in distances_sd)
+
+
+def _is_noisy(fit: Fit) -> bool:
+    """Whether a free noise has grown beyond what readings at the same places show, or else its prior: it may hide what is absurd."""
+    by_sensor = scatter_T(fit.observations, len(fit.rig.sensors))
+    for sensor, scattered_T in zip(fit.rig.sensors, by_sensor, strict=True):
+        name = f"{sensor.name}.noise_T"
+        prior = fit.rig.parameters[name].prior
+        if prior is None:
+            continue
+        expected_T = prior.centre if scattered_T is None else scattered_T
+        if float(fit.values[name]) > calibration_policy.LARGER_THAN_NOISE * expected_T:
+            return True
+    return False
 
 
 def _fits_with_mistake(base: Fit, most_starts: int | None) -> list[Fit]:

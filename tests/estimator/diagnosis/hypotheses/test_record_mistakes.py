@@ -15,6 +15,8 @@ from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
 from estimator.effects.use import shifts_rows
 from estimator.rig.rig import Cause
+from estimator.rig_files.read import rig_from_text
+from tests.estimator.conftest import RIG
 from tests.estimator.diagnosis.small_fits import fit_of, with_wrong
 
 pytestmark = pytest.mark.whole
@@ -127,3 +129,21 @@ def test_an_axis_that_is_reversed_in_mid_session_is_found_to_the_reading(
     is_taken_wrongly = ((readings.time_s - readings.time_s[0]) / 3600.0 > since_h) != is_late
     assert not (field_T[is_taken_wrongly, 1].abs() > 4.0 * noise_T).any()  # others have no sign to be seen
     assert float(fit.residual.square().mean()) == pytest.approx(1.0, abs=0.3)
+
+
+def test_a_free_noise_does_not_hide_columns_of_a_mover_that_are_exchanged(small_session, monkeypatch):
+    """A wide prior lets the noise follow what the record got wrong; readings at the same places scatter much less."""
+    monkeypatch.setattr(record_mistakes, "EFFECTS", {"positions_swapped": EFFECTS["positions_swapped"]})
+    rig = rig_from_text(
+        RIG.replace("noise_uT: 5", "noise_uT: {prior: {log_normal: {median: 100, relative_sd: 2}}}")
+    )
+    readings = small_session.observations.alone
+    (mover,) = rig.movers
+    exchanged = readings.motion[mover.name][:, [0, 2, 1, 3, 4, 5]]
+    fit = fit_of(rig, replace(readings, motion={mover.name: exchanged}))
+    monkeypatch.setattr(record_mistakes, "_is_as_expected", lambda _: True)
+    monkeypatch.setattr(record_mistakes, "scatter_T", lambda *_: [5e-6])
+    (mistake,) = without_record_mistakes(fit)[1]
+    assert mistake.cause == Cause("positions_swapped", mover.name)
+    monkeypatch.setattr(record_mistakes, "scatter_T", lambda *_: [float(fit.values["hall.noise_T"])])
+    assert without_record_mistakes(fit)[1] == []
