@@ -12,14 +12,18 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from estimator.effects import EFFECTS
+from estimator.effects.attach import with_effect
+from estimator.effects.circumstances import Circumstances
+from estimator.effects.stages import MotionEffect
 from estimator.errors import InvalidInput, listed
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.unlikely_motion import look_like, scaled, unlikely_motion
 from estimator.readings.observations import Observations
-from estimator.rig.rig import Rig
+from estimator.rig.rig import Cause, Rig
 from estimator.tensors import Tensor, torch
 
-MOST_READINGS = 300
+MOST_READINGS, MOST_IN_OTHER_AXES = 300, 40  # that are compared, and in each of many frames
 PLAUSIBLE_RATIO = 20.0
 USUAL_RATIO = 3.0  # beyond, a scale is told though the pattern is right: gauss under millitesla is ten
 CERTAIN_RATIO = 300.0  # no cause of the library makes all fields so much larger, whatever their pattern
@@ -108,11 +112,35 @@ def check_units(rig: Rig, observations: Observations, where: str) -> list[str]:
     if given is None:
         return [*told, f"Units could not be compared with the rig's nominal model: {why} ({where})."]
     if is_wrong_size and given.is_certain:
+        mistake = _mistake_of_a_mover(rig, observations)
+        if mistake is not None:
+            return [
+                *told,
+                f"Fields are {given.ratio:.3g} times those of the rig's nominal model, and agree with it if {EFFECTS[mistake.name].words} "
+                f"({mistake.label}); coilcal diagnose looks for the cause ({where}).",
+            ]
         raise InvalidInput(
             f"measured and nominal field must agree to a factor of {PLAUSIBLE_RATIO:g}; their ratio is {given.ratio:.3g}: "
             f"{_likely(given.ratio)} ({where})"
         )
     return [*told, *_warnings(given, observations, chosen, where)]
+
+
+def _mistake_of_a_mover(rig: Rig, observations: Observations) -> Cause | None:
+    """A mistake in the columns of a mover beside which sizes and pattern are as usual, such as another frame; None where none is."""
+    few = observations.rows(torch.arange(0, len(observations), 1 + len(observations) // MOST_IN_OTHER_AXES))
+    circumstances, by_correlation = Circumstances(rig, few), dict[float, Cause]()
+    for effect in EFFECTS.values():
+        if not (effect.is_record_mistake and isinstance(effect, MotionEffect)):
+            continue
+        causes = [Cause(effect.name, place) for place in effect.places(rig)]
+        for cause in (cause for cause in causes if effect.concerns(circumstances, cause.place)):
+            for start in effect.starts(circumstances, cause.place):
+                with suppress(InvalidInput):
+                    agreement = _agreement(with_effect(rig, cause, few, start, is_free=False), few)
+                    if agreement is not None and agreement.is_usual:
+                        by_correlation[agreement.correlation] = cause
+    return by_correlation[max(by_correlation)] if by_correlation else None
 
 
 def _refuse_motion(rig: Rig, observations: Observations, is_wrong_size: bool, where: str) -> None:

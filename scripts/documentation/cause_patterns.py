@@ -155,6 +155,7 @@ SIZES: dict[str, dict[str, float]] = {
     "displacement_frame": {"rz_rad": math.pi / 2.0, "rx_rad": 0.0, "ry_rad": 0.0},
     "left_handed": {"y_sign": -1.0},
     "pierced_plate": {"strength": 0.8, "axis": 2.0, "z_m": -0.01, "radius_m": 0.03},
+    "pose_frame": {"rz_rad": math.pi / 2.0, "rx_rad": 0.0, "ry_rad": 0.0},
     "position_unit": {"x_factor": 10.0},
     "positions_swapped": {"x_reads": 2.0, "y_reads": 1.0},
     "range_clipping": {"limit_T": 0.006},

@@ -239,3 +239,25 @@ def displacement_frame(pose: Transform, theta: Theta) -> Transform:
     """
     turn = rotation_from_vector(vector(theta, TURN)[..., 0, :])
     return Transform(pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0])
+
+
+# Quantities: from the reported to the real axes.
+@MotionEffect.cause(
+    quantities=box(TURN, "", "rad", 2.0 * math.pi),
+    places=_that_report(MotionKind.POSE),
+    starts=lambda: tuple(dict(zip(TURN, turn, strict=True)) for turn in _turns()),
+    is_itself=_is_large,
+    is_record_mistake=True,
+)
+def pose_frame(pose: Transform, theta: Theta) -> Transform:
+    """Poses are reported in other axes than those of the mover's base.
+
+    Positions and rotations are reported in axes that are turned against those of the mover's base, about its origin: those of another base
+    frame, or of a base that is mounted otherwise.
+
+    Source: any rotation: feature frames and feet of robots may be turned by 45, 90 or 180 degrees.
+    """
+    turn = rotation_from_vector(vector(theta, TURN)[..., 0, :])
+    return Transform(
+        turn[..., None, :, :] @ pose.rotation, (turn[..., None, :, :] @ pose.translation_m[..., None])[..., 0]
+    )

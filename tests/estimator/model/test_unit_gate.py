@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from estimator.errors import InvalidInput
-from estimator.frames import rotation_from_vector
+from estimator.frames import Transform, rotation_from_vector
+from estimator.geometry.motion import base_from_motion
 from estimator.model.measurement_model import MeasurementModel
 from estimator.model.simulate import simulate
 from estimator.model.unit_gate import check_units
@@ -17,6 +18,7 @@ from estimator.readings.observations import Observations
 from estimator.readings.plan import load_plan
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
+from estimator.rotations import vector_from_rotation
 
 RIG = """
 schema_version: 1
@@ -133,6 +135,25 @@ def test_a_thousand_in_all_rows_is_refused_whatever_the_pattern(readings):
     check_units(rig(), readings.with_field(30.0 * shuffled.sign() * readings.field_sensor_T.abs()), "a.csv")
     with pytest.raises(InvalidInput, match="fields look like mT"):
         check_units(rig(), readings.with_field(1e3 * shuffled), "a.csv")
+
+
+def test_poses_in_a_turned_frame_are_told_and_left_to_the_diagnosis():
+    """The coil stands 30 cm beside the base: by the record the sensor is 60 cm from it, and fields are a thousand times too large."""
+    away = rig_from_text(
+        RIG.replace("HOLDER", "0").replace("world_from_coil: {", "world_from_coil: {x_mm: 300, ")
+    )
+    generator = torch.Generator().manual_seed(1)
+    motion = 0.03 * torch.rand(30, 6, generator=generator, dtype=torch.float64)
+    motion[:, 0] += 0.3
+    motion[:, 3:] *= 20.0
+    real = Observations.of(torch.full((30, 1), 3.0, dtype=torch.float64), {"stage": motion})
+    model = MeasurementModel.build(away, real)
+    half_turn = rotation_from_vector(torch.tensor([0.0, 0.0, torch.pi], dtype=torch.float64))
+    turned = Transform(half_turn, torch.zeros(3).double()) @ base_from_motion(away.mover("stage"), motion)
+    columns = torch.cat((turned.translation_m, vector_from_rotation(turned.rotation)), dim=1)
+    recorded = replace(real, motion={"stage": columns}).with_field(model.predict(model.nominal))
+    (told,) = check_units(away, recorded, "a.csv")
+    assert "(pose_frame[stage]); coilcal diagnose looks for the cause" in told
 
 
 def test_currents_without_their_sign_are_told(readings):

@@ -98,6 +98,13 @@ def test_conventions_are_asked_where_the_mover_has_turned():
     assert not effect.concerns(Circumstances(rig, readings(POINTS_M, (2.0, 0.0))), "mapper")
 
 
+def test_poses_in_a_frame_that_is_turned_are_turned_back_with_their_rotations():
+    turn, real = Rotation.from_euler("zx", [90.0, 45.0], degrees=True), Rotation.from_rotvec(ANGLES_RAD)
+    recorded = readings(turn.inv().apply(POINTS_M), (2.0, 0.0), turn_rad=(turn.inv() * real).as_rotvec())
+    given = dict(zip(("rx_rad", "ry_rad", "rz_rad"), turn.as_rotvec(), strict=True))
+    assert_same_field(predicted_T(recorded, {"pose_frame[mapper]": given}), real.inv().apply(FIELD_T))
+
+
 def swaps(points_m: np.ndarray, rig_text: str = RIG, mover: str = "mapper") -> list[tuple[float, ...]]:
     """Orders and directions of the columns that a session asks for."""
     recorded = readings(points_m, (2.0, 0.0), mover=mover)
