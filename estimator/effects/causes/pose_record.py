@@ -244,16 +244,16 @@ def displacement_frame(pose: Transform, theta: Theta) -> Transform:
 # Quantities: from the reported to the real axes.
 @MotionEffect.cause(
     quantities=box(TURN, "", "rad", 2.0 * math.pi),
-    places=_that_report(MotionKind.POSE),
+    places=_that_report(*(kind for kind in MotionKind if kind is not MotionKind.DISPLACEMENT)),
     starts=lambda: tuple(dict(zip(TURN, turn, strict=True)) for turn in _turns()),
     is_itself=_is_large,
     is_record_mistake=True,
 )
 def pose_frame(pose: Transform, theta: Theta) -> Transform:
-    """Poses are reported in other axes than those of the mover's base.
+    """The base of a mover is turned against what the rig says, or poses are reported in other axes.
 
-    Positions and rotations are reported in axes that are turned against those of the mover's base, about its origin: those of another base
-    frame, or of a base that is mounted otherwise.
+    Positions and rotations are in axes that are turned about the origin of the mover's base: its foot is mounted otherwise, or poses are
+    those in another frame.
 
     Source: any rotation: feature frames and feet of robots may be turned by 45, 90 or 180 degrees.
     """
