@@ -21,6 +21,7 @@ from estimator.effects.base import Effect, normal
 from estimator.effects.stages import CurrentEffect
 from estimator.errors import InvalidInput
 from tests.contract.outside import lab_effects
+from tests.program import PYTHON, finished
 
 OUTSIDE = Path(__file__).parent / "outside"
 RIG = """
@@ -219,8 +220,5 @@ def test_an_effect_that_breaks_the_contract_is_refused_in_one_sentence():
 def test_a_package_that_does_not_load_is_named(tmp_path):
     environment = installed(tmp_path)
     (tmp_path / "site" / "lab_effects.py").write_text("import nothing_of_that_name\n")
-    done = subprocess.run(
-        [sys.executable, "-c", "import estimator.effects"],
-        env=environment, capture_output=True, text=True, check=False,
-    )  # fmt: skip
+    done = finished(PYTHON, "-c", "import estimator.effects", env=environment)
     assert "plug-in 'dead_band' of coilcal.effects must load (lab_effects:dead_band)" in done.stderr

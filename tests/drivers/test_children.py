@@ -18,6 +18,7 @@ from drivers.open import open_devices
 from drivers.supervised import Supervised
 from tests.drivers.rig import free_host
 from tests.drivers.test_open import ARM, SENSOR, SUPPLY
+from tests.program import PYTHON, finished
 
 ROOT = Path(__file__).parents[2]
 PROGRAM = """
@@ -49,15 +50,8 @@ def test_no_child_imports_the_program_that_started_it_nor_a_large_library(tmp_pa
     warmth = {"thermometer": "lakeshore_224", "inputs": {"coil1": "A"}}
     section = json.dumps({"hall": SENSOR, "coil1": SUPPLY, "arm1": ARM, "warmth": warmth})
     (tmp_path / "program.py").write_text(PROGRAM % (section, free_host()), encoding="utf-8")
-    done = subprocess.run(
-        [sys.executable, "program.py"],
-        cwd=tmp_path,
-        env={"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "PATH": "", "OMP_NUM_THREADS": "1"},
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    environment = {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg", "PATH": "", "OMP_NUM_THREADS": "1"}
+    done = finished(PYTHON, "program.py", cwd=tmp_path, env=environment, timeout=120)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "imported").read_text() == "__main__ "
     compiled = {

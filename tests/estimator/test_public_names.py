@@ -7,8 +7,6 @@ import importlib
 import inspect
 import os
 import pkgutil
-import subprocess
-import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -17,6 +15,7 @@ import torch
 
 import coilcal
 import estimator
+from tests.program import PYTHON, finished
 
 NAMES = [
     "Calibration",
@@ -116,14 +115,8 @@ def test_a_package_of_another_distribution_is_not_run(tmp_path, name):
     (tmp_path / name).mkdir()
     (tmp_path / name / "__init__.py").write_text('"""Something else."""\n', encoding="utf-8")
     path = os.pathsep.join([str(tmp_path), str(Path(coilcal.__file__).parents[1])])
-    ran = subprocess.run(
-        [sys.executable, "-m", "coilcal", "--version"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": path},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+    environment = {**os.environ, "PYTHONPATH": path}
+    ran = finished(PYTHON, "-m", "coilcal", "--version", cwd=tmp_path, env=environment)
     assert ran.returncode == 2
     assert ran.stderr.startswith(f"coilcal: package {name!r} must be that of coilcal; ")
     assert ran.stderr.count("\n") == 1

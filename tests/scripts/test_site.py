@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
+
+from tests.program import PYTHON, finished
 
 ROOT = Path(__file__).parents[2]
 SETTINGS = """
@@ -48,16 +49,9 @@ def built(folder: Path, cell: str) -> tuple[int, str, str]:
     docs.mkdir(exist_ok=True)
     (docs / "conf.py").write_text(SETTINGS.format(extensions=extensions), encoding="utf-8")
     (docs / "index.md").write_text(TUTORIAL.format(extensions=extensions, cell=cell), encoding="utf-8")
-    command = [sys.executable, "-m", "scripts.documentation.site", str(docs), str(folder / "site")]
-    ran = subprocess.run(
-        command,
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    command = [PYTHON, "-m", "scripts.documentation.site", docs, folder / "site"]
+    together = {"capture_output": False, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    ran = finished(*command, timeout=120, **together)
     return ran.returncode, ran.stdout, (folder / "site" / "index.html").read_text(encoding="utf-8")
 
 

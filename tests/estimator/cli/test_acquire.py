@@ -23,7 +23,7 @@ from estimator.store.journal import JOURNAL, Journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.conftest import run
 from tests.estimator.cli.test_rig_simulator import START_S, start
-from tests.program import PROGRAM, ROOT
+from tests.program import PROGRAM, ROOT, launched
 
 HIDDEN_XY = 0.04
 BUSY = "arm1 failed: "  # by its watchdog, where a busy computer does not kick it five times a second; the same command goes on
@@ -109,7 +109,7 @@ def started(folder: Path, out: Path, n_stops: int) -> subprocess.Popen[str]:
 
 def begin(folder: Path, out: Path) -> subprocess.Popen[str]:
     command = [*PROGRAM, *call(folder, out)]
-    return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return launched(*command)
 
 
 def bring_home(folder: Path) -> None:

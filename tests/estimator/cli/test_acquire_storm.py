@@ -16,7 +16,7 @@ import pytest
 from estimator.store.journal import JOURNAL, read_journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.test_acquire import bring_home, call, folder, is_off
-from tests.program import ROOT
+from tests.program import launched
 
 __all__ = ["folder"]  # the fixture of a rig that runs
 
@@ -31,7 +31,7 @@ SAYING_EACH_STOP = (
 def killed(arguments: list[str], after_s: float) -> tuple[int, str]:
     """Exit code and what was said; the clock runs from the start of the program."""
     command = [sys.executable, "-c", SAYING_EACH_STOP, *arguments]
-    program = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    program = launched(*command)
     try:
         _, said = program.communicate(timeout=after_s)
     except subprocess.TimeoutExpired:

@@ -22,7 +22,7 @@ from tests.estimator.cli.conftest import run
 from tests.estimator.cli.killed_inside import Instant
 from tests.estimator.cli.test_acquire import bring_home, call, is_off
 from tests.estimator.cli.test_acquire_until import UNTIL, folder
-from tests.program import ROOT
+from tests.program import launched
 
 __all__ = ["folder"]  # the fixture of a rig that runs
 
@@ -88,7 +88,7 @@ class Interrupted:
         arguments = call(self.folder, self.out, *UNTIL, "--most-stops", self.most_stops)
         kill = ["-m", "tests.estimator.cli.killed_inside", instant, str(number), str(self.alone)]
         command = [sys.executable, *kill, *arguments]
-        return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+        return launched(*command)
 
 
 def _ended(running: subprocess.Popen[str]) -> tuple[int, str]:

@@ -15,7 +15,7 @@ import pytest
 
 from estimator.diagnosis.fit_journal import FITS
 from tests.estimator.cli.conftest import run
-from tests.program import PROGRAM, ROOT
+from tests.program import PROGRAM, launched
 
 pytestmark = pytest.mark.whole
 PATIENCE_S = 300.0
@@ -40,7 +40,7 @@ def undisturbed(session: Path) -> dict[str, Any]:
 
 def start(session: Path, out: Path) -> subprocess.Popen[str]:
     call = [*PROGRAM, "diagnose", str(session), "--out", str(out), "--seed", "2", "--no-posterior"]
-    return subprocess.Popen(call, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return launched(*call)
 
 
 def diagnosed(out: Path) -> dict[str, Any]:

@@ -26,7 +26,7 @@ from estimator.store.session import SESSION
 from estimator.store.staging import only_writer, staged, write_output
 from tests.estimator.cli.conftest import run
 from tests.estimator.store.interrupted import full_disk
-from tests.program import PROGRAM, ROOT
+from tests.program import PROGRAM, ROOT, launched
 
 Tree = dict[str, tuple[Any, ...]]
 
@@ -226,15 +226,8 @@ def test_among_any_files_only_the_output_itself_changes(
 
 def interrupted(call: list[str], cwd: Path, is_time: Callable[[], bool], n: int = 8) -> tuple[str, str, int]:
     """Send Ctrl-C several times to a command and all that it has started, as a terminal does."""
-    running = subprocess.Popen(
-        [*PROGRAM, *call],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        start_new_session=True,
-    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    running = launched(*PROGRAM, *call, cwd=cwd, env=environment, start_new_session=True)
     while not is_time():
         assert running.poll() is None
         time.sleep(0.01)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -26,7 +25,7 @@ from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import rig_from_text
 from estimator.store.session import Session
 from tests.estimator.conftest import TWO_COILS
-from tests.program import PROGRAM, ROOT
+from tests.program import PROGRAM, launched
 
 
 @pytest.fixture
@@ -171,13 +170,7 @@ def test_the_running_service_looks_again_and_ends_cleanly(number, rig_file, tmp_
     readings = Observations.of(torch.ones(3, 2).double(), still, torch.ones(3, 3).double() * 1e-3)
     Session(of_another, readings, "another rig", "2026-01-01T00:00:00+00:00").save(inbox / "first.zarr")
     call = ["--rig", rig_file, "--inbox", inbox, "--registry", tmp_path / "registry", "--every", "1s"]
-    running = subprocess.Popen(
-        [*PROGRAM, "recalibrate", *map(str, call), "--json"],
-        cwd=ROOT,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    running = launched(*PROGRAM, "recalibrate", *call, "--json")
     assert running.stdout is not None
 
     def conclusions() -> list[Any]:

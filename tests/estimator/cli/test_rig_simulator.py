@@ -14,7 +14,7 @@ import yaml
 
 from drivers.open import check_device, open_devices
 from tests.estimator.cli.conftest import run
-from tests.program import PROGRAM, ROOT
+from tests.program import PROGRAM, launched
 
 START_S, END_S = 180.0, 20.0
 
@@ -22,7 +22,7 @@ START_S, END_S = 180.0, 20.0
 def start(rig: Path, out: Path, *more: str) -> subprocess.Popen[str]:
     """The simulator, once its instruments answer."""
     call = [*PROGRAM, "rig-simulator", str(rig), "--out", str(out), *more]
-    program = subprocess.Popen(call, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    program = launched(*call)
     deadline_s = time.monotonic() + START_S
     while not out.exists():
         assert program.poll() is None, program.stderr and program.stderr.read()

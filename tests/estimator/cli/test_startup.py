@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -21,7 +20,7 @@ from estimator.store.growing import StopReadings, new_header
 from estimator.store.journal import Journal
 from estimator.store.session import Session, seal
 from tests.once import once
-from tests.program import ROOT
+from tests.program import PYTHON, ROOT, finished
 
 LARGE = (
     *(
@@ -61,14 +60,7 @@ def start(code: str, *arguments: object, variables: Mapping[str, str]) -> tuple[
     """Run code in a process of its own: exit code, standard output, large libraries loaded and processor time in seconds."""
     at_exit = f"lambda: print(json.dumps([[n for n in {LARGE} if n in sys.modules], time.process_time()]), file=sys.stderr)"
     program = f"import atexit, json, sys, time; atexit.register({at_exit}); {code}"
-    result = subprocess.run(
-        [sys.executable, "-c", program, *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        env={**os.environ, **variables},
-        check=False,
-    )
+    result = finished(PYTHON, "-c", program, *arguments, env={**os.environ, **variables})
     libraries, processor_s = json.loads(result.stderr.splitlines()[-1])
     return result.returncode, result.stdout, set(libraries), processor_s
 
@@ -137,14 +129,8 @@ def each_in_a_fork(calls: Sequence[Sequence[object]], folder: Path, loaded: set[
     """Commands, each in a fork of one process that has loaded some libraries: a process for each would load them anew."""
     given = json.dumps([[str(part) for part in call] for call in calls])
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    subprocess.run(
-        [sys.executable, "-c", FORKS, *sorted(loaded)],
-        input=given,
-        text=True,
-        cwd=folder,
-        env=environment,
-        check=True,
-    )
+    call = [PYTHON, "-c", FORKS, *sorted(loaded)]
+    subprocess.run(call, input=given, text=True, cwd=folder, env=environment, check=True)
     told = [json.loads((folder / f"{number}.json").read_text()) for number in range(len(calls))]
     return [(code, (folder / str(n)).read_text(), set(names)) for n, (code, names) in enumerate(told)]
 

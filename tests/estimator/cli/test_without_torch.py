@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.program import PYTHON, finished
 
 ROOT = Path(__file__).parents[3]
 CALL = """
@@ -46,14 +46,8 @@ def test_a_command_runs_again_with_torch_where_numpy_lacks_something(
         "--out",
         "field.csv",
     ]
-    ended = subprocess.run(
-        [sys.executable, "-c", CALL.format(without=without), *map(str, call)],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert (ended.returncode, (tmp_path / "runs").read_text().split()) == (exit_code, runs)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    ran = finished(PYTHON, "-c", CALL.format(without=without), *call, cwd=tmp_path, env=environment)
+    assert (ran.returncode, (tmp_path / "runs").read_text().split()) == (exit_code, runs)
     assert (tmp_path / "field.csv").is_file() == (exit_code == 0)
-    assert ended.stderr.count("coil9") == (exit_code == 2)
+    assert ran.stderr.count("coil9") == (exit_code == 2)

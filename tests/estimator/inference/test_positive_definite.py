@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-
 import mpmath
 import torch
 from torch.testing import assert_close
 
 from estimator.inference.positive_definite import inverse, log_determinant, lower_factor, solve, solve_each
+from tests.program import PYTHON, finished
 
 SEVERAL_THREADS = """
 import torch
@@ -91,8 +89,6 @@ def test_a_factor_of_a_covariance_that_rounding_has_made_indefinite_is_that_of_i
 
 def test_batches_of_many_rows_are_solved_with_several_threads():
     """The LU of torch fails here, or never ends (pytorch issue 141358)."""
-    ended = subprocess.run(
-        [sys.executable, "-c", SEVERAL_THREADS], capture_output=True, text=True, timeout=120, check=False
-    )
-    assert ended.returncode == 0, ended.stderr[-500:]
-    assert "MKL" not in ended.stdout + ended.stderr
+    ran = finished(PYTHON, "-c", SEVERAL_THREADS, timeout=120)
+    assert ran.returncode == 0, ran.stderr[-500:]
+    assert "MKL" not in ran.stdout + ran.stderr

@@ -5,8 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,6 +16,7 @@ from estimator.errors import CoilcalError, CorruptStore, InvalidInput
 from estimator.recalibration.log import Entry
 from estimator.recalibration.registry import Registry
 from estimator.rig_files.read import load_rig
+from tests.program import PYTHON, finished
 
 KILLS = """
 import json, os, signal, sys, shutil
@@ -262,14 +261,7 @@ def test_a_pipe_in_the_registry_is_refused_at_once(registry, name):
 def test_a_kill_at_any_step_leaves_the_last_version_and_the_next_job_goes_on(
     kept, tmp_path, small_calibration
 ):
-    process = subprocess.run(
-        [sys.executable, "-W", "ignore", "-c", KILLS, kept, tmp_path / "work"],
-        cwd=Path(__file__).parents[3],
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+    process = finished(PYTHON, "-W", "ignore", "-c", KILLS, kept, tmp_path / "work", timeout=120)
     assert process.returncode == 0, process.stderr
     seed = small_calibration.summary()["seed"]
     first, both = [[1], 1, ["hash a"]], [[1, 2], 2, ["hash a", "hash b"]]

@@ -20,6 +20,7 @@ from estimator.store.made import Made
 from estimator.store.stage import MARK, OutputBusy
 from estimator.store.staging import clear, only_writer, staged, write_output
 from tests.estimator.store.interrupted import full_disk, killed_at_each_operation
+from tests.program import PYTHON, launched
 
 NOTES = Made("notes", r"note\d+\.txt", ("note1.txt",), lambda folder: (folder / "note1.txt").is_file())
 BUSY = r"^output must be written by one program at a time; another writes .*/result$"
@@ -305,14 +306,7 @@ def test_of_writers_that_race_each_writes_the_whole_or_says_why_not(tmp_path, n_
     n_refused = 0
     for _ in range(5):
         racers = [
-            subprocess.Popen(
-                [sys.executable, "-c", RACE, str(output), letter],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.PIPE,
-                text=True,
-                cwd=Path(__file__).parents[3],
-            )
+            launched(PYTHON, "-c", RACE, output, letter, stdin=subprocess.PIPE)
             for letter in "abcd"[:n_writers]
         ]
         time.sleep(0.2)
