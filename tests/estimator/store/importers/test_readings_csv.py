@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,13 +12,13 @@ import torch
 
 from estimator.errors import Faults, InvalidInput
 from estimator.readings.clock import Clock
-from estimator.readings.observations import Observations
 from estimator.rig.rig import Rig
 from estimator.rig_files.read import rig_from_text
 from estimator.store.importers.forms.recipe import Recipe
 from estimator.store.importers.forms.understand import understood
 from estimator.store.importers.readings_csv import is_readings_csv, read_readings_csv, write_readings_csv
 from estimator.store.session import Session
+from tests.estimator.store.test_session import make_session
 
 ONE_SENSOR = """
 schema_version: 1
@@ -25,15 +26,6 @@ name: one sensor
 movers: {arm1: {motion: displacement}}
 coils: {coil1: {carried_by: arm1, radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}}
 sensors: {hall: {noise_uT: 20}}
-"""
-TWO_SENSORS = """
-schema_version: 1
-name: two sensors
-movers: {arm1: {motion: UR3}, stage: {motion: pose}}
-coils:
-  coil1: {carried_by: arm1, radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
-  coil2: {radius_mm: 50, wire_radius_mm: 1, axial_loops: 2, radial_loops: 2}
-sensors: {hall_a: {noise_uT: 20}, hall_b: {carried_by: stage, noise_uT: 20}}
 """
 HEADER = "t_s,coil1_current_A,arm1_x_m,arm1_y_m,arm1_z_m,Bx_T,By_T,Bz_T"
 ROW = "0,3,0.01,0.02,0.03,1e-3,2e-3,3e-3"
@@ -51,28 +43,12 @@ def written(path: Path, *lines: str) -> Path:
 
 
 def test_a_written_session_is_read_back_bit_by_bit(tmp_path):
-    rig = rig_from_text(TWO_SENSORS)
-    n, random = 50, torch.Generator().manual_seed(1)
-
-    def numbers(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, generator=random, dtype=torch.float64) / 3.0
-
-    field_T = numbers(n, 3)
-    field_T[3, 1] = field_T[7, :2] = math.nan
-    observations = Observations(
-        numbers(n),
-        torch.randint(2, (n,), generator=random),
-        numbers(n, 2),
-        {"arm1": numbers(n, 6), "stage": numbers(n, 6)},
-        field_T,
-        numbers(n) > 0.2,
-        torch.randint(4, (n,), generator=random),
-        {"coil2": numbers(n), "hall_a": numbers(n)},
-        recorded_segment=torch.randint(-1, 4, (n,), generator=random),
-    )
-    session = Session(rig, observations, "test")
+    made = make_session()
+    segment = torch.randint(-1, 4, (len(made.observations),), generator=torch.Generator().manual_seed(1))
+    readings = replace(made.observations, current_measured_A=None, recorded_segment=segment)
+    session = Session(made.rig, readings, "test")
     write_readings_csv(session, tmp_path / "readings.csv")
-    assert read_readings_csv(tmp_path / "readings.csv", rig).hash == session.hash
+    assert read_readings_csv(tmp_path / "readings.csv", made.rig).hash == session.hash
 
 
 def test_columns_may_come_in_any_order_and_any_unit(tmp_path, rig):
