@@ -8,7 +8,6 @@ import random
 import re
 import signal
 import subprocess
-import sys
 import time
 
 import pytest
@@ -16,22 +15,21 @@ import pytest
 from estimator.store.journal import JOURNAL, read_journal
 from estimator.store.session import is_growing, load_session
 from tests.estimator.cli.test_acquire import bring_home, call, folder, is_off
-from tests.program import launched
+from tests.program import PYTHON, launched
 
 __all__ = ["folder"]  # the fixture of a rig that runs
 
 N_KILLS = 50
 OFF_S = 10.0
 SAYING_EACH_STOP = (
-    "import estimator.cli.acquire_progress as progress; progress.LINE_EVERY_S = 0.0; "
+    "import estimator.cli.acquire_task as task; task.LINE_EVERY_S = 0.0; "
     "from estimator.cli.main import main; main(prog_name='coilcal')"
 )
 
 
 def killed(arguments: list[str], after_s: float) -> tuple[int, str]:
     """Exit code and what was said; the clock runs from the start of the program."""
-    command = [sys.executable, "-c", SAYING_EACH_STOP, *arguments]
-    program = launched(*command)
+    program = launched(PYTHON, "-c", SAYING_EACH_STOP, *arguments)
     try:
         _, said = program.communicate(timeout=after_s)
     except subprocess.TimeoutExpired:
