@@ -125,7 +125,7 @@ class Stream:
     def polish(self) -> bool:
         """Use some milliseconds, while no reading waits, to bring the estimate nearer to the batch fit.
 
-        Call it until `can_polish` is false, or `estimator.live.processor_share.ProcessorShare` allows no more.
+        Call it until `can_polish` is false, or `estimator.live.engine.ProcessorShare` allows no more.
 
         Returns: Whether the estimate changed; `intervals` tells the new one.
 

@@ -1,7 +1,7 @@
 """Results of sampling: traces of the walkers, and the posterior of every parameter beside its prior.
 
-Values come by parameter name in SI units; `estimator.reporting.plots.style.shown` shortens names and picks
-display units.
+Values come by parameter name in SI units; `estimator.reporting.numbers.displays` shortens names and picks display
+units.
 """
 
 from __future__ import annotations
