@@ -143,13 +143,18 @@ def test_a_current_that_begins_to_drift_in_mid_session_is_named_and_dated(
     said = json.loads(result.stdout)
     assert (said["readings"], said["trouble"]) == (N_STOPS, None)
     assert said["refreshed"]["n_readings"] == N_STOPS
-    assert said["refreshed"]["causes"] == ["coil_heating[coil1]"]
     found = said["refreshed"]["verdict"]
-    assert found in {"named", "indistinguishable"}  # from something that no list holds
+    named = {
+        "named": "coil_heating[coil1]",
+        "indistinguishable": "coil_heating[coil1] or something not in the library",
+    }[found]
+    assert said["refreshed"]["causes"] == [named]
     assert said["refreshed"]["places"] == ["coil1"]
     since = said["since"]
     assert begin <= since < begin + 20
-    verdict = f"diagnosis: {found}: coil_heating[coil1] (after {N_STOPS} readings); residuals are off since reading {since}"
+    verdict = (
+        f"diagnosis: {found}: {named} (after {N_STOPS} readings); residuals are off since reading {since}"
+    )
     assert verdict in result.stderr
     low, high = said["refreshed"]["ci90"]["coil1.radius_m"]
     assert low < high
