@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from estimator.calibration.policy import LARGER_THAN_NOISE
@@ -21,6 +22,8 @@ from estimator.readings.observations import Observations
 from estimator.rig.parameters import LogNormal
 
 PROBABLY = 0.5
+MOST_SETTINGS = 30  # currents of a session that are tried in place of those that were written down
+MOST_TOLD = 100  # components for which they are tried
 WIDTH_OF_ONE = 20.0  # standard deviations of the noise, of the errors of a single component
 
 
@@ -35,7 +38,8 @@ class Outlier:
         miss_T: Measured less predicted.
         miss_sd: The same in standard deviations of the readings that are right.
         probability: That it is wrong.
-        words: How it may have been written down so, as a clause: a decimal point beside its place, a sign; empty where nothing tells.
+        words: How it may have been written down so, as a clause: a decimal point beside its place, a sign, another current; empty
+            where nothing tells.
         line: Line of the file from which it was imported; None where there is no such file.
     """
 
@@ -88,6 +92,9 @@ def outliers_of(fit: Fit, observations: Observations, leaves_something: bool) ->
     numbers = (numbers[probable].tolist() for numbers in (miss_T, miss_sd, probability))
     measured_T, sigma_T = posterior.measured_T[probable], (miss_T / miss_sd)[probable]
     words = _written_as(measured_T, measured_T - miss_T[probable], sigma_T)
+    if not all(words):
+        fits = _with_other_currents(fit, observations, readings, components, measured_T, sigma_T)
+        words = [word or other for word, other in zip(words, fits, strict=True)]
     lines = [None] * len(probable) if observations.line is None else observations.line[readings].tolist()
     return list(map(Outlier, readings.tolist(), names, components.tolist(), *numbers, words, lines))
 
@@ -116,3 +123,42 @@ def _written_as(
     words = list(FACTORS.values())
     is_near = (least < policy.NEAR_TO_EXPECTED).tolist()
     return [words[i] if near else "" for i, near in zip(nearest.tolist(), is_near, strict=True)]
+
+
+def _with_other_currents(
+    fit: Fit,
+    observations: Observations,
+    readings: Int[Tensor, " component"],
+    components: Int[Tensor, " component"],
+    measured_T: Float[Tensor, " component"],
+    sigma_T: Float[Tensor, " component"],
+) -> list[str]:
+    """The other currents of the session with which each component would fit, in words; empty where none would, or where they are many."""
+    settings = observations.current_A.unique(dim=0)
+    if len(settings) > MOST_SETTINGS:
+        return [""] * len(readings)
+    rows = observations.rows(readings[:MOST_TOLD])
+    fields_T = []
+    with torch.no_grad():
+        for setting in settings:
+            other = replace(rows, current_A=setting.expand_as(rows.current_A))
+            predicted_T = fit.model_of(other).predict(fit.values).expand(len(rows), 3)
+            fields_T.append(predicted_T.gather(1, components[:MOST_TOLD, None])[:, 0])
+    off = ((torch.stack(fields_T) - measured_T[:MOST_TOLD]) / sigma_T[:MOST_TOLD]).abs()
+    least, nearest = off.min(dim=0)
+    names = [coil.name for coil in fit.rig.coils]
+    words = [
+        f"fits {_currents(names, settings[k])} where {_currents(names, written)} is written" if near else ""
+        for k, near, written in zip(
+            nearest.tolist(), (least < policy.NEAR_TO_EXPECTED).tolist(), rows.current_A, strict=True
+        )
+    ]
+    return words + [""] * (len(readings) - len(words))
+
+
+def _currents(names: Sequence[str], current_A: Float[Tensor, " coil"]) -> str:
+    """Currents in words, of one coil without its name."""
+    if len(names) == 1:
+        return f"{float(current_A[0]):.4g} A"
+    each = (f"{name} {value:.4g} A" for name, value in zip(names, current_A.tolist(), strict=True))
+    return ", ".join(each)

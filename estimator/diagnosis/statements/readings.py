@@ -97,5 +97,5 @@ def outliers_tables(diagnosis: Diagnosis) -> Iterator[Table]:
             for outlier in probable[:MOST_OUTLIERS]
         ],
         "Readings are counted from 1, lines are those of the file. Outliers count little in the fit. The probability follows from their "
-        f"share and width, as fitted. The last column says which factor would explain a component.{more}",
+        f"share and width, as fitted. The last column says which factor, or which other current, would explain one.{more}",
     )

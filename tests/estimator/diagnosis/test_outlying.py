@@ -62,6 +62,21 @@ def test_a_decimal_point_beside_its_place_is_told_with_the_line_of_the_file(fit,
     assert {written[place].words for place in (*WRONG, (smallest, 2))} == {""}
 
 
+def test_a_current_of_other_readings_is_told_where_it_would_fit(fit, session):
+    """As where the supply was not turned on yet, or already set to the next current."""
+    readings = session.observations
+    halved = readings.rows(torch.arange(12, len(readings)))
+    without = replace(halved, current_A=0.5 * halved.current_A)
+    field_T, current_A = readings.field_sensor_T.clone(), readings.current_A.clone()
+    field_T[12:], current_A[12:] = fit.model_of(without).predict(fit.values), without.current_A
+    row = 12 + int(field_T[12:, 2].abs().argmax())
+    current_A[row] = readings.current_A[row]
+    outliers = outliers_of(fit, replace(readings, current_A=current_A).with_field(field_T), False)
+    (told,) = (o for o in outliers if (o.reading, o.component) == (row, 2))
+    full_A = float(readings.current_A[row, 0])
+    assert told.words == f"fits {0.5 * full_A:.4g} A where {full_A:.4g} A is written"
+
+
 def test_its_probability_is_that_of_a_mixture_of_two_normals(fit, session):
     for outlier in outliers_of(fit, session.observations, False):
         good = (1.0 - SHARE) * stats.norm.pdf(outlier.miss_sd)
