@@ -73,25 +73,27 @@ def best_instants(
 
 
 def changes_at_its_instant(fit: Fit) -> bool:
-    """Whether readings on both sides of the last instant of a fit's newest cause show it: else that lasts, or was there always.
+    """Whether readings on both sides of the last instant of a fit's newest cause show it, each time more than single ones.
 
-    What begins before the first current of a session is what is wrong in all of it.
+    What begins before the first current of a session is what is wrong in all of it, and a row or two are mistakes of single rows.
     """
     cause = fit.rig.effects[-1]
     names = {key: f"{cause.label}.{key}" for key in (SINCE, UNTIL)}
-    given = [key for key in names if names[key] in fit.values]
-    if not given:
+    instants = [key for key in names if names[key] in fit.values]
+    if not instants:
         return True
-    beyond_h = AFTER * fit.circumstances.duration_h if given[-1] == UNTIL else -1.0
-    elsewhere = {**fit.values, names[given[-1]]: fit.values[names[given[-1]]].new_tensor(beyond_h)}
+    begin, end = names[instants[0]], names[instants[-1]]
+    after_h = fit.values[begin].new_tensor(AFTER * fit.circumstances.duration_h)
+    never = {**fit.values, begin: after_h, end: after_h}
+    ever = {**fit.values, end: after_h if end != begin else -torch.ones_like(after_h)}
     with torch.no_grad():
-        here_T, there_T = (
-            fit.posterior.measured_components(
-                fit.posterior.model.predict(values).expand(len(fit.observations), 3)
-            )
-            for values in (fit.values, elsewhere)
+        here_T, *others_T = (
+            fit.posterior.model.predict(values).expand(len(fit.observations), 3)
+            for values in (fit.values, never, ever)
         )
-    return bool((here_T != there_T).any())
+    is_measured = fit.observations.is_measured
+    differing = (((here_T != other_T) & is_measured).any(dim=1).sum() for other_T in others_T)
+    return all(int(n) >= policy.FEWEST_OF_ONE_MISTAKE for n in differing)
 
 
 def on_known_sides(fit: Fit, unseen: Observations) -> Observations:

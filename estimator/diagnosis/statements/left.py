@@ -38,9 +38,17 @@ def unexplained(diagnosis: Diagnosis) -> str:
     is_probable = any(entry.first.is_listed for entry in findings.answer.beside) or bool(
         _withdrawn(diagnosis)
     )
-    unknown = "no cause is sure enough to be stated" if is_probable else "no known cause is probable"
+    has_stated = bool(diagnosis.causes or diagnosis.record_mistakes)
+    other, something = ("other ", "Something else") if has_stated else ("", "Something")
+    unknown = (
+        f"no {other}cause is sure enough to be stated"
+        if is_probable
+        else f"no {other}known cause is probable"
+    )
     sure = _how_sure(diagnosis)
-    words = "Something is wrong" if sure > SURELY else f"Something is probably wrong ({probability(sure)})"
+    words = (
+        f"{something} is wrong" if sure > SURELY else f"{something} is probably wrong ({probability(sure)})"
+    )
     return f"{words}, and {unknown}: {why}."
 
 

@@ -66,7 +66,7 @@ def _rows_left(case: Case) -> np.ndarray:
 # ------------------------------------------------------------------------------------------------------------- that something is wrong
 
 
-@sentence(r"Something is (?:wrong|probably wrong \((?P<p>[<>\d ]+ %)\)), and (?P<unknown>.+?): ")
+@sentence(r"Something (?:else )?is (?:wrong|probably wrong \((?P<p>[<>\d ]+ %)\)), and (?P<unknown>.+?): ")
 def something_wrong(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """False where nothing is wrong."""
     if case.truth is not None:
@@ -75,7 +75,7 @@ def something_wrong(case: Case, text: str, match: re.Match[str]) -> Iterator[Sta
         yield with_probability(statement, probability_of(match["p"])) if match["p"] else statement
 
 
-@sentence(r"no known cause is probable|no listed cause is probable\b")
+@sentence(r"no (?:other )?known cause is probable|no listed cause is probable\b")
 def no_known_cause(case: Case, text: str, _: re.Match[str]) -> Iterator[Statement]:
     """That no listed cause has half the probability: counted among probabilities, and right where something acts that no list holds."""
     if case.truth is not None:

@@ -27,6 +27,7 @@ from estimator.diagnosis.panels import panels
 from estimator.diagnosis.result import Diagnosis
 from estimator.diagnosis.sizes import Interval
 from estimator.diagnosis.statements.gain import unseen_line
+from estimator.diagnosis.statements.left import unexplained
 from estimator.diagnosis.statements.priors import held_back
 from estimator.diagnosis.validation import Improvement, improvement_of
 from estimator.diagnosis.verdict import Family, Verdict
@@ -318,6 +319,11 @@ def test_a_cause_that_is_probable_and_not_stated_is_told_with_its_probability(di
     )
     unknown = said_instead(diagnosis, {(STEPS,): 100})
     assert headline(unknown)[0].startswith("Something is wrong, and no known cause is probable: ")
+    mistake = RecordMistake(Cause("current_sign", "coil1"), 100.0, ())
+    beside_it = replace(unknown, findings=replace(unknown.findings, record_mistakes=(mistake,)))
+    assert unexplained(beside_it).startswith(
+        "Something else is wrong, and no other known cause is probable: "
+    )
 
 
 def test_what_fills_all_slots_may_be_many_things_or_one(diagnosis):

@@ -10,6 +10,7 @@ import torch
 
 from estimator.diagnosis.fitting import fit_rig
 from estimator.diagnosis.hypotheses import record_mistakes
+from estimator.diagnosis.hypotheses.instants import changes_at_its_instant
 from estimator.diagnosis.hypotheses.record_mistakes import without_record_mistakes
 from estimator.effects import EFFECTS
 from estimator.effects.attach import with_effect
@@ -147,3 +148,15 @@ def test_a_free_noise_does_not_hide_columns_of_a_mover_that_are_exchanged(small_
     assert mistake.cause == Cause("positions_swapped", mover.name)
     monkeypatch.setattr(record_mistakes, "scatter_T", lambda *_: [float(fit.values["hall.noise_T"])])
     assert without_record_mistakes(fit)[1] == []
+
+
+def test_a_single_row_is_no_spell_of_a_mistake(small_rig, small_session):
+    """One wild reading between two instants asks for a coil that was connected the other way round for a second."""
+    readings = small_session.observations.alone
+    order = readings.time_s.argsort()
+    hours = (readings.time_s[order] - readings.time_s.min()) / 3600.0
+    for n, is_one in ((1, False), (8, True)):
+        since_h, until_h = (float(0.5 * (hours[row - 1] + hours[row])) for row in (10, 10 + n))
+        spell = {"sign": -1.0, "since_h": since_h, "until_h": until_h}
+        rig = with_effect(small_rig, Cause("current_sign_spell", "coil1"), readings, spell)
+        assert changes_at_its_instant(fit_of(rig, readings)) is is_one
