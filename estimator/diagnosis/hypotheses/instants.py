@@ -12,8 +12,10 @@ import torch
 
 from estimator.diagnosis import policy
 from estimator.diagnosis.fitting import Fit
+from estimator.effects import EFFECTS
 from estimator.effects.base import AFTER
 from estimator.effects.circumstances import SINCE, UNTIL, Circumstances
+from estimator.effects.use import shifts_rows
 from estimator.readings.observations import Observations
 
 # Instants that are asked about the best of the coarse grid: all, where 500 readings have 24 coarse instants.
@@ -80,7 +82,9 @@ def changes_at_its_instant(fit: Fit) -> bool:
     cause = fit.rig.effects[-1]
     names = {key: f"{cause.label}.{key}" for key in (SINCE, UNTIL)}
     instants = [key for key in names if names[key] in fit.values]
-    if not instants:
+    if not instants or shifts_rows(
+        EFFECTS[cause.name]
+    ):  # fields beside their rows are joined anew for each instant
         return True
     begin, end = names[instants[0]], names[instants[-1]]
     after_h = fit.values[begin].new_tensor(AFTER * fit.circumstances.duration_h)

@@ -160,3 +160,14 @@ def test_a_single_row_is_no_spell_of_a_mistake(small_rig, small_session):
         spell = {"sign": -1.0, "since_h": since_h, "until_h": until_h}
         rig = with_effect(small_rig, Cause("current_sign_spell", "coil1"), readings, spell)
         assert changes_at_its_instant(fit_of(rig, readings)) is is_one
+
+
+def test_rows_that_are_shifted_from_an_instant_on_are_found(small_rig, small_session, monkeypatch):
+    """Which fields stand beside which rows is no number of the model: no other instant is predicted by it."""
+    monkeypatch.setattr(record_mistakes, "EFFECTS", {"rows_shifted_since": EFFECTS["rows_shifted_since"]})
+    readings = small_session.observations.alone
+    half = len(readings) // 2
+    field_T = readings.field_sensor_T.clone()
+    field_T[half:] = readings.field_sensor_T[half - 1 : -1]
+    _, mistakes = without_record_mistakes(fit_of(small_rig, readings.with_field(field_T)))
+    assert [mistake.cause.name for mistake in mistakes] == ["rows_shifted_since"]
