@@ -195,7 +195,9 @@ def _text(diagnosis: Diagnosis) -> str:
         lines += [words] if words not in lines else []  # the first box says it where it is what to do
     if diagnosis.left_open.twins:
         lines.append(f"this session cannot tell apart: {twins(diagnosis)}")
-    unseen = [] if diagnosis.improvement is None else [unseen_line(diagnosis.improvement)]
+    fits, improvement = diagnosis.fits, diagnosis.improvement
+    is_extended = fits.extended.rig.acting != fits.plain.rig.acting
+    unseen = [] if improvement is None else [unseen_line(improvement, is_extended=is_extended)]
     return "\n".join([f"verdict: {diagnosis.verdict}", *(f"  {line}" for line in lines), *unseen])
 
 

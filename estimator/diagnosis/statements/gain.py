@@ -147,9 +147,12 @@ def validation_warnings(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"Of readings that no fit has seen{words.removeprefix(', and')}."
 
 
-def unseen_line(improvement: Improvement) -> str:
+def unseen_line(improvement: Improvement, *, is_extended: bool = True) -> str:
     """Error and coverage of the predicted field on unseen readings, and how much more probable they are, in one line."""
     before, after = improvement.before, improvement.after
+    if not is_extended:  # a difference is that between the most probable numbers and those of the best draw
+        error_uT, coverage = after.predicted.vector_T * 1e6, percent(after.predicted_coverage90, 1)
+        return f"unseen readings: {error_uT:.4g} uT rms of the vector; coverage of 90 % intervals {coverage}"
     line = (
         f"unseen readings: {before.errors.vector_T * 1e6:.4g} -> {after.predicted.vector_T * 1e6:.4g} uT rms of the vector; "
         f"coverage of 90 % intervals {percent(before.coverage90, 1)} -> {percent(after.predicted_coverage90, 1)}; "

@@ -199,8 +199,8 @@ def _before_and_after(words: str) -> tuple[float, float]:
 
 
 @sentence(
-    r"^unseen readings: (?P<before>\S+) -> (?P<after>\S+) uT rms of the vector; "
-    r"coverage of 90 % intervals (?P<cb>[\d.]+ %) -> (?P<ca>[\d.]+ %)"
+    r"^unseen readings: (?:\S+ -> )?(?P<after>\S+) uT rms of the vector; "
+    r"coverage of 90 % intervals (?:[\d.]+ % -> )?(?P<ca>[\d.]+ %)"
 )
 def unseen(case: Case, text: str, match: re.Match[str]) -> Iterator[Statement]:
     """The last line: error and coverage of what was handed out."""

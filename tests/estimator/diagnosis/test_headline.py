@@ -163,6 +163,11 @@ def test_a_drift_that_is_named_is_in_no_predicted_field_which_is_told_with_its_o
     lacking = "It includes what predictions are without (background_drift)"
     assert f"{lacking}: they miss these readings by {missed}; the field itself may be right." in words
     assert f"-> {scores.predicted.vector_T * 1e6:.4g} uT" in unseen_line(improvement)
+    of_model = unseen_line(improvement, is_extended=False)
+    assert of_model.startswith(
+        f"unseen readings: {scores.predicted.vector_T * 1e6:.4g} uT rms of the vector; coverage of 90 % intervals "
+    )
+    assert "->" not in of_model
 
 
 def test_an_error_that_does_not_fall_is_not_said_to_fall(diagnosis):
