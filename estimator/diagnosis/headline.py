@@ -16,7 +16,7 @@ from estimator.diagnosis.statements.readings import flagged, outliers
 from estimator.rig.rig import Cause
 
 MOST_LISTED = 6  # causes that a warning names one by one
-NOT_SURE = "it predicts better so, but that is not sure enough to be stated"
+NOT_SURE = "fitted too, but not sure enough to be stated"
 
 
 def headline(diagnosis: Diagnosis) -> list[str]:

@@ -77,14 +77,13 @@ def best_instants(
 def changes_at_its_instant(fit: Fit) -> bool:
     """Whether readings on both sides of the last instant of a fit's newest cause show it, each time more than single ones.
 
-    What begins before the first current of a session is what is wrong in all of it, and a row or two are mistakes of single rows.
+    What begins before the first current of a session is what is wrong in all of it, and a row or two are mistakes of single rows. Fields
+    beside their rows are joined anew for each instant, which no prediction tells.
     """
     cause = fit.rig.effects[-1]
     names = {key: f"{cause.label}.{key}" for key in (SINCE, UNTIL)}
     instants = [key for key in names if names[key] in fit.values]
-    if not instants or shifts_rows(
-        EFFECTS[cause.name]
-    ):  # fields beside their rows are joined anew for each instant
+    if not instants or shifts_rows(EFFECTS[cause.name]):
         return True
     begin, end = names[instants[0]], names[instants[-1]]
     after_h = fit.values[begin].new_tensor(AFTER * fit.circumstances.duration_h)

@@ -154,7 +154,7 @@ def found_tables(diagnosis: Diagnosis) -> Iterator[Table]:
 
 def stand_in_tables(diagnosis: Diagnosis) -> Iterator[Table]:
     """Quantities of the causes that are not."""
-    caption = "Their quantities in the extended rig (rig_extended.yaml), which predicts better with them."
+    caption = "Their quantities in the extended rig (rig_extended.yaml), where they were fitted too."
     title = "Causes that are not sure enough to be stated"
     yield from _sizes_tables(diagnosis, diagnosis.findings.stand_ins, title, caption)
 

@@ -33,7 +33,8 @@ class StopErrors(Place):
         stop = _stops(circumstances.of_history, place)
         n = int(stop.max())
         if n > MOST_STOPS or len(stop) < LEAST_REPEATS * n:
-            return Limit(0, f"{len(stop)} readings are of {n} stops; read fewer stops several times each")
+            most = f"read at most {MOST_STOPS} stops, each several times"
+            return Limit(0, f"{len(stop)} readings are of {n} stops; {most}")
         return Limit(n)
 
     def concerns(self, circumstances: Circumstances, place: str) -> bool:
@@ -48,8 +49,7 @@ class StopErrors(Place):
         """Shift at each stop."""
         amplitudes = self.amplitudes(theta)
         is_there = (stop == stop.new_tensor([*amplitudes])).to(stop)
-        shift_m: Tensor = is_there @ torch.stack(list(amplitudes.values()), dim=-2)
-        return shift_m
+        return is_there @ torch.stack(list(amplitudes.values()), dim=-2)
 
 
 def _stops(circumstances: Circumstances, mover: str) -> Int[Tensor, " reading"]:
@@ -59,5 +59,4 @@ def _stops(circumstances: Circumstances, mover: str) -> Int[Tensor, " reading"]:
         return torch.zeros_like(observations.row)
     motion = observations.history.motion[mover]
     _, stop = torch.unique(motion.round(decimals=DECIMALS), dim=0, return_inverse=True)
-    number: Tensor = (1 + stop)[observations.row]
-    return number
+    return (1 + stop)[observations.row]

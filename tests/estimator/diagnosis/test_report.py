@@ -158,7 +158,7 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     unexplained = replace(diagnosis, findings=findings, verdict=Verdict.UNEXPLAINED)
     page = as_text(unexplained)
     label = diagnosis.label(named.cause)
-    assert f"The extended rig also has {label}: it predicts better so, but that is not sure" in page
+    assert f"The extended rig also has {label}: fitted too, but not sure" in page
     assert f"{label} x " in page.partition("Causes that are not sure enough to be stated Their")[2]
     assert diagnosis.improvement is not None
     rms = size_with_unit(diagnosis.improvement.before.errors.vector_T, "T", 3)
@@ -177,7 +177,7 @@ def test_what_is_not_sure_enough_to_be_stated_is_told_apart_from_what_was_found(
     race = next(p for p in pictures(unexplained) if p.title == "Hypotheses, comparison 1").figure
     assert str(Role.STAND_IN) in [text.get_text() for text in race.legends[0].get_texts()]
     assert str(Role.NAMED) not in [text.get_text() for text in race.legends[0].get_texts()]
-    assert f"rig_extended.yaml also has {label}: it predicts better" in _text(unexplained)
+    assert f"rig_extended.yaml also has {label}: fitted too" in _text(unexplained)
     assert "also has" not in _text(diagnosis)
 
 

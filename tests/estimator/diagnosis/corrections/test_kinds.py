@@ -119,4 +119,4 @@ def test_stops_that_are_read_once_have_no_errors_of_their_own(small_rig, small_s
     [kind] = [kind for kind in kinds_of(plain) if kind.cause.name == "stop_errors"]
     assert kind.limit.degree == 0
     n = len(small_session.observations)
-    assert kind.limit.words == f"{n} readings are of {n} stops; read fewer stops several times each"
+    assert kind.limit.words == f"{n} readings are of {n} stops; read at most 100 stops, each several times"
